@@ -1,0 +1,63 @@
+"""Ultraquiet: from the first excitation of a vibration-isolation bench to verified controller code.
+
+>>> import ultraquiet as uq
+>>> uq.signals.Chirp(start_hz=5, stop_hz=100).generate(samples=4096, rate_hz=3500.0).shape
+(4096,)
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ultraquiet import analyse as analyse
+    from ultraquiet import bench as bench
+    from ultraquiet import deploy as deploy
+    from ultraquiet import design as design
+    from ultraquiet import experiments as experiments
+    from ultraquiet import files as files
+    from ultraquiet import identify as identify
+    from ultraquiet import limits as limits
+    from ultraquiet import reduce as reduce
+    from ultraquiet import report as report
+    from ultraquiet import signals as signals
+    from ultraquiet import simulate as simulate
+    from ultraquiet import spectra as spectra
+    from ultraquiet import validate as validate
+    from ultraquiet.values import Channel as Channel
+    from ultraquiet.values import FrequencyResponse as FrequencyResponse
+    from ultraquiet.values import PolynomialMatrix as PolynomialMatrix
+    from ultraquiet.values import PolynomialModel as PolynomialModel
+    from ultraquiet.values import Record as Record
+    from ultraquiet.values import StateSpace as StateSpace
+
+_ROOMS = (
+    "analyse",
+    "bench",
+    "deploy",
+    "design",
+    "experiments",
+    "files",
+    "identify",
+    "limits",
+    "reduce",
+    "report",
+    "signals",
+    "simulate",
+    "spectra",
+    "validate",
+)
+_VALUES = ("Channel", "FrequencyResponse", "PolynomialMatrix", "PolynomialModel", "Record", "StateSpace")
+
+__all__ = sorted((*_ROOMS, *_VALUES))  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _ROOMS:
+        return importlib.import_module(f"ultraquiet.{name}")
+    if name in _VALUES:
+        return getattr(importlib.import_module("ultraquiet.values"), name)
+    raise AttributeError(f"module 'ultraquiet' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

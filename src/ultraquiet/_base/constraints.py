@@ -1,0 +1,118 @@
+"""Checks of arguments that produce the same sentences everywhere."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ultraquiet._base.errors import InputError, RateError
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
+    """Return `value` as a fresh finite float64 array of `ndim` dimensions, or say what is wrong with it."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{who}: '{name}' must be a real array, got {type(value).__name__} ({error}).") from None
+    if array.ndim != ndim:
+        raise InputError(f"{who}: '{name}' must have {ndim} dimensions, got shape {array.shape}.")
+    bad = array.size - int(np.count_nonzero(np.isfinite(array)))
+    if bad:
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise InputError(f"{who}: '{name}' has {bad} NaN or infinite values, the first at index {first}; remove them.")
+    return array
+
+
+def signal_array(who: str, name: str, value: ArrayLike) -> FloatArray:
+    """Return signals as `(channel, sample)`; one dimension is one channel."""
+    array = np.asarray(value)
+    return real_array(who, name, array[np.newaxis, :] if array.ndim == 1 else array, 2)
+
+
+def frequency_array(who: str, f_hz: ArrayLike) -> FloatArray:
+    """Return non-negative frequencies in Hz as a one-dimensional array."""
+    array = real_array(who, "f_hz", np.atleast_1d(np.asarray(f_hz)), 1)
+    if array.size and array.min() < 0:
+        raise InputError(f"{who}: 'f_hz' must not be negative, got {array.min():g} Hz.")
+    return array
+
+
+def positive(who: str, name: str, value: float, unit: str = "") -> float:
+    """Return a finite number above zero."""
+    number = _number(who, name, value)
+    if not number > 0:
+        raise InputError(f"{who}: '{name}' must be above zero{_in(unit)}, got {number:g}.")
+    return number
+
+
+def between(who: str, name: str, value: float, low: float, high: float, unit: str = "") -> float:
+    """Return a number inside the closed interval [low, high]."""
+    number = _number(who, name, value)
+    if not low <= number <= high:
+        raise InputError(f"{who}: '{name}' must lie between {low:g} and {high:g}{_in(unit)}, got {number:g}.")
+    return number
+
+
+def whole(who: str, name: str, value: Any, low: int, high: int | None = None) -> int:
+    """Return a whole number not below `low` (and not above `high`)."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise InputError(f"{who}: '{name}' must be a whole number, got {value!r}.")
+    if value < low or (high is not None and value > high):
+        span = f"at least {low}" if high is None else f"between {low} and {high}"
+        raise InputError(f"{who}: '{name}' must be {span}, got {value}.")
+    return int(value)
+
+
+def one_of(who: str, name: str, value: str, choices: Sequence[str]) -> str:
+    """Return `value` when it is among the choices."""
+    if value not in choices:
+        raise InputError(f"{who}: '{name}' must be one of {', '.join(map(repr, choices))}, got {value!r}.")
+    return value
+
+
+def rate(who: str, rate_hz: float | None) -> float | None:
+    """Return a sampling rate in Hz; None stands for continuous time."""
+    return None if rate_hz is None else positive(who, "rate_hz", rate_hz, "Hz")
+
+
+def same_rate(who: str, first: str, first_hz: float | None, second: str, second_hz: float | None) -> None:
+    """Refuse to mix continuous with discrete time or two sampling rates."""
+    same = first_hz == second_hz if None in (first_hz, second_hz) else _close(first_hz, second_hz)
+    if not same:
+        raise RateError(
+            f"{who}: {first} is {_time(first_hz)} but {second} is {_time(second_hz)}; convert one of them first."
+        )
+
+
+def _close(first_hz: float | None, second_hz: float | None) -> bool:
+    assert first_hz is not None
+    assert second_hz is not None
+    return abs(first_hz - second_hz) <= 1e-9 * abs(first_hz)
+
+
+def _time(rate_hz: float | None) -> str:
+    return "in continuous time" if rate_hz is None else f"sampled at {rate_hz:g} Hz"
+
+
+def _in(unit: str) -> str:
+    return f" {unit}" if unit else ""
+
+
+def _number(who: str, name: str, value: Any) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{who}: '{name}' must be a number, got {value!r}.") from None
+    if not np.isfinite(number):
+        raise InputError(f"{who}: '{name}' must be finite, got {number}.")
+    return number
+
+
+def frozen(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array, made read-only in place: values are immutable."""
+    array.setflags(write=False)
+    return array

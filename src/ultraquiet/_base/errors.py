@@ -1,0 +1,33 @@
+"""The errors a user meets. Each message is one sentence: who refuses, what it got, what it would take."""
+
+
+class UltraquietError(Exception):
+    """Base of every error this package raises on purpose; the command line turns it into exit code 2."""
+
+
+class InputError(UltraquietError, ValueError):
+    """An argument has the wrong shape, unit, range or content."""
+
+
+class RateError(InputError):
+    """Two things that must share a sampling rate do not."""
+
+
+class UnknownMethodError(UltraquietError, KeyError):
+    """A name that no registered method carries."""
+
+    def __str__(self) -> str:
+        # KeyError quotes its argument, which would put a sentence between quotation marks.
+        return str(self.args[0])
+
+
+class StorageError(UltraquietError, OSError):
+    """A file could not be read or written; nothing that was there before has been changed."""
+
+
+class ToolError(UltraquietError, RuntimeError):
+    """A program from outside, a compiler for instance, is missing or refused its work."""
+
+
+class NumericalError(UltraquietError, ArithmeticError):
+    """An equation has no acceptable solution; the message says which and why."""

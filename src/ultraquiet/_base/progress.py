@@ -1,0 +1,60 @@
+"""Progress of long work, told to whoever listens. Computation never prints; the command line listens with bars."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Protocol
+
+
+class Listener(Protocol):
+    """What a display must offer."""
+
+    def start(self, title: str, total: int) -> int:
+        """Begin a task of `total` steps and return its key."""
+        ...
+
+    def advance(self, key: int, steps: int, note: str) -> None:
+        """Move a task forward; `note` says what is in hand."""
+        ...
+
+    def finish(self, key: int) -> None:
+        """End a task."""
+        ...
+
+
+_listener: ContextVar[Listener | None] = ContextVar("ultraquiet_progress", default=None)
+
+
+class Task:
+    """A handle on one task; does nothing when nobody listens."""
+
+    def __init__(self, listener: Listener | None, key: int) -> None:
+        self._listener = listener
+        self._key = key
+
+    def advance(self, steps: int = 1, note: str = "") -> None:
+        """Report `steps` done."""
+        if self._listener is not None:
+            self._listener.advance(self._key, steps, note)
+
+
+@contextmanager
+def task(title: str, total: int) -> Iterator[Task]:
+    """Announce a task; use as `with task("identify", 36) as t: ... t.advance()`."""
+    listener = _listener.get()
+    key = listener.start(title, total) if listener else 0
+    try:
+        yield Task(listener, key)
+    finally:
+        if listener:
+            listener.finish(key)
+
+
+@contextmanager
+def listening(listener: Listener) -> Iterator[None]:
+    """Send all progress inside the block to `listener`."""
+    token = _listener.set(listener)
+    try:
+        yield
+    finally:
+        _listener.reset(token)

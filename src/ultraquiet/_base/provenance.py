@@ -1,0 +1,75 @@
+"""Where a value comes from: settings, seed, content hashes of its parents and the versions that made it."""
+
+import hashlib
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, is_dataclass
+from importlib import metadata
+from typing import Any
+
+import numpy as np
+
+VERSIONED = ("ultraquiet", "numpy", "scipy", "numba")
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a value was made.
+
+    `made_by` names the method, `settings` are its plain settings, `seed` what its random draws started from,
+    `parents` the content hashes of the values it was made from.
+    """
+
+    made_by: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    seed: int | None = None
+    parents: tuple[str, ...] = ()
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """Return the provenance as one JSON text."""
+        return json.dumps(asdict(self), sort_keys=True, default=plain)
+
+    @classmethod
+    def from_json(cls, text: str) -> "Provenance":
+        """Read what `to_json` wrote."""
+        held = json.loads(text)
+        return cls(**{**held, "parents": tuple(held["parents"])})
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that decide a number: this package, its numerical libraries and Python."""
+    return {"python": platform.python_version(), **{name: metadata.version(name) for name in VERSIONED}}
+
+
+def plain(value: Any) -> Any:
+    """Turn settings into JSON's types: dataclasses to mappings, arrays to lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {"type": type(value).__name__, **asdict(value)}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, set | frozenset):
+        return sorted(value)
+    return str(value)
+
+
+def content_hash(*parts: Any) -> str:
+    """Return a SHA-256 over arrays (dtype, shape, bytes) and plain settings; equal content, equal hash.
+
+    >>> content_hash([1, 2]) == content_hash([1, 2])
+    True
+    """
+    digest = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            digest.update(f"{part.dtype.str}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(part).tobytes())
+        else:
+            digest.update(json.dumps(part, sort_keys=True, default=plain).encode())
+        digest.update(b"\0")
+    return digest.hexdigest()

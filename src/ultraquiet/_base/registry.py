@@ -1,0 +1,61 @@
+"""One table of methods. Registering a class is all it takes to appear in the command line, in study files and in
+the conformance tests.
+
+>>> from ultraquiet._base.registry import methods
+>>> "box-jenkins" in methods("identify")
+True
+"""
+
+from collections.abc import Callable, Mapping
+from importlib import import_module, metadata
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from ultraquiet._base.errors import UnknownMethodError
+
+# The verb each family answers to, and the room whose import registers its built-in methods.
+FAMILIES: Mapping[str, str] = MappingProxyType(
+    {"signals": "generate", "bench": "run", "identify": "identify", "design": "design", "reduce": "reduce"}
+)
+
+_table: dict[str, dict[str, type[Any]]] = {family: {} for family in FAMILIES}
+_loaded: set[str] = set()
+
+Method = TypeVar("Method", bound=type[Any])
+
+
+def register(family: str, name: str) -> Callable[[Method], Method]:
+    """Enter a frozen settings dataclass under `name`; it must have the family's verb as a method."""
+    if family not in FAMILIES:
+        raise UnknownMethodError(f"registry: there is no family '{family}', only {', '.join(FAMILIES)}.")
+
+    def enter(method: Method) -> Method:
+        if not hasattr(method, FAMILIES[family]):
+            raise UnknownMethodError(f"registry: '{method.__name__}' lacks the verb '{FAMILIES[family]}' of '{family}'.")
+        holder = _table[family].get(name)
+        if holder is not None and holder.__qualname__ != method.__qualname__:
+            raise UnknownMethodError(f"registry: '{name}' of '{family}' is taken by {holder.__qualname__}.")
+        _table[family][name] = method
+        return method
+
+    return enter
+
+
+def methods(family: str) -> Mapping[str, type[Any]]:
+    """Return name -> class of a family, built-in ones and those of entry points `ultraquiet.<family>`."""
+    if family not in FAMILIES:
+        raise UnknownMethodError(f"registry: there is no family '{family}', only {', '.join(FAMILIES)}.")
+    if family not in _loaded:
+        import_module(f"ultraquiet.{family}")
+        for entry in metadata.entry_points(group=f"ultraquiet.{family}"):
+            register(family, entry.name)(entry.load())
+        _loaded.add(family)
+    return MappingProxyType(dict(sorted(_table[family].items())))
+
+
+def lookup(family: str, name: str) -> type[Any]:
+    """Return the class registered under `name`, or name what there is."""
+    known = methods(family)
+    if name not in known:
+        raise UnknownMethodError(f"{family}: there is no method '{name}'; known are {', '.join(known)}.")
+    return known[name]

@@ -1,0 +1,1 @@
+"""Room 'design', being built."""

@@ -1,0 +1,1 @@
+"""Room 'experiments', being built."""

@@ -1,0 +1,1 @@
+"""Room 'reduce', being built."""

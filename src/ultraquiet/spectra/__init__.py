@@ -1,0 +1,1 @@
+"""Room 'spectra', being built."""

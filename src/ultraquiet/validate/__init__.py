@@ -1,0 +1,1 @@
+"""Room 'validate', being built."""

@@ -1,0 +1,21 @@
+"""What flows through a study: immutable values that know nothing of the methods that make or use them."""
+
+from ultraquiet.values.channel import Channel
+from ultraquiet.values.controller import Controller, SteppedController
+from ultraquiet.values.frequency_response import FrequencyResponse
+from ultraquiet.values.polynomial import PolynomialMatrix, PolynomialModel
+from ultraquiet.values.record import Record
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+__all__ = [
+    "Channel",
+    "Controller",
+    "FrequencyResponse",
+    "PolynomialMatrix",
+    "PolynomialModel",
+    "Record",
+    "StateSpace",
+    "Status",
+    "SteppedController",
+]

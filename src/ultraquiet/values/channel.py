@@ -1,0 +1,34 @@
+"""A channel: one wire with a name, a unit and limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from ultraquiet._base.errors import InputError
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One input or output. `low` and `high` are the limits, in `unit`, beyond which the signal saturates.
+
+    >>> Channel("strut 1", "V", -25.0, 25.0).high
+    25.0
+    """
+
+    name: str
+    unit: str = "V"
+    low: float = -float("inf")
+    high: float = float("inf")
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.high:g} {self.unit}.")
+
+
+def channels(who: str, given: Sequence[Channel | str] | None, count: int, prefix: str) -> tuple[Channel, ...]:
+    """Return `count` channels from channels, bare names, or nothing (numbered from one)."""
+    if given is None:
+        return tuple(Channel(f"{prefix} {i + 1}") for i in range(count))
+    made = tuple(c if isinstance(c, Channel) else Channel(str(c)) for c in given)
+    if len(made) != count:
+        raise InputError(f"{who}: {len(made)} {prefix} names were given for {count} channels.")
+    return made

@@ -1,0 +1,117 @@
+"""A linear system in state space, continuous or discrete."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen, rate, real_array
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import Provenance, content_hash
+from ultraquiet.linalg import response
+from ultraquiet.values.channel import Channel, channels
+
+
+@dataclass(frozen=True, init=False, eq=False)
+class StateSpace:
+    """x' = A x + B u, y = C x + D u, where x' is the derivative (`rate_hz=None`) or the next sample.
+
+    Args:
+        A, B, C, D: real matrices `(n, n)`, `(n, nu)`, `(ny, n)`, `(ny, nu)`; n = 0 is a static gain.
+        rate_hz: sampling rate; None for continuous time.
+        actuators, sensors: channels or names of inputs and outputs; numbered when absent.
+        provenance: how the system was made.
+
+    Raises:
+        InputError: shapes that do not fit together, NaN or infinite entries.
+
+    >>> lag = StateSpace([[0.5]], [[0.5]], [[1.0]], [[0.0]], rate_hz=1.0)
+    >>> complex(lag.frequency_response([0.0])[0, 0, 0])
+    (1+0j)
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    rate_hz: float | None
+    actuators: tuple[Channel, ...]
+    sensors: tuple[Channel, ...]
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        rate_hz: float | None = None,
+        actuators: Sequence[Channel | str] | None = None,
+        sensors: Sequence[Channel | str] | None = None,
+        provenance: Provenance | None = None,
+    ) -> None:
+        a, b, c, d = (real_array("StateSpace", k, v, 2) for k, v in zip("ABCD", (A, B, C, D), strict=True))
+        n, (ny, nu) = a.shape[0], d.shape
+        if a.shape != (n, n) or b.shape != (n, nu) or c.shape != (ny, n):
+            shapes = ", ".join(f"{k} {m.shape}" for k, m in zip("ABCD", (a, b, c, d), strict=True))
+            raise InputError(f"StateSpace: the shapes {shapes} do not fit; D sets (ny, nu), A must be square.")
+        put = object.__setattr__
+        for key, matrix in zip("ABCD", (a, b, c, d), strict=True):
+            put(self, key, frozen(matrix))
+        put(self, "rate_hz", rate("StateSpace", rate_hz))
+        put(self, "actuators", channels("StateSpace", actuators, nu, "input"))
+        put(self, "sensors", channels("StateSpace", sensors, ny, "output"))
+        put(self, "provenance", provenance or Provenance())
+
+    @property
+    def states(self) -> int:
+        """Number of states."""
+        return self.A.shape[0]
+
+    @property
+    def hash(self) -> str:
+        """Content hash of matrices and rate."""
+        return content_hash(self.A, self.B, self.C, self.D, self.rate_hz)
+
+    def frequency_response(self, f_hz: ArrayLike) -> ComplexArray:
+        """Return C (zI - A)^-1 B + D at `f_hz` (Hz), complex `(ny, nu, nf)`; z = exp(j 2 pi f / rate) or s = j 2 pi f."""
+        f = frequency_array("StateSpace.frequency_response", f_hz)
+        return response.frequency_response(self.A, self.B, self.C, self.D, response.points(f, self.rate_hz))
+
+    def poles(self) -> ComplexArray:
+        """Return the eigenvalues of A (in z, or in rad/s for continuous time)."""
+        return np.linalg.eigvals(self.A).astype(np.complex128)
+
+    def is_stable(self) -> bool:
+        """Return whether every pole lies strictly inside the stability region."""
+        poles = self.poles()
+        return bool(np.all(poles.real < 0) if self.rate_hz is None else np.all(np.abs(poles) < 1))
+
+    def simulate(self, inputs: ArrayLike, x0: ArrayLike | None = None) -> FloatArray:
+        """Return the outputs `(ny, n)` to inputs `(nu, n)`, from state `x0` (zero when absent); discrete time only."""
+        if self.rate_hz is None:
+            raise InputError("StateSpace.simulate: the system is in continuous time; discretise it first.")
+        u = real_array("StateSpace.simulate", "inputs", inputs, 2)
+        if u.shape[0] != self.B.shape[1]:
+            raise InputError(f"StateSpace.simulate: got {u.shape[0]} inputs, the system has {self.B.shape[1]}.")
+        start = np.zeros(self.states) if x0 is None else real_array("StateSpace.simulate", "x0", x0, 1)
+        return response.simulate(self.A, self.B, self.C, self.D, u, start)
+
+    def to_control(self) -> Any:
+        """Return a python-control `StateSpace` (needs the package `control`)."""
+        import control
+
+        return control.ss(self.A, self.B, self.C, self.D, 0 if self.rate_hz is None else 1.0 / self.rate_hz)
+
+    @classmethod
+    def from_control(cls, system: Any) -> "StateSpace":
+        """Return a python-control system as a `StateSpace`; transfer functions are realised by python-control."""
+        if not hasattr(system, "A"):
+            import control
+
+            system = control.ss(system)
+        if system.dt is True:
+            raise InputError("StateSpace.from_control: the system is discrete without a sampling time; give it a dt.")
+        return cls(system.A, system.B, system.C, system.D, rate_hz=1.0 / system.dt if system.dt else None)

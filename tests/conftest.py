@@ -1,0 +1,29 @@
+"""One fixture seeds every random draw; a failure prints the seed, `--seed N` repeats it."""
+
+import numpy as np
+import pytest
+
+
+def pytest_addoption(parser):
+    parser.addoption("--seed", type=int, default=None, help="seed of all random draws; drawn fresh when absent")
+
+
+def pytest_configure(config):
+    if config.getoption("--seed") is None:
+        config.option.seed = int(np.random.SeedSequence().entropy % 2**32)
+
+
+def pytest_report_header(config):
+    return f"seed: {config.getoption('--seed')}"
+
+
+@pytest.fixture
+def seed(request):
+    """A whole number that differs from run to run."""
+    return request.config.getoption("--seed")
+
+
+@pytest.fixture
+def rng(seed):
+    """A generator started from the run's seed."""
+    return np.random.default_rng(seed)
