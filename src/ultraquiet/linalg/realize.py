@@ -76,7 +76,7 @@ def _pair(poles: list[ComplexArray], zeros: list[ComplexArray]) -> list[tuple[Co
 
 def _stage(poles: ComplexArray, zeros: ComplexArray) -> Matrices:
     """Realise prod(z - zeros) / prod(z - poles) with unit leading coefficient, order one or two."""
-    p, q = np.poly(poles).real, np.poly(zeros).real
+    p, q = np.poly(poles).real, np.atleast_1d(np.poly(zeros)).real
     n = len(poles)
     num = np.concatenate([np.zeros(n + 1 - len(q)), q])
     D = num[0]
