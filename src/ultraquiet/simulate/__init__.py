@@ -1,1 +1,19 @@
-"""Room 'simulate', being built."""
+"""Room `simulate`: controllers on a bench, never on the model they were designed from.
+
+May be changed here: how loops are run and what is measured of them. A bench is anything that keeps the contract of
+`ultraquiet.bench`; a controller acts as u = K y.
+"""
+
+from ultraquiet.simulate.attenuation import Attenuation, attenuation
+from ultraquiet.simulate.loop import LoopCheck, check_stability, disturb
+from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
+
+__all__ = [
+    "Attenuation",
+    "LoopCheck",
+    "MeasuredSensitivity",
+    "attenuation",
+    "check_stability",
+    "disturb",
+    "measure_sensitivity",
+]

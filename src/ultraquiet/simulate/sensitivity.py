@@ -1,0 +1,132 @@
+"""The sensitivity matrix as the bench shows it, from which every direction and band can be read."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import task
+from ultraquiet.simulate.loop import Bench, disturb
+from ultraquiet.values import FrequencyResponse, StateSpace
+from ultraquiet.values.controller import Controller
+
+# Every whole Hz up to here, then lines one per cent apart, up to this share of the Nyquist frequency.
+DENSE_TO_HZ = 130
+SPACING = 1.01
+HIGHEST_SHARE = 0.97
+# Amplitudes in volts of the dense and of the sparse lines, before the whole is scaled to the sensors' range.
+DENSE_V, SPARSE_V = 0.4, 0.1
+# Largest share of a sensor's range that the open loop may use.
+USED_RANGE = 0.6
+SETTLE_PERIODS, MEASURED_PERIODS = 1, 2
+
+
+@dataclass(frozen=True)
+class MeasuredSensitivity:
+    """S = Y closed Y open^-1 at each line, `(ny, ny, nf)`, and the responses from disturbance to sensors behind it.
+
+    The largest singular value of S is the amplification in the worst direction, whatever direction the disturbance
+    takes; S is measured with as many runs as there are actuators.
+    """
+
+    S: FrequencyResponse
+    opened: ComplexArray
+    closed: ComplexArray
+
+    @property
+    def f_hz(self) -> FloatArray:
+        """Lines in Hz."""
+        return self.S.f_hz
+
+    def worst_direction_db(self) -> FloatArray:
+        """Reduction in dB of the worst direction at each line, `(nf,)`; negative where it is amplified."""
+        return -20 * np.log10(np.linalg.svd(self.S.values.transpose(2, 0, 1), compute_uv=False)[:, 0])
+
+    def worst_in_band_db(self, low_hz: float, high_hz: float) -> float:
+        """Smallest worst-direction reduction over a band, in dB."""
+        return float(self.worst_direction_db()[self._band(low_hz, high_hz)].min())
+
+    def peak_amplification_db(self) -> float:
+        """Largest amplification of any direction at any line, in dB."""
+        return float(-self.worst_direction_db().min())
+
+    def broadband_db(self, low_hz: float, high_hz: float) -> float:
+        """Reduction of the RMS of the worst sensor under equal, independent disturbances over a band, in dB."""
+        band = self._band(low_hz, high_hz)
+        width = np.gradient(self.f_hz)[band]
+        power = [np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed)]
+        return float(10 * np.log10(np.min(power[0] / power[1])))
+
+    def _band(self, low_hz: float, high_hz: float) -> np.ndarray:
+        band = (self.f_hz >= low_hz) & (self.f_hz <= high_hz)
+        if not band.any():
+            raise InputError(f"MeasuredSensitivity: no line lies between {low_hz:g} and {high_hz:g} Hz.")
+        return band
+
+
+def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed: int = 0) -> MeasuredSensitivity:
+    """Measure S on the bench with a multisine disturbance on one actuator after the other, open and closed loop.
+
+    One-second periods; the first settles the loop, the next two are averaged. Lines: every Hz to 130 Hz, then 1 % apart.
+    The level is chosen so that the open loop uses at most 60 % of the sensors' range.
+
+    Args:
+        bench: any bench with as many sensors as actuators (S must be square to be inverted).
+        controller: acts as u = K y.
+        seed: of the multisine's phases.
+
+    Raises:
+        InputError: the bench is not square.
+    """
+    nu, ny = len(bench.actuators), len(bench.sensors)
+    if nu != ny:
+        raise InputError(f"measure_sensitivity: {nu} actuators and {ny} sensors; S needs equal numbers.")
+    lines = _lines(bench.rate_hz)
+    wave = _wave(lines, bench.rate_hz, seed)
+    wave *= _level(bench, wave)
+    d = np.tile(wave, SETTLE_PERIODS + MEASURED_PERIODS)
+    responses = np.zeros((2, ny, nu, lines.size), dtype=np.complex128)
+    with task("sensitivity on the bench", 2 * nu) as progress:
+        for j in range(nu):
+            disturbance = np.zeros((nu, d.size))
+            disturbance[j] = d
+            for k, law in enumerate((None, controller)):
+                record = disturb(bench, disturbance, law)
+                responses[k, :, j] = _at_lines(record.outputs, wave, lines)
+                progress.advance(note=f"actuator {j + 1}")
+    opened, closed = responses
+    S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0)
+    text = f"disturbance to sensors, multisine, {MEASURED_PERIODS} periods of 1 s"
+    return MeasuredSensitivity(FrequencyResponse(lines, S, estimator=text), opened, closed)
+
+
+def _lines(rate_hz: float) -> FloatArray:
+    """Return whole frequencies in Hz, so that a period lasts one second."""
+    top = HIGHEST_SHARE * rate_hz / 2
+    dense = np.arange(1, min(DENSE_TO_HZ, top) + 1)
+    count = max(0, int(np.log(top / DENSE_TO_HZ) / np.log(SPACING)))
+    sparse = np.round(DENSE_TO_HZ * SPACING ** np.arange(1, count + 1))
+    return np.unique(np.concatenate([dense, sparse]))
+
+
+def _wave(lines: FloatArray, rate_hz: float, seed: int) -> FloatArray:
+    period = round(rate_hz)
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, lines.size)
+    amplitude = np.where(lines <= DENSE_TO_HZ, DENSE_V, SPARSE_V)
+    return np.cos(2 * np.pi * np.outer(np.arange(period), lines) / period + phases) @ amplitude
+
+
+def _level(bench: Bench, wave: FloatArray) -> float:
+    d = np.zeros((len(bench.actuators), wave.size))
+    d[0] = wave
+    used = np.abs(disturb(bench, d).outputs).max(axis=1)
+    ranges = np.array([min(abs(c.low), abs(c.high)) for c in bench.sensors])
+    return float(min(2.0, np.min(USED_RANGE * ranges / np.maximum(used, 1e-12))))
+
+
+def _at_lines(outputs: FloatArray, wave: FloatArray, lines: FloatArray) -> ComplexArray:
+    """Return sensor volts per disturbance volt at the lines, averaged over the measured periods."""
+    periods = outputs[:, -MEASURED_PERIODS * wave.size :].reshape(outputs.shape[0], MEASURED_PERIODS, wave.size)
+    bins = np.rint(lines).astype(int)
+    return np.fft.rfft(periods.mean(axis=1), axis=1)[:, bins] / np.fft.rfft(wave)[bins]
