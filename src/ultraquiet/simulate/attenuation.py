@@ -30,7 +30,8 @@ class Attenuation:
     open_v: FloatArray
     closed_v: FloatArray
     floor_v: FloatArray
-    records: tuple[Record, ...]
+    opened: tuple[Record, ...]
+    closed: tuple[Record, ...]
 
     @property
     def worst_reduction_db(self) -> FloatArray:
@@ -63,7 +64,7 @@ def attenuation(
         duration_s: length of each run in seconds.
 
     Returns:
-        Attenuation with rows per tone and columns per sensor; its records are the closed-loop runs.
+        Attenuation with rows per tone and columns per sensor, and the records of both runs of each tone.
 
     Raises:
         InputError: a tone above the Nyquist frequency or slower than the measured half of the run.
@@ -71,7 +72,7 @@ def attenuation(
     rate, n = bench.rate_hz, int(positive("attenuation", "duration_s", duration_s, "s") * bench.rate_hz)
     lowest = 1.0 / (MEASURED_SHARE * duration_s)
     rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-    records: list[Record] = []
+    runs: list[tuple[Record, Record]] = []
     with task("closed loop", 2 * len(tones_hz)) as progress:
         for tone_hz in tones_hz:
             f = between("attenuation", "tones_hz", tone_hz, lowest, rate / 2, "Hz")
@@ -81,7 +82,7 @@ def attenuation(
             closed = disturb(bench, d, controller)
             progress.advance(note=f"{f:g} Hz closed")
             rows.append((*_tone(closed, f), _tone(opened, f)[0]))
-            records.append(closed)
+            runs.append((opened, closed))
     closed_v, floor_v, open_v = (np.array(column) for column in zip(*rows, strict=True))
     return Attenuation(
         tones_hz=tuple(float(f) for f in tones_hz),
@@ -90,7 +91,8 @@ def attenuation(
         open_v=open_v,
         closed_v=closed_v,
         floor_v=floor_v,
-        records=tuple(records),
+        opened=tuple(o for o, _ in runs),
+        closed=tuple(c for _, c in runs),
     )
 
 

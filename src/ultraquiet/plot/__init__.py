@@ -1,0 +1,10 @@
+"""Room `plot`: figures as data, and their drawing.
+
+May be changed here: what a figure shows (`paper.py`, `results.py`) and how it looks (`draw.py`). Nothing is computed here
+beyond what a picture needs.
+"""
+
+from ultraquiet.plot.draw import draw_svg
+from ultraquiet.plot.figure import Figure, Line, Panel
+
+__all__ = ["Figure", "Line", "Panel", "draw_svg"]

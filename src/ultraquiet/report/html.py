@@ -1,0 +1,31 @@
+"""Turn a report into one HTML file that needs nothing beside it."""
+
+from pathlib import Path
+
+from ultraquiet._base.errors import StorageError
+from ultraquiet.plot import draw_svg
+from ultraquiet.report.content import Report
+
+
+def render(report: Report) -> str:
+    """Return the report as one HTML text; figures stand in it as SVG, no address is fetched."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("ultraquiet.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
+    )
+    drawn = {figure.name: draw_svg(figure) for section in report.sections for figure in section.figures}
+    return environment.get_template("page.html.j2").render(report=report, drawn=drawn)
+
+
+def write(report: Report, path: Path) -> Path:
+    """Write the report to `path`, through a temporary file; say so when that fails."""
+    text = render(report)
+    temporary = path.with_suffix(".part")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise StorageError(f"report: '{path}' could not be written ({error.strerror}); nothing was changed.") from error
+    return path
