@@ -1,0 +1,60 @@
+"""What every test signal shares: the limit in volts, the checks and the spectrum."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, between, positive, whole
+from ultraquiet._base.errors import InputError
+
+# Section 3.3 of the paper: every test signal stays inside +-25 V, beyond that the sensors saturate.
+MAXIMUM_V = 25.0
+
+
+class Signal(ABC):
+    """A test signal. Subclasses are frozen dataclasses of settings."""
+
+    @abstractmethod
+    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+        """Return the signal in volts, `(samples,)`."""
+
+    def spectrum(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Return frequencies in Hz and the one-sided power spectral density in V^2/Hz, `(samples // 2 + 1,)` each.
+
+        S(f_k) = 2 |U_k|^2 / (rate n), the periodogram without window; its sum times rate / n is the mean square.
+
+        >>> from ultraquiet.signals import Tone
+        >>> f_hz, psd = Tone(frequency_hz=50.0, amplitude_v=2.0).spectrum(samples=3500)
+        >>> float(f_hz[psd.argmax()]), round(float(psd.sum() * (f_hz[1] - f_hz[0])), 6)
+        (50.0, 2.0)
+        """
+        u = self.generate(samples, rate_hz, seed)
+        psd = np.abs(np.fft.rfft(u)) ** 2 / (rate_hz * u.size)
+        # Zero frequency, and Nyquist when there is one, have no mirror image to fold in.
+        psd[1 : (u.size + 1) // 2] *= 2.0
+        return np.arange(psd.size) * (rate_hz / u.size), psd.astype(np.float64)
+
+
+def volts(who: str, name: str, value: float) -> float:
+    """Return an amplitude inside +-MAXIMUM_V."""
+    return between(who, name, value, -MAXIMUM_V, MAXIMUM_V, "V")
+
+
+def clock(who: str, samples: int, rate_hz: float) -> tuple[int, float]:
+    """Return the checked number of samples and rate."""
+    return whole(who, "samples", samples, 1), positive(who, "rate_hz", rate_hz, "Hz")
+
+
+def below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> None:
+    """Refuse a frequency that the sampling rate cannot carry."""
+    if not f_hz < rate_hz / 2:
+        raise InputError(
+            f"{who}: '{name}' of {f_hz:g} Hz must lie below half the sampling rate, {rate_hz / 2:g} Hz; "
+            "lower it or sample faster."
+        )
+
+
+def band(who: str, start_hz: float, stop_hz: float) -> None:
+    """Refuse a band that is empty or begins below zero."""
+    if not 0 <= start_hz < stop_hz < float("inf"):
+        raise InputError(f"{who}: the band must satisfy 0 <= start_hz < stop_hz, got {start_hz:g} to {stop_hz:g} Hz.")

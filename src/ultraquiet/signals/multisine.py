@@ -1,0 +1,79 @@
+"""A sum of sines on a grid of harmonics: periodic, and exactly as wide as asked."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import register
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, volts
+
+
+@register("signals", "multisine")
+@dataclass(frozen=True)
+class Multisine(Signal):
+    """u(t) = sum_k cos(2 pi k t rate / period + phi_k), equal amplitudes, scaled to its largest peak.
+
+    Args:
+        start_hz, stop_hz: band in Hz; every harmonic of rate / period_samples inside it is excited (not zero).
+        period_samples: length of one period.
+        peak_v: the largest absolute value in volts.
+        odd: excite odd harmonics only, so that even distortion shows on the even lines.
+        phases: "random" (uniform, drawn from the seed) or "schroeder" (low crest factor, the seed has no influence).
+
+    Raises:
+        InputError: a peak beyond 25 V, an empty band, a band without harmonics or beyond half the sampling rate.
+
+    >>> u = Multisine(start_hz=5, stop_hz=250, period_samples=1024).generate(samples=2048, seed=2)
+    >>> bool((u[:1024] == u[1024:]).all())
+    True
+
+    References: M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85-89, doi:10.1109/TIT.1970.1054411;
+    R. Pintelon, J. Schoukens, System Identification (2012), doi:10.1002/9781118287422.
+    """
+
+    start_hz: float = 5.0
+    stop_hz: float = 250.0
+    period_samples: int = 4096
+    peak_v: float = 25.0
+    odd: bool = False
+    phases: str = "random"
+
+    def __post_init__(self) -> None:
+        band("Multisine", self.start_hz, self.stop_hz)
+        whole("Multisine", "period_samples", self.period_samples, 2)
+        positive("Multisine", "peak_v", volts("Multisine", "peak_v", self.peak_v), "V")
+        one_of("Multisine", "phases", self.phases, ("random", "schroeder"))
+
+    def harmonics(self, rate_hz: float = 3500.0) -> np.ndarray:
+        """Return the numbers of the excited harmonics of rate / period_samples."""
+        below_nyquist("Multisine", "stop_hz", self.stop_hz, rate_hz)
+        k = np.arange(1, (self.period_samples + 1) // 2)
+        f = k * rate_hz / self.period_samples
+        keep = (f >= self.start_hz) & (f <= self.stop_hz) & (not self.odd or k % 2 == 1)
+        if not keep.any():
+            raise InputError(
+                f"Multisine: no harmonic of {rate_hz / self.period_samples:g} Hz lies in the band {self.start_hz:g} to "
+                f"{self.stop_hz:g} Hz; lengthen the period."
+            )
+        return k[keep]
+
+    def lines_hz(self, rate_hz: float = 3500.0) -> FloatArray:
+        """Return the excited frequencies in Hz."""
+        return self.harmonics(rate_hz) * (rate_hz / self.period_samples)
+
+    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+        """Return the periods in volts, `(samples,)`; the last one may be cut short."""
+        n, rate = clock("Multisine", samples, rate_hz)
+        k = self.harmonics(rate)
+        if self.phases == "random":
+            phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, k.size)
+        else:
+            i = np.arange(1, k.size + 1)
+            phase = -np.pi * i * (i - 1) / k.size
+        lines = np.zeros(self.period_samples // 2 + 1, dtype=np.complex128)
+        lines[k] = np.exp(1j * phase)
+        u = np.fft.irfft(lines, self.period_samples)
+        u = np.clip(u * (self.peak_v / np.abs(u).max()), -self.peak_v, self.peak_v)
+        return np.tile(u, -(-n // self.period_samples))[:n]

@@ -1,0 +1,57 @@
+"""Gaussian noise confined to a band."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, positive
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import register
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, volts
+
+
+@register("signals", "noise")
+@dataclass(frozen=True)
+class BandLimitedNoise(Signal):
+    """White Gaussian noise whose spectrum is zero outside [start_hz, stop_hz], scaled to its largest peak.
+
+    u = irfft(g 1_band), g complex Gaussian, then scaled so that max |u| = peak_v. There is no mean.
+
+    Args:
+        stop_hz, start_hz: edges of the band in Hz.
+        peak_v: the largest absolute value in volts; the rms is about a quarter of it.
+
+    Raises:
+        InputError: a peak beyond 25 V, an empty band, a band beyond half the sampling rate or too narrow for the
+            number of samples.
+
+    >>> u = BandLimitedNoise(stop_hz=250, peak_v=25).generate(seed=1)
+    >>> float(abs(u).max())
+    25.0
+
+    Reference: section 3.3 of the paper (250 Hz).
+    """
+
+    stop_hz: float = 250.0
+    peak_v: float = 25.0
+    start_hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        band("BandLimitedNoise", self.start_hz, self.stop_hz)
+        positive("BandLimitedNoise", "peak_v", volts("BandLimitedNoise", "peak_v", self.peak_v), "V")
+
+    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+        """Return noise in volts, `(samples,)`, the same for the same seed."""
+        n, rate = clock("BandLimitedNoise", samples, rate_hz)
+        below_nyquist("BandLimitedNoise", "stop_hz", self.stop_hz, rate)
+        f = np.fft.rfftfreq(n, 1.0 / rate)
+        inside = (f >= self.start_hz) & (f <= self.stop_hz) & (f > 0)
+        if not inside.any():
+            raise InputError(
+                f"BandLimitedNoise: {n} samples at {rate:g} Hz resolve {rate / n:g} Hz, too coarse for the band "
+                f"{self.start_hz:g} to {self.stop_hz:g} Hz; take more samples."
+            )
+        draw = np.random.default_rng(seed).standard_normal((2, f.size))
+        u = np.fft.irfft(np.where(inside, draw[0] + 1j * draw[1], 0.0), n)
+        # Clipped because the division may leave the peak one rounding above peak_v.
+        return np.clip(u * (self.peak_v / np.abs(u).max()), -self.peak_v, self.peak_v)

@@ -1,0 +1,38 @@
+"""A single sine."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, between, positive
+from ultraquiet._base.registry import register
+from ultraquiet.signals._abstract import Signal, below_nyquist, clock, volts
+
+
+@register("signals", "tone")
+@dataclass(frozen=True)
+class Tone(Signal):
+    """u(t) = amplitude sin(2 pi f t + phase): the paper's Fig. 10 at 60 Hz and 25 V.
+
+    Raises:
+        InputError: an amplitude beyond 25 V, a frequency not above zero or not below half the sampling rate.
+
+    >>> float(Tone(frequency_hz=60.0, amplitude_v=25.0).generate(samples=1)[0])
+    0.0
+    """
+
+    frequency_hz: float
+    amplitude_v: float = 25.0
+    phase_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive("Tone", "frequency_hz", self.frequency_hz, "Hz")
+        volts("Tone", "amplitude_v", self.amplitude_v)
+        between("Tone", "phase_deg", self.phase_deg, -360.0, 360.0, "degrees")
+
+    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+        """Return the sine in volts, `(samples,)`; the seed has no influence."""
+        n, rate = clock("Tone", samples, rate_hz)
+        below_nyquist("Tone", "frequency_hz", self.frequency_hz, rate)
+        angle = 2.0 * np.pi * self.frequency_hz / rate * np.arange(n) + np.radians(self.phase_deg)
+        return self.amplitude_v * np.sin(angle)
