@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ultraquiet._base.errors import StorageError
+from ultraquiet.files import write_bytes
 from ultraquiet.plot import draw_svg
 from ultraquiet.report.content import Report
 
@@ -20,12 +20,4 @@ def render(report: Report) -> str:
 
 def write(report: Report, path: Path) -> Path:
     """Write the report to `path`, through a temporary file; say so when that fails."""
-    text = render(report)
-    temporary = path.with_suffix(".part")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise StorageError(f"report: '{path}' could not be written ({error.strerror}); nothing was changed.") from error
-    return path
+    return write_bytes(path, render(report).encode())

@@ -1,0 +1,38 @@
+"""The command line as a whole: its commands, and what an error looks like."""
+
+import sys
+
+import typer
+
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet.cli import deploy, design, doctor, experiment, identify, methods, study
+
+app = typer.Typer(
+    help="From the first excitation of a vibration-isolation bench to verified controller code.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+app.command("demo")(study.demo)
+app.command("run")(study.run)
+app.command("report")(study.report)
+app.command("experiment")(experiment.experiment)
+app.command("identify")(identify.identify)
+app.command("design")(design.design)
+app.command("deploy")(deploy.deploy)
+app.command("methods")(methods.methods)
+app.command("doctor")(doctor.doctor)
+
+REFUSED, INTERRUPTED = 2, 130
+
+
+def main() -> None:
+    """Run the command line; bad input is one sentence on stderr and exit code 2."""
+    try:
+        app()
+    except UltraquietError as error:
+        print(f"ultraquiet: {error}", file=sys.stderr)
+        sys.exit(REFUSED)
+    except KeyboardInterrupt:
+        print("ultraquiet: stopped; finished stages and records are kept.", file=sys.stderr)
+        sys.exit(INTERRUPTED)

@@ -1,0 +1,40 @@
+"""`ultraquiet doctor`: what is installed, what is missing, how to mend it."""
+
+import os
+import shutil
+from importlib import metadata
+
+from rich.console import Console
+from rich.table import Table
+
+from ultraquiet._base.provenance import versions
+
+PYTHON_PARTS = ("numpy", "scipy", "numba", "h5py", "pydantic", "typer", "rich", "jinja2", "matplotlib")
+OPTIONAL_PARTS = (("control", "python-control conversion", "pip install control"),)
+TOOLS = (
+    ("cc", "compiles and verifies generated controllers", "apt-get install gcc libc6-dev"),
+    ("arm-none-eabi-gcc", "cross-compiles for Cortex-M", "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi"),
+    ("qemu-system-arm", "counts Cortex-M instructions", "apt-get install qemu-system-arm"),
+)
+
+
+def doctor() -> None:
+    """Say what is installed, what is missing and how to mend it."""
+    table = Table("part", "found", "for", "to mend")
+    table.add_row("ultraquiet", versions()["ultraquiet"], "Python " + versions()["python"], "")
+    for name in PYTHON_PARTS:
+        table.add_row(name, _version(name) or "[red]missing", "needed", "" if _version(name) else "make demo")
+    for name, use, mend in OPTIONAL_PARTS:
+        table.add_row(name, _version(name) or "[yellow]missing", use, "" if _version(name) else mend)
+    for name, use, mend in TOOLS:
+        path = shutil.which(name)
+        table.add_row(name, path or "[yellow]missing", use, "" if path else mend)
+    table.add_row("cores", str(os.cpu_count()), "identification runs on all of them", "")
+    Console().print(table)
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None

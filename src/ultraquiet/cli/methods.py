@@ -1,0 +1,29 @@
+"""`ultraquiet methods`: what is registered, with settings and defaults."""
+
+from dataclasses import MISSING, fields
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ultraquiet._base import registry
+from ultraquiet._base.errors import UnknownMethodError
+
+
+def methods(
+    family: Annotated[str | None, typer.Argument(help="One family: signals, bench, identify, design, reduce.")] = None,
+) -> None:
+    """List every registered method with its settings and their defaults."""
+    if family is not None and family not in registry.FAMILIES:
+        raise UnknownMethodError(f"methods: there is no family '{family}', only {', '.join(registry.FAMILIES)}.")
+    table = Table("family", "method", "settings", "what it does")
+    for name in [family] if family else registry.FAMILIES:
+        for method, kind in registry.methods(name).items():
+            table.add_row(name, method, ", ".join(_setting(f) for f in fields(kind)), (kind.__doc__ or "").split("\n")[0])
+    Console().print(table)
+
+
+def _setting(field: object) -> str:
+    name, default = getattr(field, "name"), getattr(field, "default")  # noqa: B009  typed access to dataclasses.Field
+    return name if default is MISSING else f"{name}={default!r}"

@@ -1,0 +1,26 @@
+"""Settings of a registered method from `--set key=value` words."""
+
+import tomllib
+from collections.abc import Sequence
+from typing import Any
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.pipeline.study import Method
+
+
+def method(family: str, name: str, words: Sequence[str], **given: Any) -> Any:
+    """Return the settings object of a method; values are written as in TOML, bare words are text."""
+    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    for word in words:
+        key, equals, value = word.partition("=")
+        if not equals:
+            raise InputError(f"--set: '{word}' must read key=value.")
+        settings[key.replace("-", "_")] = _value(value)
+    return Method(method=name, **settings).make(family)
+
+
+def _value(text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text

@@ -1,0 +1,185 @@
+"""The study file: what a study says, checked whole before anything starts."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.registry import lookup
+
+PACKAGED = {"suite": "suite.toml"}
+Positive = Annotated[float, Field(gt=0)]
+Order = Annotated[int, Field(ge=1, le=20)]
+
+
+class Strict(BaseModel):
+    """Unknown keys are mistakes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Method(BaseModel):
+    """A registered method by name; every other key is one of its settings."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    method: str
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The settings, lists turned into tuples."""
+        return {k: tuple(v) if isinstance(v, list) else v for k, v in (self.model_extra or {}).items()}
+
+    def make(self, family: str) -> Any:
+        """Return the settings object, or say which setting is wrong."""
+        kind = lookup(family, self.method)
+        known = [f.name for f in fields(kind)]
+        for key in self.settings:
+            if key not in known:
+                raise InputError(f"{family} '{self.method}': there is no setting '{key}'; known are {', '.join(known)}.")
+        return kind(**self.settings)
+
+
+class Head(Strict):
+    """`[study]`."""
+
+    title: str
+    seed: int = 0
+
+
+class Experiment(Strict):
+    """`[experiment]`: the list to execute; "suite" is the packaged one, anything else a file beside the study."""
+
+    list: str = "suite"
+
+
+class Sweep(Strict):
+    """`[identify]`: the channel-by-channel identification and its judges."""
+
+    structures: list[str] = Field(default=["arx", "armax", "output-error", "box-jenkins"], min_length=1)
+    orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7], min_length=1)
+    record: str = "chirp"
+    paper_structure: str = "box-jenkins"
+    paper_order: Order = 5
+    compare_records: list[str] = ["noise", "prbs"]
+    preferred_record: str = "noise"
+    preferred_orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7, 8], min_length=1)
+
+
+class Plant(Method):
+    """`[plant]`: how the design model is identified, and from which record."""
+
+    record: str = "broadband"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The method's settings; `record` is not one of them."""
+        return super().settings
+
+
+class Design(Strict):
+    """`[controllers.NAME]`: a design method with its settings, and what follows it."""
+
+    design: Method
+    reduce: Method | None = None
+
+
+class ClosedLoop(Strict):
+    """`[closed_loop]`."""
+
+    units: list[str] = Field(default=["ground"], min_length=1)
+    tones_hz: list[Positive] = Field(default=[5.0, 25.0, 100.0], min_length=1)
+    amplitude_v: Positive = 1.0
+    duration_s: Positive = 2.0
+    band_hz: tuple[Positive, Positive] = (10.0, 100.0)
+
+
+class Deploy(Strict):
+    """`[deploy]`."""
+
+    precision: Literal["float32", "float64"] = "float32"
+
+
+class Study(Strict):
+    """A whole study file."""
+
+    study: Head
+    bench: Method
+    experiment: Experiment = Experiment()
+    identify: Sweep = Sweep()
+    plant: Plant
+    controllers: dict[str, Design] = Field(min_length=1)
+    closed_loop: ClosedLoop = ClosedLoop()
+    deploy: Deploy = Deploy()
+
+
+def load(path: Path) -> Study:
+    """Read and check a study file; every mistake is named in one error.
+
+    Raises:
+        InputError: the file is missing, not TOML, or holds mistakes (all of them are listed).
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"study: '{path}' cannot be read ({error}).") from error
+    return parse(text, str(path))
+
+
+def parse(text: str, name: str = "study") -> Study:
+    """Check the text of a study file."""
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{name}: this is not TOML: {error}.") from error
+    mistakes: list[str] = []
+    study = None
+    try:
+        study = Study.model_validate(content)
+    except ValidationError as error:
+        mistakes += [_sentence(e) for e in error.errors()]
+    mistakes += list(_method_mistakes(content))
+    if mistakes or study is None:
+        raise InputError(f"{name}: {len(mistakes)} mistakes.\n" + "\n".join(f"  - {m}" for m in mistakes))
+    return study
+
+
+def _sentence(error: Any) -> str:
+    where = ".".join(str(part) for part in error["loc"])
+    if error["type"] == "extra_forbidden":
+        return f"{where}: there is no such key."
+    if error["type"] == "missing":
+        return f"{where}: this key is missing."
+    return f"{where}: {error['msg'][0].lower()}{error['msg'][1:]}, got {error['input']!r}."
+
+
+def _method_mistakes(content: Mapping[str, Any]) -> Iterator[str]:
+    """Name every method or setting that the registry does not know, whatever else is wrong with the file."""
+    for where, family, table in _methods(content):
+        try:
+            Method.model_validate({k: v for k, v in table.items() if (where, k) != ("plant", "record")}).make(family)
+        except ValidationError:
+            continue  # the schema has named it already
+        except (UltraquietError, TypeError, ValueError) as error:
+            yield f"{where}: {error}"
+
+
+def _methods(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    places: list[tuple[str, str, Any]] = [
+        ("bench", "bench", content.get("bench")),
+        ("plant", "identify", content.get("plant")),
+    ]
+    controllers = content.get("controllers")
+    for name, entry in controllers.items() if isinstance(controllers, dict) else ():
+        if isinstance(entry, dict):
+            places.append((f"controllers.{name}.design", "design", entry.get("design")))
+            places.append((f"controllers.{name}.reduce", "reduce", entry.get("reduce")))
+    sweep = content.get("identify")
+    structures = sweep.get("structures", []) if isinstance(sweep, dict) else []
+    for k, name in enumerate(structures if isinstance(structures, list) else []):
+        places.append((f"identify.structures.{k}", "identify", {"method": name}))
+    return ((where, family, table) for where, family, table in places if isinstance(table, dict))
