@@ -7,7 +7,7 @@ ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-long lint bench format clean
+.PHONY: demo test test-long lint bench format lock clean
 
 demo: $(VENV)/run.stamp
 	$(BIN)/ultraquiet demo --out $(OUT) $(ARGS)
@@ -41,3 +41,7 @@ $(VENV)/dev.stamp: requirements/dev.lock pyproject.toml
 
 clean:
 	rm -rf $(VENV) demo dist .pytest_cache .ruff_cache .hypothesis
+
+lock: # renew the lock files; needs uv
+	uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --group build pyproject.toml -o requirements/run.lock
+	uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --group build --group test --group lint pyproject.toml -o requirements/dev.lock

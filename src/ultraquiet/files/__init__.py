@@ -1,1 +1,6 @@
-"""Room 'files', being built."""
+"""Files: every value to one HDF5 file and back, and records from CSV, MAT and NPZ."""
+
+from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
+from ultraquiet.files.atomic import write_bytes
+
+__all__ = ["contents", "is_archive", "load", "load_many", "save", "save_many", "write_bytes"]

@@ -1,0 +1,193 @@
+"""Archives: every value to one HDF5 file and back, exactly, with kind, format version and checksum.
+
+The layout is open to any HDF5 reader: each value is a group with the attributes `kind` and `sha256`, its arrays are
+datasets of float64 or complex128, its texts (channels, provenance) are JSON. The root says `format`, `format_version`.
+"""
+
+import io
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.files.atomic import reason, taken, write_bytes
+from ultraquiet.files.packing import Tree, Value, checksum, pack, unpack
+
+if TYPE_CHECKING:
+    import h5py
+
+FORMAT = "ultraquiet"
+FORMAT_VERSION = 1
+ALONE = "value"  # the name of a value that has a file to itself
+MAGIC = b"\x89HDF\r\n\x1a\n"  # the first bytes of every HDF5 file, HDF5 File Format Specification III.A
+
+_Path = str | os.PathLike[str]
+
+
+def save(value: Value, path: _Path, overwrite: bool = True) -> Path:
+    """Write one value to an HDF5 file, whole or not at all.
+
+    Args:
+        value: any value of `ultraquiet.values`; floats keep every bit.
+        path: the file, by custom with the suffix `.h5`.
+        overwrite: False refuses a name that is taken.
+
+    Returns:
+        The path.
+
+    Raises:
+        StorageError: disk full, folder missing or closed, name taken; what was there before is untouched.
+        InputError: not a value that an archive holds.
+
+    >>> import tempfile
+    >>> from ultraquiet.values import Record
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = save(Record([[1.0, 0.0]], [[0.1, 0.3]], rate_hz=3500.0), Path(folder) / "step.h5")
+    ...     load(path).outputs
+    array([[0.1, 0.3]])
+    """
+    return save_many({ALONE: value}, path, overwrite)
+
+
+def save_many(values: Mapping[str, Value], path: _Path, overwrite: bool = True) -> Path:
+    """Write several named values to one HDF5 file, whole or not at all; arguments and errors as in `save`."""
+    if not overwrite and os.path.lexists(path):
+        raise taken(path)
+    for name in values:
+        if not name or "/" in name or "\0" in name or name == "." or not name.isprintable():
+            raise InputError(f"archive: {name!r} cannot name a value; use printable characters without '/'.")
+    return write_bytes(path, _image({name: pack(value) for name, value in values.items()}), overwrite)
+
+
+def load(path: _Path, name: str | None = None) -> Any:
+    """Read one value.
+
+    Args:
+        path: a file that `save` or `save_many` wrote.
+        name: which one, needed when the file holds several.
+
+    Raises:
+        StorageError: missing, foreign, damaged or newer than this version, or no value of that name.
+    """
+    held = load_many(path, None if name is None else (name,))
+    if len(held) != 1:
+        raise StorageError(f"archive: '{path}' holds {len(held)} values ({', '.join(held)}); name one of them.")
+    return next(iter(held.values()))
+
+
+def load_many(path: _Path, names: tuple[str, ...] | None = None) -> dict[str, Any]:
+    """Read all values of a file, or the named ones, as a mapping in the order they were saved."""
+    found = _read(path, names)
+    values: dict[str, Any] = {}
+    for name, (kind, mark, tree) in found.items():
+        if mark != checksum(kind, tree):
+            raise StorageError(f"archive: '{path}' is damaged: the content of '{name}' does not match its checksum.")
+        try:
+            values[name] = unpack(kind, tree)
+        except (InputError, KeyError, TypeError, ValueError) as error:
+            raise StorageError(f"archive: '{name}' in '{path}' is no valid {kind} ({reason(error)}).") from error
+    return values
+
+
+def contents(path: _Path) -> dict[str, str]:
+    """Return name -> kind of the values in a file, without reading them."""
+    import h5py
+
+    with _opened(path) as file:
+        return {name: str(group.attrs["kind"]) for name, group in file.items() if isinstance(group, h5py.Group)}
+
+
+def is_archive(path: _Path) -> bool:
+    """Return whether a file is an archive of this package."""
+    try:
+        contents(path)
+    except StorageError:
+        return False
+    return True
+
+
+def _image(packed: Mapping[str, tuple[str, Tree]]) -> bytes:
+    import h5py
+
+    # Built in memory: HDF5 itself does not survive a full disk (a failed close cannot be repeated), plain writes do.
+    memory = io.BytesIO()
+    with h5py.File(memory, "w", track_order=True) as file:
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        for name, (kind, tree) in packed.items():
+            group = file.create_group(name)
+            group.attrs["kind"] = kind
+            group.attrs["sha256"] = checksum(kind, tree)
+            _write(group, tree)
+    return memory.getvalue()
+
+
+def _write(group: "h5py.Group", tree: Tree) -> None:
+    import h5py
+
+    for key, held in tree.items():
+        if isinstance(held, dict):
+            _write(group.create_group(key), held)
+        elif isinstance(held, str):
+            # Plain ASCII: JSON has escaped what HDF5 strings cannot hold (NUL, lone surrogates).
+            group.create_dataset(key, data=held, dtype=h5py.string_dtype("ascii"))
+        else:
+            group.create_dataset(key, data=held)
+
+
+def _opened(path: _Path) -> "h5py.File":
+    import h5py
+
+    try:
+        with Path(path).open("rb") as file:
+            start = file.read(len(MAGIC))
+        if start != MAGIC:
+            raise StorageError(f"archive: '{path}' is not an HDF5 file; read_record reads CSV, MAT and NPZ.")
+        opened = h5py.File(path, "r")
+    except StorageError:
+        raise
+    except (OSError, RuntimeError) as error:
+        raise StorageError(f"archive: '{path}' cannot be read ({reason(error)}).") from error
+    if opened.attrs.get("format") != FORMAT:
+        opened.close()
+        raise StorageError(f"archive: '{path}' is an HDF5 file of another program; it lacks the mark of an archive.")
+    version = opened.attrs.get("format_version")
+    if not isinstance(version, np.integer) or version > FORMAT_VERSION:
+        opened.close()
+        raise StorageError(
+            f"archive: '{path}' has format version {version}, this version of ultraquiet reads up to {FORMAT_VERSION}."
+        )
+    return opened
+
+
+def _read(path: _Path, names: tuple[str, ...] | None) -> dict[str, tuple[str, str, Tree]]:
+    try:
+        with _opened(path) as file:
+            held = [str(name) for name in file]
+            missing = [name for name in names or () if name not in held]
+            if missing:
+                raise StorageError(f"archive: '{path}' holds no '{missing[0]}', only {', '.join(held)}.")
+            groups: dict[str, Any] = {name: file[name] for name in (names or held)}
+            return {n: (str(g.attrs["kind"]), str(g.attrs["sha256"]), _tree(g)) for n, g in groups.items()}
+    except StorageError:
+        raise
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        # h5py lets the library's own complaint through in any of these when the bytes make no sense.
+        raise StorageError(f"archive: '{path}' is damaged ({reason(error)}).") from error
+
+
+def _tree(group: Any) -> Tree:
+    import h5py
+
+    tree: Tree = {}
+    for key, held in group.items():
+        if isinstance(held, h5py.Group):
+            tree[key] = _tree(held)
+        elif h5py.check_string_dtype(held.dtype):
+            tree[key] = held[()].decode("ascii")
+        else:
+            tree[key] = held[()] if held.shape else np.array(held[()])
+    return tree

@@ -1,0 +1,183 @@
+"""Coordinates in which equations are easily solved: real modal blocks, even scaling, Gramians, balancing."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import schur, solve_sylvester
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.equations import lyapunov, stein
+from ultraquiet.linalg.realize import Matrices
+
+# Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
+MODAL_CONDITION = 1e7
+
+
+class Coordinates(NamedTuple):
+    """A system in new coordinates x_old = T x: its A, B, C, T, the inverse of T, and the sizes of A's blocks."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    T: FloatArray
+    inverse: FloatArray
+    blocks: tuple[int, ...]
+
+
+def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> Coordinates:
+    """Return real modal coordinates, |b| = |c| block by block.
+
+    A complex pair becomes [[re, im], [-im, re]], a real eigenvalue a single entry. Modes too close to be told apart
+    (delays, repeated poles) are kept together in one real Schur block, so that T stays well conditioned.
+    """
+    T, sizes = _separated(A)
+    inverse = np.linalg.inv(T) if A.shape[0] else T
+    return _even(inverse @ A @ T, inverse @ B, C @ T, T, inverse, sizes)
+
+
+def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C and d with every state scaled, x_old = d x, so that its input and output sizes are alike."""
+    d = _ratio(np.linalg.norm(C, axis=0), np.linalg.norm(B, axis=1))
+    return A * (1 / d) / (1 / d)[:, None], B * d[:, None], C / d, 1 / d
+
+
+def gramians(A: FloatArray, B: FloatArray, C: FloatArray, discrete: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the controllability and observability Gramians of a stable system."""
+    solve = stein if discrete else lyapunov
+    return solve(A, B @ B.T), solve(A.T, C.T @ C)
+
+
+def square_root(P: FloatArray) -> FloatArray:
+    """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero."""
+    values, vectors = np.linalg.eigh((P + P.T) / 2)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def balancing(P: FloatArray, Q: FloatArray, order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return left `(order, n)` and right `(n, order)` projections of balanced truncation and all Hankel values.
+
+    Square-root method (Tombs and Postlethwaite 1987): left @ right = I, `left @ A @ right` is the reduced A.
+    """
+    R, L = square_root(P), square_root(Q)
+    U, s, Vt = np.linalg.svd(L.T @ R)
+    order = min(order, int(np.sum(s > 1e-15 * max(float(s[0]), 1e-300)))) if s.size else 0
+    root = np.sqrt(s[:order])
+    return (L @ U[:, :order] / root).T, R @ Vt[:order].T / root, s
+
+
+def truncate(M: Matrices, left: FloatArray, right: FloatArray) -> Matrices:
+    """Return the projected system."""
+    A, B, C, D = M
+    return left @ A @ right, left @ B, C @ right, D.copy()
+
+
+def residualize(M: Matrices, keep: int, discrete: bool) -> Matrices:
+    """Keep the first states and replace the others by their steady state (singular perturbation, gain at 0 Hz exact)."""
+    A, B, C, D = M
+    one = np.eye(A.shape[0] - keep) if discrete else 0.0
+    inner = A[keep:, keep:] - one
+    X = np.linalg.solve(inner, np.hstack([A[keep:, :keep], B[keep:]]))
+    xa, xb = X[:, :keep], X[:, keep:]
+    return (
+        A[:keep, :keep] - A[:keep, keep:] @ xa,
+        B[:keep] - A[:keep, keep:] @ xb,
+        C[:, :keep] - C[:, keep:] @ xa,
+        D - C[:, keep:] @ xb,
+    )
+
+
+def stable_first(A: FloatArray, discrete: bool) -> tuple[FloatArray, FloatArray, int]:
+    """Return T, its inverse and the number of stable states, such that A becomes diag(stable, unstable)."""
+    n = A.shape[0]
+    if n == 0:
+        return np.eye(0), np.eye(0), 0
+    S, U, count = schur(A, output="real", sort="iuc" if discrete else "lhp")
+    T = U.copy()
+    if 0 < count < n:
+        X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
+        T[:, count:] += U[:, :count] @ X
+    return T, np.linalg.inv(T), int(count)
+
+
+def _separated(A: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
+    """Return a well-conditioned T that block-diagonalises A, and the block sizes."""
+    n = A.shape[0]
+    if n == 0:
+        return np.eye(0), ()
+    values, vectors = np.linalg.eig(A)
+    groups = _clusters(values, vectors)
+    if all(len(g) == 1 or (len(g) == 2 and values[g[0]].imag != 0) for g in groups):
+        T = np.hstack([_real_basis(values[g], vectors[:, g]) for g in groups])
+        if np.linalg.cond(T) < MODAL_CONDITION:
+            return T, tuple(len(g) for g in groups)
+    bases = [_invariant(A, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g]) for g in groups]
+    T = np.hstack(bases)
+    if np.linalg.cond(T) < MODAL_CONDITION:
+        return T, tuple(len(g) for g in groups)
+    return schur(A, output="real")[1], (n,)
+
+
+def _clusters(values: ComplexArray, vectors: ComplexArray) -> list[list[int]]:
+    """Group eigenvalues whose eigenvectors are nearly parallel; conjugates stay together."""
+    order = [int(i) for i in np.lexsort((values.imag < 0, np.abs(values.imag), values.real))]
+    near = np.abs(vectors.conj().T @ vectors) > 1 - 1e-6
+    groups: list[list[int]] = []
+    for i in order:
+        conjugate = int(np.argmin(np.abs(values - np.conj(values[i]))))
+        hits = [g for g in groups if i in g or conjugate in g or any(near[i, k] or near[conjugate, k] for k in g)]
+        merged = sorted({i, conjugate, *(k for g in hits for k in g)}, key=order.index)
+        groups = [g for g in groups if g not in hits] + [merged]
+    return groups
+
+
+def _tangled(values: ComplexArray, group: list[int]) -> bool:
+    return not (len(group) == 1 or (len(group) == 2 and values[group[0]].imag != 0))
+
+
+def _real_basis(values: ComplexArray, vectors: ComplexArray) -> FloatArray:
+    """Return one real column (real eigenvalue) or two (complex pair), of unit size and evenly conditioned."""
+    if values.size == 1:
+        return vectors.real / np.linalg.norm(vectors.real)
+    v = vectors[:, 0] if values[0].imag > 0 else vectors[:, 1]
+    # rotating v by the phase of v'v makes its real and imaginary parts orthogonal
+    v = v * np.exp(-0.5j * np.angle(v @ v))
+    return np.column_stack([v.real, v.imag]) * ROOT_TWO
+
+
+ROOT_TWO = np.sqrt(2.0)
+
+
+def _invariant(A: FloatArray, values: ComplexArray, group: list[int]) -> FloatArray:
+    """Return an orthonormal basis of the invariant subspace of a group of eigenvalues."""
+    wanted = values[group]
+    others = np.delete(values, group)
+
+    def inside(re: float, im: float) -> bool:
+        z = complex(re, im)
+        return bool(not others.size or np.min(np.abs(wanted - z)) < np.min(np.abs(others - z)))
+
+    _, U, count = schur(A, output="real", sort=inside)
+    return U[:, : min(count, len(group))]
+
+
+def _even(
+    A: FloatArray, B: FloatArray, C: FloatArray, T: FloatArray, inverse: FloatArray, sizes: tuple[int, ...]
+) -> Coordinates:
+    edges = np.concatenate([[0], np.cumsum(sizes, dtype=int)]) if sizes else np.zeros(1, dtype=int)
+    A = A.copy()
+    d = np.ones(A.shape[0])
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        A[low:high, :low] = 0.0
+        A[low:high, high:] = 0.0
+        d[low:high] = _ratio(np.linalg.norm(C[:, low:high]), np.linalg.norm(B[low:high]))
+    # one factor a block: a similarity that leaves every block of A as it is
+    return Coordinates(A, B * d[:, None], C / d, T / d, inverse * d[:, None], sizes)
+
+
+def _ratio(c: FloatArray | float, b: FloatArray | float) -> FloatArray:
+    """Return sqrt(c / b) rounded to a power of two, one where either vanishes."""
+    c, b = np.atleast_1d(c).astype(float), np.atleast_1d(b).astype(float)
+    safe = (c > 0) & (b > 0)
+    power = np.zeros(c.shape)
+    power[safe] = np.round(np.log2(c[safe] / b[safe]) / 2)
+    return np.exp2(np.clip(power, -500, 500))

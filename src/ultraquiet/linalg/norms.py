@@ -1,0 +1,111 @@
+"""Norms of state-space matrices: the peak gain over frequency, exactly, and the mean square gain."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.balance import gramians
+from ultraquiet.linalg.discretize import bilinear_to_continuous
+from ultraquiet.linalg.response import frequency_response
+
+ROUNDS = 30
+# An eigenvalue counts as imaginary when its real part is below this share of its modulus: generous, because each
+# candidate is then judged by the gain it stands for and not by its place.
+AXIS_SHARE = 1e-4
+
+
+def peak_gain(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discrete: bool, tolerance: float = 1e-7
+) -> tuple[float, float]:
+    """Return the largest singular value over frequency and where: rad/s, or radians per sample when discrete.
+
+    Bruinsma and Steinbuch 1990 (doi:10.1016/0167-6911(90)90049-Z): imaginary eigenvalues of a Hamiltonian say whether
+    and between which frequencies the gain exceeds a level; the level climbs to the peak. Discrete systems go through
+    the bilinear map, which keeps every gain. An unstable system gives infinity at its fastest growing mode.
+    """
+    poles = np.linalg.eigvals(A)
+    growth = np.abs(poles) - 1 if discrete else poles.real
+    if poles.size and growth.max() >= 0:
+        worst = poles[np.argmax(growth)]
+        return np.inf, float(abs(np.angle(worst)) if discrete else abs(worst.imag))
+    if discrete:
+        gain, w = _peak(*bilinear_to_continuous(A, B, C, D), tolerance)
+        return gain, float(2 * np.arctan(w))
+    return _peak(A, B, C, D, tolerance)
+
+
+def mean_square_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discrete: bool) -> float:
+    """Return the H2 norm; infinite for unstable systems and for continuous ones with feedthrough."""
+    poles = np.linalg.eigvals(A)
+    if poles.size and (np.abs(poles).max() >= 1 if discrete else poles.real.max() >= 0):
+        return np.inf
+    if not discrete and np.any(D != 0):
+        return np.inf
+    _, Q = gramians(A, B, C, discrete)
+    total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)
+    return float(np.sqrt(max(total, 0.0)))
+
+
+def _peak(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance: float) -> tuple[float, float]:
+    direct = float(np.linalg.norm(D, 2)) if D.size else 0.0
+    best, at = direct, np.inf
+    if A.shape[0] == 0 or not np.any(B) or not np.any(C):
+        return direct, 0.0
+    best, at = _climb(A, B, C, D, _guesses(np.linalg.eigvals(A)), best, at)
+    if best == 0:
+        return 0.0, 0.0
+    for _ in range(ROUNDS):
+        best, at = _polish(A, B, C, D, best, at)
+        level = best * (1 + 2 * tolerance)
+        crossings = _crossings(A, B, C, D, level)
+        middle = np.sqrt(crossings[:-1] * crossings[1:]) if crossings.size > 1 else np.zeros(0)
+        higher, where = _climb(A, B, C, D, np.concatenate([crossings, middle]), best, at)
+        if higher <= level:
+            return max(best, higher), at if higher <= best else where
+        best, at = higher, where
+    return best, at
+
+
+def _guesses(poles: ComplexArray) -> FloatArray:
+    """Return frequencies near which a peak is likely: resonances, corner frequencies, zero and between."""
+    size = np.abs(poles)
+    w = np.unique(np.concatenate([np.abs(poles.imag), size, [0.0]]))
+    middle = np.sqrt(w[1:] * w[:-1])
+    return np.concatenate([w, middle, [10 * w[-1]]])
+
+
+def _gains(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, w: FloatArray) -> FloatArray:
+    g = frequency_response(A, B, C, D, 1j * w)
+    return np.linalg.norm(np.moveaxis(g, 2, 0), 2, axis=(1, 2))
+
+
+def _climb(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, w: FloatArray, best: float, at: float
+) -> tuple[float, float]:
+    if w.size == 0:
+        return best, at
+    gains = _gains(A, B, C, D, w)
+    k = int(np.argmax(gains))
+    return (float(gains[k]), float(w[k])) if gains[k] > best else (best, at)
+
+
+def _polish(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, best: float, at: float
+) -> tuple[float, float]:
+    """Narrow in on the local peak by fans of points around the best one."""
+    if not np.isfinite(at) or at == 0:
+        return best, at
+    for spread in 10.0 ** np.arange(-2, -8, -1):
+        best, at = _climb(A, B, C, D, at * (1 + spread * np.linspace(-1, 1, 22)), best, at)
+    return best, at
+
+
+def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
+    """Return the frequencies at which a singular value may equal `level`, sorted."""
+    b, c, d = B / np.sqrt(level), C / np.sqrt(level), D / level
+    R = np.eye(d.shape[1]) - d.T @ d
+    RDC = np.linalg.solve(R, np.hstack([d.T @ c, b.T]))
+    n = A.shape[0]
+    a = A + b @ RDC[:, :n]
+    H = np.block([[a, b @ RDC[:, n:]], [-c.T @ (c + d @ RDC[:, :n]), -a.T]])
+    values = np.linalg.eigvals(H)
+    return np.unique(np.abs(values.imag[np.abs(values.real) <= AXIS_SHARE * np.abs(values)]))

@@ -1,0 +1,126 @@
+"""What every registered method must do. A failure is an AssertionError that names the method and the promise."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import FrozenInstanceError, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.registry import FAMILIES, lookup
+from ultraquiet.testing import problems
+from ultraquiet.values import Record, StateSpace, Status
+
+RATE_HZ = 3500.0
+LARGEST_V = 25.0
+
+
+def check(family: str, name: str, seed: int = 0) -> None:
+    """Check one registered method against what its family promises.
+
+    Args:
+        family: `signals`, `bench`, `identify`, `design` or `reduce`.
+        name: under which it is registered.
+        seed: of the problem it is tried on.
+
+    Raises:
+        AssertionError: a promise is broken; the message says which.
+
+    >>> check("signals", "chirp")
+    """
+    kind = lookup(family, name)
+    _is_a_settings_object(kind, name)
+    assert callable(getattr(kind, FAMILIES[family], None)), f"{name}: the verb '{FAMILIES[family]}' is missing"
+    _CHECKS[family](name, kind(), seed)
+
+
+def _is_a_settings_object(kind: type[Any], name: str) -> None:
+    assert is_dataclass(kind), f"{name}: must be a dataclass"
+    assert (kind.__doc__ or "").strip(), f"{name}: must say what it does"
+    settings = kind()
+    for field in fields(kind):
+        try:
+            setattr(settings, field.name, None)
+        except FrozenInstanceError:
+            continue
+        raise AssertionError(f"{name}: must be frozen, '{field.name}' could be set")
+
+
+def _signal(name: str, signal: Any, seed: int) -> None:
+    first = signal.generate(samples=4096, rate_hz=RATE_HZ, seed=seed)
+    again = signal.generate(samples=4096, rate_hz=RATE_HZ, seed=seed)
+    assert first.shape == (4096,), f"{name}: must return (samples,)"
+    assert np.array_equal(first, again), f"{name}: must repeat itself for one seed"
+    assert np.all(np.isfinite(first)), f"{name}: must be finite"
+    assert np.abs(first).max() <= LARGEST_V, f"{name}: must stay within {LARGEST_V} V"
+    assert np.ptp(first) > 0, f"{name}: must move"
+    _refuses(name, lambda: signal.generate(samples=0, rate_hz=RATE_HZ, seed=seed))
+
+
+def _bench(name: str, bench: Any, seed: int) -> None:
+    nu, ny = len(bench.actuators), len(bench.sensors)
+    u = 0.1 * np.random.default_rng(seed).standard_normal((nu, 50))
+    record = bench.run(u)
+    assert isinstance(record, Record), f"{name}: run must return a Record"
+    assert record.outputs.shape == (ny, 50), f"{name}: outputs must be (ny, n)"
+    assert record.rate_hz == bench.rate_hz, f"{name}: the record must carry the bench's rate"
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), np.zeros((nu, ny)), bench.rate_hz)
+    assert bench.run(u, disturbance=u, controller=law).samples == 50, f"{name}: must run with a controller"
+    _refuses(name, lambda: bench.run(np.full((nu, 50), np.nan)))
+    _refuses(name, lambda: bench.run(np.zeros((nu + 1, 50))))
+
+
+def _identify(name: str, method: Any, seed: int) -> None:
+    record, _ = problems.two_modes(seed)
+    before = record.hash
+    result = method.identify(record)
+    assert isinstance(result.status, Status), f"{name}: must carry a status"
+    assert record.hash == before, f"{name}: must not touch its input"
+    assert np.shape(result.fit_percent) == (1,), f"{name}: fit_percent must be (ny,)"
+    assert np.shape(result.loss) == (1,), f"{name}: loss must be (ny,)"
+    system = result.model if isinstance(result.model, StateSpace) else result.model.state_space()
+    assert system.is_stable(), f"{name}: must return a stable model of a stable plant"
+    constant = Record(np.ones((1, record.samples)), record.outputs, record.rate_hz)
+    _refuses(name, lambda: method.identify(constant))
+    _refuses(name, lambda: method.identify(record.part(0, 8)))
+
+
+def _design(name: str, method: Any, seed: int) -> None:
+    plant = problems.damped_plant(seed)
+    result = method.design(plant)
+    assert isinstance(result.status, Status), f"{name}: must carry a status"
+    assert result.status.ok, f"{name}: must solve a damped square plant, said '{result.status}'"
+    law = result.controller
+    assert law.rate_hz == plant.rate_hz, f"{name}: the controller must carry the plant's rate"
+    assert law.D.shape == (plant.D.shape[1], plant.D.shape[0]), f"{name}: the controller must fit the plant"
+    radius = np.abs(problems.loop_poles(plant, law)).max()
+    assert radius < 1, f"{name}: u = K y must stabilise, the loop has a pole of modulus {radius:.6f}"
+
+
+def _reduce(name: str, method: Any, seed: int) -> None:
+    plant = problems.damped_plant(seed)
+    law = problems.observer_law(plant)
+    settings: Mapping[str, Any] = {"states": law.states - 2}
+    reduced = type(method)(**settings).reduce(law, plant)
+    assert isinstance(reduced.status, Status), f"{name}: must carry a status"
+    assert reduced.controller.states <= law.states - 2, f"{name}: must keep the number of states asked for"
+    assert np.abs(problems.loop_poles(plant, reduced.controller)).max() < 1, f"{name}: must keep the loop stable"
+
+
+def _refuses(name: str, act: Callable[[], object]) -> None:
+    try:
+        act()
+    except UltraquietError as error:
+        assert isinstance(error, InputError), f"{name}: must refuse bad input as InputError, got {error!r}"
+        assert str(error).strip(), f"{name}: must say what is wrong"
+        return
+    raise AssertionError(f"{name}: must refuse bad input")
+
+
+_CHECKS: Mapping[str, Callable[[str, Any, int], None]] = {
+    "signals": _signal,
+    "bench": _bench,
+    "identify": _identify,
+    "design": _design,
+    "reduce": _reduce,
+}

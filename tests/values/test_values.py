@@ -1,0 +1,149 @@
+"""Values: shapes checked, never guessed; nothing in them can be changed."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+
+
+def random_system(rng, n=6, nu=2, ny=3, rate_hz=100.0):
+    A = rng.standard_normal((n, n))
+    A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
+    return uq.StateSpace(A, rng.standard_normal((n, nu)), rng.standard_normal((ny, n)), rng.standard_normal((ny, nu)), rate_hz)
+
+
+def test_record_refuses_nan_and_names_the_sample():
+    y = np.zeros((2, 10))
+    y[1, 3] = np.nan
+    with pytest.raises(InputError, match=r"'outputs' has 1 NaN or infinite values, the first at index \(1, 3\)"):
+        uq.Record(np.zeros((1, 10)), y, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "rate_hz", "words"),
+    [
+        (np.zeros((1, 10)), np.zeros((1, 9)), 10.0, "10 samples but outputs have 9"),
+        (np.zeros((1, 0)), np.zeros((1, 0)), 10.0, "no samples"),
+        (np.zeros((1, 2, 3)), np.zeros((1, 3)), 10.0, "dimensions"),
+        (np.zeros((1, 3)), np.zeros((1, 3)), 0.0, "above zero"),
+        (np.zeros((1, 3)), np.zeros((1, 3)), np.nan, "finite"),
+        ([["a"]], [[1.0]], 1.0, "real array"),
+    ],
+)
+def test_record_refuses(inputs, outputs, rate_hz, words):
+    with pytest.raises(InputError, match=words):
+        uq.Record(inputs, outputs, rate_hz)
+
+
+def test_record_is_a_copy_that_cannot_be_changed():
+    u = np.zeros((1, 5))
+    record = uq.Record(u, u, 10.0)
+    u[0, 0] = 7.0
+    assert record.inputs[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        record.inputs[0, 0] = 1.0
+
+
+def test_record_parts_and_picks(rng):
+    record = uq.Record(rng.standard_normal((2, 20)), rng.standard_normal((3, 20)), 10.0, ["a", "b"], ["x", "y", "z"])
+    part = record.part(5, 15).pick(inputs=[1], outputs=[2, 0])
+    assert part.samples == 10
+    assert [c.name for c in part.sensors] == ["z", "x"]
+    assert np.array_equal(part.outputs, record.outputs[[2, 0], 5:15])
+    assert part.hash != record.hash
+
+
+def test_state_space_refuses_shapes():
+    with pytest.raises(InputError, match="do not fit"):
+        uq.StateSpace(np.eye(2), np.ones((3, 1)), np.ones((1, 2)), [[0.0]])
+    with pytest.raises(InputError, match="NaN"):
+        uq.StateSpace([[np.nan]], [[1.0]], [[1.0]], [[0.0]])
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_frequency_response_against_direct_solution(rng, rate_hz):
+    system = random_system(rng, rate_hz=rate_hz)
+    f = np.linspace(0, 50, 41)
+    s = 2j * np.pi * f
+    z = s if rate_hz is None else np.exp(s / rate_hz)
+    plain = np.stack(
+        [system.C @ np.linalg.solve(p * np.eye(6) - system.A, system.B) + system.D for p in z], axis=2
+    )
+    error = np.abs(system.frequency_response(f) - plain).max() / np.abs(plain).max()
+    print(f"frequency response against dense solves: {error:.1e}")
+    assert error < 1e-10
+
+
+def test_static_gain_has_a_response_and_no_poles():
+    gain = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), [[1.0, 2.0]], 10.0)
+    assert gain.frequency_response([1.0, 2.0])[0, 1].tolist() == [2.0, 2.0]
+    assert gain.poles().size == 0
+    assert gain.is_stable()
+    assert gain.simulate(np.ones((2, 3))).tolist() == [[3.0, 3.0, 3.0]]
+
+
+def test_control_round_trip(rng):
+    pytest.importorskip("control")
+    system = random_system(rng)
+    back = uq.StateSpace.from_control(system.to_control())
+    assert np.array_equal(back.A, system.A)
+    assert back.rate_hz == pytest.approx(system.rate_hz)
+
+
+def test_stepped_controller_is_simulation(rng):
+    from ultraquiet.values import Controller, SteppedController
+
+    law = random_system(rng)
+    stepped = SteppedController(law)
+    assert isinstance(stepped, Controller)
+    y = rng.standard_normal((2, 30))
+    assert np.allclose(np.stack([stepped.step(v) for v in y.T], axis=1), law.simulate(y), atol=1e-12)
+
+
+roots_inside = st.lists(
+    st.tuples(st.floats(0.3, 0.97), st.floats(0.05, 3.0)), min_size=1, max_size=3, unique_by=lambda r: round(r[1], 1)
+)
+
+
+@given(roots_inside, st.lists(st.floats(-2, 2).filter(lambda v: abs(v) > 0.05), min_size=1, max_size=6), st.integers(0, 3))
+def test_sections_realise_the_polynomials(pairs, b, delay):
+    poles = [r * np.exp(1j * w) for r, w in pairs]
+    a = np.poly([*poles, *np.conj(poles)]).real
+    model = uq.PolynomialModel([np.r_[np.zeros(delay), b]], [a], rate_hz=1.0)
+    f = np.linspace(0, 0.5, 17)
+    direct, realised = model.frequency_response(f), model.state_space().frequency_response(f)
+    # Roots of nearly equal pairs are good to the square root of the machine precision at best.
+    assert np.abs(direct - realised).max() <= 1e-5 * np.abs(direct).max()
+
+
+def test_printed_equations_evaluate_as_published():
+    """Eqs. (11) and (12) as printed, against values computed elsewhere (tests/data/README.md)."""
+    import json
+    import re
+    from pathlib import Path
+
+    held = json.loads((Path(__file__).parents[1] / "data" / "suite_equations.json").read_text())
+
+    def polynomial(factors):
+        total = np.ones(1)
+        for factor in factors:
+            quadratic = re.fullmatch(r"z\^2([+-][\d.]+)z([+-][\d.]+)", factor)
+            part = [1.0, *map(float, quadratic.groups())] if quadratic else [1.0, -float(factor)]
+            total = np.convolve(total, part)
+        return total
+
+    worst = 0.0
+    for name in ("f21", "f22"):
+        num = held[name]["gain"] * polynomial(held[name]["zeros"])
+        den = polynomial(held[name]["poles"])
+        b = np.concatenate([np.zeros(len(den) - len(num)), num])
+        model = uq.PolynomialModel([b], [den], rate_hz=held["rate_hz"])
+        for row in held["frequency_response"]:
+            g = model.frequency_response([row["f_hz"]])[0, 0, 0]
+            phase = (np.degrees(np.angle(g)) - row[f"{name}_deg"] + 180) % 360 - 180
+            worst = max(worst, abs(20 * np.log10(abs(g)) - row[f"{name}_db"]), abs(phase) / 100)
+    print(f"eqs. (11)-(12) against the reference: worst {worst:.1e} dB (or hundredths of a degree)")
+    assert worst < 1.1e-3
