@@ -1,1 +1,8 @@
-"""Room 'bench', being built."""
+"""Benches: anything with a rate, channels and the verb `run`, simulated, replayed or wrapped."""
+
+from ultraquiet.bench._abstract import Bench
+from ultraquiet.bench.hexapod import Hexapod
+from ultraquiet.bench.replay import Replay
+from ultraquiet.bench.wrapped import Wrapped
+
+__all__ = ["Bench", "Hexapod", "Replay", "Wrapped"]

@@ -32,7 +32,7 @@ class Signal(ABC):
         psd = np.abs(np.fft.rfft(u)) ** 2 / (rate_hz * u.size)
         # Zero frequency, and Nyquist when there is one, have no mirror image to fold in.
         psd[1 : (u.size + 1) // 2] *= 2.0
-        return np.arange(psd.size) * (rate_hz / u.size), psd.astype(np.float64)
+        return np.asarray(np.arange(psd.size) * (rate_hz / u.size), dtype=np.float64), psd.astype(np.float64)
 
 
 def volts(who: str, name: str, value: float) -> float:

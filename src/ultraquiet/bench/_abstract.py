@@ -1,0 +1,96 @@
+"""The one protocol of every bench, and the checks of what is sent to it."""
+
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, real_array, same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
+
+
+@runtime_checkable
+class Bench(Protocol):
+    """A plant with actuators and sensors on one clock."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate in Hz."""
+        ...
+
+    @property
+    def actuators(self) -> tuple[Channel, ...]:
+        """The `nu` commands."""
+        ...
+
+    @property
+    def sensors(self) -> tuple[Channel, ...]:
+        """The `ny` readings."""
+        ...
+
+    def run(self, actuation: ArrayLike, disturbance: ArrayLike | None = None, controller: Any | None = None) -> Record:
+        """Start at rest, send `actuation` `(nu, n)`, return the record.
+
+        At sample k the readings y[k] are taken, the command actuation[k] + (K y)[k] is formed and limited to the
+        actuators' range, and it acts from sample k + 1 on; `disturbance` `(nu, n)` is added at the plant's input
+        without that delay. The record holds the limited commands and the readings.
+        """
+        ...
+
+
+def checked_signals(
+    who: str, actuators: int, actuation: ArrayLike, disturbance: ArrayLike | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return actuation and disturbance as `(nu, n)` of equal shape, the disturbance zero when absent."""
+    u = real_array(who, "actuation", actuation, 2)
+    if u.shape[0] != actuators or u.shape[1] == 0:
+        raise InputError(f"{who}: 'actuation' must have shape ({actuators}, samples), got {u.shape}.")
+    if disturbance is None:
+        return u, np.zeros_like(u)
+    d = real_array(who, "disturbance", disturbance, 2)
+    if d.shape != u.shape:
+        raise InputError(f"{who}: 'disturbance' must have the shape of 'actuation', {u.shape}, got {d.shape}.")
+    return u, d
+
+
+def checked_law(who: str, law: StateSpace, rate_hz: float, sensors: int, actuators: int) -> None:
+    """Refuse a linear law of another rate or of other dimensions."""
+    same_rate(who, "the controller", law.rate_hz, "the bench", rate_hz)
+    if law.D.shape != (actuators, sensors):
+        raise InputError(
+            f"{who}: the controller must take {sensors} readings and give {actuators} commands, "
+            f"got one from {law.D.shape[1]} to {law.D.shape[0]}."
+        )
+
+
+def checked_controller(who: str, controller: Any, rate_hz: float, sensors: int, actuators: int) -> Controller:
+    """Return a controller that can be stepped, reset to rest."""
+    if isinstance(controller, StateSpace):
+        checked_law(who, controller, rate_hz, sensors, actuators)
+        return SteppedController(controller)
+    if not (hasattr(controller, "step") and hasattr(controller, "reset")):
+        raise InputError(
+            f"{who}: 'controller' must be a StateSpace or have the methods step(y) and reset(), "
+            f"got {type(controller).__name__}."
+        )
+    made_for = getattr(controller, "rate_hz", None)
+    if made_for is not None:
+        same_rate(who, "the controller", made_for, "the bench", rate_hz)
+    controller.reset()
+    return controller
+
+
+def commands(who: str, given: Any, actuators: int, sample: int) -> FloatArray:
+    """Return one sample of a controller's output as `(nu,)`, or say what is wrong with it."""
+    u = np.asarray(given, dtype=np.float64).reshape(-1)
+    if u.size != actuators or not np.isfinite(u).all():
+        raise InputError(
+            f"{who}: at sample {sample} the controller must return {actuators} finite commands, got {given!r}."
+        )
+    return u
+
+
+def limits(channels: tuple[Channel, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the lower and upper limits of channels."""
+    return np.array([c.low for c in channels]), np.array([c.high for c in channels])
