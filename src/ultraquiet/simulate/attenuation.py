@@ -7,7 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive
 from ultraquiet._base.progress import task
-from ultraquiet.simulate.loop import Bench, disturb
+from ultraquiet.bench import Bench
+from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.controller import Controller
 

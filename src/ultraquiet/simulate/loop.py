@@ -1,33 +1,18 @@
 """Run a loop on a bench and say whether it stays calm."""
 
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet.values import Channel, Record, StateSpace, Status
+from ultraquiet.bench import Bench
+from ultraquiet.values import Record, StateSpace, Status
 from ultraquiet.values.controller import Controller
 
 # A calm loop ends with the noise it began with. Growth by this factor between the second and the last quarter of an
 # undisturbed run, or a command at its limit, is called unstable.
 GROWTH_LIMIT = 3.0
-
-
-class Bench(Protocol):
-    """The members of a bench that this room uses."""
-
-    @property
-    def rate_hz(self) -> float: ...
-    @property
-    def actuators(self) -> tuple[Channel, ...]: ...
-    @property
-    def sensors(self) -> tuple[Channel, ...]: ...
-
-    def run(self, actuation: Any, disturbance: Any = None, controller: Any = None) -> Record:
-        """Run the bench."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
-from ultraquiet.simulate.loop import Bench, disturb
+from ultraquiet.bench import Bench
+from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 

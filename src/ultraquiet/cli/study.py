@@ -1,0 +1,71 @@
+"""`ultraquiet demo`, `run` and `report`: whole studies."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ultraquiet.cli.progress import bars
+
+Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
+
+
+def demo(out: Out = None, quick: Quick = False) -> None:
+    """Run the embedded SUITE study: excite, identify, validate, design, close the loop, generate code, report."""
+    from ultraquiet.pipeline import packaged_study, quick_study
+
+    study = packaged_study("suite")
+    _walk(quick_study(study) if quick else study, Path("ultraquiet-demo") if out is None else out, None)
+
+
+def run(
+    study: Annotated[Path, typer.Argument(help="The study file (TOML).")],
+    out: Out = None,
+    quick: Quick = False,
+) -> None:
+    """Run a study file; finished stages are reused."""
+    from ultraquiet.pipeline import load_study, quick_study
+
+    loaded = load_study(study)
+    _walk(quick_study(loaded) if quick else loaded, out or study.with_suffix(""), study.parent)
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(help="Folder of a study that has run.")],
+) -> None:
+    """Write the report of a study again from what its folder holds; stages that are missing are computed."""
+    from ultraquiet.pipeline import reload_study
+
+    _walk(reload_study(folder), folder, folder)
+
+
+def _walk(study: object, folder: Path, beside: Path | None) -> None:
+    from rich.console import Console
+
+    from ultraquiet.pipeline import Study, walk
+
+    assert isinstance(study, Study)
+    with bars() as console:
+        summary = walk(study, folder, beside=beside, say=console.print)
+    show = Console()
+    show.print(_table(summary))
+    show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
+
+
+def _table(summary: dict) -> object:
+    from rich.table import Table
+
+    table = Table("controller", "unit", "states", "worst 10-100 Hz", "peak", "5 Hz", "25 Hz", "100 Hz", title="reduction on the bench (dB, worst channel)")
+    for name, units in summary["closed_loop"].items():
+        for unit, result in units.items():
+            tones = [f"{result['tones'][f]['reduction_db']:.1f}" for f in result["tones"]]
+            table.add_row(
+                name,
+                unit,
+                str(summary["design"][name]["states"]),
+                f"{result['worst_direction_band_db']:.1f}",
+                f"{result['peak_amplification_db']:.1f}",
+                *(tones + [""] * 3)[:3],
+            )
+    return table

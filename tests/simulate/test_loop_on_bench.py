@@ -1,0 +1,102 @@
+"""Loops on a bench whose sensitivity is known in closed form."""
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError, RateError
+from ultraquiet.testing.problems import RATE_HZ, damped_plant, loop_poles, observer_law
+
+
+def wrapped(plant, noise_v=0.0, rng=None):
+    """The plant as a bench: disturbance at its input, command one sample late, white sensor noise."""
+    state = np.zeros(plant.states)
+
+    def step(u, d):
+        nonlocal state
+        y = plant.C @ state + plant.D @ (u + d)
+        state = plant.A @ state + plant.B @ (u + d)
+        return y + (noise_v * rng.standard_normal(y.size) if noise_v else 0.0)
+
+    def reset():
+        nonlocal state
+        state = np.zeros(plant.states)
+
+    names = [uq.Channel(f"strut {i + 1}", "V", -25.0, 25.0) for i in range(plant.B.shape[1])]
+    sensors = [uq.Channel(f"geophone {i + 1}", "V", -10.0, 10.0) for i in range(plant.C.shape[0])]
+    return uq.bench.Wrapped(step, reset, plant.rate_hz, names, sensors)
+
+
+@pytest.fixture
+def loop(seed):
+    """A plant scaled to the volts of a bench, a mild law, and the sensitivity they have with one sample of delay."""
+    plant = damped_plant(seed)
+    size = np.abs(plant.frequency_response(np.arange(1.0, 400.0))).max()
+    plant = uq.StateSpace(plant.A, plant.B, plant.C / size, plant.D, plant.rate_hz)
+    law = observer_law(plant)
+
+    def truth(f_hz):
+        z = np.exp(2j * np.pi * f_hz / RATE_HZ)
+        GK = np.einsum("ijf,jkf->fik", plant.frequency_response(f_hz), law.frequency_response(f_hz) / z)
+        return np.linalg.inv(np.eye(2) - GK).transpose(1, 2, 0)
+
+    return plant, law, truth
+
+
+def test_tone_reduction_is_that_of_the_sensitivity(loop):
+    plant, law, truth = loop
+    tones = (15.0, 40.0, 120.0)
+    measured = uq.simulate.attenuation(wrapped(plant), law, tones, duration_s=4.0)
+    G, S = plant.frequency_response(tones), truth(np.array(tones))
+    for k in range(3):
+        opened = G[:, :, k] @ np.ones(2)
+        expected = -20 * np.log10(np.abs(S[:, :, k] @ opened) / np.abs(opened))
+        assert measured.reduction_db[k] == pytest.approx(expected, abs=0.1)
+        assert measured.paper_db[k] == pytest.approx(-20 * np.log10(np.abs(S[:, :, k] @ opened)), abs=0.1)
+    print(f"reductions {measured.reduction_db.round(2).tolist()}")
+
+
+def test_measured_sensitivity_is_the_true_one(loop, rng):
+    plant, law, truth = loop
+    measured = uq.simulate.measure_sensitivity(wrapped(plant, 1e-7, rng), law)
+    expected = truth(measured.f_hz)
+    band = measured.f_hz >= 10
+    worst = -20 * np.log10(np.linalg.svd(expected.transpose(2, 0, 1), compute_uv=False)[:, 0])
+    error = np.abs(measured.worst_direction_db() - worst)[band].max()
+    print(f"worst direction: {error:.3f} dB from the truth above 10 Hz")
+    assert error < 0.5
+    assert measured.peak_amplification_db() == pytest.approx(-worst.min(), abs=0.5)
+
+
+def delayed(plant):
+    """The plant with the computing delay of the bench at its input."""
+    n, nu = plant.B.shape
+    A = np.block([[plant.A, plant.B], [np.zeros((nu, n + nu))]])
+    return uq.StateSpace(
+        A, np.vstack([np.zeros((n, nu)), np.eye(nu)]), np.hstack([plant.C, plant.D]), 0 * plant.D, plant.rate_hz
+    )
+
+
+def louder(law):
+    return (uq.StateSpace(law.A, law.B, -(2.0**k) * law.C, law.D, law.rate_hz) for k in range(40))
+
+
+def test_a_calm_loop_and_a_wild_one_are_told_apart(loop, rng):
+    plant, law, _ = loop
+    bench = wrapped(plant, 1e-3, rng)
+    assert uq.simulate.check_stability(bench, law).status.ok
+    wild = next(w for w in louder(law) if np.abs(loop_poles(delayed(plant), w)).max() > 1.02)
+    verdict = uq.simulate.check_stability(bench, wild)
+    print(verdict.status)
+    assert not verdict.status.ok
+
+
+def test_refusals(loop):
+    plant, law, _ = loop
+    bench = wrapped(plant)
+    with pytest.raises(InputError, match="between 0.5 and 500 Hz"):
+        uq.simulate.attenuation(bench, law, (0.1,), duration_s=4.0)
+    with pytest.raises(InputError, match="must be"):
+        uq.simulate.disturb(bench, np.zeros((3, 10)))
+    with pytest.raises(RateError, match="1000 Hz"):
+        uq.simulate.attenuation(bench, uq.StateSpace(law.A, law.B, law.C, law.D, 500.0))
