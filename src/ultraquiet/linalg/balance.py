@@ -1,5 +1,6 @@
 """Coordinates in which equations are easily solved: real modal blocks, even scaling, Gramians, balancing."""
 
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -72,7 +73,7 @@ def truncate(M: Matrices, left: FloatArray, right: FloatArray) -> Matrices:
 
 
 def residualize(M: Matrices, keep: int, discrete: bool) -> Matrices:
-    """Keep the first states and replace the others by their steady state (singular perturbation, gain at 0 Hz exact)."""
+    """Keep the first states and replace the others by their steady state (singular perturbation)."""
     A, B, C, D = M
     one = np.eye(A.shape[0] - keep) if discrete else 0.0
     inner = A[keep:, keep:] - one
@@ -166,7 +167,7 @@ def _even(
     edges = np.concatenate([[0], np.cumsum(sizes, dtype=int)]) if sizes else np.zeros(1, dtype=int)
     A = A.copy()
     d = np.ones(A.shape[0])
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         A[low:high, :low] = 0.0
         A[low:high, high:] = 0.0
         d[low:high] = _ratio(np.linalg.norm(C[:, low:high]), np.linalg.norm(B[low:high]))

@@ -141,9 +141,7 @@ def _doubled_continuous(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArr
     return _double(E, _symmetric(G0), _symmetric(H))
 
 
-def _doubled_discrete(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray
-) -> FloatArray | None:
+def _doubled_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray | None:
     """Structure-preserving doubling (Chu, Fan, Lin and Wang 2004, doi:10.1080/00207170410001714988)."""
     try:
         RB = np.linalg.solve(R, np.hstack([B.T, S.T]))
@@ -254,7 +252,9 @@ def _best(held: Riccati | None, new: Riccati) -> Riccati:
 def _refusal(time: str, n: int, found: Riccati | None) -> str:
     who = f"Riccati equation ({time}, {n} states)"
     if found is None:
-        return f"{who}: no stabilising solution exists, or none could be separated; modes lie on the stability boundary."
+        return (
+            f"{who}: no stabilising solution exists, or none could be separated; modes lie on the stability boundary."
+        )
     if not found.margin > 0:
         return f"{who}: the solution found does not stabilise (margin {found.margin:.2e}); a mode cannot be moved."
     return f"{who}: the relative residual {found.residual:.1e} is above {ACCEPTED_RESIDUAL:.0e}; scale the problem."

@@ -88,9 +88,7 @@ def _climb(
     return (float(gains[k]), float(w[k])) if gains[k] > best else (best, at)
 
 
-def _polish(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, best: float, at: float
-) -> tuple[float, float]:
+def _polish(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, best: float, at: float) -> tuple[float, float]:
     """Narrow in on the local peak by fans of points around the best one."""
     if not np.isfinite(at) or at == 0:
         return best, at

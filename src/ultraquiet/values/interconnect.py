@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
@@ -37,7 +36,7 @@ def parallel(first: StateSpace, second: StateSpace) -> StateSpace:
     same_rate("parallel", "the first system", first.rate_hz, "the second", second.rate_hz)
     if first.D.shape != second.D.shape:
         raise InputError(f"parallel: shapes {first.D.shape} and {second.D.shape} differ.")
-    A = block_diag(first.A, second.A)
+    A = _diagonal([first.A, second.A])
     return StateSpace(
         A,
         np.vstack([first.B, second.B]),
@@ -65,9 +64,7 @@ def feedback(plant: StateSpace, controller: StateSpace) -> StateSpace:
     """
     ny, nu = plant.D.shape
     D = np.block([[plant.D, plant.D], [plant.D, plant.D]])
-    P = StateSpace(
-        plant.A, np.hstack([plant.B, plant.B]), np.vstack([plant.C, plant.C]), D, plant.rate_hz
-    )
+    P = StateSpace(plant.A, np.hstack([plant.B, plant.B]), np.vstack([plant.C, plant.C]), D, plant.rate_hz)
     return lft(P, controller, measurements=ny, controls=nu)
 
 
@@ -91,7 +88,8 @@ def lft(P: StateSpace, K: StateSpace, measurements: int | None = None, controls:
     Args:
         P: generalised plant, inputs (w, u), outputs (z, y).
         K: controller u = K y.
-        measurements, controls: sizes of y and u; those of K when absent.
+        measurements: size of y; that of K when absent.
+        controls: size of u; that of K when absent.
 
     Raises:
         InputError: K does not fit, the rates differ, or the loop is not well posed (I - D22 Dk singular).

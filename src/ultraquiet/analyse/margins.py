@@ -1,0 +1,131 @@
+"""How far a loop is from instability: peak sensitivity, loop-at-a-time margins, disk margins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
+from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.values.interconnect import sensitivity
+from ultraquiet.values.state_space import StateSpace
+
+POINTS = 3000  # of the default grid; crossings are interpolated between its points
+DECADES = 5.0  # the default grid's span below its upper end
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """Margins of each loop opened by itself, the others closed; every array is `(loops,)`.
+
+    Attributes:
+        gain_up_db: extra gain that the loop stands; infinity when no gain upsets it.
+        gain_down_db: loss of gain it stands (a positive number).
+        phase_deg: phase lag it stands at its gain crossings.
+        delay_s: extra delay it stands, seconds.
+        disk: alpha, the radius of the symmetric disk of joint gain and phase changes it stands (0 none, 2 all).
+    """
+
+    gain_up_db: FloatArray
+    gain_down_db: FloatArray
+    phase_deg: FloatArray
+    delay_s: FloatArray
+    disk: FloatArray
+
+
+def peak_sensitivity(plant: StateSpace, controller: StateSpace) -> tuple[float, float]:
+    """Return the largest amplification of the loop in dB and its frequency in Hz.
+
+    20 log10 max over f of the largest singular value of S = (I - G K)^-1, u = K y.
+
+    Args:
+        plant: G.
+        controller: K, its sign inside.
+
+    Returns:
+        `(peak_db, f_hz)`; infinity when the loop is unstable.
+
+    Below 6 dB every loop keeps a gain margin of at least 2 and 29 degrees of phase, in every direction.
+
+    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
+    >>> K = StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0)
+    >>> [round(v, 3) for v in peak_sensitivity(G, K)]
+    [3.522, 50.0]
+    """
+    gain, f_hz = hinf_norm(sensitivity(plant, controller))
+    return (20 * float(np.log10(gain)) if np.isfinite(gain) else np.inf), f_hz
+
+
+def loop_margins(
+    plant: StateSpace, controller: StateSpace, side: str = "output", f_hz: ArrayLike | None = None
+) -> Margins:
+    """Return the margins of every loop, opened one at a time at the plant's outputs or inputs.
+
+    The open loop i, others closed, is L_i = 1 / S_ii - 1 (negative feedback), with S = (I - G K)^-1 at the outputs and
+    (I - K G)^-1 at the inputs.
+
+    Args:
+        plant: G.
+        controller: K, u = K y.
+        side: `output` or `input`.
+        f_hz: grid in Hz on which crossings are sought; log-spaced up to Nyquist when absent.
+
+    Returns:
+        `Margins`; zeros everywhere for an unstable loop.
+
+    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
+    >>> K = StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0)
+    >>> round(float(loop_margins(G, K).gain_up_db[0]), 2)
+    9.54
+    """
+    S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
+    loops = S.D.shape[0]
+    if not S.is_stable():
+        return Margins(*(np.zeros(loops) for _ in range(5)))
+    f = _grid(S) if f_hz is None else frequency_array("loop_margins", f_hz)
+    response = S.frequency_response(f)
+    rows = [_crossings(1 / response[i, i] - 1, f) for i in range(loops)]
+    disk = [_disk(S, i) for i in range(loops)]
+    return Margins(*(np.array(column) for column in zip(*rows, strict=True)), np.array(disk))
+
+
+def _disk(S: StateSpace, i: int) -> float:
+    """Return alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277)."""
+    part = StateSpace(S.A, S.B[:, [i]], S.C[[i]], S.D[[i]][:, [i]] - 0.5, S.rate_hz)
+    return 1.0 / hinf_norm(part)[0]
+
+
+def _crossings(L: ComplexArray, f: FloatArray) -> tuple[float, float, float, float]:
+    """Return gain-up dB, gain-down dB, phase deg and delay s of one loop from its Nyquist curve."""
+    factors = _real_axis_factors(L)
+    up, down = factors[factors > 1], factors[factors < 1]
+    log_size = np.log(np.maximum(np.abs(L), 1e-300))
+    at = np.flatnonzero(np.sign(log_size[1:]) != np.sign(log_size[:-1]))
+    t = log_size[at] / (log_size[at] - log_size[at + 1])
+    angle = np.angle(L[at] + t * (L[at + 1] - L[at]))
+    f_cross = f[at] + t * (f[at + 1] - f[at])
+    phase = np.abs(np.pi - np.abs(angle))
+    lag = np.mod(angle - np.pi, 2 * np.pi)  # lag that turns L into -1
+    with np.errstate(divide="ignore"):
+        delay = lag / (2 * np.pi * f_cross)
+    return (
+        20 * float(np.log10(up.min())) if up.size else np.inf,
+        -20 * float(np.log10(down.max())) if down.size else np.inf,
+        float(np.degrees(phase.min())) if phase.size else np.inf,
+        float(delay.min()) if delay.size else np.inf,
+    )
+
+
+def _real_axis_factors(L: ComplexArray) -> FloatArray:
+    """Return the gains k at which 1 + k L vanishes, from crossings of the negative real axis and both ends."""
+    at = np.flatnonzero(np.sign(L.imag[1:]) != np.sign(L.imag[:-1]))
+    t = L.imag[at] / (L.imag[at] - L.imag[at + 1])
+    ends = [v.real for v in L[[0, -1]] if abs(v.imag) < 1e-6 * abs(v)]
+    real = np.concatenate([L.real[at] + t * (L.real[at + 1] - L.real[at]), ends])
+    return -1 / real[real < 0]
+
+
+def _grid(S: StateSpace) -> FloatArray:
+    poles = np.abs(S.poles())
+    top = 10 * poles.max() / (2 * np.pi) if S.rate_hz is None else S.rate_hz / 2
+    return np.geomspace(top * 10**-DECADES, top, POINTS)

@@ -1,0 +1,59 @@
+"""What every design returns."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray
+from ultraquiet._base.provenance import Provenance
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+
+@dataclass(frozen=True, eq=False)
+class DesignResult:
+    """The outcome of a design.
+
+    Attributes:
+        status: `ok`, or a word and a sentence about what went wrong.
+        controller: u = K y, its sign inside; None when the design was refused.
+        gamma: the cost that the design claims for this controller (its norm where the method minimises one, else nan).
+        achieved: the same cost computed again from the finished loop in the plant's own units.
+        closed_loop_poles: eigenvalues of the loop with the design model, in z or rad/s.
+        peak_sensitivity_db: largest singular value of S = (I - G K)^-1 over all frequencies.
+        margins: loop-at-a-time margins at the plant's outputs and what else the method measured.
+        residuals: relative residuals of the equations solved.
+        details: everything else, by name.
+        provenance: settings and parents.
+    """
+
+    status: Status
+    controller: StateSpace | None
+    gamma: float = float("nan")
+    achieved: float = float("nan")
+    closed_loop_poles: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=np.complex128))
+    peak_sensitivity_db: float = float("nan")
+    margins: Mapping[str, Any] = field(default_factory=dict)
+    residuals: Mapping[str, float] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Provenance = field(default_factory=Provenance)
+
+
+class DesignMethod(Protocol):
+    """A settings object with one verb."""
+
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return a controller u = K y for the plant."""
+        ...
+
+
+def refused(sentence: str, **details: Any) -> DesignResult:
+    """Return a result without a controller."""
+    return DesignResult(Status("refused", sentence), None, details=details)
+
+
+def is_stable(poles: ComplexArray, rate_hz: float | None) -> bool:
+    """Return whether poles lie strictly inside the stability region."""
+    return bool(np.all(poles.real < 0) if rate_hz is None else np.all(np.abs(poles) < 1))

@@ -1,0 +1,70 @@
+"""What every design is judged by: the loop with the design model, closed again from the finished controller."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from ultraquiet._base.provenance import Provenance, plain, versions
+from ultraquiet.analyse.margins import loop_margins, peak_sensitivity
+from ultraquiet.design._abstract import DesignResult, is_stable
+from ultraquiet.values.interconnect import feedback
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+
+def judged(
+    plant: StateSpace,
+    controller: StateSpace,
+    settings: Any,
+    gamma: float,
+    achieved: float,
+    residuals: Mapping[str, float],
+    details: Mapping[str, Any],
+) -> DesignResult:
+    """Close the loop, take its poles, peak sensitivity and margins, and word the verdict."""
+    poles = feedback(plant, controller).poles()
+    peak_db, peak_hz = peak_sensitivity(plant, controller)
+    margins = {side: loop_margins(plant, controller, side) for side in ("output", "input")}
+    return DesignResult(
+        status=_verdict(is_stable(poles, plant.rate_hz), controller, peak_db, peak_hz),
+        controller=_stamped(controller, plant, settings),
+        gamma=gamma,
+        achieved=achieved,
+        closed_loop_poles=poles,
+        peak_sensitivity_db=peak_db,
+        margins=margins,
+        residuals=residuals,
+        details={**details, "peak_sensitivity_hz": peak_hz},
+        provenance=_provenance(plant, settings),
+    )
+
+
+def _verdict(stable: bool, controller: StateSpace, peak_db: float, peak_hz: float) -> Status:
+    if not stable:
+        return Status("unstable", "The loop with the design model is unstable; the controller must not be used.")
+    own = "stable" if controller.is_stable() else "unstable by itself"
+    return Status(
+        "ok",
+        f"The loop is stable; it amplifies by at most {peak_db:.1f} dB, at {peak_hz:.0f} Hz; the controller has "
+        f"{controller.states} states and is {own}.",
+    )
+
+
+def _stamped(controller: StateSpace, plant: StateSpace, settings: Any) -> StateSpace:
+    return StateSpace(
+        controller.A,
+        controller.B,
+        controller.C,
+        controller.D,
+        controller.rate_hz,
+        actuators=plant.sensors,
+        sensors=plant.actuators,
+        provenance=_provenance(plant, settings),
+    )
+
+
+def _provenance(plant: StateSpace, settings: Any) -> Provenance:
+    kept = {
+        k: plain(v) if not isinstance(v, int | float | str | bool | tuple) else v for k, v in asdict(settings).items()
+    }
+    return Provenance(type(settings).__name__, kept, parents=(plant.hash,), versions=versions())

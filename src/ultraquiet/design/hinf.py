@@ -1,0 +1,214 @@
+"""H-infinity synthesis for a given generalised plant."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from ultraquiet._base.constraints import positive, whole
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.design import hinf_kernel as kernel
+from ultraquiet.design._abstract import DesignResult, is_stable, refused
+from ultraquiet.design.hinf_refusal import diagnose
+from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
+from ultraquiet.values.interconnect import lft
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+TOLERANCE = 2e-6  # relative width of the bracket around the optimum
+LARGEST = 1e12  # times the starting level: above it the assumptions of the theory must be violated
+PROBES = 60
+# Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
+BACK_OFF = (1.0, 1.0005, 1.005, 1.05, 1.2, 2.0)
+AGREEMENT = 1e-3  # reported and achieved norm must agree this well
+
+
+class _Bracket(NamedTuple):
+    best: kernel.Level
+    below: float
+    reason: str
+    probes: int
+
+
+def synthesize_hinf(
+    P: StateSpace, measurements: int, controls: int, gamma: float | None = None, margin: float = 1.00003
+) -> DesignResult:
+    """Return the controller that minimises the H-infinity norm of a closed loop.
+
+    min over K of ||F(P, K)||, F(P, K) = P11 + P12 K (I - P22 K)^-1 P21, u = K y.
+
+    Args:
+        P: generalised plant, inputs (w, u), outputs (z, y), continuous or discrete. Discrete plants go through the
+            bilinear map, which changes neither the norm nor the number of states.
+        measurements: number of last outputs y.
+        controls: number of last inputs u.
+        gamma: level to reach; None searches for the smallest.
+        margin: the controller is formed at margin times the optimum. Values just above one give the optimal level and
+            controllers with very fast modes; 1.05 is the better choice for a controller to be built.
+
+    Returns:
+        A `DesignResult`: `gamma` is the norm that the returned controller gives in the coordinates of the synthesis,
+        `achieved` the norm of F(P, K) computed again in the units of P; `details` holds `optimum`, the bracket of the
+        smallest level, `bound`, the level of the equations solved, and why levels below fail. Without a solution the
+        status is `refused`, its sentence names the block at fault, and there is no controller.
+
+    Raises:
+        InputError: sizes that do not fit the plant.
+
+    gamma is the greatest energy gain from w to z that is left over all frequencies and directions.
+
+    >>> P = StateSpace([[-1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> result = synthesize_hinf(P, measurements=1, controls=1)
+    >>> result.status.ok, abs(result.gamma / result.achieved - 1) < 1e-3
+    (True, True)
+
+    Glover and Doyle 1988, doi:10.1016/0167-6911(88)90055-2.
+    """
+    who = "synthesize_hinf"
+    ny = whole(who, "measurements", measurements, 1, P.D.shape[0] - 1)
+    nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
+    if margin < 1:
+        raise InputError(f"{who}: 'margin' must be at least one, got {margin:g}.")
+    try:
+        M = _continuous(P)
+        plant = kernel.normalise(M, ny, nu)
+        bracket = _search(plant) if gamma is None else _given(plant, positive(who, "gamma", gamma))
+        if bracket.best.reason:
+            return refused(_sentence(P, ny, nu, gamma, bracket.best.reason))
+        return _form(P, plant, bracket, ny, nu, margin if gamma is None else 1.0)
+    except NumericalError as error:
+        return refused(str(error))
+
+
+def _continuous(P: StateSpace) -> kernel.Matrices:
+    M = (P.A, P.B, P.C, P.D)
+    return M if P.rate_hz is None else bilinear_to_continuous(*M)
+
+
+def _given(plant: kernel.Plant, gamma: float) -> _Bracket:
+    bottom = kernel.floor(plant)
+    if gamma <= bottom:
+        none = np.zeros((0, 0))
+        reason = f"the direct term D11 alone gives {bottom:.6g}"
+        return _Bracket(kernel.Level(gamma, none, none, np.inf, (np.inf, np.inf), reason), gamma, "", 0)
+    return _Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1)
+
+
+def _search(plant: kernel.Plant) -> _Bracket:
+    """Bracket the smallest level by secant steps on log rho(XY) over log gamma, bisection where that is infinite."""
+    bottom = kernel.floor(plant)
+    start = max(2 * bottom, _open_level(plant))
+    best, probes = kernel.attempt(plant, start), 1
+    while best.reason and best.gamma < LARGEST * start:
+        bottom, best, probes = best.gamma, kernel.attempt(plant, 10 * best.gamma), probes + 1
+    low, reason = bottom, "the direct term D11 sets the floor"
+    tried: list[kernel.Level] = [best]
+    while not best.reason and best.gamma > low * (1 + TOLERANCE) and best.gamma > 1e-9 * start and probes < PROBES:
+        level = kernel.attempt(plant, _next(tried, low, best.gamma))
+        probes += 1
+        tried.append(level)
+        if level.reason:
+            low, reason = level.gamma, level.reason
+        else:
+            best = level
+    return _Bracket(best, low, reason, probes)
+
+
+def _next(tried: list[kernel.Level], low: float, high: float) -> float:
+    """Return the next level to try, inside (low, high)."""
+    known = [t for t in tried[-3:] if np.isfinite(t.coupling) and t.coupling > 0]
+    floor = max(low, 1e-3 * high)
+    middle = float(np.sqrt(floor * high))
+    if not known or not np.isfinite(tried[-1].coupling):
+        return middle
+    slope = -2.0  # rho(XY) / gamma^2 when rho stands still
+    if len(known) > 1 and known[-1].gamma != known[-2].gamma:
+        slope = np.log(known[-1].coupling / known[-2].coupling) / np.log(known[-1].gamma / known[-2].gamma)
+    if not -50 < slope < -0.5:
+        return middle
+    guess = known[-1].gamma * float(np.exp(-np.log(known[-1].coupling) / slope))
+    # half a tolerance to the far side of the root, so that the bracket closes from both ends
+    guess *= 1 + 0.4 * TOLERANCE * (1 if tried[-1].reason else -1)
+    inside = floor * (1 + 0.1 * TOLERANCE) < guess < high * (1 - 0.1 * TOLERANCE)
+    return guess if inside else middle
+
+
+def _open_level(plant: kernel.Plant) -> float:
+    """Return a first guess of the level from the sizes of the blocks."""
+    size = np.linalg.norm(plant.B1) * np.linalg.norm(plant.C1)
+    return float(max(size, np.linalg.norm(plant.D11), 1e-12))
+
+
+def _form(P: StateSpace, plant: kernel.Plant, found: _Bracket, ny: int, nu: int, margin: float) -> DesignResult:
+    """Form, restore and verify controllers, first at the asked margin, then further from the optimum."""
+    sentence = ""
+    for factor in BACK_OFF:
+        level = found.best
+        if margin * factor > 1:
+            level = kernel.attempt(plant, found.best.gamma * margin * factor)
+        if level.reason:
+            sentence = level.reason
+            continue
+        try:
+            result = _verified(P, plant, level, found, ny, nu)
+        except (NumericalError, InputError, LinAlgError) as error:
+            sentence = str(error)
+            continue
+        if result.status.ok:
+            return result
+        sentence = result.status.sentence
+    return refused(f"H-infinity synthesis: no controller passed its verification; the last try: {sentence}")
+
+
+def _verified(
+    P: StateSpace, plant: kernel.Plant, level: kernel.Level, found: _Bracket, ny: int, nu: int
+) -> DesignResult:
+    M = kernel.central(plant, level)
+    K = M if P.rate_hz is None else bilinear_to_discrete(*M)
+    settings = {"measurements": ny, "controls": nu, "bound": level.gamma}
+    made_by = Provenance("synthesize_hinf", settings, parents=(P.hash,), versions=versions())
+    controller = StateSpace(*K, rate_hz=P.rate_hz, provenance=made_by)
+    loop = lft(P, controller)
+    poles = loop.poles()
+    if not is_stable(poles, P.rate_hz):
+        return refused(f"the loop at level {level.gamma:.6g} is unstable")
+    gamma = _own_norm(plant, M)
+    achieved, f_hz = hinf_norm(loop)
+    if not (abs(achieved - gamma) <= AGREEMENT * achieved and achieved <= level.gamma * (1 + AGREEMENT)):
+        return refused(f"reported {gamma:.6g}, achieved {achieved:.6g} at level {level.gamma:.6g}")
+    details = {
+        "bound": level.gamma,
+        "optimum": (found.below, found.best.gamma),
+        "below": found.reason,
+        "probes": found.probes,
+        "achieved_hz": f_hz,
+        "coupling": level.coupling,
+        "condition": float(np.linalg.cond(np.eye(plant.A.shape[0]) - level.Y @ level.X / level.gamma**2)),
+    }
+    status = Status("ok", f"The loop is stable and its norm is {achieved:.5g}, at most {level.gamma:.5g} as designed.")
+    residuals = {"X": level.residuals[0], "Y": level.residuals[1]}
+    return DesignResult(
+        status, controller, gamma, achieved, poles, residuals=residuals, details=details, provenance=made_by
+    )
+
+
+def _own_norm(plant: kernel.Plant, controller: kernel.Matrices) -> float:
+    """Return the norm of the loop formed in the normalised coordinates of the synthesis."""
+    D12, D21 = kernel.direct_terms(plant)
+    P = StateSpace(
+        plant.A,
+        np.hstack([plant.B1, plant.B2]),
+        np.vstack([plant.C1, plant.C2]),
+        np.block([[plant.D11, D12], [D21, np.zeros((D21.shape[0], D12.shape[1]))]]),
+    )
+    return hinf_norm(lft(P, StateSpace(*kernel.normalised_controller(plant, controller))))[0]
+
+
+def _sentence(P: StateSpace, ny: int, nu: int, gamma: float | None, reason: str) -> str:
+    block = diagnose(P, ny, nu)
+    if block:
+        return block
+    level = "any level" if gamma is None else f"level {gamma:g}"
+    return f"H-infinity synthesis: no controller reaches {level}: {reason}."

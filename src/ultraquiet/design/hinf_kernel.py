@@ -1,0 +1,241 @@
+"""The two-Riccati solution of the H-infinity problem in normalised coordinates: arrays in, arrays out.
+
+Glover and Doyle 1988 (doi:10.1016/0167-6911(88)90055-2), in the form of Zhou, Doyle and Glover 1996, theorem 17.1.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.equations import continuous_riccati
+from ultraquiet.linalg.realize import Matrices
+
+RANK = 1e-10  # a singular value of D12 or D21 below this share of the largest counts as zero
+INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below zero
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A generalised plant with D12 = [0; I], D21 = [0 I], D22 = 0, and what brings its controller back."""
+
+    A: FloatArray
+    B1: FloatArray
+    B2: FloatArray
+    C1: FloatArray
+    C2: FloatArray
+    D11: FloatArray
+    into: FloatArray  # y_normalised = into y
+    out: FloatArray  # u = out u_normalised
+    D22: FloatArray  # of the plant as it was given
+    speed: float  # rad/s that were made one
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Sizes of w, u, z, y."""
+        return self.B1.shape[1], self.B2.shape[1], self.C1.shape[0], self.C2.shape[0]
+
+
+class Level(NamedTuple):
+    """What one level gamma gave: the two solutions, rho(XY) / gamma^2, and why it fails (empty when it does not)."""
+
+    gamma: float
+    X: FloatArray
+    Y: FloatArray
+    coupling: float
+    residuals: tuple[float, float]
+    reason: str
+
+
+def normalise(M: Matrices, ny: int, nu: int) -> Plant:
+    """Return the problem with frequencies near one, states in even modal coordinates, unit D12 and D21.
+
+    Raises:
+        NumericalError: D12 lacks full column rank or D21 full row rank.
+    """
+    A, B, C, D = M
+    speed = _speed(A)
+    form = balance.modal(A / speed, B / np.sqrt(speed), C / np.sqrt(speed))
+    p, m = D.shape[0] - ny, D.shape[1] - nu
+    z_side, u_side = _unit(D[:p, m:], "D12 (controls to performance outputs)", "columns")
+    w_side, y_side = _unit(D[p:, :m].T, "D21 (disturbances to measurements)", "rows")
+    return Plant(
+        A=form.A,
+        B1=form.B[:, :m] @ w_side,
+        B2=form.B[:, m:] @ u_side,
+        C1=z_side.T @ form.C[:p],
+        C2=y_side.T @ form.C[p:],
+        D11=z_side.T @ D[:p, :m] @ w_side,
+        into=y_side.T,
+        out=u_side,
+        D22=D[p:, m:],
+        speed=speed,
+    )
+
+
+def floor(plant: Plant) -> float:
+    """Return the level below which no controller helps, set by D11 alone."""
+    m1, m2, p1, p2 = plant.sizes
+    rows, columns = plant.D11[: p1 - m2], plant.D11[:, : m1 - p2]
+    return max((float(np.linalg.norm(d, 2)) for d in (rows, columns) if d.size), default=0.0)
+
+
+def attempt(plant: Plant, gamma: float) -> Level:
+    """Solve both equations at a level and say whether a controller exists there."""
+    none = np.zeros((0, 0))
+    try:
+        X, rx = _state_equation(plant, gamma)
+    except (NumericalError, LinAlgError) as error:
+        return Level(gamma, none, none, np.inf, (np.inf, np.inf), f"state-feedback equation X: {error}")
+    try:
+        Y, ry = _filter_equation(plant, gamma)
+    except (NumericalError, LinAlgError) as error:
+        return Level(gamma, X, none, np.inf, (rx, np.inf), f"filter equation Y: {error}")
+    for name, P in (("X", X), ("Y", Y)):
+        values = np.linalg.eigvalsh(P) if P.size else np.zeros(1)
+        if values[0] < -INDEFINITE * max(values[-1], 1e-12):
+            return Level(gamma, X, Y, np.inf, (rx, ry), f"{name} is indefinite, smallest eigenvalue {values[0]:.2e}")
+    coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0
+    reason = "" if coupling < 1 else f"the spectral radius of XY is {coupling:.6g} gamma^2"
+    return Level(gamma, X, Y, coupling, (rx, ry), reason)
+
+
+def central(plant: Plant, level: Level) -> Matrices:
+    """Return the central controller of a level, u = K y, in the plant's own inputs and outputs."""
+    m1, m2, p1, p2 = plant.sizes
+    g2 = level.gamma**2
+    B, D11 = np.hstack([plant.B1, plant.B2]), plant.D11
+    F = _feedback_gain(plant, level)
+    L = _injection_gain(plant, level)
+    a, b = p1 - m2, m1 - p2
+    D1111, D1112, D1121, D1122 = D11[:a, :b], D11[:a, b:], D11[a:, :b], D11[a:, b:]
+    left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
+    Dk = -D1121 @ D1111.T @ left - D1122
+    # hat D12 and hat D21 are Cholesky factors
+    D12 = np.linalg.cholesky(np.eye(m2) - D1121 @ np.linalg.solve(g2 * np.eye(b) - D1111.T @ D1111, D1121.T))
+    D21 = np.linalg.cholesky(np.eye(p2) - D1112.T @ left).T
+    n = plant.A.shape[0]
+    Z = np.linalg.solve(np.eye(n) - level.Y @ level.X / g2, np.hstack([plant.B2 + L[:, a:p1], L[:, p1:]]))
+    B2k, ZL2 = Z[:, :m2] @ D12, Z[:, m2:]
+    C2k = -D21 @ (plant.C2 + F[b:m1])
+    Bk = -ZL2 + B2k @ np.linalg.solve(D12, Dk)
+    inner = np.linalg.solve(D21, C2k)
+    Ck = F[m1:] + Dk @ inner
+    Ak = plant.A + B @ F + Bk @ inner
+    return _restored(plant, Ak, Bk, Ck, Dk)
+
+
+def normalised_controller(plant: Plant, M: Matrices) -> Matrices:
+    """Return the controller as it meets the normalised plant: the way back of `central`'s last step."""
+    A, B, C, D = M
+    wrap = np.eye(D.shape[0]) - D @ plant.D22
+    CD = np.linalg.solve(wrap, np.hstack([C, D]))
+    n = A.shape[0]
+    A, B, C, D = A + B @ plant.D22 @ CD[:, :n], B + B @ plant.D22 @ CD[:, n:], CD[:, :n], CD[:, n:]
+    root, out = np.sqrt(plant.speed), np.linalg.inv(plant.out)
+    back = np.linalg.inv(plant.into)
+    return A / plant.speed, B @ back / root, out @ C / root, out @ D @ back
+
+
+def direct_terms(plant: Plant) -> tuple[FloatArray, FloatArray]:
+    """Return D12 = [0; I] and D21 = [0 I]."""
+    m1, m2, p1, p2 = plant.sizes
+    return np.eye(p1, m2, k=-(p1 - m2)), np.eye(p2, m1, k=m1 - p2)
+
+
+def _restored(plant: Plant, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
+    """Undo the scaling of inputs, outputs and frequency and the removal of D22."""
+    root = np.sqrt(plant.speed)
+    A, B, C, D = A * plant.speed, B @ plant.into * root, plant.out @ C * root, plant.out @ D @ plant.into
+    # with y = y0 + D22 u:  u = K0 (y - D22 u)
+    wrap = np.eye(D.shape[0]) + D @ plant.D22
+    if np.linalg.cond(wrap) > 1e12:
+        raise NumericalError("H-infinity synthesis: the direct term D22 makes the loop ill-posed; delay it a sample.")
+    CD = np.linalg.solve(wrap, np.hstack([C, D]))
+    n = A.shape[0]
+    Cw, Dw = CD[:, :n], CD[:, n:]
+    return A - B @ plant.D22 @ Cw, B - B @ plant.D22 @ Dw, Cw, Dw
+
+
+def _state_equation(plant: Plant, gamma: float) -> tuple[FloatArray, float]:
+    m1 = plant.B1.shape[1]
+    B = np.hstack([plant.B1, plant.B2])
+    D = _row(plant)
+    R = D.T @ D
+    R[:m1, :m1] -= gamma**2 * np.eye(m1)
+    return _indefinite(plant.A, B, plant.C1, D, R)
+
+
+def _filter_equation(plant: Plant, gamma: float) -> tuple[FloatArray, float]:
+    p1 = plant.C1.shape[0]
+    C = np.vstack([plant.C1, plant.C2])
+    D = _column(plant)
+    R = D @ D.T
+    R[:p1, :p1] -= gamma**2 * np.eye(p1)
+    return _indefinite(plant.A.T, C.T, plant.B1.T, D.T, R)
+
+
+def _indefinite(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, R: FloatArray) -> tuple[FloatArray, float]:
+    """Solve the Riccati equation of cost |C x + D v|^2 - gamma^2 |w|^2 with indefinite R."""
+    n = A.shape[0]
+    solved = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
+    RDC, RB = solved[:, :n], solved[:, n:]
+    G, Q = B @ RB, C.T @ (C - D @ RDC)
+    found = continuous_riccati(A - B @ RDC, (G + G.T) / 2, (Q + Q.T) / 2)
+    return found.X, found.residual
+
+
+def _feedback_gain(plant: Plant, level: Level) -> FloatArray:
+    m1 = plant.B1.shape[1]
+    D = _row(plant)
+    R = D.T @ D
+    R[:m1, :m1] -= level.gamma**2 * np.eye(m1)
+    B = np.hstack([plant.B1, plant.B2])
+    return -np.linalg.solve(R, D.T @ plant.C1 + B.T @ level.X)
+
+
+def _injection_gain(plant: Plant, level: Level) -> FloatArray:
+    p1 = plant.C1.shape[0]
+    D = _column(plant)
+    R = D @ D.T
+    R[:p1, :p1] -= level.gamma**2 * np.eye(p1)
+    C = np.vstack([plant.C1, plant.C2])
+    return -np.linalg.solve(R, D @ plant.B1.T + C @ level.Y).T
+
+
+def _row(plant: Plant) -> FloatArray:
+    """Return [D11 D12] with D12 = [0; I]."""
+    return np.hstack([plant.D11, direct_terms(plant)[0]])
+
+
+def _column(plant: Plant) -> FloatArray:
+    """Return [D11; D21] with D21 = [0 I]."""
+    return np.vstack([plant.D11, direct_terms(plant)[1]])
+
+
+def _unit(D: FloatArray, block: str, what: str) -> tuple[FloatArray, FloatArray]:
+    """Return orthogonal U and a scaling V such that U' D V = [0; I].
+
+    Raises:
+        NumericalError: D lacks full column rank.
+    """
+    p, m = D.shape
+    U, s, Vt = np.linalg.svd(D)
+    if p < m or (m and s[-1] <= RANK * max(s[0], 1e-300)):
+        rank = int(np.sum(s > RANK * max(float(s[0]), 1e-300))) if s.size and s[0] > 0 else 0
+        raise NumericalError(
+            f"H-infinity synthesis: {block} has rank {rank} where {m} is needed; every one of its {m} {what} must "
+            "be weighted, add a small weight to those that are not."
+        )
+    return np.hstack([U[:, m:], U[:, :m]]), Vt.T / s
+
+
+def _speed(A: FloatArray) -> float:
+    """Return the geometric mean of the moduli of the poles, those near zero left out."""
+    size = np.abs(np.linalg.eigvals(A)) if A.size else np.ones(1)
+    size = size[size > 1e-9 * max(float(size.max()), 1e-300)]
+    return float(np.exp(np.mean(np.log(size)))) if size.size else 1.0

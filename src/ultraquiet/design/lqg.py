@@ -1,0 +1,193 @@
+"""Linear-quadratic-Gaussian control in discrete time, with frequency-shaped cost and loop transfer recovery."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, between, one_of, positive
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.registry import register
+from ultraquiet.analyse.norms import h2_norm
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import judged
+from ultraquiet.design.ltr import recovery_error
+from ultraquiet.design.weights import band_pass
+from ultraquiet.linalg.equations import Riccati, discrete_gain, discrete_riccati
+from ultraquiet.values.interconnect import append, gain, lft, series
+from ultraquiet.values.state_space import StateSpace
+
+RECOVERY_POINTS = 200
+
+
+@register("design", "lqg")
+@dataclass(frozen=True)
+class Lqg:
+    """The controller of least mean square weighted output and control, for white disturbance and sensor noise.
+
+    min E[|W y|^2 + rho |u|^2] with x+ = A x + B (u + w), y = C x + D (u + w) + v.
+
+    Args:
+        control_weight: rho, squared output units per squared volt.
+        disturbance: variance of w per input (volts squared) when it enters at the plant's input, of the output
+            disturbance (output units squared) when `disturbance_at` is `output`.
+        disturbance_at: `input`, as in the paper's eq. (14), or `output`.
+        sensor_noise: variance of v per output. The paper calls 0.01 a covariance; it is the mean standard deviation of
+            its sensors, so their variance would be 1e-4.
+        band_hz: corner frequencies of the band-pass W; None weights all frequencies alike.
+        band_order: order of W, even.
+        floor: gain of W outside the band, one inside it.
+        recovery: LTR: factor on the disturbance (recovery at the input) or on 1 / control_weight (at the output).
+        recovery_at: `input` or `output`.
+        estimator: `current` uses y[k] for u[k], `predicted` only what came before (D of the controller is zero).
+
+    >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
+    >>> result = Lqg(control_weight=0.01).design(plant)
+    >>> result.status.ok, abs(result.gamma / result.achieved - 1) < 1e-6
+    (True, True)
+
+    Kwakernaak and Sivan 1972; recovery: Maciejowski 1985, doi:10.1109/TAC.1985.1103975.
+    """
+
+    control_weight: float = 1e-2
+    disturbance: float = 1.0
+    disturbance_at: str = "input"
+    sensor_noise: float = 0.01
+    band_hz: tuple[float, float] | None = None
+    band_order: int = 2
+    floor: float = 0.03
+    recovery: float = 1.0
+    recovery_at: str = "input"
+    estimator: str = "current"
+
+    def __post_init__(self) -> None:
+        for name in ("control_weight", "disturbance", "sensor_noise", "recovery"):
+            positive("Lqg", name, getattr(self, name))
+        for name in ("disturbance_at", "recovery_at"):
+            one_of("Lqg", name, getattr(self, name), ("input", "output"))
+        one_of("Lqg", "estimator", self.estimator, ("current", "predicted"))
+        between("Lqg", "floor", self.floor, 0.0, 1.0)
+
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the controller u = K y of a discrete plant.
+
+        `gamma` is the standard deviation of the weighted cost that the two Riccati equations promise, `achieved` the H2
+        norm of the finished loop; `details["recovery"]` holds sigma(L - L_target) over frequency.
+
+        Raises:
+            InputError: the plant is in continuous time.
+        """
+        if plant.rate_hz is None:
+            raise InputError("Lqg: the plant is in continuous time; discretise it first.")
+        P = self.generalised(plant)
+        ny, nu = plant.D.shape
+        try:
+            regulator = _regulator(P, ny, nu)
+            observer = _observer(P, ny, nu)
+            K = _controller(P, ny, nu, regulator, observer, self.estimator == "current")
+        except NumericalError as error:
+            return refused(f"Lqg: {error}")
+        achieved = h2_norm(lft(P, K))
+        promised = _promised(P, ny, nu, regulator, observer) if self._has_formula(plant) else achieved
+        details = {"recovery": self._recovery(plant, P, K, regulator, observer)}
+        residuals = {"regulator": regulator.residual, "observer": observer.residual}
+        return judged(plant, K, self, promised, achieved, residuals, details)
+
+    def generalised(self, plant: StateSpace) -> StateSpace:
+        """Return the system from (w, v, u) to (W y, sqrt(rho) u, y), all noises of unit variance."""
+        ny, nu = plant.D.shape
+        boost = self.recovery if self.recovery_at == "input" else 1.0
+        rho = self.control_weight / (self.recovery if self.recovery_at == "output" else 1.0)
+        v = np.sqrt(self.sensor_noise) * np.eye(ny)
+        if self.disturbance_at == "input":
+            Bw, Dw = plant.B * np.sqrt(self.disturbance * boost), plant.D * np.sqrt(self.disturbance * boost)
+        else:
+            Bw, Dw = np.zeros((plant.states, ny)), np.sqrt(self.disturbance * boost) * np.eye(ny)
+        m = Bw.shape[1]
+        open_loop = StateSpace(
+            plant.A,
+            np.hstack([Bw, np.zeros((plant.states, ny)), plant.B]),
+            np.vstack([plant.C, np.zeros((nu, plant.states)), plant.C]),
+            np.block(
+                [
+                    [Dw, np.zeros((ny, ny)), plant.D],
+                    [np.zeros((nu, m + ny)), np.sqrt(rho) * np.eye(nu)],
+                    [Dw, v, plant.D],
+                ]
+            ),
+            plant.rate_hz,
+        )
+        if self.band_hz is None:
+            return open_loop
+        W = band_pass(self.band_hz, 1.0, self.floor, self.band_order, plant.rate_hz, channels=ny)
+        return series(open_loop, append(W, gain(np.eye(nu + ny), plant.rate_hz)))
+
+    def _has_formula(self, plant: StateSpace) -> bool:
+        return self.estimator == "current" and not np.any(plant.D) and self.disturbance_at == "input"
+
+    def _recovery(
+        self, plant: StateSpace, P: StateSpace, K: StateSpace, regulator: Riccati, observer: Riccati
+    ) -> dict[str, FloatArray | float | str]:
+        assert plant.rate_hz is not None
+        f = np.geomspace(plant.rate_hz / 5000, plant.rate_hz / 2, RECOVERY_POINTS)
+        ny, nu = plant.D.shape
+        if self.recovery_at == "input":
+            gain_x = _feedback(P, ny, nu, regulator)
+            target = StateSpace(P.A, P.B[:, -nu:], -gain_x, np.zeros((nu, nu)), P.rate_hz)
+            error = recovery_error(series(plant, K), target, f)
+        else:
+            M, _ = _filter_gains(P, ny, nu, observer)
+            target = StateSpace(P.A, P.A @ M, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
+            error = recovery_error(series(K, plant), target, f)
+        return {"at": self.recovery_at, "f_hz": f, "error": error[0], "relative_error": error[1]}
+
+
+def _parts(P: StateSpace, ny: int, nu: int) -> tuple[FloatArray, ...]:
+    p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
+    return P.B[:, :m], P.B[:, m:], P.C[:p], P.C[p:], P.D[:p, m:], P.D[p:, :m], P.D[p:, m:]
+
+
+def _regulator(P: StateSpace, ny: int, nu: int) -> Riccati:
+    _, B2, C1, _, D12, _, _ = _parts(P, ny, nu)
+    return discrete_riccati(P.A, B2, C1.T @ C1, D12.T @ D12, C1.T @ D12)
+
+
+def _observer(P: StateSpace, ny: int, nu: int) -> Riccati:
+    B1, _, _, C2, _, D21, _ = _parts(P, ny, nu)
+    return discrete_riccati(P.A.T, C2.T, B1 @ B1.T, D21 @ D21.T, B1 @ D21.T)
+
+
+def _feedback(P: StateSpace, ny: int, nu: int, regulator: Riccati) -> FloatArray:
+    _, B2, C1, _, D12, _, _ = _parts(P, ny, nu)
+    return discrete_gain(P.A, B2, D12.T @ D12, C1.T @ D12, regulator.X)
+
+
+def _filter_gains(P: StateSpace, ny: int, nu: int, observer: Riccati) -> tuple[FloatArray, FloatArray]:
+    """Return M (update with this sample's innovation) and L (one step ahead)."""
+    B1, _, _, C2, _, D21, _ = _parts(P, ny, nu)
+    innovation = C2 @ observer.X @ C2.T + D21 @ D21.T
+    M = np.linalg.solve(innovation, C2 @ observer.X).T
+    return M, discrete_gain(P.A.T, C2.T, D21 @ D21.T, B1 @ D21.T, observer.X).T
+
+
+def _controller(P: StateSpace, ny: int, nu: int, regulator: Riccati, observer: Riccati, current: bool) -> StateSpace:
+    """Return u = -F (x + M e), x+ = A x + B u + L e with the innovation e = y - C x - D u."""
+    _, B2, _, C2, _, _, D22 = _parts(P, ny, nu)
+    F = _feedback(P, ny, nu, regulator)
+    M, L = _filter_gains(P, ny, nu, observer)
+    N = F @ M if current else np.zeros((nu, ny))
+    # u (I - N D22) = -(F - N C2) x - N y, solved for u
+    u = np.linalg.solve(np.eye(nu) - N @ D22, np.hstack([-(F - N @ C2), -N]))
+    Ck, Dk = u[:, : P.states], u[:, P.states :]
+    drive = B2 - L @ D22
+    return StateSpace(P.A - L @ C2 + drive @ Ck, L + drive @ Dk, Ck, Dk, P.rate_hz)
+
+
+def _promised(P: StateSpace, ny: int, nu: int, regulator: Riccati, observer: Riccati) -> float:
+    """Return sqrt(tr(X W) + tr(Pf F'(R + B'XB) F)), Pf the covariance of the current estimate's error."""
+    B1, B2, _, C2, D12, _, _ = _parts(P, ny, nu)
+    F = _feedback(P, ny, nu, regulator)
+    M, _ = _filter_gains(P, ny, nu, observer)
+    Pf = observer.X - M @ C2 @ observer.X
+    weight = D12.T @ D12 + B2.T @ regulator.X @ B2
+    cost = np.trace(B1.T @ regulator.X @ B1) + np.trace(F @ Pf @ F.T @ weight)
+    return float(np.sqrt(cost))
