@@ -1,1 +1,6 @@
-"""Room 'spectra', being built."""
+"""Spectra of records: power spectral densities and frequency responses with their coherence."""
+
+from ultraquiet.spectra.frf import frf
+from ultraquiet.spectra.psd import PowerSpectrum, psd
+
+__all__ = ["PowerSpectrum", "frf", "psd"]

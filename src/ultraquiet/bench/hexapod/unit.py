@@ -27,7 +27,7 @@ class Hexapod:
     """SUITE's hexapod, simulated: six piezo commands in volts, six geophone readings in volts.
 
     M q'' + C q' + K q = E_p' k_p d V; amplifier, viscoelastic stages, geophones and anti-alias filter included, held
-    and sampled exactly at 3.5 kHz. The stacks take command[k-1] + disturbance[k], limited to -15..150 V with their bias.
+    and sampled exactly at 3.5 kHz. The stacks take command[k-1] + disturbance[k], limited to -15..150 V, bias included.
 
     Args:
         unit: "ground" (150 kg base on 6 Hz mounts), "flight" (52 kg base, floating) or "rigid" (immovable floor).
