@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.provenance import Provenance, content_hash
+from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import (
     Channel,
     FrequencyResponse,
@@ -52,20 +52,6 @@ def unpack(kind: str, tree: Tree) -> Value:
     if kind not in KINDS:
         raise InputError(f"archive: '{kind}' is no kind of value; known are {', '.join(KINDS)}.")
     return KINDS[kind].unpack(tree)
-
-
-def checksum(kind: str, tree: Tree) -> str:
-    """Return a SHA-256 over everything a tree holds, names included."""
-    return content_hash(kind, *_leaves(tree))
-
-
-def _leaves(tree: Tree) -> list[Any]:
-    leaves: list[Any] = []
-    for key in sorted(tree):
-        held = tree[key]
-        leaves.append(key)
-        leaves.extend(["{", *_leaves(held), "}"] if isinstance(held, dict) else [held])
-    return leaves
 
 
 def _channels_out(channels: Sequence[Channel]) -> str:
