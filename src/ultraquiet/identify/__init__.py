@@ -1,1 +1,10 @@
-"""Room 'identify', being built."""
+"""Models from records: polynomial structures by prediction error, state space by subspaces, whole transfer matrices.
+
+Importing the room registers its methods; the compiled kernels are loaded by the first identification.
+"""
+
+from ultraquiet.identify._abstract import Identification, Result
+from ultraquiet.identify.matrix import MatrixResult, identify_matrix
+from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
+
+__all__ = ["Armax", "Arx", "BoxJenkins", "Identification", "MatrixResult", "OutputError", "Result", "identify_matrix"]

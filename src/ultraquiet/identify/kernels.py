@@ -7,6 +7,10 @@ q^-lag (1 - q^-1)^k instead of bare shifts: at 3.5 kHz shifts of a 12 Hz mode ar
 matrix of their products would keep none (Jacobian condition 1e8, squared).
 """
 
+# ruff: noqa: PLR0917, SIM110 - compiled functions take plain positional arrays, and loops where numba needs them
+
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -14,23 +18,24 @@ ROW_A, ROW_C, ROW_D, ROW_FIRST = 0, 1, 2, 3
 # OpenBLAS starts threads above 2^18 multiplications; blocks stay below, for the threads belong to whole fits.
 BLAS_SERIAL = 200_000
 RIDGE = 1e-13  # on unit-diagonal normal matrices of nuisance columns: keeps elimination finite, moves no kept digit
+FLUSH = 1e-140  # its square is still a normal number; denormal tails of decaying responses cost 20 times the work
 INNER_TRIES = 14
 STALLED_STEPS = 3
 
-_options = {"cache": True, "nogil": True, "fastmath": False}
+compiled: Any = njit(cache=True, nogil=True, fastmath=False)
 
 
-@njit(**_options)
+@compiled
 def all_pole(x, p, order, out):
     """Set out = x / p(q), p monic; the newest sample is used last, which keeps the chain of dependence short."""
     for t in range(x.size):
         s = x[t]
         for k in range(min(order, t), 0, -1):
             s -= p[k] * out[t - k]
-        out[t] = s
+        out[t] = s if abs(s) > FLUSH else 0.0
 
 
-@njit(**_options)
+@compiled
 def moving(x, p, count, lag, out):
     """Set out = q^-lag (p_0 + p_1 q^-1 + ...) x with `count` coefficients."""
     n = x.size
@@ -42,7 +47,7 @@ def moving(x, p, count, lag, out):
             out[t] += c * x[t - at]
 
 
-@njit(**_options)
+@compiled
 def inside(p, order):
     """Return whether all roots of monic p (powers of q^-1) lie inside the unit circle: the Schur-Cohn recursion."""
     a = p[: order + 1].copy()
@@ -58,7 +63,7 @@ def inside(p, order):
     return True
 
 
-@njit(**_options)
+@compiled
 def gram(signals, lag, count):
     """Return the products of all columns: signal i shifted by lag[i] and differenced 0..count[i]-1 times."""
     m, n = signals.shape
@@ -89,7 +94,7 @@ def gram(signals, lag, count):
     return out
 
 
-@njit(**_options)
+@compiled
 def combine(x, lag, weights, out):
     """Add sum_k weights[k] (1 - q^-1)^k q^-lag x to out: the same basis as `gram`."""
     n = x.size
@@ -103,7 +108,7 @@ def combine(x, lag, weights, out):
             out[t] += weights[k] * column[t]
 
 
-@njit(**_options)
+@compiled
 def eliminate(M, q):
     """Eliminate the first q unknowns of a symmetric matrix in place (Cholesky); row k keeps its factor."""
     size = M.shape[0]
@@ -121,7 +126,7 @@ def eliminate(M, q):
             M[i, j] = M[j, i]
 
 
-@njit(**_options)
+@compiled
 def unit_diagonal(G):
     """Return the matrix scaled to unit diagonal and the scale (one over the size of each column)."""
     size = G.shape[0]
@@ -135,7 +140,7 @@ def unit_diagonal(G):
     return M, scale
 
 
-@njit(**_options)
+@compiled
 def back_substitute(M, q, column):
     """Return x of R x = M[:q, column] for the factor R in the first q rows of M."""
     x = np.zeros(q)
@@ -147,7 +152,7 @@ def back_substitute(M, q, column):
     return x
 
 
-@njit(**_options)
+@compiled
 def nuisance(P, degree, states, n, signals, lag, count):
     """Write the columns of initial conditions and constant; `states` counts them per row of the table, constant last.
 
@@ -174,7 +179,7 @@ def nuisance(P, degree, states, n, signals, lag, count):
     return at + 1
 
 
-@njit(**_options)
+@compiled
 def whiten(x, P, degree, out):
     """Set out = (D / C) x."""
     held = np.empty(x.size)
@@ -182,7 +187,7 @@ def whiten(x, P, degree, out):
     all_pole(held, P[ROW_C], degree[ROW_C], out)
 
 
-@njit(**_options)
+@compiled
 def paths(u, P, degree, lag, driven, parts):
     """Write u_j / F_j into `driven` and B_j / F_j u_j into `parts`."""
     for j in range(u.shape[0]):
@@ -191,9 +196,9 @@ def paths(u, P, degree, lag, driven, parts):
         moving(driven[j], P[b], degree[b], lag[b], parts[j])
 
 
-@njit(**_options)
+@compiled
 def evaluate(u, y, P, degree, lag, states, driven, parts, rest, e):
-    """Fill paths, y's unexplained part `rest` and residual `e`, nuisance eliminated; return the loss, inf if it fails."""
+    """Fill paths, y's unexplained part `rest` and residual `e`, nuisance eliminated; return the loss."""
     nu, n = u.shape
     paths(u, P, degree, lag, driven, parts)
     moving(y, P[ROW_A], degree[ROW_A] + 1, 0, rest)
@@ -219,7 +224,7 @@ def evaluate(u, y, P, degree, lag, states, driven, parts, rest, e):
     return np.dot(e, e) / n
 
 
-@njit(**_options)
+@compiled
 def add_back(x, P, degree, signals, counts, made, parts, rest, e):
     """Take the fitted nuisance x out of residual, paths and rest."""
     n = e.size
@@ -243,9 +248,9 @@ def add_back(x, P, degree, signals, counts, made, parts, rest, e):
             rest -= part[0]
 
 
-@njit(**_options)
+@compiled
 def normal_matrix(u, y, P, degree, lag, free, states, driven, parts, rest, e):
-    """Return the products of nuisance, gradient and residual columns, nuisance first, residual last, and its count q."""
+    """Return the products of nuisance, gradient and residual columns, in this order, and the nuisance count q."""
     nu, n = u.shape
     total = nu + 2 + P.shape[0] + 1
     signals = np.zeros((total, n))
@@ -274,7 +279,7 @@ def normal_matrix(u, y, P, degree, lag, free, states, driven, parts, rest, e):
     return gram(signals[: at + 1], lags[: at + 1], counts[: at + 1]), q
 
 
-@njit(**_options)
+@compiled
 def gradient_rows(rows):
     """Return the order of the parameters: a, the b and f of each input, c, d."""
     order = np.empty(rows, np.int64)
@@ -284,7 +289,7 @@ def gradient_rows(rows):
     return order
 
 
-@njit(**_options)
+@compiled
 def stepped(P, degree, free, step):
     """Return the table moved by a step in the delta basis, expanded to powers of q^-1."""
     out = P.copy()
@@ -302,7 +307,7 @@ def stepped(P, degree, free, step):
     return out
 
 
-@njit(**_options)
+@compiled
 def admissible(P, degree):
     """Return whether C, D and every F have their roots inside the unit circle."""
     if not (inside(P[ROW_C], degree[ROW_C]) and inside(P[ROW_D], degree[ROW_D])):
@@ -313,7 +318,7 @@ def admissible(P, degree):
     return True
 
 
-@njit(**_options)
+@compiled
 def reduced(G, q):
     """Return the normal matrix [J e]'[J e] after the q nuisance columns are eliminated."""
     M, scale = unit_diagonal(G)
@@ -327,7 +332,7 @@ def reduced(G, q):
     return S
 
 
-@njit(**_options)
+@compiled
 def damped_step(S, damping):
     """Return the step for S = [J e]'[J e] under relative damping, and the decrease of e'e the linear model promises."""
     M, scale = unit_diagonal(S)
@@ -343,7 +348,7 @@ def damped_step(S, damping):
     return x, promised / (scale[p] * scale[p])
 
 
-@njit(**_options)
+@compiled
 def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
     """Minimise mean e^2 from `start`; return table, loss, residual, normal matrix, iterations and the state reached.
 
@@ -375,7 +380,8 @@ def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
                 better = evaluate(u, y, trial, degree, lag, states, driven2, parts2, rest2, e2)
             if better < loss:
                 gain = n * (loss - better)
-                damping = max(1e-12, damping * (0.1 if gain > 0.75 * promised else (0.5 if gain > 0.25 * promised else 2.0)))
+                factor = 0.1 if gain > 0.75 * promised else (0.5 if gain > 0.25 * promised else 2.0)
+                damping = max(1e-12, damping * factor)
                 small = small + 1 if gain <= tolerance * loss else 0
                 P, loss, state = trial, better, 0
                 driven, driven2, parts, parts2 = driven2, driven, parts2, parts
@@ -384,3 +390,27 @@ def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
             damping = max(damping, 1e-9) * 6.0
         iterations += 1
     return P, loss, e, S, iterations, state
+
+
+@compiled
+def hankel_gram(z, rows):
+    """Return the Gram matrix of the block Hankel matrix of z `(m, n)` with `rows` block rows.
+
+    Shifting both factors by one sample changes a product by its two end terms, so only the first block row is summed.
+    """
+    m, n = z.shape
+    columns = n - rows + 1
+    G = np.empty((rows * m, rows * m))
+    for j in range(rows):
+        for a in range(m):
+            for b in range(m):
+                s = np.dot(z[a, :columns], z[b, j : j + columns])
+                G[a, j * m + b], G[j * m + b, a] = s, s
+    for i in range(1, rows):
+        for j in range(i, rows):
+            for a in range(m):
+                for b in range(m):
+                    s = G[(i - 1) * m + a, (j - 1) * m + b]
+                    s += z[a, columns + i - 1] * z[b, columns + j - 1] - z[a, i - 1] * z[b, j - 1]
+                    G[i * m + a, j * m + b], G[j * m + b, i * m + a] = s, s
+    return G

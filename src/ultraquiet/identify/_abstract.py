@@ -1,0 +1,90 @@
+"""What every identification returns, and the checks all methods share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import Provenance
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status
+
+# Fewer samples a parameter than this leave standard errors of a third and more of the estimate's size.
+SAMPLES_PER_PARAMETER = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """An identified model and what it is worth.
+
+    Attributes:
+        model: `PolynomialMatrix` of one MISO model per output, or a `StateSpace` from a subspace method.
+        status: `ok`, `not converged` or `not white`, with a sentence; the worst of the outputs.
+        fit_percent: `(ny,)` 100 (1 - ||y - y_sim|| / ||y - mean y||) of the simulated output on the record itself, its
+            past before the first sample and a constant fitted.
+        loss: `(ny,)` mean squared one-step residual, squared output units.
+        covariance: `(ny, p, p)` of the coefficients in the order a, b_1, f_1, b_2, f_2, ..., c, d (without the ones).
+        whiteness_p, correlation_p: `(ny,)` p-values that the residual is white, and free of the inputs.
+        iterations: `(ny,)` accepted steps of the search.
+        statuses: one verdict an output.
+        details: numbers that belong to one method alone.
+    """
+
+    model: PolynomialMatrix | StateSpace
+    status: Status
+    fit_percent: FloatArray
+    loss: FloatArray
+    covariance: FloatArray
+    whiteness_p: FloatArray
+    correlation_p: FloatArray
+    iterations: np.ndarray[Any, np.dtype[np.int64]]
+    statuses: tuple[Status, ...]
+    provenance: Provenance
+    details: Mapping[str, Any]
+
+    def state_space(self) -> StateSpace:
+        """Return the path from inputs to outputs as a well-conditioned system."""
+        return self.model if isinstance(self.model, StateSpace) else self.model.state_space()
+
+
+@runtime_checkable
+class Identification(Protocol):
+    """A settings object with the verb `identify`."""
+
+    def identify(self, record: Record) -> Result:
+        """Return the model of the record."""
+        ...
+
+
+def usable(who: str, record: Record, parameters: int, memory: int) -> None:
+    """Refuse a record that cannot carry a model: too short, an input that never moves, a sensor that never does."""
+    needed = SAMPLES_PER_PARAMETER * parameters + memory
+    if record.samples < needed:
+        raise InputError(
+            f"{who}: the record has {record.samples} samples, but {parameters} parameters a channel need at least "
+            f"{needed}; record longer or lower the order."
+        )
+    for kind, signals, wires in (
+        ("input", record.inputs, record.actuators),
+        ("output", record.outputs, record.sensors),
+    ):
+        for signal, wire in zip(signals, wires, strict=True):
+            if np.ptp(signal) == 0.0:
+                raise InputError(
+                    f"{who}: {kind} '{wire.name}' is constant at {signal[0]:g} {wire.unit}, which no model can be "
+                    f"drawn from; excite it, or leave the channel out with record.pick."
+                )
+
+
+SEVERITY = ("ok", "not white", "not converged")
+
+
+def worst(statuses: list[Status]) -> Status:
+    """Return the most severe of several verdicts, with how many share it."""
+    chosen = max(statuses, key=lambda s: SEVERITY.index(s.word))
+    share = sum(s.word == chosen.word for s in statuses)
+    if len(statuses) == 1 or chosen.ok:
+        return chosen
+    return Status(chosen.word, f"{share} of {len(statuses)} channels; the first: {chosen.sentence}")

@@ -1,0 +1,160 @@
+"""One output of one structure: starts, search, verdict."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.starts import Channel, starting_tables
+from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows, reduced
+from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.values import PolynomialModel, Status
+
+# The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
+# then stands within 3 % of its own standard deviation of the minimum.
+TOLERANCE = 1e-3
+# A verdict errs once in a thousand good models.
+SIGNIFICANCE = 1e-3
+TEST_LAGS = 40  # at 3.5 kHz 11 ms, over which a wrong 12 Hz pole leaves a visible residual correlation
+CONVERGED, STUCK = 1, -1
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the search is run; see `PolynomialMethod`."""
+
+    horizons: tuple[int, ...]
+    estimate: bool
+    offset: bool
+    max_iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model of one output and its evidence."""
+
+    model: PolynomialModel
+    status: Status
+    fit_percent: float
+    loss: float
+    covariance: FloatArray
+    whiteness_p: float
+    correlation_p: float
+    iterations: int
+    starts: int
+
+
+def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: float) -> Fit:
+    """Search from each start in turn until a residual passes the tests; the lowest loss wins."""
+    from ultraquiet.identify import kernels
+
+    nu = data.u.shape[0]
+    rows = [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D]
+    states = structure.states(nu, search.estimate, search.offset)
+    best, evidence, tried = None, None, 0
+    for table in starting_tables(data, structure, search.horizons):
+        tried += 1
+        found = kernels.search(
+            data.u,
+            data.y,
+            table,
+            structure.degree(nu),
+            structure.lag(nu),
+            free_rows(nu, rows),
+            states,
+            search.max_iterations,
+            TOLERANCE,
+        )
+        if best is None or found[1] < best[1]:
+            best = found
+            evidence = residual_tests(found[2], data.u, structure)
+        if evidence is not None and best[5] == CONVERGED and min(evidence) >= SIGNIFICANCE:
+            break
+    assert best is not None
+    assert evidence is not None
+    model = _model(best[0], structure, data, rate_hz, best[1])
+    return Fit(
+        model,
+        _verdict(best[5], best[4], evidence),
+        _fit_percent(data, model, search),
+        model.noise_variance,
+        _covariance(best[3], best[1], structure, data.gain),
+        whiteness_p=evidence[0],
+        correlation_p=evidence[1],
+        iterations=int(best[4]),
+        starts=tried,
+    )
+
+
+def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[float, float]:
+    """Return the p-values that e is white and that it is free of the inputs (the least over the inputs)."""
+    lags = min(TEST_LAGS, e.size // 10)
+    noise = structure.a + structure.c + structure.d
+    white = portmanteau.ljung_box(e, lags, noise).p_value
+    # Least of nu independent p-values: Sidak's correction keeps the error rate of one test.
+    least = min(portmanteau.cross_correlation(e, x, lags).p_value for x in u)
+    return white, 1.0 - (1.0 - least) ** u.shape[0]
+
+
+def _model(table: FloatArray, structure: Structure, data: Channel, rate_hz: float, loss: float) -> PolynomialModel:
+    """Return the table's model in the units of the record."""
+    nu = data.u.shape[0]
+    delay = np.zeros(structure.delay)
+    return PolynomialModel(
+        [np.concatenate([delay, data.gain[j] * table[r, : structure.b]]) for j, r in enumerate(b_rows(nu))],
+        [reduced(table[r], structure.f) for r in f_rows(nu)],
+        rate_hz,
+        reduced(table[ROW_A], structure.a),
+        reduced(table[ROW_C], structure.c),
+        reduced(table[ROW_D], structure.d),
+        noise_variance=loss * data.output_size**2,
+    )
+
+
+def _fit_percent(data: Channel, model: PolynomialModel, search: Search) -> float:
+    y = data.y * data.output_size
+    u = data.u * data.input_size[:, None]
+    f = [model.denominator(j) for j in range(u.shape[0])]
+    simulated = prediction.simulate(u, y, model.b, f, estimate=search.estimate, offset=search.offset)
+    return prediction.fit_percent(y, simulated)
+
+
+def _verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Status:
+    white, free = evidence
+    if state != CONVERGED:
+        why = "no admissible step lowers the loss" if state == STUCK else f"{iterations} steps were not enough"
+        return Status("not converged", f"The search ended away from a minimum: {why}.")
+    if min(evidence) < SIGNIFICANCE:
+        what = "is not white" if white < free else "still holds something of the input"
+        return Status(
+            "not white",
+            f"The residual {what} (p = {min(evidence):.1e}): the structure or the order leaves part of the record "
+            f"unexplained, or the search found a poor minimum.",
+        )
+    return Status("ok", f"Converged; the residual is white (p = {white:.2f}) and free of the input (p = {free:.2f}).")
+
+
+def _covariance(normal: FloatArray, loss: float, structure: Structure, gain: FloatArray) -> FloatArray:
+    """Return loss (J'J)^-1 in coefficients of q^-k, output and input in their units."""
+    p = normal.shape[0] - 1
+    to_shift = np.zeros((p, p))
+    at = 0
+    for count, scale in _blocks(structure, gain):
+        for k in range(count):
+            binomial = 1.0
+            for m in range(k + 1):
+                to_shift[at + m, at + k] = scale * binomial
+                binomial *= -(k - m) / (m + 1.0)
+        at += count
+    size = np.sqrt(np.maximum(np.diag(normal)[:p], np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(normal[:p, :p] / np.outer(size, size))
+    root = (to_shift / size) @ vectors / np.sqrt(np.maximum(values, np.finfo(float).eps * max(values[-1], 1e-300)))
+    return loss * root @ root.T
+
+
+def _blocks(structure: Structure, gain: FloatArray) -> list[tuple[int, float]]:
+    """Return size and unit of each block of parameters, in order."""
+    blocks = [(structure.a, 1.0)]
+    for g in gain:
+        blocks += [(structure.b, float(g)), (structure.f, 1.0)]
+    return [*blocks, (structure.c, 1.0), (structure.d, 1.0)]

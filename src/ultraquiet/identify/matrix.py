@@ -1,0 +1,159 @@
+"""The whole transfer matrix from one record per actuator."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import task
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet.identify._abstract import worst
+from ultraquiet.identify.fit import Fit
+from ultraquiet.identify.prediction_error import PolynomialMethod
+from ultraquiet.identify.starts import Channel
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixResult:
+    """A transfer matrix of single-channel models, each with its evidence.
+
+    Attributes:
+        model: `(ny, nu)` models, record k giving column k.
+        status: the worst verdict of all channels, and how many share it.
+        statuses: `(ny, nu)` verdicts.
+        fit_percent, loss: `(ny, nu)` as in `Result`.
+        covariance: `(ny, nu, p, p)` of the coefficients in the order b, f, c, d (a first for ARX and ARMAX).
+        whiteness_p, correlation_p: `(ny, nu)` p-values.
+        iterations: `(ny, nu)`.
+    """
+
+    model: PolynomialMatrix
+    status: Status
+    statuses: tuple[tuple[Status, ...], ...]
+    fit_percent: FloatArray
+    loss: FloatArray
+    covariance: FloatArray
+    whiteness_p: FloatArray
+    correlation_p: FloatArray
+    iterations: np.ndarray[Any, np.dtype[np.int64]]
+    provenance: Provenance
+
+    def state_space(self) -> StateSpace:
+        """Return the matrix as one well-conditioned system."""
+        return self.model.state_space()
+
+
+def identify_matrix(method: PolynomialMethod, records: Sequence[Record], workers: int | None = None) -> MatrixResult:
+    """Identify every channel of a transfer matrix from one record per actuator, as section 3.4 of the paper.
+
+    Args:
+        method: settings of a polynomial structure, `BoxJenkins(order=5)` for instance.
+        records: record k excites actuator k alone; each has all `nu` inputs (or only the excited one) and `ny` outputs.
+        workers: threads; as many as processors when absent.
+
+    Returns:
+        The `(ny, nu)` models; the models of a row each carry their own noise.
+
+    Raises:
+        InputError: a record that excites another actuator than its own, one that differs from the first in channels or
+            rate, or that cannot carry the order.
+
+    >>> import numpy as np, ultraquiet as uq
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal(500)
+    >>> y = np.convolve(u, [0.0, 1.0, 0.5])[:500] + 0.01 * rng.standard_normal(500)
+    >>> result = uq.identify.identify_matrix(uq.identify.Arx(order=2), [uq.Record(u, y, rate_hz=100.0)])
+    >>> result.model.frequency_response([0.0]).real.round(1)
+    array([[[1.5]]])
+    """
+    picked = columns(method, records)
+    channels = [(i, k) for k in range(len(picked)) for i in range(len(picked[0].sensors))]
+
+    def one(place: tuple[int, int]) -> Fit:
+        i, k = place
+        return method.fit(Channel(picked[k].inputs, picked[k].outputs[i]), picked[k].rate_hz)
+
+    found = in_threads(f"identify {method.name}", one, channels, workers)
+    grid = [[found[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]
+    made = Provenance(
+        method.name, asdict(method), parents=tuple(record.hash for record in records), versions=versions()
+    )
+    return _assemble(grid, picked, made)
+
+
+def columns(method: PolynomialMethod, records: Sequence[Record]) -> list[Record]:
+    """Return each record with its excited input alone, after checking that they form one matrix."""
+    if not records:
+        raise InputError("identify_matrix: no records were given; one per actuator is needed.")
+    picked = [_excited(k, record, len(records)) for k, record in enumerate(records)]
+    for k, record in enumerate(picked):
+        same_rate("identify_matrix", "record 1", picked[0].rate_hz, f"record {k + 1}", record.rate_hz)
+        if len(record.sensors) != len(picked[0].sensors):
+            raise InputError(
+                f"identify_matrix: record {k + 1} has {len(record.sensors)} outputs but the first has "
+                f"{len(picked[0].sensors)}; all must read the same sensors."
+            )
+        method.check(record)
+    return picked
+
+
+def _excited(k: int, record: Record, count: int) -> Record:
+    if len(record.actuators) == 1:
+        return record
+    if len(record.actuators) != count:
+        raise InputError(
+            f"identify_matrix: record {k + 1} has {len(record.actuators)} inputs but {count} records were given; "
+            f"one record per actuator is needed."
+        )
+    moving = [j for j, u in enumerate(record.inputs) if np.ptp(u) > 0.0]
+    if moving != [k]:
+        names = ", ".join(f"'{record.actuators[j].name}'" for j in moving) or "none"
+        raise InputError(
+            f"identify_matrix: record {k + 1} must excite '{record.actuators[k].name}' alone, it excites {names}; "
+            f"put the records in the actuators' order."
+        )
+    return record.pick([k])
+
+
+def in_threads(title: str, work: Callable[[Any], T], items: Sequence[Any], workers: int | None) -> dict[Any, T]:
+    """Run `work` on every item in threads (the kernels hold no lock), telling progress; the first error is raised."""
+    out: dict[Any, T] = {}
+    with task(title, len(items)) as progress, ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        futures = {pool.submit(work, item): item for item in items}
+        try:
+            for future in as_completed(futures):
+                out[futures[future]] = future.result()
+                progress.advance(note=str(futures[future]))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return out
+
+
+def _assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> MatrixResult:
+    models: list[list[PolynomialModel]] = [[f.model for f in row] for row in grid]
+    model = PolynomialMatrix(models, [r.actuators[0] for r in picked], picked[0].sensors, made)
+
+    def table(name: str) -> Any:
+        return np.array([[getattr(f, name) for f in row] for row in grid])
+
+    return MatrixResult(
+        model,
+        worst([f.status for row in grid for f in row]),
+        tuple(tuple(f.status for f in row) for row in grid),
+        table("fit_percent"),
+        table("loss"),
+        table("covariance"),
+        table("whiteness_p"),
+        table("correlation_p"),
+        table("iterations"),
+        made,
+    )

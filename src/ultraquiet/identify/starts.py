@@ -1,0 +1,190 @@
+"""Where the search begins. Starts decide success: at 3.5 kHz a search from a poor one ends in a poor minimum."""
+
+from collections.abc import Iterator
+from functools import cached_property
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.identify import hankel
+from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
+
+# A start's poles and zeros are drawn inside this radius: a search that begins on the circle cannot leave it.
+RADIUS = 0.9995
+NOISE_RADIUS = 0.998
+LONG_MEMORY = 30  # order of the autoregression that stands in for the noise filter's inverse
+HANNAN_ROUNDS = 2
+
+
+class Channel:
+    """One output with its inputs, each scaled to unit deviation; keeps what all structures and orders share."""
+
+    def __init__(self, u: FloatArray, y: FloatArray) -> None:
+        self.input_size = u.std(axis=1)
+        self.output_size = float(y.std())
+        self.u = np.ascontiguousarray(u / self.input_size[:, None])
+        self.y = y / self.output_size
+        self.gain = self.output_size / self.input_size
+        self._subspaces: dict[int, tuple[FloatArray, FloatArray] | None] = {}
+
+    @cached_property
+    def centred(self) -> tuple[FloatArray, FloatArray]:
+        """Inputs and output without their means."""
+        return self.u - self.u.mean(axis=1, keepdims=True), (self.y - self.y.mean())[None]
+
+    def poles(self, order: int, rows: int) -> ComplexArray | None:
+        """Return the poles of the subspace model with `rows` block rows; None when the record does not carry them."""
+        if rows not in self._subspaces:
+            self._subspaces[rows] = self._subspace(rows)
+        held = self._subspaces[rows]
+        if held is None or order >= rows:
+            return None
+        return hankel.poles(*held, order)
+
+    def _subspace(self, rows: int) -> tuple[FloatArray, FloatArray] | None:
+        # Fewer columns than three times the rows of the Hankel matrix make its projections noise.
+        if self.y.size < 3 * 2 * rows * (self.u.shape[0] + 1):
+            return None
+        try:
+            return hankel.observability(*self.centred, rows)
+        except np.linalg.LinAlgError:
+            return None
+
+
+def starting_tables(data: Channel, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
+    """Yield tables to search from, the most promising first."""
+    if structure.f == 0:
+        yield from _equation_error(data, structure, horizons)
+        return
+    fallback = True
+    for rows in horizons:
+        poles = data.poles(structure.f, rows)
+        if poles is None:
+            continue
+        fallback = False
+        yield _from_poles(data, structure, expanded(drawn_in(poles, RADIUS)))
+    if fallback:
+        table = _least_squares(data, Structure(structure.f, structure.b, 0, 0, 0, structure.delay))
+        f = stable(table[ROW_A, : structure.f + 1], RADIUS)
+        yield _from_poles(data, structure, f)
+
+
+def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
+    """Yield starts of ARX and ARMAX: least squares, and the subspace poles as A with C = A (noise at the output)."""
+    plain = _least_squares(data, Structure(structure.a, structure.b, 0, 0, 0, structure.delay))
+    nu = data.u.shape[0]
+    if structure.c == 0:
+        yield plain
+        return
+    output_error = Structure(0, structure.b, 0, 0, structure.a, structure.delay)
+    for rows in horizons:
+        poles = data.poles(structure.a, rows)
+        if poles is None:
+            continue
+        a = expanded(drawn_in(poles, RADIUS))
+        simulated = _from_poles(data, output_error, a)
+        table = structure.empty(nu)
+        table[ROW_A, : structure.a + 1] = a
+        table[b_rows(nu), : structure.b] = simulated[b_rows(nu), : structure.b]
+        c = stable(a, NOISE_RADIUS)[: structure.c + 1]
+        table[ROW_C, : c.size] = stable(c, NOISE_RADIUS)
+        yield table
+    table = structure.empty(nu)
+    table[:, : plain.shape[1]] = plain[:, : table.shape[1]]
+    yield table
+
+
+def _least_squares(data: Channel, structure: Structure) -> FloatArray:
+    """Return A and B of the equation-error model: linear, so one undamped step is the whole search."""
+    from ultraquiet.identify import kernels
+
+    nu = data.u.shape[0]
+    found = kernels.search(
+        data.u,
+        data.y,
+        structure.empty(nu),
+        structure.degree(nu),
+        structure.lag(nu),
+        free_rows(nu, [ROW_A, *b_rows(nu)]),
+        structure.states(nu, True, True),
+        LINEAR_STEPS,
+        LINEAR_TOLERANCE,
+    )
+    return found[0]
+
+
+LINEAR_STEPS = 8  # Levenberg-Marquardt damps its first steps; a linear problem is solved when the damping is gone
+LINEAR_TOLERANCE = 1e-6
+
+
+def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArray:
+    """Return a table with the given F: B by least squares on the simulated output, C and D from what remains."""
+    from ultraquiet.identify import kernels
+
+    nu = data.u.shape[0]
+    table = structure.empty(nu)
+    table[f_rows(nu), : f.size] = f
+    plant = Structure(0, structure.b, 0, 0, structure.f, structure.delay)
+    found = kernels.search(
+        data.u,
+        data.y,
+        table,
+        plant.degree(nu),
+        structure.lag(nu),
+        free_rows(nu, b_rows(nu)),
+        plant.states(nu, True, True),
+        LINEAR_STEPS,
+        LINEAR_TOLERANCE,
+    )
+    table, rest = found[0], found[2]
+    if structure.c or structure.d:
+        c, d = noise_start(rest, structure.c, structure.d)
+        table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
+    return table
+
+
+def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, FloatArray]:
+    """Return C and D of v = (C / D) e by Hannan and Rissanen's regressions on innovations of a long autoregression.
+
+    Hannan and Rissanen 1982, doi:10.1093/biomet/69.1.81.
+    """
+    from ultraquiet.linalg.prediction import residual
+
+    memory = min(LONG_MEMORY, v.size // 8)
+    lagged = _shifted(v, memory)
+    e = v - lagged @ np.linalg.lstsq(lagged, v, rcond=None)[0]
+    c, d = np.ones(1), np.ones(1)
+    for _ in range(HANNAN_ROUNDS):
+        X = np.hstack([-_shifted(v, d_order), _shifted(e, c_order)])[memory:]
+        found = np.linalg.lstsq(X, v[memory:], rcond=None)[0]
+        d = stable(np.concatenate([[1.0], found[:d_order]]), NOISE_RADIUS)
+        c = stable(np.concatenate([[1.0], found[d_order:]]), NOISE_RADIUS)
+        e = residual(v, c, d, estimate=False)
+    return c, d
+
+
+def _shifted(x: FloatArray, count: int) -> FloatArray:
+    """Return columns x(t-1) .. x(t-count), zero before the record."""
+    out = np.zeros((x.size, count))
+    for k in range(1, count + 1):
+        out[k:, k - 1] = x[:-k]
+    return out
+
+
+def drawn_in(roots: ComplexArray, radius: float) -> ComplexArray:
+    """Return the roots with those outside mirrored into the unit circle, and none beyond `radius`."""
+    size = np.maximum(np.abs(roots), 1e-300)
+    inside = np.where(size > 1.0, 1.0 / size, size)
+    return roots / size * np.minimum(inside, radius)
+
+
+def expanded(roots: ComplexArray) -> FloatArray:
+    """Return the monic real polynomial with these roots."""
+    return np.real(np.poly(roots)).astype(np.float64)
+
+
+def stable(polynomial: FloatArray, radius: float) -> FloatArray:
+    """Return the monic polynomial with its roots drawn in; for starts only, the search itself never reflects."""
+    if polynomial.size < 2:
+        return polynomial
+    return expanded(drawn_in(np.roots(polynomial).astype(np.complex128), radius))

@@ -1,0 +1,78 @@
+"""Which polynomials a model has, and how they stand in the kernels' table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+
+IntArray = np.ndarray[Any, np.dtype[np.int64]]
+ROW_A, ROW_C, ROW_D, ROW_FIRST = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Numbers of free coefficients of A, B, C, D and F (B and F alike for every input) and the delay in samples."""
+
+    a: int
+    b: int
+    c: int
+    d: int
+    f: int
+    delay: int
+
+    def parameters(self, inputs: int) -> int:
+        """Return the number of free coefficients with `inputs` inputs."""
+        return self.a + self.c + self.d + inputs * (self.b + self.f)
+
+    def degree(self, inputs: int) -> IntArray:
+        """Return the free coefficients of each row of the table."""
+        return np.array([self.a, self.c, self.d, *([self.b, self.f] * inputs)], dtype=np.int64)
+
+    def lag(self, inputs: int) -> IntArray:
+        """Return the power of q^-1 of each row's first free coefficient."""
+        return np.array([1, 1, 1, *([self.delay, 1] * inputs)], dtype=np.int64)
+
+    def states(self, inputs: int, estimate: bool, offset: bool) -> IntArray:
+        """Return the unknown initial conditions of each row, the constant last.
+
+        What the noise filter and a model without F remember of the past reaches the residual through 1 / C, for as many
+        samples as their longest tap.
+        """
+        out = np.zeros(ROW_FIRST + 2 * inputs + 1, dtype=np.int64)
+        if estimate:
+            tail = self.d + (max(0, self.b + self.delay - 1) if self.f == 0 else 0)
+            out[ROW_C] = max(self.c, self.a + self.d, tail)
+            out[ROW_FIRST + 1 : -1 : 2] = self.f
+        out[-1] = int(offset)
+        return out
+
+    def empty(self, inputs: int) -> FloatArray:
+        """Return the table of the model y = e."""
+        table = np.zeros((ROW_FIRST + 2 * inputs, max(self.a, self.b, self.c, self.d, self.f) + 1))
+        table[[ROW_A, ROW_C, ROW_D, *range(ROW_FIRST + 1, len(table), 2)], 0] = 1.0
+        return table
+
+
+def free_rows(inputs: int, rows: Sequence[int]) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Return the mask of rows that a search may move."""
+    mask = np.zeros(ROW_FIRST + 2 * inputs, dtype=np.bool_)
+    mask[list(rows)] = True
+    return mask
+
+
+def b_rows(inputs: int) -> list[int]:
+    """Return the rows of the numerators."""
+    return list(range(ROW_FIRST, ROW_FIRST + 2 * inputs, 2))
+
+
+def f_rows(inputs: int) -> list[int]:
+    """Return the rows of the denominators."""
+    return list(range(ROW_FIRST + 1, ROW_FIRST + 2 * inputs, 2))
+
+
+def reduced(polynomial: FloatArray, order: int) -> FloatArray:
+    """Return the first `order` + 1 coefficients of a table row."""
+    return np.array(polynomial[: order + 1])

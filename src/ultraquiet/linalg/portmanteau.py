@@ -1,0 +1,69 @@
+"""Tests of residuals on plain arrays: whether they are white, and free of the inputs."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+
+# Directions of the input's lagged covariance weaker than this share of the strongest carry no evidence.
+EXCITED_SHARE = 1e-8
+
+
+class Test(NamedTuple):
+    """A chi-squared test: its statistic, degrees of freedom and p-value (small: the hypothesis does not hold)."""
+
+    statistic: float
+    freedom: int
+    p_value: float
+
+
+def autocorrelation(e: FloatArray, lags: int) -> FloatArray:
+    """Return r_k / r_0 for k = 1 .. lags of e less its mean."""
+    e = e - e.mean()
+    power = float(e @ e)
+    if power == 0.0:
+        return np.zeros(lags)
+    return np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)]) / power
+
+
+def ljung_box(e: FloatArray, lags: int, parameters: int = 0) -> Test:
+    """Return the test that e is white: Q = n (n + 2) sum_k r_k^2 / (n - k), chi-squared with lags - parameters."""
+    n = e.size
+    r = autocorrelation(e, lags)
+    statistic = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
+    return _chi_squared(statistic, max(1, lags - parameters))
+
+
+def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: int = 0) -> Test:
+    """Return the test that e holds nothing of u(t), ..., u(t - lags): n r' R^-1 r over the excited directions of R.
+
+    Under the hypothesis r has covariance R sum_k r_e(k) ... / n when e is coloured; `residual_lags` of e's correlation
+    are then taken into account (0: e is taken as white).
+    """
+    n = e.size
+    e = e - e.mean()
+    u = u - u.mean()
+    padded = np.concatenate([np.zeros(lags), u])
+    covariance = _lagged(u, u, lags + residual_lags) / n
+    r = np.array([e @ padded[lags - k : lags - k + n] for k in range(lags + 1)]) / n
+    color = _lagged(e, e, residual_lags) / n
+    index = np.abs(np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :])
+    P = color[0] * covariance[index]
+    for k in range(1, residual_lags + 1):
+        shift = np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :]
+        P += color[k] * (covariance[np.abs(shift - k)] + covariance[np.abs(shift + k)])
+    values, vectors = np.linalg.eigh(P)
+    strong = values > EXCITED_SHARE * values[-1]
+    seen = vectors[:, strong].T @ r
+    return _chi_squared(float(n * np.sum(seen**2 / values[strong])), max(1, int(strong.sum())))
+
+
+def _lagged(x: FloatArray, y: FloatArray, lags: int) -> FloatArray:
+    return np.array([x[k:] @ y[: y.size - k] for k in range(lags + 1)])
+
+
+def _chi_squared(statistic: float, freedom: int) -> Test:
+    from scipy.special import chdtrc
+
+    return Test(statistic, freedom, float(chdtrc(freedom, statistic)))

@@ -1,0 +1,84 @@
+"""Simulated and predicted outputs of polynomial models on plain arrays, initial conditions estimated or at rest."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+
+
+def fit_percent(y: FloatArray, model: FloatArray) -> float:
+    """Return 100 (1 - ||y - model|| / ||y - mean y||); 100 is perfect, 0 no better than the mean, no lower bound."""
+    spread = float(np.linalg.norm(y - y.mean()))
+    miss = float(np.linalg.norm(y - model)) if np.all(np.isfinite(model)) else np.inf
+    if spread == 0.0:
+        return 100.0 if miss == 0.0 else -np.inf
+    return 100.0 * (1.0 - miss / spread)
+
+
+def simulate(
+    u: FloatArray,
+    y: FloatArray,
+    b: Sequence[FloatArray],
+    f: Sequence[FloatArray],
+    *,
+    estimate: bool = True,
+    offset: bool = True,
+) -> FloatArray:
+    """Return sum_j b_j / f_j u_j; the past before the first sample and a constant are fitted to y when asked for.
+
+    A model with a pole outside the unit circle gives an output of infinities: it predicts nothing.
+    """
+    from scipy.signal import lfilter
+
+    if any(np.any(np.abs(np.roots(p)) >= 1.0) for p in f):
+        return np.full(y.size, np.inf)
+    out = sum(np.asarray(lfilter(num, den, x)) for x, num, den in zip(u, b, f, strict=True))
+    columns = [c for den in f for c in free_responses(den, y.size)] if estimate else []
+    columns += [np.ones(y.size)] if offset else []
+    return out + _explained(y - out, columns)
+
+
+def residual(v: FloatArray, c: FloatArray, d: FloatArray, estimate: bool = True) -> FloatArray:
+    """Return the innovations e of v = (c / d) e; the filter's past is fitted to make them small when asked for."""
+    from scipy.signal import lfilter
+
+    e = np.asarray(lfilter(d, c, v))
+    if not estimate:
+        return e
+    order = max(c.size, d.size) - 1
+    return e - _explained(e, free_responses(c, v.size, order))
+
+
+def free_responses(den: FloatArray, n: int, count: int | None = None) -> list[FloatArray]:
+    """Return the responses q^-k / den to a unit pulse, k = 0 .. count - 1 (the order when absent)."""
+    from scipy.signal import lfilter
+
+    count = den.size - 1 if count is None else count
+    pulse = np.zeros(n)
+    pulse[0] = 1.0
+    h = np.asarray(lfilter([1.0], den, pulse))
+    h[np.abs(h) < 1e-140] = 0.0  # denormal tails slow all that follows
+    return [np.concatenate([np.zeros(k), h[: n - k]]) for k in range(count)]
+
+
+def impulse(c: FloatArray, d: FloatArray, n: int) -> FloatArray:
+    """Return the first n samples of the pulse response of c / d."""
+    from scipy.signal import lfilter
+
+    pulse = np.zeros(n)
+    pulse[0] = 1.0
+    return np.asarray(lfilter(c, d, pulse))
+
+
+def _explained(y: FloatArray, columns: list[FloatArray]) -> FloatArray:
+    """Return the part of y in the span of the columns, found in an orthonormal basis."""
+    if not columns:
+        return np.zeros(y.size)
+    X = np.stack(columns, axis=1)
+    size = np.linalg.norm(X, axis=0)
+    Q, R = np.linalg.qr(X[:, size > 0] / size[size > 0])
+    # Shifts of one slow response can be parallel to the last digit: directions that vanish are left out.
+    U, s, _ = np.linalg.svd(R)
+    basis = Q @ U[:, s > 1e-12 * s[0]]
+    return basis @ (basis.T @ y)
