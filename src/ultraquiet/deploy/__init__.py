@@ -1,1 +1,48 @@
-"""Room 'deploy', being built."""
+"""From a controller to C99 that fits the frame and proves itself on the machine that compiles it.
+
+>>> from ultraquiet import deploy
+>>> deploy.kernel_cycles("modal", 60)
+1001
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ultraquiet.deploy.antiwindup import conditioning_gain as conditioning_gain
+    from ultraquiet.deploy.budget import kernel_cycles as kernel_cycles
+    from ultraquiet.deploy.budget import largest_order as largest_order
+    from ultraquiet.deploy.compiled import CompiledController as CompiledController
+    from ultraquiet.deploy.deployment import Deployment as Deployment
+    from ultraquiet.deploy.deployment import generate as generate
+    from ultraquiet.deploy.law import Law as Law
+    from ultraquiet.deploy.realise import Realisation as Realisation
+    from ultraquiet.deploy.realise import realisation as realisation
+    from ultraquiet.deploy.twin import Twin as Twin
+    from ultraquiet.deploy.verify import Verification as Verification
+
+_HOME = {
+    "CompiledController": "compiled",
+    "Deployment": "deployment",
+    "Law": "law",
+    "Realisation": "realise",
+    "Twin": "twin",
+    "Verification": "verify",
+    "conditioning_gain": "antiwindup",
+    "generate": "deployment",
+    "kernel_cycles": "budget",
+    "largest_order": "budget",
+    "realisation": "realise",
+}
+
+__all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOME:
+        return getattr(importlib.import_module(f"ultraquiet.deploy.{_HOME[name]}"), name)
+    raise AttributeError(f"module 'ultraquiet.deploy' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

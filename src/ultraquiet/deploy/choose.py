@@ -1,0 +1,111 @@
+"""Which form to generate: the cheapest whose rounded coefficients still do what the controller did."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.realise import FORMS
+from ultraquiet.values.state_space import StateSpace
+
+# 0.5 % of the response or of the loop's sensitivity: 0.04 dB, a tenth of what identification resolves.
+TOLERANCE = 5e-3
+# Where the response lies 60 dB under its peak the controller does nothing; errors are not magnified beyond that.
+FLOOR = 1e-3
+GRID = 160
+DECADES = 4.0  # below half the sampling rate
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A rounded law, its error against the original, and what was measured for every form tried."""
+
+    law: Law
+    error: float
+    tried: dict[str, float]
+    condition: float
+
+
+def choose(
+    controller: StateSpace,
+    make: Callable[[str], tuple[Law, float]],
+    cost: Callable[[Law], int],
+    plant: StateSpace | None = None,
+    tolerance: float = TOLERANCE,
+) -> Choice:
+    """Return the cheapest form whose error stays within `tolerance`, else the most exact one.
+
+    Args:
+        controller: the law as designed.
+        make: form -> rounded law and condition number of the eigenvectors.
+        cost: rounded law -> instructions of a step.
+        plant: when given, the error is that of the loop's sensitivity, else of the law's own response.
+        tolerance: largest relative error.
+
+    Raises:
+        InputError: no form can be rounded to this precision.
+    """
+    laws: dict[str, tuple[Law, float, float]] = {}
+    sentence = ""
+    for form in FORMS:
+        try:
+            law, condition = make(form)
+        except InputError as refusal:
+            sentence = str(refusal)
+            continue
+        laws[form] = (law, error_of(law, controller, plant), condition)
+    if not laws:
+        raise InputError(sentence)
+    good = [form for form, (_, error, _) in laws.items() if error <= tolerance]
+    best = min(good, key=lambda f: cost(laws[f][0])) if good else min(laws, key=lambda f: laws[f][1])
+    law, error, condition = laws[best]
+    return Choice(law, error, {form: held[1] for form, held in laws.items()}, condition)
+
+
+def error_of(law: Law, controller: StateSpace, plant: StateSpace | None = None) -> float:
+    """Return the largest relative change over frequency that rounding makes.
+
+    Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
+    the loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
+    """
+    f_hz = _grid(controller)
+    exact, held = (_points_first(k.frequency_response(f_hz)) for k in (controller, law.state_space()))
+    if plant is not None:
+        same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+        if loop_radius(plant, controller) < 1.0 <= loop_radius(plant, law.state_space()):
+            return float("inf")
+        G = _points_first(plant.frequency_response(f_hz))
+        exact, held = (np.linalg.inv(np.eye(G.shape[1]) - G @ K) for K in (exact, held))
+    size = np.linalg.norm(exact, 2, axis=(1, 2))
+    change = np.linalg.norm(held - exact, 2, axis=(1, 2))
+    floor = max(FLOOR * float(size.max()), np.finfo(float).tiny)
+    return float((change / np.maximum(size, floor)).max())
+
+
+def loop_radius(plant: StateSpace, controller: StateSpace) -> float:
+    """Return the largest pole magnitude of y = G u, u = K y."""
+    coupling = np.linalg.inv(np.eye(plant.D.shape[0]) - plant.D @ controller.D)
+    y_g, y_k = coupling @ plant.C, coupling @ plant.D @ controller.C
+    u_g, u_k = controller.D @ y_g, controller.C + controller.D @ y_k
+    A = np.block([[plant.A + plant.B @ u_g, plant.B @ u_k], [controller.B @ y_g, controller.A + controller.B @ y_k]])
+    return float(np.abs(np.linalg.eigvals(A)).max()) if A.size else 0.0
+
+
+def _grid(controller: StateSpace) -> FloatArray:
+    """Return log-spaced frequencies, with every pole's own frequency and its half-power points."""
+    assert controller.rate_hz is not None
+    top = controller.rate_hz / 2
+    poles = controller.poles()
+    poles = poles[np.abs(poles) > 1e-6]  # so near z = 0 a pole is a delay, flat in gain
+    centre = np.abs(np.angle(poles)) * controller.rate_hz / (2 * np.pi)
+    half = np.abs(np.log(np.abs(poles))) * controller.rate_hz / (2 * np.pi)
+    marks = np.concatenate([centre, centre - half, centre + half])
+    base = np.geomspace(top / 10**DECADES, top, GRID)
+    return np.unique(np.concatenate([base, marks[(marks > 0) & (marks <= top)]]))
+
+
+def _points_first(response: ComplexArray) -> ComplexArray:
+    return np.moveaxis(response, 2, 0)

@@ -1,0 +1,217 @@
+"""From a controller to a folder of C99 that proves itself."""
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import between, one_of, positive, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy import budget, emit, script, toolchain
+from ultraquiet.deploy.antiwindup import conditioning_gain
+from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of
+from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.folder import require_ours, write_folder
+from ultraquiet.deploy.footprint import footprint
+from ultraquiet.deploy.law import DTYPES, Law, actuator_limits, rounded
+from ultraquiet.deploy.realise import FORMS, realisation
+from ultraquiet.deploy.twin import Twin
+from ultraquiet.deploy.verify import STEPS, Verification, verify_code
+from ultraquiet.values.controller import Controller
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+RAMP_S = 0.5  # ten periods of the slowest isolated tone pass in 2 s; a quarter of that keeps the start below it
+MAX_RAMP_STEPS = 2**24  # beyond it float32 no longer counts every step
+
+
+class Deployment:
+    """A generated folder and what is known of it.
+
+    `tables` holds `states`, `form`, `c31_cycles` (kernel and frame), `c31_budget`, `flash_bytes`, `ram_bytes`,
+    `cortex_m7_instructions` (None unless counted), `bit_exact` (None until `verify` has compared) and more; `status`
+    is a sentence on the law, `law` holds the rounded coefficients.
+    """
+
+    def __init__(self, law: Law, folder: Path, tables: dict[str, Any], status: Status) -> None:
+        self.law, self.folder, self.tables, self.status = law, folder, tables, status
+        self._library: Library | None = None
+
+    @property
+    def quantised(self) -> StateSpace:
+        """The linear law with its rounded coefficients, for an analysis in float64."""
+        return self.law.state_space()
+
+    @property
+    def controller(self) -> Controller:
+        """A new instance of the law at rest and in control; the compiled code runs it (without a compiler its twin)."""
+        return self.instance()
+
+    def instance(self, ramp: bool = False) -> Controller:
+        """Return a new `Controller` that runs the compiled code; `ramp` starts it as a real start would."""
+        cc = toolchain.compiler()
+        if self._library is None and cc is not None:
+            self._library = Library(self.law, self.folder, cc)
+        if self._library is not None:
+            return CompiledController(self._library, ramp)
+        twin = Twin(self.law)
+        if ramp:
+            twin.enable()
+        else:
+            twin.reset()
+        return twin
+
+    def verify(self, steps: int = STEPS, seed: int = 0) -> Verification:
+        """Compile the code, compare `steps` samples and the self-test bit by bit, and note the outcome in `tables`.
+
+        Never raises for a missing or refusing compiler: the status says so.
+        """
+        whole("Deployment.verify", "steps", steps, 1)
+        found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed)
+        self.tables["bit_exact"] = found.bit_exact
+        return found
+
+
+def generate(
+    controller: StateSpace,
+    folder: str | Path,
+    precision: str = "float32",
+    name: str = "controller",
+    limits_v: ArrayLike = 25.0,
+    *,
+    form: str = "auto",
+    anti_windup: bool = False,
+    ramp_s: float = RAMP_S,
+    plant: StateSpace | None = None,
+    tolerance: float = TOLERANCE,
+    budget_cycles: int = budget.BUDGET_CYCLES,
+    enforce_budget: bool = False,
+) -> Deployment:
+    """Write a controller as C99 with its self-test and test vectors.
+
+    x+ = A x + B y + L (sat(u) - u), u = C x + D y, limited, ramped, guarded; the code needs no library.
+
+    Args:
+        controller: discrete law from measurements to commands, u = K y.
+        folder: where to write; appears whole or not at all, and replaces only what this function wrote.
+        precision: `float32` or `float64`, of coefficients, states and arithmetic.
+        name: prefix of every file and symbol.
+        limits_v: actuator limits in volts: a number, `(nu,)`, or `(nu, 2)` low and high.
+        form: `modal`, `delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response is within `tolerance`.
+        anti_windup: correct the state by what the limits took away.
+        ramp_s: seconds from zero to full command, and back.
+        plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.
+        tolerance: largest relative error that `auto` accepts.
+        budget_cycles: C31 instructions a frame may take.
+        enforce_budget: refuse a law that does not fit.
+
+    Returns:
+        A `Deployment`; its `status` warns of an unstable law or a large rounding error.
+
+    Raises:
+        InputError: a law in continuous time, a coefficient beyond the precision, an impossible budget, bad settings.
+        StorageError: the folder cannot be written or holds something else.
+
+    >>> import tempfile
+    >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
+    >>> made = generate(law, tempfile.mkdtemp() + "/code", limits_v=10.0)
+    >>> made.tables["form"], made.tables["states"], made.tables["bit_exact"]
+    ('modal', 2, None)
+    """
+    folder = Path(folder)
+    _check(controller, precision, name, form)
+    between("deploy", "tolerance", tolerance, 0.0, 1.0)
+    limits = actuator_limits(limits_v, controller.D.shape[0])
+    steps = round(positive("deploy", "ramp_s", ramp_s, "s") * float(controller.rate_hz or 0))
+    whole("deploy", "ramp_s in samples", steps, 1, MAX_RAMP_STEPS)
+    require_ours(folder)
+
+    def make(shape: str) -> tuple[Law, float]:
+        parts = realisation(controller, shape)
+        L = conditioning_gain(parts.A(), parts.B, parts.C, parts.D) if anti_windup else None
+        rate, order = float(controller.rate_hz or 0), controller.states
+        law = rounded(parts, L, limits, precision, rate_hz=rate, order=order, name=name, ramp_steps=steps)
+        return law, parts.condition
+
+    choice = _choice(controller, form, make, plant, tolerance)
+    if enforce_budget:
+        budget.require_fit(choice.law, budget_cycles)
+    what = "the response" if plant is None else "the loop's sensitivity"
+    status = _status(controller, choice, tolerance, what)
+    rows = script.self_test(choice.law)
+    files = emit.sources(choice.law, rows, controller.hash)
+    tables = _tables(choice, budget_cycles) | footprint(choice.law, files)
+    files["vectors.csv"] = emit.vectors(choice.law)
+    files["README.md"] = emit.readme(
+        choice.law, rows, controller.hash, tables=tables, status=str(status), assumptions=budget.ASSUMPTIONS
+    )
+    manifest = {
+        "name": name,
+        "model_sha256": controller.hash,
+        "coefficients_sha256": choice.law.hash,
+        "tables": tables,
+        "status": asdict(status),
+    }
+    write_folder(folder, files, manifest)
+    return Deployment(choice.law, folder, tables, status)
+
+
+def _check(controller: StateSpace, precision: str, name: str, form: str) -> None:
+    if not isinstance(controller, StateSpace):
+        raise InputError(f"deploy: 'controller' must be a StateSpace, got {type(controller).__name__}.")
+    if controller.rate_hz is None:
+        raise InputError("deploy: the controller is in continuous time; discretise it at the bench's rate first.")
+    if 0 in controller.D.shape:
+        raise InputError(f"deploy: a controller needs measurements and commands, got D of shape {controller.D.shape}.")
+    one_of("deploy", "precision", precision, tuple(DTYPES))
+    one_of("deploy", "form", form, ("auto", *FORMS))
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
+        raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
+
+
+def _choice(controller: StateSpace, form: str, make: Any, plant: StateSpace | None, tolerance: float) -> Choice:
+    if form == "auto":
+        return choose(controller, make, budget.cycles, plant, tolerance)
+    law, condition = make(form)
+    error = error_of(law, controller, plant)
+    return Choice(law, error, {form: error}, condition)
+
+
+def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str) -> Status:
+    law = choice.law
+    if not controller.is_stable():
+        return Status("unstable", "The controller itself is unstable: it runs to its limits whenever the loop opens.")
+    if not law.state_space().is_stable():
+        return Status("unstable", f"The controller is stable, its {law.precision} coefficients are not; take float64.")
+    more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
+    word = "ok" if choice.error <= tolerance else "inexact"
+    sentence = f"Rounding to {law.precision} in {law.form} form{more} changes {what} by {choice.error:.1e} of its size."
+    return Status(word, sentence)
+
+
+def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
+    law = choice.law
+    used = budget.cycles(law)
+    kernel = used - budget.SKELETON_CYCLES
+    anti_windup = law.L is not None
+    return {
+        "states": law.order,
+        "form": law.form,
+        "precision": law.precision,
+        "anti_windup": anti_windup,
+        "c31_cycles": used,
+        "c31_kernel_cycles": kernel,
+        "c31_budget": budget_cycles,
+        "c31_fits_the_model": used <= budget_cycles,
+        "c31_largest_order": budget.largest_order(
+            law.form, budget_cycles, law.inputs, law.outputs, anti_windup=anti_windup
+        ),
+        "cortex_m7_instructions": None,
+        "coefficients": law.coefficients,
+        "response_error": choice.error,
+        "forms_tried": choice.tried,
+        "eigenvector_condition": choice.condition,
+        "bit_exact": None,
+    }

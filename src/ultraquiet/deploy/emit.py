@@ -1,0 +1,132 @@
+"""From a law to the text of its files."""
+
+from functools import cache
+from importlib import metadata
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.script import OPS, SPECIAL, Row
+from ultraquiet.deploy.twin import Twin
+
+if TYPE_CHECKING:
+    import jinja2
+
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+VECTOR_STEPS = 256
+
+FILES = {
+    "controller.h.j2": "{name}.h",
+    "coefficients.h.j2": "{name}_coefficients.h",
+    "controller.c.j2": "{name}.c",
+    "selftest.c.j2": "{name}_selftest.c",
+    "host.c.j2": "{name}_host.c",
+    "Makefile.j2": "Makefile",
+}
+
+
+def sources(law: Law, script: list[Row], model_hash: str) -> dict[str, str]:
+    """Return file name -> text of the C files and the Makefile."""
+    context = _context(law, script, model_hash)
+    return {file.format(name=law.name): render(template, context) for template, file in FILES.items()}
+
+
+def readme(
+    law: Law, script: list[Row], model_hash: str, *, tables: dict[str, Any], status: str, assumptions: str
+) -> str:
+    """Return the text of README.md."""
+    rows = [(key.replace("_", " "), "not measured" if value is None else value) for key, value in tables.items()]
+    steps = sum(row.count if row.op == "RUN" else 1 for row in script)
+    context = _context(law, script, model_hash)
+    return render(
+        "README.md.j2", {**context, "rows": rows, "status": status, "assumptions": assumptions, "steps": steps}
+    )
+
+
+def vectors(law: Law, seed: int = 0) -> str:
+    """Return a plain run at full command as CSV: measurements and commands in hexadecimal."""
+    twin = Twin(law)
+    twin.reset()
+    y = np.random.default_rng(seed).uniform(-1.0, 1.0, (law.inputs, VECTOR_STEPS)).astype(law.dtype)
+    u = twin.run(y)
+    names = [f"y{j}" for j in range(law.inputs)] + [f"u{i}" for i in range(law.outputs)]
+    lines = [",".join(names)]
+    lines += [",".join(float(v).hex() for v in (*y[:, k], *u[:, k])) for k in range(VECTOR_STEPS)]
+    return "\n".join(lines) + "\n"
+
+
+def constant(value: Any, precision: str) -> str:
+    """Return a number as an exact C99 constant.
+
+    >>> constant(np.float32(0.1), "float32")
+    '0x1.99999a0000000p-4f'
+    """
+    text = float(value).hex()
+    return text + "f" if precision == "float32" else text
+
+
+def render(template: str, context: dict[str, Any]) -> str:
+    """Return a filled template."""
+    return _environment().get_template(template).render(context)
+
+
+@cache
+def _environment() -> "jinja2.Environment":
+    import jinja2
+
+    return jinja2.Environment(
+        loader=jinja2.PackageLoader("ultraquiet.deploy"),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+
+
+def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
+    def table(matrix: Any) -> list[list[str]]:
+        return [[constant(v, law.precision) for v in row] for row in matrix]
+
+    pairs = law.form in ("modal", "delta")
+    flat = [block.ravel() for block in law.blocks]
+    bits = 8 * np.dtype(law.dtype).itemsize
+    suffix = "U" if bits == 32 else "ULL"
+    special = {op: f"0x{value:X}{suffix}" for op, value in SPECIAL[law.precision].items()}
+    return {
+        "law": law,
+        "name": law.name,
+        "NAME": law.name.upper(),
+        "rate": f"{law.rate_hz:g}",
+        "version": metadata.version("ultraquiet"),
+        "real": "float" if bits == 32 else "double",
+        "real_max": constant(np.finfo(law.dtype).max, law.precision),
+        "ramp_step": constant(law.dtype(1.0) / law.dtype(law.ramp_steps), law.precision),
+        "model_hash": model_hash,
+        "pairs": pairs,
+        "sizes": [len(b) for b in law.blocks],
+        "A": table(flat) if pairs else [constant(v, law.precision) for block in flat for v in block],
+        "B": table(law.B),
+        "C": table(law.C),
+        "D": table(law.D),
+        "L": None if law.L is None else table(law.L),
+        "limits": table(law.limits),
+        "bits": bits,
+        "ops": OPS,
+        "script": [_call(row, law.precision) for row in script],
+        "nan_bits": special["NOT_A_NUMBER"],
+        "inf_bits": special["INFINITE"],
+        "minus_inf_bits": special["MINUS_INFINITE"],
+        "large_bits": special["LARGE"],
+        "flags": " ".join(FLAGS),
+    }
+
+
+def _call(row: Row, precision: str) -> dict[str, Any]:
+    return {
+        "op": row.op,
+        "count": row.count,
+        "scale": constant(row.scale, precision),
+        "digest": f"0x{row.digest:08X}U",
+    }

@@ -1,0 +1,75 @@
+"""A folder that appears whole or not at all."""
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ultraquiet._base.errors import StorageError
+
+MANIFEST = "manifest.json"
+WRITER = "ultraquiet.deploy"
+
+
+def write_folder(folder: Path, files: Mapping[str, str], manifest: Mapping[str, Any]) -> None:
+    """Write all files beside `folder` and rename; replace an older folder only when this package wrote it.
+
+    Raises:
+        StorageError: the place cannot be written, or something else stands there.
+    """
+    folder = folder.absolute()
+    require_ours(folder)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    except OSError as error:
+        raise StorageError(
+            f"deploy: cannot write beside '{folder}' ({error.strerror}); choose another folder."
+        ) from None
+    try:
+        for name, text in files.items():
+            (work / name).write_text(text, encoding="utf-8")
+        (work / MANIFEST).write_text(json.dumps({"writer": WRITER, **manifest}, indent=1), encoding="utf-8")
+        work.chmod(0o755)
+        _swap(work, folder)
+    except OSError as error:
+        raise StorageError(f"deploy: cannot write '{folder}' ({error.strerror}); nothing was changed there.") from None
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+def require_ours(folder: Path) -> None:
+    """Refuse to replace a folder that this package did not write.
+
+    Raises:
+        StorageError: a file, or a folder with something else in it.
+    """
+    try:
+        if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+            return
+        held = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        ours = isinstance(held, dict) and held.get("writer") == WRITER
+    except (OSError, ValueError):
+        ours = False
+    if not ours:
+        raise StorageError(f"deploy: '{folder}' holds something this program did not write; choose another folder.")
+
+
+def _swap(work: Path, folder: Path) -> None:
+    if not folder.exists():
+        os.rename(work, folder)
+        return
+    # Two renames: the old folder leaves whole, and comes back if the new one cannot take its place.
+    old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
+    os.rename(folder, old / "code")
+    try:
+        os.rename(work, folder)
+    except OSError:
+        os.rename(old / "code", folder)
+        raise
+    finally:
+        if folder.exists():
+            shutil.rmtree(old, ignore_errors=True)

@@ -1,0 +1,148 @@
+"""The law as it will stand in the code: rounded coefficients, limits, ramp."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
+
+from ultraquiet._base.constraints import FloatArray, frozen, real_array
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import content_hash
+from ultraquiet.deploy.realise import Realisation
+from ultraquiet.values.state_space import StateSpace
+
+Rounded = NDArray[Any]
+
+DTYPES = {"float32": np.float32, "float64": np.float64}
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """Everything the code is made of. Arrays have the code's own precision and are read-only.
+
+    x+ = A x + B y + L (sat(u) - u), u = C x + D y, with A in blocks (A - I when `form` is `delta`); `L` is None without
+    anti-windup. `limits` is `(nu, 2)`, low and high; the command is scaled by `level / ramp_steps` while it ramps.
+    """
+
+    name: str
+    precision: str
+    form: str
+    blocks: tuple[Rounded, ...]
+    B: Rounded
+    C: Rounded
+    D: Rounded
+    L: Rounded | None
+    limits: Rounded
+    ramp_steps: int
+    rate_hz: float
+    order: int
+
+    @property
+    def inputs(self) -> int:
+        """Number of measurements."""
+        return self.D.shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """Number of commands."""
+        return self.D.shape[0]
+
+    @property
+    def states(self) -> int:
+        """Number of stored states, padding included."""
+        return self.B.shape[0]
+
+    @property
+    def delta(self) -> bool:
+        """True when the blocks hold A - I."""
+        return self.form == "delta"
+
+    @property
+    def dtype(self) -> type[np.floating[Any]]:
+        """NumPy type of the code's numbers."""
+        return DTYPES[self.precision]
+
+    @property
+    def coefficients(self) -> int:
+        """Number of stored constants."""
+        anti_windup = 0 if self.L is None else self.L.size
+        gains = self.B.size + self.C.size + self.D.size
+        return sum(b.size for b in self.blocks) + gains + anti_windup + self.limits.size
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of every rounded coefficient and setting."""
+        L = np.zeros(0) if self.L is None else self.L
+        settings = [self.precision, self.form, self.ramp_steps, self.rate_hz, self.order]
+        return content_hash(*self.blocks, self.B, self.C, self.D, L, self.limits, settings)
+
+    def state_space(self) -> StateSpace:
+        """Return the linear law with its rounded coefficients, for an analysis in float64."""
+        A = np.asarray(block_diag(*[b.astype(np.float64) for b in self.blocks]))
+        if self.delta:
+            A = A + np.eye(self.states)
+        return StateSpace(A, self.B, self.C, self.D, rate_hz=self.rate_hz)
+
+
+def rounded(
+    parts: Realisation,
+    L: FloatArray | None,
+    limits: FloatArray,
+    precision: str,
+    *,
+    rate_hz: float,
+    order: int,
+    name: str = "controller",
+    ramp_steps: int = 1,
+) -> Law:
+    """Return the realisation rounded to `precision`, to nearest.
+
+    Raises:
+        InputError: a coefficient that overflows in that precision.
+    """
+    dtype = DTYPES[precision]
+
+    def cast(matrix: FloatArray) -> Rounded:
+        with np.errstate(over="ignore"):
+            held = np.ascontiguousarray(matrix, dtype=dtype)
+        if not np.all(np.isfinite(held)):
+            raise InputError(
+                f"deploy: a coefficient of {np.abs(matrix).max():.1e} is beyond {precision}; scale the controller"
+                " or take precision='float64'."
+            )
+        return frozen(held)
+
+    return Law(
+        name=name,
+        precision=precision,
+        form=parts.form,
+        blocks=tuple(cast(b) for b in parts.blocks),
+        B=cast(parts.B),
+        C=cast(parts.C),
+        D=cast(parts.D),
+        L=None if L is None else cast(L),
+        limits=cast(limits),
+        ramp_steps=ramp_steps,
+        rate_hz=rate_hz,
+        order=order,
+    )
+
+
+def actuator_limits(limits_v: ArrayLike, outputs: int) -> FloatArray:
+    """Return limits as `(nu, 2)` from one number, one per actuator (both symmetric), or a low and a high for each.
+
+    >>> actuator_limits(25.0, 2).tolist()
+    [[-25.0, 25.0], [-25.0, 25.0]]
+    """
+    given = np.asarray(limits_v, dtype=np.float64)
+    if given.ndim < 2:
+        size = real_array("deploy", "limits_v", np.broadcast_to(given, (outputs,)) if given.size == 1 else given, 1)
+        given = np.stack([-size, size], axis=1)
+    held = real_array("deploy", "limits_v", given, 2)
+    if held.shape != (outputs, 2):
+        raise InputError(f"deploy: 'limits_v' must be one number, ({outputs},) or ({outputs}, 2), got {held.shape}.")
+    if np.any(held[:, 0] > 0) or np.any(held[:, 1] < 0) or np.any(held[:, 0] >= held[:, 1]):
+        raise InputError(f"deploy: each actuator's range must hold 0 V, where the ramp ends, got {held.tolist()}.")
+    return held

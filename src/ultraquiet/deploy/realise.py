@@ -1,0 +1,169 @@
+"""Realisations of a control law: the same response in coordinates that cost less and lose fewer digits."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from ultraquiet._base.constraints import FloatArray, one_of
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy.blocks import block_diagonal
+from ultraquiet.values.state_space import StateSpace
+
+# ||X|| up to which a split counts as well conditioned: sqrt(eps) of float32 is 3e-4, so a tenth of its digits' half.
+SCHUR_BOUND = 1e3
+# For blocks of two whatever it costs; beyond it float64 itself would lose more than half its digits (1/sqrt(eps)).
+MODAL_BOUND = 6.7e7
+
+
+@dataclass(frozen=True, eq=False)
+class Realisation:
+    """A law as blocks on the diagonal of A, with B, C, D; `A_k - I` is held instead of `A_k` when `delta`.
+
+    `condition` is the condition number of the law's eigenvectors (of unit length): the factor by which modal
+    coordinates can magnify a rounding error.
+    """
+
+    form: str
+    blocks: tuple[FloatArray, ...]
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    condition: float
+
+    @property
+    def delta(self) -> bool:
+        """True when the blocks hold A - I."""
+        return self.form == "delta"
+
+    @property
+    def states(self) -> int:
+        """Number of stored states, a padding state included."""
+        return self.B.shape[0]
+
+    def A(self) -> FloatArray:
+        """Return the whole matrix A, `(n, n)`."""
+        full = np.asarray(block_diag(*self.blocks), dtype=np.float64)
+        return full + np.eye(self.states) if self.delta else full
+
+
+def realisation(law: StateSpace, form: str) -> Realisation:
+    """Return the law in the coordinates of `form`.
+
+    `modal`: 2x2 blocks [[re, im], [-im, re]] (two reals share a block), ||B_k|| = ||C_k|| in each block.
+    `delta`: the same with A - I stored, x+ = x + (A - I) x + B y, which keeps poles near z = 1 apart.
+    `schur`: blocks as small as a well-conditioned change of coordinates allows. `dense`: the law as it is.
+
+    Args:
+        law: discrete `StateSpace` from measurements to commands.
+        form: one of the four.
+
+    Raises:
+        InputError: an unknown form, or `modal`/`delta` where poles coincide so closely that 2x2 blocks do not exist.
+
+    >>> law = StateSpace([[0.9, 1.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], rate_hz=1.0)
+    >>> [block.shape for block in realisation(law, "modal").blocks]
+    [(2, 2)]
+    """
+    one_of("deploy", "form", form, tuple(FORMS))
+    return FORMS[form](law)
+
+
+def _modal(law: StateSpace) -> Realisation:
+    blocks, B, C = _split(law, MODAL_BOUND)
+    condition = eigenvector_condition(law.A)
+    largest = max((len(b) for b in blocks), default=0)
+    if largest > 2:
+        raise InputError(
+            f"deploy: modal form needs 2x2 blocks, but {largest} poles cannot be told apart (eigenvector condition"
+            f" {condition:.1e}); take form='schur' or 'auto'."
+        )
+    return Realisation("modal", *_pairs(blocks, B, C), law.D.copy(), condition)
+
+
+def _delta(law: StateSpace) -> Realisation:
+    modal = _modal(law)
+    blocks = tuple(block - np.eye(2) for block in modal.blocks)
+    return Realisation("delta", blocks, modal.B, modal.C, modal.D, modal.condition)
+
+
+def _schur(law: StateSpace) -> Realisation:
+    blocks, B, C = _pad(*_split(law, SCHUR_BOUND))
+    return Realisation("schur", tuple(blocks), B, C, law.D.copy(), eigenvector_condition(law.A))
+
+
+def _dense(law: StateSpace) -> Realisation:
+    blocks, B, C = _pad([law.A.copy()] if law.states else [], law.B.copy(), law.C.copy())
+    return Realisation("dense", tuple(blocks), B, C, law.D.copy(), eigenvector_condition(law.A))
+
+
+FORMS: Mapping[str, Callable[[StateSpace], Realisation]] = MappingProxyType(
+    {"modal": _modal, "delta": _delta, "schur": _schur, "dense": _dense}
+)
+
+
+def eigenvector_condition(A: FloatArray) -> float:
+    """Return the condition number of the eigenvectors of A, each of unit length; infinite for a defective matrix."""
+    if A.shape[0] == 0:
+        return 1.0
+    values = np.linalg.svd(np.linalg.eig(A)[1], compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
+
+
+def _split(law: StateSpace, bound: float) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+    """Return balanced blocks with the matching rows of B and columns of C."""
+    if law.states == 0:
+        return [], law.B.copy(), law.C.copy()
+    blocks, V = block_diagonal(law.A, bound)
+    B, C = np.asarray(np.linalg.solve(V, law.B), dtype=np.float64), law.C @ V
+    at = 0
+    for k, block in enumerate(blocks):
+        part = slice(at, at + len(block))
+        turn = _normal(block)
+        blocks[k] = block * (turn[None, :] / turn[:, None])
+        B[part], C[:, part] = B[part] / turn[:, None], C[:, part] * turn
+        size_b, size_c = np.linalg.norm(B[part]), np.linalg.norm(C[:, part])
+        if size_b > 0 and size_c > 0:
+            t = np.sqrt(size_c / size_b)
+            B[part], C[:, part] = B[part] * t, C[:, part] / t
+        at += len(block)
+    return blocks, B, C
+
+
+def _normal(block: FloatArray) -> FloatArray:
+    """Return the diagonal scaling that turns [[a, b], [c, a]], bc < 0, into a rotation with damping."""
+    if len(block) != 2 or block[0, 1] * block[1, 0] >= 0:
+        return np.ones(len(block))
+    return np.array([1.0, np.sqrt(-block[1, 0] / block[0, 1])])
+
+
+def _pairs(
+    blocks: list[FloatArray], B: FloatArray, C: FloatArray
+) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
+    """Let reals share a block, neighbours first; an odd one is paired with a state that stays at zero."""
+    starts = np.cumsum([0, *(len(b) for b in blocks)])
+    twos = [(k, [int(starts[k]), int(starts[k]) + 1]) for k, b in enumerate(blocks) if len(b) == 2]
+    ones = sorted((k for k, b in enumerate(blocks) if len(b) == 1), key=lambda k: float(blocks[k][0, 0]))
+    order = [i for _, pair in twos for i in pair] + [int(starts[k]) for k in ones]
+    made = [blocks[k] for k, _ in twos]
+    reals = [float(blocks[k][0, 0]) for k in ones]
+    B, C = B[order], C[:, order]
+    if len(reals) % 2 or not order:
+        pad = 1 if order else 2
+        reals += [0.0] * pad
+        B, C = _zeros_below(B, pad), _zeros_below(C.T, pad).T
+    made += [np.diag(reals[i : i + 2]) for i in range(0, len(reals), 2)]
+    return tuple(made), B, C
+
+
+def _pad(blocks: list[FloatArray], B: FloatArray, C: FloatArray) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+    """Give a static gain one state at rest, since C has no arrays of length zero."""
+    if blocks:
+        return blocks, B, C
+    return [np.zeros((1, 1))], _zeros_below(B, 1), _zeros_below(C.T, 1).T
+
+
+def _zeros_below(M: FloatArray, rows: int) -> FloatArray:
+    return np.vstack([M, np.zeros((rows, M.shape[1]))])

@@ -1,0 +1,228 @@
+"""The self-test's script: calls that visit every guard, with the digest of all bits they leave behind."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.twin import Twin
+
+OPS = (
+    "INIT",
+    "ENABLE",
+    "DISABLE",
+    "CLEAR",
+    "FRAME",
+    "OUTPUT",
+    "UPDATE",
+    "SPEND",
+    "RUN",
+    "NOT_A_NUMBER",
+    "INFINITE",
+    "MINUS_INFINITE",
+    "LARGE",
+)
+
+# FNV-1a, 32 bit: offset basis and prime of the FNV reference; LCG of Numerical Recipes.
+FNV_BASIS, FNV_PRIME, MASK = 2166136261, 16777619, 2**32 - 1
+LCG_FACTOR, LCG_STEP = 1664525, 1013904223
+CANONICAL_NAN = 0x7FC00000
+HALF_RANGE = 2**23  # the generator's 24 bits, centred
+
+# Bits of NaN, infinity, minus infinity, and of half the largest number, which overflows in the next sums.
+SPECIAL = {
+    "float32": {"NOT_A_NUMBER": 0x7FC00000, "INFINITE": 0x7F800000, "MINUS_INFINITE": 0xFF800000, "LARGE": 0x7EFFFFFF},
+    "float64": {
+        "NOT_A_NUMBER": 0x7FF8000000000000,
+        "INFINITE": 0x7FF0000000000000,
+        "MINUS_INFINITE": 0xFFF0000000000000,
+        "LARGE": 0x7FDFFFFFFFFFFFFF,
+    },
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One call (or `count` steps) with measurements of size `scale`, and the digest expected after it."""
+
+    op: str
+    count: int
+    scale: float
+    digest: int
+
+
+def self_test(law: Law) -> list[Row]:
+    """Return the script for a law, its digests computed by the twin."""
+    player = Player(law)
+    return [Row(op, count, scale, player.play(op, count, scale)) for op, count, scale in plan(law)]
+
+
+def plan(law: Law) -> list[tuple[str, int, float]]:
+    """Return the calls: ramps, limits on both sides, every kind of bad measurement, faults, overruns, restarts."""
+    quiet, loud = sizes(law)
+    ramp, last = law.ramp_steps, law.inputs - 1
+    some = min(ramp, 7) if ramp > 1 else 1
+    calls: list[tuple[str, int, float]] = [
+        ("RUN", 3, quiet),  # off: command zero, state at rest
+        ("FRAME", 0, quiet),
+        ("DISABLE", 0, quiet),  # of no effect when off
+        ("CLEAR", 0, quiet),
+        ("ENABLE", 0, quiet),
+        ("RUN", some, quiet),  # part of the ramp
+        ("DISABLE", 0, quiet),
+        ("RUN", max(some // 2, 1), quiet),
+        ("ENABLE", 0, quiet),  # resumes where the ramp out stands
+        ("RUN", ramp + 50, quiet),
+        ("CLEAR", 0, quiet),  # of no effect without a fault
+        ("RUN", 100, loud),  # limits, both sides
+        ("RUN", 50, quiet),
+        ("OUTPUT", 0, quiet),
+        ("FRAME", 0, quiet),  # an overrun without a hook
+        ("UPDATE", 0, quiet),
+        ("UPDATE", 0, quiet),  # a second update must not advance
+        ("FRAME", 0, quiet),
+        ("OUTPUT", 0, quiet),
+        ("OUTPUT", 0, quiet),  # a step without its update
+        ("FRAME", 0, quiet),
+        ("SPEND", 1, quiet),  # overruns stop at their largest value
+        ("FRAME", 0, quiet),
+        ("FRAME", 0, quiet),
+        ("UPDATE", 0, quiet),
+        ("DISABLE", 0, quiet),
+        ("RUN", ramp + 3, quiet),  # out, off and at rest
+        ("ENABLE", 0, quiet),
+        ("RUN", ramp + 20, quiet),
+    ]
+    bad = [(op, channel) for op in ("NOT_A_NUMBER", "INFINITE", "MINUS_INFINITE") for channel in {0, last}]
+    for op, channel in [*bad, *(("NOT_A_NUMBER", k) for k in range(1, last))]:
+        calls += [
+            (op, channel, quiet),
+            ("ENABLE", 0, quiet),  # refused
+            ("CLEAR", 0, quiet),  # refused while the ramp runs
+            ("RUN", 2, quiet),
+            ("CLEAR", 0, quiet),
+            ("INIT", 1, quiet),
+            ("ENABLE", 0, quiet),
+            ("RUN", some + 2, quiet),
+        ]
+    calls += [
+        ("OUTPUT", 0, quiet),
+        ("FRAME", 0, quiet),  # an overrun with the hook
+        ("UPDATE", 0, quiet),
+        ("NOT_A_NUMBER", 0, quiet),
+        ("DISABLE", 0, quiet),  # must not turn a fault into a stop
+        ("RUN", ramp + 2, quiet),  # the whole ramp of a fault
+        ("CLEAR", 0, quiet),
+        ("RUN", 2, quiet),
+        ("INFINITE", last, quiet),  # latched even when off
+        ("RUN", 2, quiet),
+        ("CLEAR", 0, quiet),
+        ("ENABLE", 0, quiet),
+        ("RUN", ramp + 10, quiet),
+        *[("LARGE", k % law.inputs, quiet) for k in range(4)],
+        ("RUN", 4, quiet),
+        ("INIT", 0, quiet),
+        ("OUTPUT", 0, quiet),
+        ("FRAME", 0, quiet),  # the hook is gone
+        ("UPDATE", 0, quiet),
+        ("ENABLE", 0, quiet),
+        ("RUN", 20, loud),  # limits during the ramp
+        ("NOT_A_NUMBER", 0, loud),
+        ("RUN", 5, loud),
+    ]
+    return calls
+
+
+class Player:
+    """Plays a script on the twin, as the C program does on the code."""
+
+    def __init__(self, law: Law) -> None:
+        self.twin = Twin(law)
+        self._random = 1
+        self.digest = FNV_BASIS
+        self._words = np.dtype(f"<u{np.dtype(law.dtype).itemsize}")
+
+    def play(self, op: str, count: int, scale: float) -> int:
+        """Do one row and return the digest after it."""
+        with np.errstate(all="ignore"):
+            self._act(op, count, scale)
+        self._look()
+        return self.digest
+
+    def _act(self, op: str, count: int, scale: float) -> None:
+        twin = self.twin
+        if op == "RUN":
+            for _ in range(count):
+                self._step(self.measure(scale))
+        elif op == "INIT":
+            twin.init(hook=count != 0)
+        elif op == "DISABLE":
+            twin.disable()
+        elif op == "OUTPUT":
+            twin.output(self.measure(scale))
+        elif op == "UPDATE":
+            twin.update()
+        elif op == "SPEND":
+            twin.overruns = MASK - count
+        elif op in ("ENABLE", "CLEAR", "FRAME"):
+            self._fold([int(getattr(twin, op.lower())())])
+        else:
+            y = self.measure(scale)
+            bits = SPECIAL[twin.law.precision][op]
+            y[count] = np.array([bits], self._words).view(twin.law.dtype)[0]
+            self._step(y)
+
+    def measure(self, scale: float) -> NDArray[np.floating]:
+        """Return the next measurements of the generator."""
+        law = self.twin.law
+        drawn = []
+        for _ in range(law.inputs):
+            self._random = (self._random * LCG_FACTOR + LCG_STEP) & MASK
+            drawn.append((self._random >> 8) - HALF_RANGE)
+        return np.array(drawn, law.dtype) * law.dtype(scale)
+
+    def _step(self, y: NDArray[np.floating]) -> None:
+        u = self.twin.output(y)
+        self.twin.update()
+        self._fold(self._bits(u))
+
+    def _look(self) -> None:
+        twin = self.twin
+        pairs = np.stack([twin.raw, twin.applied], axis=1).ravel()
+        self._fold(self._bits(np.concatenate([pairs, twin.x])))
+        self._fold([twin.mode, twin.faults, twin.level, twin.steps, twin.clipped, twin.overruns])
+
+    def _bits(self, values: NDArray[np.floating]) -> list[int]:
+        """Return 32-bit words, low half first; one word for any NaN."""
+        words = np.ascontiguousarray(values).view(self._words).tolist()
+        wide = self._words.itemsize == 8
+        made: list[int] = []
+        for word, number in zip(words, values.tolist(), strict=True):
+            if np.isnan(number):
+                made.append(CANONICAL_NAN)
+            else:
+                made.extend((word & MASK, word >> 32) if wide else (word,))
+        return made
+
+    def _fold(self, words: list[int]) -> None:
+        digest = self.digest
+        for word in words:
+            digest = ((digest ^ word) * FNV_PRIME) & MASK
+        self.digest = digest
+
+
+def sizes(law: Law) -> tuple[float, float]:
+    """Return generator scales, powers of two, that keep all commands inside their limits, and that meet most limits."""
+    player = Player(law)
+    player.twin.reset()
+    with np.errstate(all="ignore"):
+        y = np.stack([player.measure(1.0) for _ in range(200)], axis=1)
+        raw = law.state_space().simulate(y.astype(np.float64))
+    peak = np.abs(raw).max(axis=1)
+    room = np.abs(law.limits.astype(np.float64)).min(axis=1)
+    ratio = room[(peak > 0) & (room > 0)] / peak[(peak > 0) & (room > 0)]
+    if not ratio.size or not np.all(np.isfinite(ratio)):
+        return 2.0**-23, 2.0**-20
+    quiet = 2.0 ** np.floor(np.log2(0.25 * ratio.min()))
+    return float(quiet), float(2.0 ** np.ceil(np.log2(16.0 * ratio.max())))

@@ -1,0 +1,60 @@
+"""Compilers of this machine: found, called, their words passed on."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+from ultraquiet._base.errors import ToolError
+
+COMPILERS = ("cc", "gcc", "clang")
+SECONDS = 120.0  # a generated controller compiles in under one
+
+
+def compiler() -> str | None:
+    """Return the path of a C compiler: that of the environment's CC, else the first of cc, gcc, clang."""
+    for name in (os.environ.get("CC", ""), *COMPILERS):
+        found = shutil.which(name) if name else None
+        if found:
+            return found
+    return None
+
+
+def call(command: Sequence[str | Path], folder: Path, seconds: float = SECONDS) -> subprocess.CompletedProcess[str]:
+    """Run a program and return what it said, whatever its exit code.
+
+    Raises:
+        ToolError: it cannot be started or does not end.
+    """
+    try:
+        return subprocess.run(
+            [str(part) for part in command], cwd=folder, capture_output=True, text=True, timeout=seconds, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ToolError(f"deploy: '{command[0]}' did not run ({error}).") from None
+
+
+def compile_c(command: Sequence[str | Path], folder: Path) -> None:
+    """Run a compiler.
+
+    Raises:
+        ToolError: it refused the code, with its first words.
+    """
+    told = call(command, folder)
+    if told.returncode != 0:
+        words = " ".join(told.stderr.split())[:400]
+        raise ToolError(f"deploy: '{command[0]}' refused the generated code: {words}")
+
+
+def flash_of(size_tool: str, object_file: Path) -> int | None:
+    """Return code and constants of an object in bytes, as `size` counts them; None without the tool."""
+    tool = shutil.which(size_tool)
+    if tool is None:
+        return None
+    told = call([tool, object_file], object_file.parent)
+    lines = told.stdout.splitlines()
+    if told.returncode != 0 or len(lines) < 2:
+        return None
+    text, data = lines[1].split()[:2]
+    return int(text) + int(data)

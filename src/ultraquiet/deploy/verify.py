@@ -1,0 +1,123 @@
+"""Proof that the code does what the law says: compiled here, run here, compared bit by bit."""
+
+import shutil
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ultraquiet._base.errors import ToolError
+from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.script import sizes
+from ultraquiet.deploy.toolchain import call, compile_c
+from ultraquiet.deploy.twin import Twin
+from ultraquiet.values.status import Status
+
+STEPS = 100_000
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What the proof found.
+
+    `bit_exact` is None when nothing could be compared, `mismatches` counts commands that differ in at least one bit,
+    `first` is the (step, output) of the first one, `self_test` whether the shipped self-test passed on this machine.
+    """
+
+    status: Status
+    bit_exact: bool | None
+    steps: int = 0
+    mismatches: int = 0
+    first: tuple[int, int] | None = None
+    self_test: bool | None = None
+    compiler: str | None = None
+    seconds: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """True when every bit was the same and the self-test passed."""
+        return self.status.ok
+
+
+def verify_code(law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed: int = 0) -> Verification:
+    """Compile the folder's code, run `steps` samples through it and through the twin, and compare the bits.
+
+    The measurements are noise whose size changes so that quiet, limited and bad samples all occur; `seed` draws them.
+    """
+    if cc is None:
+        return Verification(Status("no compiler", _NO_COMPILER), None)
+    began = time.perf_counter()
+    try:
+        library = Library(law, folder, cc)
+        self_test = _self_test(law, folder, cc)
+    except ToolError as refusal:
+        return Verification(Status("not compiled", str(refusal)), False, compiler=cc)
+    y = measurements(law, steps, seed)
+    code, twin = CompiledController(library, ramp=True), Twin(law)
+    twin.enable()
+    mismatches, first = compare(code.run(y), twin.run(y))
+    exact = mismatches == 0
+    return Verification(
+        _verdict(self_test, steps, mismatches, first, cc),
+        exact and self_test,
+        steps,
+        mismatches,
+        first,
+        self_test,
+        cc,
+        time.perf_counter() - began,
+    )
+
+
+def measurements(law: Law, steps: int, seed: int) -> Rounded:
+    """Return noise `(ny, steps)`: nine tenths inside the limits with bursts beyond them, NaN near the end."""
+    rng = np.random.default_rng(seed)
+    quiet, loud = (scale * 2.0**23 for scale in sizes(law))
+    y = rng.standard_normal((law.inputs, steps)) * quiet
+    burst = (np.arange(steps) // 250) % 10 == 9
+    y[:, burst] *= loud / quiet
+    y[rng.integers(law.inputs), steps - min(steps, 50)] = np.nan
+    with np.errstate(over="ignore"):
+        return y.astype(law.dtype)
+
+
+def compare(one: Rounded, other: Rounded) -> tuple[int, tuple[int, int] | None]:
+    """Return how many commands differ in at least one bit, and the (step, output) of the first."""
+    word = f"u{one.dtype.itemsize}"
+    differs = np.ascontiguousarray(one.T).view(word) != np.ascontiguousarray(other.T).view(word)
+    if not differs.any():
+        return 0, None
+    step, output = np.argwhere(differs)[0]
+    return int(np.count_nonzero(differs)), (int(step), int(output))
+
+
+def _self_test(law: Law, folder: Path, cc: str) -> bool:
+    """Compile and run the shipped self-test in a folder of its own."""
+    with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
+        for source in folder.glob(f"{law.name}*.[ch]"):
+            shutil.copy(source, work)
+        program = Path(work) / "selftest"
+        names = [f"{law.name}.c", f"{law.name}_selftest.c"]
+        compile_c([cc, *FLAGS, f"-D{law.name.upper()}_MAIN", *names, "-o", program], Path(work))
+        return call([program], Path(work)).returncode == 0
+
+
+def _verdict(self_test: bool, steps: int, mismatches: int, first: tuple[int, int] | None, cc: str) -> Status:
+    if first is None and self_test:
+        return Status("ok", f"All bits of {steps} steps and of the self-test are those of the twin, compiled by {cc}.")
+    if first is None:
+        return Status("self-test failed", f"The run of {steps} steps agrees but the shipped self-test does not pass.")
+    return Status(
+        "differs",
+        f"{mismatches} commands of {steps} steps differ from the twin, first at step {first[0]}, output {first[1]}.",
+    )
+
+
+_NO_COMPILER = (
+    "No C compiler was found (cc, gcc, clang or $CC), so nothing was compared; install one and verify again, or run"
+    " 'make check' in the folder elsewhere."
+)
