@@ -37,7 +37,7 @@ def transition(basis: FloatArray, values: FloatArray, order: int, ny: int) -> tu
     """Return A and C of the shift structure of the first `order` directions."""
     gamma = basis[:, :order] * np.sqrt(values[:order])
     A = np.linalg.lstsq(gamma[:-ny], gamma[ny:], rcond=None)[0]
-    return A, gamma[:ny]
+    return A.astype(np.float64), gamma[:ny].astype(np.float64)
 
 
 def poles(basis: FloatArray, values: FloatArray, order: int) -> ComplexArray:

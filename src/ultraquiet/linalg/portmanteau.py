@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 EXCITED_SHARE = 1e-8
 
 
-class Test(NamedTuple):
+class Evidence(NamedTuple):
     """A chi-squared test: its statistic, degrees of freedom and p-value (small: the hypothesis does not hold)."""
 
     statistic: float
@@ -27,7 +27,7 @@ def autocorrelation(e: FloatArray, lags: int) -> FloatArray:
     return np.array([e[k:] @ e[:-k] for k in range(1, lags + 1)]) / power
 
 
-def ljung_box(e: FloatArray, lags: int, parameters: int = 0) -> Test:
+def ljung_box(e: FloatArray, lags: int, parameters: int = 0) -> Evidence:
     """Return the test that e is white: Q = n (n + 2) sum_k r_k^2 / (n - k), chi-squared with lags - parameters."""
     n = e.size
     r = autocorrelation(e, lags)
@@ -35,7 +35,7 @@ def ljung_box(e: FloatArray, lags: int, parameters: int = 0) -> Test:
     return _chi_squared(statistic, max(1, lags - parameters))
 
 
-def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: int = 0) -> Test:
+def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: int = 0) -> Evidence:
     """Return the test that e holds nothing of u(t), ..., u(t - lags): n r' R^-1 r over the excited directions of R.
 
     Under the hypothesis r has covariance R sum_k r_e(k) ... / n when e is coloured; `residual_lags` of e's correlation
@@ -63,7 +63,7 @@ def _lagged(x: FloatArray, y: FloatArray, lags: int) -> FloatArray:
     return np.array([x[k:] @ y[: y.size - k] for k in range(lags + 1)])
 
 
-def _chi_squared(statistic: float, freedom: int) -> Test:
+def _chi_squared(statistic: float, freedom: int) -> Evidence:
     from scipy.special import chdtrc
 
-    return Test(statistic, freedom, float(chdtrc(freedom, statistic)))
+    return Evidence(statistic, freedom, float(chdtrc(freedom, statistic)))
