@@ -254,7 +254,7 @@ def test_a_newer_format_is_named(tmp_path, monkeypatch):
 def test_content_of_the_wrong_shape_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr("ultraquiet.files.archive.pack", lambda _: ("record", {"inputs": np.zeros((1, 2))}))
     path = files.save(Status("ok", ""), tmp_path / "odd.h5")
-    with pytest.raises(StorageError, match="'value' in '.*' is no valid record"):
+    with pytest.raises(StorageError, match=r"'value' in '.*' is no valid record"):
         files.load(path)
 
 

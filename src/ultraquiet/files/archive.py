@@ -155,7 +155,7 @@ def _opened(path: _Path) -> "h5py.File":
     if _seal(data[:end]) != data[end:]:
         raise StorageError(f"archive: '{path}' is damaged: its content does not match its checksum.")
     opened = h5py.File(io.BytesIO(data[:end]), "r")
-    version = opened.attrs["format_version"]
+    version: Any = opened.attrs["format_version"]
     if version > FORMAT_VERSION:
         opened.close()
         raise StorageError(
