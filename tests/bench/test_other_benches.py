@@ -1,0 +1,100 @@
+"""Plants from outside and recordings."""
+
+import numpy as np
+import pytest
+
+from ultraquiet._base.errors import InputError, RateError
+from ultraquiet.bench import Bench, Hexapod, Replay, Wrapped
+from ultraquiet.values import Channel, Record, StateSpace
+
+
+class Plant:
+    """The hexapod's linear truth without its computing delay, as an outsider would code it."""
+
+    def __init__(self, unit):
+        self.A, self.B, self.C = Hexapod(unit=unit)._sampled
+        self.resets = 0
+
+    def reset(self):
+        self.resets += 1
+        self.x = np.zeros(len(self.A))
+
+    def step(self, u, d):
+        y = self.C @ self.x
+        self.x = self.A @ self.x + self.B @ (u + d)
+        return y
+
+
+def test_a_wrapped_plant_runs_like_the_bench_it_copies(rng):
+    plant, bench = Plant("flight"), Hexapod(unit="flight", linear=True)
+    wrapped = Wrapped(
+        plant.step, plant.reset, 3500.0, [f"strut {i}" for i in range(6)], [f"strut {i}" for i in range(6)]
+    )
+    law = StateSpace(0.5 * np.eye(6), 0.01 * np.eye(6), np.eye(6), 0.02 * rng.normal(size=(6, 6)), rate_hz=3500.0)
+    u, d = rng.normal(size=(2, 6, 200))
+    assert isinstance(wrapped, Bench)
+    for controller in (None, law):
+        theirs, ours = wrapped.run(u, d, controller), bench.run(u, d, controller)
+        assert np.allclose(theirs.outputs, ours.outputs, atol=1e-9)
+        assert np.allclose(theirs.inputs, ours.inputs, atol=1e-9)
+    assert plant.resets == 2
+
+
+def test_a_wrapped_plant_is_limited_by_its_actuators():
+    bench = Wrapped(lambda u, d: u, lambda: None, 10.0, [Channel("force", "N", -1.0, 2.0)], ["position"])
+    record = bench.run([[5.0, -5.0, 0.0]])
+    assert record.inputs.tolist() == [[2.0, -1.0, 0.0]]
+    assert record.outputs.tolist() == [[0.0, 2.0, -1.0]]
+
+
+def test_a_plant_that_keeps_its_arguments_cannot_spoil_the_record():
+    kept = []
+
+    def step(u, d):
+        kept.append(u)
+        u += 100.0
+        return [0.0]
+
+    record = Wrapped(step, lambda: None, 10.0, ["a"], ["b"]).run([[1.0, 2.0, 3.0]])
+    assert record.inputs.tolist() == [[1.0, 2.0, 3.0]]
+    assert [float(u[0]) for u in kept] == [100.0, 101.0, 102.0]
+
+
+def test_replay_returns_its_records():
+    records = tuple(Record(np.full((2, 5), k), np.arange(5.0)[None] + k, 100.0) for k in (1.0, 2.0))
+    bench = Replay(records)
+    assert isinstance(bench, Bench)
+    assert bench.run(np.full((2, 5), 2.0)) is records[1]
+    assert bench.rate_hz == 100.0
+
+
+def short(given):
+    return Wrapped(lambda u, d: given, lambda: None, 10.0, ["a"], ["b", "c"])
+
+
+TAPE = Replay((Record(np.ones((1, 3)), np.ones((1, 3)), 10.0),))
+BAD = [
+    (lambda: short([1.0]).run([[0.0]]), InputError, "at sample 0 the plant must return 2 finite readings"),
+    (lambda: short([1.0, np.nan]).run([[0.0]]), InputError, "2 finite readings"),
+    (lambda: short([1.0, 1.0]).run([[0.0], [0.0]]), InputError, r"shape \(1, samples\)"),
+    (lambda: Wrapped(None, print, 1.0, ["a"], ["b"]), InputError, "'step' must be a function"),
+    (lambda: Wrapped(print, print, -1.0, ["a"], ["b"]), InputError, "'rate_hz' must be above zero"),
+    (
+        lambda: short([1.0, 1.0]).run(
+            [[0.0]],
+            controller=StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.zeros((1, 2)), rate_hz=20.0),
+        ),
+        RateError,
+        "20 Hz",
+    ),
+    (lambda: Replay(()), InputError, "at least one record"),
+    (lambda: TAPE.run(np.zeros((1, 3))), InputError, "none of the 1 records"),
+    (lambda: TAPE.run(np.ones((1, 3)), disturbance=np.ones((1, 3))), InputError, "cannot react"),
+]
+
+
+@pytest.mark.parametrize("case", BAD, ids=[c[2] for c in BAD])
+def test_bad_input_is_refused(case):
+    call, kind, words = case
+    with pytest.raises(kind, match=words):
+        call()
