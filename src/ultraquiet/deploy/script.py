@@ -17,6 +17,7 @@ OPS = (
     "OUTPUT",
     "UPDATE",
     "SPEND",
+    "POKE",
     "RUN",
     "NOT_A_NUMBER",
     "INFINITE",
@@ -110,7 +111,8 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
         ("OUTPUT", 0, quiet),
         ("FRAME", 0, quiet),  # an overrun with the hook
         ("UPDATE", 0, quiet),
-        ("NOT_A_NUMBER", 0, quiet),
+        ("OUTPUT", 0, quiet),
+        ("NOT_A_NUMBER", 0, quiet),  # upon an unfinished step: its update must not advance
         ("DISABLE", 0, quiet),  # must not turn a fault into a stop
         ("RUN", ramp + 2, quiet),  # the whole ramp of a fault
         ("CLEAR", 0, quiet),
@@ -122,6 +124,14 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
         ("RUN", ramp + 10, quiet),
         *[("LARGE", k % law.inputs, quiet) for k in range(4)],
         ("RUN", 4, quiet),
+        ("OUTPUT", 0, quiet),
+        ("INIT", 0, quiet),  # also ends an unfinished step
+        ("FRAME", 0, quiet),
+        ("ENABLE", 0, quiet),
+        ("RUN", some + 2, quiet),
+        ("POKE", law.states // 2, quiet),
+        ("RUN", 2, quiet),
+        ("CLEAR", 0, quiet),  # refused, or at once where the ramp is a single step
         ("INIT", 0, quiet),
         ("OUTPUT", 0, quiet),
         ("FRAME", 0, quiet),  # the hook is gone
@@ -165,6 +175,8 @@ class Player:
             twin.update()
         elif op == "SPEND":
             twin.overruns = MASK - count
+        elif op == "POKE":
+            twin.x[count] = np.inf
         elif op in ("ENABLE", "CLEAR", "FRAME"):
             self._fold([int(getattr(twin, op.lower())())])
         else:
@@ -189,9 +201,10 @@ class Player:
 
     def _look(self) -> None:
         twin = self.twin
-        pairs = np.stack([twin.raw, twin.applied], axis=1).ravel()
-        self._fold(self._bits(np.concatenate([pairs, twin.x])))
+        commands = np.stack([twin.raw, twin.applied, twin.limited], axis=1).ravel()
+        self._fold(self._bits(np.concatenate([commands, twin.y, twin.x])))
         self._fold([twin.mode, twin.faults, twin.level, twin.steps, twin.clipped, twin.overruns])
+        self._fold([int(twin.live), int(twin.busy)])
 
     def _bits(self, values: NDArray[np.floating]) -> list[int]:
         """Return 32-bit words, low half first; one word for any NaN."""

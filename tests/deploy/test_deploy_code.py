@@ -1,0 +1,214 @@
+"""The code against its twin, bit by bit, and its guards seen from outside."""
+
+import subprocess
+import time
+
+import numpy as np
+import pytest
+
+from conftest import RATE_HZ
+from ultraquiet.deploy import generate
+from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.twin import Twin
+from ultraquiet.deploy.verify import compare, measurements
+from ultraquiet.values import Controller, StateSpace, SteppedController
+
+pytestmark = pytest.mark.usefixtures("cc")
+
+
+def settle(rng, law, volts):
+    """Measurements whose linear commands peak at `volts`."""
+    y = rng.standard_normal((law.D.shape[1], 400))
+    return y * volts / np.abs(law.simulate(y)).max()
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_hundred_thousand_steps_bit_for_bit(law_of, seed, tmp_path, precision):
+    made = generate(law_of(60), tmp_path / "code", precision=precision)
+    assert made.tables["bit_exact"] is None
+    found = made.verify(steps=100_000, seed=seed)
+    print(f"{precision}: {found.status} {found.seconds:.1f} s")
+    assert found.ok
+    assert found.bit_exact is True
+    assert found.mismatches == 0
+    assert found.self_test is True
+    assert made.tables["bit_exact"] is True
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("anti_windup", [False, True])
+@pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])
+def test_every_form_bit_for_bit(law_of, rng, seed, tmp_path, form, anti_windup, precision):
+    law = law_of(int(rng.integers(0, 25)), int(rng.integers(1, 8)), int(rng.integers(1, 8)))
+    made = generate(law, tmp_path / "code", precision, form=form, anti_windup=anti_windup, ramp_s=0.02)
+    found = made.verify(steps=3000, seed=seed)
+    assert found.ok, (found.status, law.A.shape, law.D.shape)
+
+
+def test_long_verification_visits_limits_ramp_and_fault(law_of, seed, tmp_path):
+    law = generate(law_of(12), tmp_path / "code", ramp_s=0.01).law
+    y = measurements(law, 5000, seed)
+    twin = Twin(law)
+    twin.enable()
+    u = twin.run(y)
+    assert twin.faults == 1
+    assert 50 < twin.clipped < 5000
+    assert np.all(u[:, -5:] == 0)
+    assert np.abs(u[:, 0]).max() < np.abs(u).max() / 10
+
+
+def test_a_changed_coefficient_is_found(law_of, tmp_path):
+    made = generate(law_of(6), tmp_path / "code")
+    path = tmp_path / "code" / "controller_coefficients.h"
+    text = path.read_text()
+    table = text.index("D[6][6]")
+    digit = text.index("p", table) - 1
+    while text[digit] == "0":
+        digit -= 1
+    changed = "0" if text[digit] != "0" else "8"
+    path.write_text(text[:digit] + changed + text[digit + 1 :])
+    found = made.verify(steps=2000)
+    print(found.status)
+    assert found.bit_exact is False
+    assert found.status.word == "differs"
+    assert found.first is not None
+    assert found.self_test is False
+
+
+def test_a_law_that_does_not_compile_is_reported_not_raised(law_of, tmp_path):
+    made = generate(law_of(4), tmp_path / "code")
+    (tmp_path / "code" / "controller.c").write_text("int x = ;\n")
+    found = made.verify(steps=10)
+    assert found.status.word == "not compiled"
+    assert "refused the generated code" in found.status.sentence
+    assert made.tables["bit_exact"] is False
+
+
+@pytest.mark.parametrize("level", ["-O0", "-O3"])
+def test_optimiser_changes_no_bit(law_of, seed, tmp_path, cc, level):
+    made = generate(law_of(24), tmp_path / "code", ramp_s=0.01)
+    y = measurements(made.law, 2000, seed)
+    flags = tuple(level if f == "-O2" else f for f in FLAGS)
+    runs = [CompiledController(Library(made.law, made.folder, cc, f)).run(y) for f in (FLAGS, flags)]
+    assert compare(*runs) == (0, None)
+
+
+def test_controller_follows_the_designed_law(law_of, rng, tmp_path):
+    law = law_of(40)
+    y = settle(rng, law, 20.0)
+    runs = generate(law, tmp_path / "a").controller
+    assert isinstance(runs, Controller)
+    plain = SteppedController(law)
+    code = np.stack([runs.step(k) for k in y.T], axis=1)
+    exact = np.stack([plain.step(k) for k in y.T], axis=1)
+    error = np.abs(code - exact).max() / np.abs(exact).max()
+    print(f"float32 against float64 law: {error:.1e}")
+    assert runs.rate_hz == RATE_HZ
+    assert error < 1e-4
+    precise = generate(law, tmp_path / "b", "float64").controller
+    assert np.allclose(np.stack([precise.step(k) for k in y.T], axis=1), exact, atol=1e-9)
+
+
+def test_reset_repeats_the_run(law_of, rng, tmp_path):
+    runs = generate(law_of(8), tmp_path / "code").controller
+    y = rng.standard_normal((50, 6))
+    first = [runs.step(k) for k in y]
+    runs.reset()
+    assert np.array_equal(first, [runs.step(k) for k in y])
+
+
+def test_instances_do_not_touch_each_other(law_of, rng, tmp_path):
+    made = generate(law_of(8), tmp_path / "code")
+    other = generate(law_of(8), tmp_path / "other")
+    y = rng.standard_normal((60, 6))
+    alone = [made.instance().step(y[0]), *[np.zeros(6)] * 0]
+    one, two, three = made.instance(), made.instance(), other.instance()
+    mixed, lagging = [], []
+    for k in range(60):
+        mixed.append(one.step(y[k]))
+        three.step(y[k])
+        if k >= 7:
+            lagging.append(two.step(y[k - 7]))
+    assert np.array_equal(mixed[0], alone[0])
+    assert np.array_equal(lagging, mixed[:53])
+
+
+def test_commands_stay_within_asymmetric_limits(law_of, rng, tmp_path):
+    law = law_of(10, 6, 3)
+    limits = [[-1.0, 2.0], [-15.0, 150.0], [0.0, 3.0]]
+    runs = generate(law, tmp_path / "code", limits_v=limits).controller
+    u = np.stack([runs.step(k) for k in 20 * settle(rng, law, 150.0).T], axis=1)
+    assert np.array_equal(u.min(axis=1), [-1.0, -15.0, 0.0])
+    assert np.array_equal(u.max(axis=1), [2.0, 150.0, 3.0])
+
+
+def test_start_is_bumpless_and_ramps_in_on_time(law_of, tmp_path):
+    gain = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.eye(2), rate_hz=RATE_HZ)
+    made = generate(gain, tmp_path / "code", limits_v=10.0, ramp_s=0.1)
+    runs = made.instance(ramp=True)
+    u = np.stack([runs.step(np.array([4.0, 40.0])) for _ in range(400)], axis=1)
+    ramp = np.minimum(np.arange(1, 401) / 350.0, 1.0)
+    assert np.allclose(u[0], 4.0 * ramp, rtol=1e-6)
+    assert np.allclose(u[1], 10.0 * ramp, rtol=1e-6)
+    runs.disable()
+    down = np.stack([runs.step(np.array([4.0, 40.0])) for _ in range(360)], axis=1)
+    assert np.allclose(down[1], 10.0 * np.maximum(1 - np.arange(1, 361) / 350.0, 0.0), rtol=1e-5, atol=1e-5)
+    assert np.all(down[:, -10:] == 0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_bad_measurement_latches_and_ramps_the_last_command_out(law_of, rng, tmp_path, bad):
+    law = law_of(10)
+    runs = generate(law, tmp_path / "code", ramp_s=0.1).controller
+    y = settle(rng, law, 20.0)
+    for k in y[:, :100].T:
+        before = runs.step(k)
+    hit = y[:, 100].copy()
+    hit[rng.integers(6)] = bad
+    after = np.stack([runs.step(hit), *(runs.step(k) for k in y[:, 101:].T)], axis=1)
+    again = np.stack([runs.step(k) for k in y.T], axis=1)
+    ramp = np.maximum(1 - np.arange(1, 301) / 350.0, 0.0)
+    assert np.allclose(after, before[:, None] * ramp, rtol=1e-5, atol=1e-5)
+    assert np.all(np.isfinite(again))
+    assert np.all(again[:, 50:] == 0)
+
+
+def test_unstable_law_is_generated_with_a_warning_and_never_leaves_the_limits(rng, tmp_path):
+    law = StateSpace([[1.02]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
+    made = generate(law, tmp_path / "code", ramp_s=0.01)
+    assert made.status.word == "unstable"
+    runs = made.controller
+    u = np.array([runs.step(np.array([1.0]))[0] for _ in range(20_000)])
+    assert np.all(np.isfinite(u))
+    assert np.abs(u).max() == 25.0
+    assert u[-1] == 0.0  # float32 overflowed: fault, ramped out
+    assert made.verify(steps=5000).ok
+
+
+def test_make_check_passes_in_the_folder(law_of, tmp_path):
+    generate(law_of(6), tmp_path / "code", name="iso_6")
+    told = subprocess.run(["make", "check"], cwd=tmp_path / "code", capture_output=True, text=True, check=False)
+    print(told.stdout)
+    assert told.returncode == 0, told.stderr
+    assert "self-test passed" in told.stdout
+
+
+def test_vectors_are_what_the_code_computes(law_of, tmp_path):
+    made = generate(law_of(9), tmp_path / "code")
+    lines = (tmp_path / "code" / "vectors.csv").read_text().splitlines()
+    held = np.array([[float.fromhex(v) for v in line.split(",")] for line in lines[1:]])
+    runs = made.instance()
+    assert held.shape == (256, 12)
+    assert np.array_equal(np.stack([runs.step(k) for k in held[:, :6]]), held[:, 6:])
+
+
+def test_compiled_steps_are_fast_enough_for_a_simulation(law_of, tmp_path):
+    runs = generate(law_of(60), tmp_path / "code").controller
+    y = np.zeros(6)
+    begun = time.perf_counter()
+    for _ in range(2000):
+        runs.step(y)
+    microseconds = (time.perf_counter() - begun) * 1e6 / 2000
+    print(f"{microseconds:.1f} us a step through Python")
+    assert microseconds < 285.0  # one frame

@@ -1,0 +1,125 @@
+"""What is refused, in which words, and that nothing is left behind."""
+
+import numpy as np
+import pytest
+
+from conftest import RATE_HZ
+from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.deploy import generate
+from ultraquiet.values import StateSpace
+
+
+def gain(value=1.0, rate_hz=RATE_HZ):
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[value]], rate_hz=rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"precision": "float16"}, r"'precision' must be one of 'float32', 'float64', got 'float16'"),
+        ({"form": "companion"}, r"'form' must be one of 'auto', 'modal', 'delta', 'schur', 'dense'"),
+        ({"name": "my controller"}, r"must be a C identifier .* got 'my controller'"),
+        ({"limits_v": [1.0, 2.0, 3.0]}, r"'limits_v' must be one number, \(1,\) or \(1, 2\)"),
+        ({"limits_v": [[5.0, 10.0]]}, r"each actuator's range must hold 0 V"),
+        ({"limits_v": -1.0}, r"each actuator's range must hold 0 V"),
+        ({"limits_v": np.nan}, r"NaN or infinite"),
+        ({"ramp_s": 0.0}, r"'ramp_s' must be above zero s"),
+        ({"ramp_s": 1e-5}, r"'ramp_s in samples' must be between 1 and"),
+        ({"tolerance": 2.0}, r"'tolerance' must lie between 0 and 1"),
+        ({"enforce_budget": True, "budget_cycles": 0}, r"'budget_cycles' must be at least 1"),
+    ],
+)
+def test_bad_settings(tmp_path, settings, sentence):
+    with pytest.raises(InputError, match=sentence):
+        generate(gain(), tmp_path / "code", **settings)
+    assert not list(tmp_path.iterdir())
+
+
+def test_continuous_law(tmp_path):
+    with pytest.raises(InputError, match="continuous time; discretise it"):
+        generate(gain(rate_hz=None), tmp_path / "code")
+
+
+def test_something_else_than_a_law(tmp_path):
+    with pytest.raises(InputError, match="must be a StateSpace, got list"):
+        generate([[1.0]], tmp_path / "code")
+
+
+def test_coefficient_beyond_the_precision(tmp_path):
+    with pytest.raises(InputError, match=r"a coefficient of 1.0e\+39 is beyond float32"):
+        generate(gain(1e39), tmp_path / "code")
+    assert generate(gain(1e39), tmp_path / "code", "float64").law.D[0, 0] == 1e39
+
+
+def test_plant_at_another_rate(tmp_path):
+    with pytest.raises(InputError, match="sampled at 3500 Hz but the plant is sampled at 1000 Hz"):
+        generate(gain(), tmp_path / "code", plant=gain(rate_hz=1000.0))
+
+
+def test_foreign_folder_is_not_replaced(tmp_path):
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "thesis.tex").write_text("years of work")
+    with pytest.raises(StorageError, match="holds something this program did not write"):
+        generate(gain(), tmp_path / "code")
+    assert (tmp_path / "code" / "thesis.tex").read_text() == "years of work"
+
+
+@pytest.mark.parametrize("manifest", ["[]", "{}", "not json", '{"writer": "another"}'])
+def test_folder_with_another_manifest_is_not_replaced(tmp_path, manifest):
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "manifest.json").write_text(manifest)
+    with pytest.raises(StorageError, match="holds something"):
+        generate(gain(), tmp_path / "code")
+
+
+def test_own_folder_is_replaced_whole(tmp_path):
+    generate(gain(), tmp_path / "code", name="first")
+    generate(gain(), tmp_path / "code", name="second")
+    names = {p.name for p in (tmp_path / "code").iterdir()}
+    assert "second.c" in names
+    assert "first.c" not in names
+    assert [p.name for p in tmp_path.iterdir()] == ["code"]
+
+
+def test_unwritable_place(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="cannot write beside"):
+        generate(gain(), tmp_path / "file" / "code")
+    with pytest.raises(StorageError, match="holds something"):
+        generate(gain(), tmp_path / "file")
+
+
+def test_half_written_folder_never_appears(tmp_path, monkeypatch):
+    generate(gain(), tmp_path / "code", name="first")
+    from pathlib import Path
+
+    write = Path.write_text
+    calls = []
+
+    def full(self, *args, **kwargs):
+        calls.append(self)
+        if len(calls) > 12:  # the measured object's files come first
+            raise OSError(28, "No space left on device")
+        return write(self, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(StorageError, match="No space left on device"):
+        generate(gain(), tmp_path / "code", name="second")
+    monkeypatch.undo()
+    assert (tmp_path / "code" / "first.c").exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["code"]
+
+
+def test_without_a_compiler_a_sentence_and_the_twin(tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    made = generate(gain(0.5), tmp_path / "code")
+    found = made.verify(steps=10)
+    print(found.status)
+    assert found.status.word == "no compiler"
+    assert found.bit_exact is None
+    assert made.tables["bit_exact"] is None
+    assert made.tables["flash_from"] == "constants alone, no compiler"
+    assert made.controller.step(np.array([2.0])) == pytest.approx([1.0])
+    ramped = made.instance(ramp=True)
+    assert ramped.step(np.array([2.0]))[0] == pytest.approx(1.0 / 1750)
