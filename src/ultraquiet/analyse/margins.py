@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.linalg.modal_response import residues
+from ultraquiet.linalg.response import points
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -83,16 +85,11 @@ def loop_margins(
     if not S.is_stable():
         return Margins(*(np.zeros(loops) for _ in range(5)))
     f = _grid(S) if f_hz is None else frequency_array("loop_margins", f_hz)
-    response = S.frequency_response(f)
+    response = residues(S.A, S.B, S.C, S.D).at(points(f, S.rate_hz))
     rows = [_crossings(1 / response[i, i] - 1, f) for i in range(loops)]
-    disk = [_disk(S, i) for i in range(loops)]
+    # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277), on the grid
+    disk = [1.0 / float(np.abs(response[i, i] - 0.5).max()) for i in range(loops)]
     return Margins(*(np.array(column) for column in zip(*rows, strict=True)), np.array(disk))
-
-
-def _disk(S: StateSpace, i: int) -> float:
-    """Return alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277)."""
-    part = StateSpace(S.A, S.B[:, [i]], S.C[[i]], S.D[[i]][:, [i]] - 0.5, S.rate_hz)
-    return 1.0 / hinf_norm(part)[0]
 
 
 def _crossings(L: ComplexArray, f: FloatArray) -> tuple[float, float, float, float]:
@@ -126,6 +123,11 @@ def _real_axis_factors(L: ComplexArray) -> FloatArray:
 
 
 def _grid(S: StateSpace) -> FloatArray:
-    poles = np.abs(S.poles())
-    top = 10 * poles.max() / (2 * np.pi) if S.rate_hz is None else S.rate_hz / 2
-    return np.geomspace(top * 10**-DECADES, top, POINTS)
+    poles = S.poles()
+    if S.rate_hz is None:
+        size = np.abs(poles) / (2 * np.pi)
+        top = 10 * float(size.max(initial=1e-3))
+    else:
+        size = np.abs(np.angle(poles)) * S.rate_hz / (2 * np.pi)
+        top = S.rate_hz / 2
+    return np.unique(np.concatenate([np.geomspace(top * 10**-DECADES, top, POINTS), size[size < top]]))

@@ -1,8 +1,23 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
+from ultraquiet.design.band import BandAttenuation
+from ultraquiet.design.generalised import four_block, output_shaping
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.lqg import Lqg
+from ultraquiet.design.mixed import MixedSensitivity
 from ultraquiet.design.weights import band_pass, high_pass, peak
 
-__all__ = ["DesignMethod", "DesignResult", "Lqg", "band_pass", "high_pass", "peak", "synthesize_hinf"]
+__all__ = [
+    "BandAttenuation",
+    "DesignMethod",
+    "DesignResult",
+    "Lqg",
+    "MixedSensitivity",
+    "band_pass",
+    "four_block",
+    "high_pass",
+    "output_shaping",
+    "peak",
+    "synthesize_hinf",
+]

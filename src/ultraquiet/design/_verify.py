@@ -1,7 +1,7 @@
 """What every design is judged by: the loop with the design model, closed again from the finished controller."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import fields, replace
 from typing import Any
 
 from ultraquiet._base.provenance import Provenance, plain, versions
@@ -64,7 +64,28 @@ def _stamped(controller: StateSpace, plant: StateSpace, settings: Any) -> StateS
 
 
 def _provenance(plant: StateSpace, settings: Any) -> Provenance:
-    kept = {
-        k: plain(v) if not isinstance(v, int | float | str | bool | tuple) else v for k, v in asdict(settings).items()
-    }
+    kept = {f.name: _setting(getattr(settings, f.name)) for f in fields(settings)}
     return Provenance(type(settings).__name__, kept, parents=(plant.hash,), versions=versions())
+
+
+def _setting(value: Any) -> Any:
+    if isinstance(value, StateSpace):
+        return value.hash
+    return value if value is None or isinstance(value, int | float | str | bool | tuple) else plain(value)
+
+
+def from_synthesis(
+    plant: StateSpace,
+    found: DesignResult,
+    settings: Any,
+    details: Mapping[str, Any],
+    controller: StateSpace | None = None,
+) -> DesignResult:
+    """Judge what an H-infinity synthesis found on the plant itself; a refusal is passed on.
+
+    `controller` replaces the one found, when that was made for a part of the plant.
+    """
+    law = controller or found.controller
+    if not found.status.ok or law is None:
+        return replace(found, details={**found.details, **details}, provenance=_provenance(plant, settings))
+    return judged(plant, law, settings, found.gamma, found.achieved, found.residuals, {**found.details, **details})

@@ -16,6 +16,8 @@ from ultraquiet.linalg.equations import continuous_riccati
 from ultraquiet.linalg.realize import Matrices
 
 RANK = 1e-10  # a singular value of D12 or D21 below this share of the largest counts as zero
+# What is left of C'C after a cancellation that should be complete, relative to C'C.
+ROUND_OFF = 1e-12
 INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below zero
 
 
@@ -95,9 +97,9 @@ def attempt(plant: Plant, gamma: float) -> Level:
         Y, ry = _filter_equation(plant, gamma)
     except (NumericalError, LinAlgError) as error:
         return Level(gamma, X, none, np.inf, (rx, np.inf), f"filter equation Y: {error}")
-    for name, P in (("X", X), ("Y", Y)):
+    for name, P, source in (("X", X, plant.C1), ("Y", Y, plant.B1)):
         values = np.linalg.eigvalsh(P) if P.size else np.zeros(1)
-        if values[0] < -INDEFINITE * max(values[-1], 1e-12):
+        if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(source**2)):
             return Level(gamma, X, Y, np.inf, (rx, ry), f"{name} is indefinite, smallest eigenvalue {values[0]:.2e}")
     coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0
     reason = "" if coupling < 1 else f"the spectral radius of XY is {coupling:.6g} gamma^2"
@@ -185,6 +187,8 @@ def _indefinite(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, R: F
     solved = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
     RDC, RB = solved[:, :n], solved[:, n:]
     G, Q = B @ RB, C.T @ (C - D @ RDC)
+    if np.linalg.norm(Q) <= ROUND_OFF * np.sum(C**2):
+        Q = np.zeros_like(Q)  # the whole cost can be met: the X or Y of a mixed-sensitivity problem is zero
     found = continuous_riccati(A - B @ RDC, (G + G.T) / 2, (Q + Q.T) / 2)
     return found.X, found.residual
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import schur, solve_sylvester
+from scipy.sparse.csgraph import connected_components
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.equations import lyapunov, stein
@@ -12,6 +13,8 @@ from ultraquiet.linalg.realize import Matrices
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
 MODAL_CONDITION = 1e7
+PARALLEL = 1e-6  # eigenvectors of unit size whose product is this near one count as parallel
+ROOT_TWO = np.sqrt(2.0)
 
 
 class Coordinates(NamedTuple):
@@ -107,28 +110,24 @@ def _separated(A: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
         return np.eye(0), ()
     values, vectors = np.linalg.eig(A)
     groups = _clusters(values, vectors)
-    if all(len(g) == 1 or (len(g) == 2 and values[g[0]].imag != 0) for g in groups):
-        T = np.hstack([_real_basis(values[g], vectors[:, g]) for g in groups])
-        if np.linalg.cond(T) < MODAL_CONDITION:
-            return T, tuple(len(g) for g in groups)
     bases = [_invariant(A, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g]) for g in groups]
     T = np.hstack(bases)
-    if np.linalg.cond(T) < MODAL_CONDITION:
+    if T.shape == (n, n) and np.linalg.cond(T) < MODAL_CONDITION:
         return T, tuple(len(g) for g in groups)
     return schur(A, output="real")[1], (n,)
 
 
 def _clusters(values: ComplexArray, vectors: ComplexArray) -> list[list[int]]:
     """Group eigenvalues whose eigenvectors are nearly parallel; conjugates stay together."""
-    order = [int(i) for i in np.lexsort((values.imag < 0, np.abs(values.imag), values.real))]
-    near = np.abs(vectors.conj().T @ vectors) > 1 - 1e-6
-    groups: list[list[int]] = []
+    n = values.size
+    near = np.abs(vectors.conj().T @ vectors) > 1 - PARALLEL
+    near[np.arange(n), np.argmin(np.abs(values[:, None] - values.conj()[None, :]), axis=1)] = True
+    _, label = connected_components(near, directed=False)
+    order = np.lexsort((values.imag < 0, np.abs(values.imag), values.real))
+    groups: dict[int, list[int]] = {}
     for i in order:
-        conjugate = int(np.argmin(np.abs(values - np.conj(values[i]))))
-        hits = [g for g in groups if i in g or conjugate in g or any(near[i, k] or near[conjugate, k] for k in g)]
-        merged = sorted({i, conjugate, *(k for g in hits for k in g)}, key=order.index)
-        groups = [g for g in groups if g not in hits] + [merged]
-    return groups
+        groups.setdefault(int(label[i]), []).append(int(i))
+    return list(groups.values())
 
 
 def _tangled(values: ComplexArray, group: list[int]) -> bool:
@@ -143,9 +142,6 @@ def _real_basis(values: ComplexArray, vectors: ComplexArray) -> FloatArray:
     # rotating v by the phase of v'v makes its real and imaginary parts orthogonal
     v = v * np.exp(-0.5j * np.angle(v @ v))
     return np.column_stack([v.real, v.imag]) * ROOT_TWO
-
-
-ROOT_TWO = np.sqrt(2.0)
 
 
 def _invariant(A: FloatArray, values: ComplexArray, group: list[int]) -> FloatArray:

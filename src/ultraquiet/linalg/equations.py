@@ -9,7 +9,8 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
 
 ACCEPTED_RESIDUAL = 1e-8  # relative; a Newton step follows above it, a refusal if that does not help
-POLISHED_RESIDUAL = 1e-12
+POLISHED_RESIDUAL = 1e-11  # no Newton step is taken below it
+NEWTON_STEPS = 2
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 
 
@@ -37,6 +38,9 @@ def continuous_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> Riccati:
     n = A.shape[0]
     if n == 0:
         return Riccati(np.zeros((0, 0)), 0.0, np.inf)
+    if not np.any(Q) and np.linalg.eigvals(A).real.max() < 0:
+        # X = 0: the Y equation of every mixed-sensitivity problem with a stable plant, which SciPy refuses
+        return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()))
     d, As, Gs, Qs = _symplectic_scaling(A, G, Q)
     found = None
     for rung in (_doubled_continuous, _schur_continuous):
@@ -193,7 +197,7 @@ def _qz_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: 
 
 def _polished_continuous(A: FloatArray, G: FloatArray, Q: FloatArray, X: FloatArray) -> Riccati:
     held = _judged_continuous(A, G, Q, X)
-    for _ in range(3):
+    for _ in range(NEWTON_STEPS):
         if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
             break
         closed = A - G @ held.X
@@ -216,7 +220,7 @@ def _polished_discrete(
     A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray, X: FloatArray
 ) -> Riccati:
     held = _judged_discrete(A, B, Q, R, S, X)
-    for _ in range(3):
+    for _ in range(NEWTON_STEPS):
         if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
             break
         K = discrete_gain(A, B, R, S, held.X)

@@ -1,0 +1,142 @@
+"""Broadband attenuation: the sensitivity pressed down over a band, its peak held down elsewhere."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ultraquiet._base.constraints import one_of, positive
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import register
+from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.design._abstract import DesignResult
+from ultraquiet.design._verify import from_synthesis
+from ultraquiet.design.generalised import output_shaping
+from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.weights import band_pass, high_pass
+from ultraquiet.linalg import balance
+from ultraquiet.values.interconnect import append
+from ultraquiet.values.state_space import StateSpace
+
+T_WEIGHT = 0.4  # |T| may reach gamma / 0.4 below the roll-off
+RISE = 10.0  # the weights on KS and T grow by this factor, one decade in frequency
+HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
+HEIGHT_STEPS = 8  # halvings of the logarithm of that range: 2 % in height
+NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the scalar function
+
+
+@register("design", "band-attenuation")
+@dataclass(frozen=True)
+class BandAttenuation:
+    """The controller that makes a band quiet in every direction, at a price in amplification outside.
+
+    min || [W1 S; W2 K S; W3 T] || with W1 a steep band-pass over a floor, W2 and W3 rising at high frequency: W1's
+    height asks for attenuation, its floor bounds the amplification elsewhere, W2 bounds |K S|, W3 ends the control.
+
+    Args:
+        band_hz: corners of W1, Hz; a little outside the band to be quiet.
+        height: gain of W1 in the band. Doubling it buys about 4 dB and costs about 2 dB of peak.
+        floor: gain of W1 outside; the peak of S is near gamma / floor.
+        order: states of W1 per channel, even. Steep weights attenuate more at the same peak than high ones.
+        control_limit: largest wanted gain of K S, V/V.
+        control_hz: from where on less is wanted, Hz.
+        roll_off_hz: where the loop is to end, Hz.
+        peak_db: when given, `height` is chosen such that the peak of S is this, within a tenth of a decibel or so.
+        structure: `full` designs one controller for all channels; `alike` one scalar controller, used on each of them,
+            for the function that the plant shows when all channels move together (the heave of a hexapod).
+        margin: the controller is formed at margin times the smallest norm.
+
+    >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    >>> result = BandAttenuation(height=5.0, order=4).design(plant)
+    >>> s = abs(1 / (1 - plant.frequency_response([30.0]) * result.controller.frequency_response([30.0])))
+    >>> bool(s[0, 0, 0] < 0.5), result.peak_sensitivity_db < 8
+    (True, True)
+
+    Skogestad and Postlethwaite 2005, section 2.8.3.
+    """
+
+    band_hz: tuple[float, float] = (9.0, 108.0)
+    height: float = 15.0
+    floor: float = 0.6
+    order: int = 8
+    control_limit: float = 1000.0
+    control_hz: float = 400.0
+    roll_off_hz: float = 500.0
+    peak_db: float | None = None
+    structure: str = "full"
+    margin: float = 1.05
+
+    def __post_init__(self) -> None:
+        one_of("BandAttenuation", "structure", self.structure, ("full", "alike"))
+        for name in ("height", "floor", "control_limit", "control_hz", "roll_off_hz", "margin"):
+            positive("BandAttenuation", name, getattr(self, name))
+
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the controller u = K y of a square plant; peak, margins and poles are those with the whole plant.
+
+        `details` holds `attenuation_db`, the worst direction over the band reached on the design model, the `height`
+        used and `synthesis_states`.
+
+        Raises:
+            InputError: the plant is not square, or the structure `alike` is asked of a scalar plant's sizes.
+        """
+        ny, nu = plant.D.shape
+        if ny != nu:
+            raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
+        part = plant if self.structure == "full" else common_mode(plant)
+        settings = self if self.peak_db is None else replace(self, height=_height_for_peak(self, part, self.peak_db))
+        found = synthesize_hinf(settings.generalised(part), *part.D.shape, margin=self.margin)
+        law = found.controller
+        if law is not None and part.D.shape != plant.D.shape:
+            law = append(*[law] * ny)
+        details = {"height": settings.height, "synthesis_states": settings.generalised(part).states}
+        if law is not None:
+            details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band())
+        return from_synthesis(plant, found, self, details, law)
+
+    def generalised(self, plant: StateSpace) -> StateSpace:
+        """Return the generalised plant, inputs (w, u), outputs (W1 S w, W2 K S w, W3 T w, y)."""
+        n, rate = plant.D.shape[0], plant.rate_hz
+        on_s = band_pass(self.band_hz, self.height, self.floor, self.order, rate, n)
+        on_ks = high_pass(self.control_hz, 1 / self.control_limit, RISE / self.control_limit, 1, rate, n)
+        on_t = high_pass(self.roll_off_hz, T_WEIGHT, RISE * T_WEIGHT, 1, rate, n)
+        return output_shaping(plant, on_s, on_ks, on_t)
+
+    def _quiet_band(self) -> tuple[float, float]:
+        # the corners of a Butterworth edge lie where half of the weight's height is lost: a tenth inside it is whole
+        return self.band_hz[0] * 1.1, self.band_hz[1] / 1.1
+
+
+def common_mode(plant: StateSpace) -> StateSpace:
+    """Return v' G v with v = (1, ..., 1) / sqrt(n), the scalar function of all channels moving together, reduced.
+
+    Its unobservable half is removed by balanced truncation at Hankel values of no account; an unstable plant keeps all
+    its states.
+    """
+    v = np.ones((plant.D.shape[0], 1)) / np.sqrt(plant.D.shape[0])
+    M = (plant.A, plant.B @ v, v.T @ plant.C, v.T @ plant.D @ v)
+    if plant.is_stable():
+        P, Q = balance.gramians(*M[:3], discrete=plant.rate_hz is not None)
+        values = balance.balancing(P, Q, 0)[2]
+        left, right, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
+        M = balance.truncate(M, left, right)
+    return StateSpace(*M, rate_hz=plant.rate_hz)
+
+
+def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> float:
+    """Return -20 log10 of the largest singular value of S = (I - G K)^-1 over a band: its worst direction."""
+    f = np.geomspace(*band_hz, 400)
+    G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
+    S = np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
+    return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
+
+
+def _height_for_peak(settings: BandAttenuation, plant: StateSpace, peak_db: float) -> float:
+    """Return the height at which the peak of S is `peak_db`, by bisection of its logarithm."""
+    low, high = np.log(HEIGHTS)
+    for _ in range(HEIGHT_STEPS):
+        middle = (low + high) / 2
+        trial = replace(settings, height=float(np.exp(middle)), peak_db=None)
+        found = synthesize_hinf(trial.generalised(plant), *plant.D.shape, margin=settings.margin)
+        over = found.controller is None or peak_sensitivity(plant, found.controller)[0] > peak_db
+        low, high = (low, middle) if over else (middle, high)
+    return float(np.exp(low))

@@ -1,0 +1,79 @@
+"""Generalised plants: what is to be made small, put into one system with the plant and its weights."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet.values.interconnect import append, gain, series
+from ultraquiet.values.state_space import StateSpace
+
+
+def output_shaping(
+    plant: StateSpace, on_s: StateSpace, on_ks: StateSpace | None = None, on_t: StateSpace | None = None
+) -> StateSpace:
+    """Return the system from (w, u) to (W1 S w, W2 K S w, W3 T w, y): a disturbance w at the plant's output.
+
+    y = w + G u, S = (I - G K)^-1, T = G K S. A weight that is None leaves its block out.
+
+    Args:
+        plant: G.
+        on_s: W1.
+        on_ks: W2.
+        on_t: W3.
+    """
+    ny, nu = plant.D.shape
+    _fits(plant, on_s, ny, "on_s")
+    zero = np.zeros((ny, plant.states))
+    C, D = [plant.C], [np.hstack([np.eye(ny), plant.D])]
+    weights = [on_s]
+    if on_ks is not None:
+        _fits(plant, on_ks, nu, "on_ks")
+        C.append(np.zeros((nu, plant.states)))
+        D.append(np.hstack([np.zeros((nu, ny)), np.eye(nu)]))
+        weights.append(on_ks)
+    if on_t is not None:
+        _fits(plant, on_t, ny, "on_t")
+        C.append(plant.C)
+        D.append(np.hstack([np.zeros((ny, ny)), plant.D]))
+        weights.append(on_t)
+    C.append(plant.C)
+    D.append(D[0])
+    B = np.hstack([zero.T, plant.B])
+    inner = StateSpace(plant.A, B, np.vstack(C), np.vstack(D), plant.rate_hz)
+    return series(inner, append(*weights, gain(np.eye(ny), plant.rate_hz)))
+
+
+def four_block(
+    plant: StateSpace, on_output: StateSpace, on_control: StateSpace, disturbance: FloatArray, noise: FloatArray
+) -> StateSpace:
+    """Return the system from (d, n, u) to (W1 x, W2 u, y), x = G (u + Vd d), y = x + Vn n.
+
+    Args:
+        plant: G.
+        on_output: W1.
+        on_control: W2.
+        disturbance: Vd `(nu, nu)`, volts of disturbance at the plant's input.
+        noise: Vn `(ny, ny)`, output units of sensor noise.
+    """
+    ny, nu = plant.D.shape
+    _fits(plant, on_output, ny, "on_output")
+    _fits(plant, on_control, nu, "on_control")
+    Vd, Vn = np.asarray(disturbance), np.asarray(noise)
+    n = plant.states
+    B = np.hstack([plant.B @ Vd, np.zeros((n, ny)), plant.B])
+    C = np.vstack([plant.C, np.zeros((nu, n)), plant.C])
+    D = np.block(
+        [
+            [plant.D @ Vd, np.zeros((ny, ny)), plant.D],
+            [np.zeros((nu, nu + ny)), np.eye(nu)],
+            [plant.D @ Vd, Vn, plant.D],
+        ]
+    )
+    inner = StateSpace(plant.A, B, C, D, plant.rate_hz)
+    return series(inner, append(on_output, on_control, gain(np.eye(ny), plant.rate_hz)))
+
+
+def _fits(plant: StateSpace, weight: StateSpace, size: int, name: str) -> None:
+    same_rate("generalised plant", "the plant", plant.rate_hz, f"the weight '{name}'", weight.rate_hz)
+    if weight.D.shape[1] != size:
+        raise InputError(f"generalised plant: '{name}' takes {weight.D.shape[1]} signals where {size} are wanted.")

@@ -1,0 +1,59 @@
+"""Frequency response from modal blocks: some hundred times faster than triangular solves where modes are apart."""
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg import balance, response
+
+# Loss of digits that is accepted for the speed; beyond it the triangular kernel is used.
+CONDITION = 1e6
+
+
+class Residues(NamedTuple):
+    """G(z) = sum of residues / (z - pole), plus what could not be split, plus D."""
+
+    poles: ComplexArray
+    residues: ComplexArray  # (ny * nu, poles)
+    rest: tuple[FloatArray, FloatArray, FloatArray] | None
+    D: FloatArray
+
+    def at(self, z: ComplexArray) -> ComplexArray:
+        """Return the response `(ny, nu, nz)`."""
+        ny, nu = self.D.shape
+        out = np.broadcast_to(self.D[:, :, None], (ny, nu, z.size)).astype(np.complex128)
+        if self.poles.size:
+            out += (self.residues @ (1.0 / (z[None, :] - self.poles[:, None]))).reshape(ny, nu, z.size)
+        if self.rest is not None:
+            out += response.frequency_response(*self.rest, np.zeros((ny, nu)), z)
+        return out
+
+
+def residues(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Residues:
+    """Split a system into first-order terms; modes that cannot be told apart stay together in `rest`."""
+    form = balance.modal(A, B, C)
+    if A.shape[0] and np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) > CONDITION:
+        return Residues(np.zeros(0, complex), np.zeros((D.size, 0), complex), (A, B, C), D)
+    edges = [0, *np.cumsum(form.blocks)]
+    poles, terms, left = [], [], []
+    for low, high in pairwise(edges):
+        if high - low > 2 or (high - low == 2 and form.A[low, low + 1] * form.A[low + 1, low] >= 0):
+            left += list(range(low, high))
+            continue
+        p, b, c = _block(form.A[low:high, low:high], form.B[low:high], form.C[:, low:high])
+        poles.append(p)
+        terms.append((c[:, None, :] * b.T[None, :, :]).reshape(D.size, p.size))
+    rest = (form.A[np.ix_(left, left)], form.B[left], form.C[:, left]) if left else None
+    if not poles:
+        return Residues(np.zeros(0, complex), np.zeros((D.size, 0), complex), rest, D)
+    return Residues(np.concatenate(poles), np.concatenate(terms, axis=1), rest, D)
+
+
+def _block(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return poles, rows of B and columns of C of a block of one or two states in complex form."""
+    if A.shape[0] == 1:
+        return A[0].astype(complex), B.astype(complex), C.astype(complex)
+    values, vectors = np.linalg.eig(A)
+    return values.astype(complex), np.linalg.solve(vectors, B).astype(complex), (C @ vectors).astype(complex)
