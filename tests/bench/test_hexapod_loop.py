@@ -1,7 +1,9 @@
 """How the simulated bench runs: timing, limits, noise, controllers, refusals and speed."""
 
+import pickle
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -161,6 +163,18 @@ def test_it_is_a_registered_bench_with_named_channels():
     assert [c.name for c in record.actuators] == [f"strut {i}" for i in range(1, 7)]
     assert record.sensors[5].unit == "V"
     assert record.provenance.settings["unit"] == "ground"
+
+
+def test_a_bench_is_its_settings_and_travels_with_its_count():
+    bench = Hexapod(unit="flight", seed=3)
+    settings = asdict(bench)
+    quiet = np.zeros((6, 20))
+    first = bench.run(quiet)
+    assert asdict(bench) == settings
+    assert bench == Hexapod(unit="flight", seed=3)
+    copy = pickle.loads(pickle.dumps(bench))
+    assert copy.run(quiet).hash == bench.run(quiet).hash
+    assert bench.run(quiet, run_index=0).hash == first.hash
 
 
 class Broken:

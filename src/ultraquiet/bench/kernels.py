@@ -5,7 +5,7 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def read(C, x, noise, limit, step, y):  # noqa: PLR0917
+def read(C, x, noise, limit, step, y):
     """Fill y with the readings C x + noise, clipped to +-limit and rounded to multiples of step (0: not rounded)."""
     for i in range(y.size):
         value = noise[i]
@@ -34,7 +34,7 @@ def clip(values, limit, into, counts):
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def move(At, Bt, x, held, disturbance, stack_limit, stack, work, counts):  # noqa: PLR0917
+def move(At, Bt, x, held, disturbance, stack_limit, stack, work, counts):
     """Advance the plant one sample under the held command plus the disturbance, the stack limited to +-stack_limit."""
     for i in range(held.size):
         stack[i] = held[i] + disturbance[i]
@@ -46,7 +46,7 @@ def move(At, Bt, x, held, disturbance, stack_limit, stack, work, counts):  # noq
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def loop(plant, law, actuation, disturbance, noise, limits, command, outputs, limited):  # noqa: PLR0917
+def loop(plant, law, actuation, disturbance, noise, limits, command, outputs, limited):
     """Run all samples; signals are `(n, channels)`, matrices transposed but for the plant's C.
 
     plant = (At, Bt, C), law = (At, Bt, Ct, Dt), limits = (command, stack, reading, step of the converter).

@@ -21,7 +21,7 @@ class Tone(Signal):
     0.0
     """
 
-    frequency_hz: float
+    frequency_hz: float = 60.0
     amplitude_v: float = 25.0
     phase_deg: float = 0.0
 
