@@ -1,6 +1,6 @@
 """One output of one structure: starts, search, verdict."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,10 @@ TOLERANCE = 1e-3
 SIGNIFICANCE = 1e-3
 TEST_LAGS = 40  # at 3.5 kHz 11 ms, over which a wrong 12 Hz pole leaves a visible residual correlation
 CONVERGED, STUCK = 1, -1
+# Later starts run this far; one that has not come near the best loss by then is dropped. On records of the bench the
+# start with the lowest loss after ten steps ended within 1 % of the best of all.
+TRIAL_STEPS = 10
+PROMISING = 1.05
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,18 @@ class Search:
     estimate: bool
     offset: bool
     max_iterations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Where a search ended: see `kernels.search`."""
+
+    table: FloatArray
+    loss: float
+    residual: FloatArray
+    normal: FloatArray
+    iterations: int
+    state: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,44 +61,55 @@ class Fit:
 
 
 def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: float) -> Fit:
-    """Search from each start in turn until a residual passes the tests; the lowest loss wins."""
+    """Search from the first start to its end, from the others as long as they promise more; the lowest loss wins.
+
+    A residual that passes the tests ends the search: no other minimum can be better by more than chance.
+    """
+    best, tried = None, 0
+    for table in starting_tables(data, structure, search.horizons):
+        tried += 1
+        steps = search.max_iterations if best is None else min(TRIAL_STEPS, search.max_iterations)
+        found = _search(data, structure, search, table, steps)
+        if best is not None and found.state != CONVERGED and found.loss < PROMISING * best.loss:
+            more = _search(data, structure, search, found.table, search.max_iterations - found.iterations)
+            found = replace(more, iterations=found.iterations + more.iterations)
+        if best is None or found.loss < best.loss:
+            best = found
+            evidence = residual_tests(best.residual, data.u, structure)
+            if best.state == CONVERGED and min(evidence) >= SIGNIFICANCE:
+                break
+    assert best is not None
+    model = _model(best.table, structure, data, rate_hz, best.loss)
+    evidence = residual_tests(best.residual, data.u, structure)
+    return Fit(
+        model,
+        _verdict(best.state, best.iterations, evidence),
+        _fit_percent(data, model, search),
+        model.noise_variance,
+        _covariance(best.normal, best.loss, structure, data.gain),
+        whiteness_p=evidence[0],
+        correlation_p=evidence[1],
+        iterations=best.iterations,
+        starts=tried,
+    )
+
+
+def _search(data: Channel, structure: Structure, search: Search, table: FloatArray, steps: int) -> "Found":
     from ultraquiet.identify import kernels
 
     nu = data.u.shape[0]
-    rows = [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D]
-    states = structure.states(nu, search.estimate, search.offset)
-    best, evidence, tried = None, None, 0
-    for table in starting_tables(data, structure, search.horizons):
-        tried += 1
-        found = kernels.search(
+    return Found(
+        *kernels.search(
             data.u,
             data.y,
             table,
             structure.degree(nu),
             structure.lag(nu),
-            free_rows(nu, rows),
-            states,
-            search.max_iterations,
+            free_rows(nu, [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D]),
+            structure.states(nu, search.estimate, search.offset),
+            steps,
             TOLERANCE,
         )
-        if best is None or found[1] < best[1]:
-            best = found
-            evidence = residual_tests(found[2], data.u, structure)
-        if evidence is not None and best[5] == CONVERGED and min(evidence) >= SIGNIFICANCE:
-            break
-    assert best is not None
-    assert evidence is not None
-    model = _model(best[0], structure, data, rate_hz, best[1])
-    return Fit(
-        model,
-        _verdict(best[5], best[4], evidence),
-        _fit_percent(data, model, search),
-        model.noise_variance,
-        _covariance(best[3], best[1], structure, data.gain),
-        whiteness_p=evidence[0],
-        correlation_p=evidence[1],
-        iterations=int(best[4]),
-        starts=tried,
     )
 
 

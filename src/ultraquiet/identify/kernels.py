@@ -7,7 +7,7 @@ q^-lag (1 - q^-1)^k instead of bare shifts: at 3.5 kHz shifts of a 12 Hz mode ar
 matrix of their products would keep none (Jacobian condition 1e8, squared).
 """
 
-# ruff: noqa: PLR0917, SIM110 - compiled functions take plain positional arrays, and loops where numba needs them
+# ruff: noqa: SIM110 - compiled functions take plain positional arrays, and loops where numba needs them
 
 from typing import Any
 
@@ -80,9 +80,9 @@ def gram(signals, lag, count):
         for i in range(m):
             if count[i] == 0:
                 continue
-            for t in range(used):
-                s = start + t - lag[i]
-                block[at, t] = signals[i, s] if s >= 0 else 0.0
+            first = min(used, max(0, lag[i] - start))
+            block[at, :first] = 0.0
+            block[at, first:used] = signals[i, start + first - lag[i] : stop - lag[i]]
             for k in range(at + 1, at + count[i]):
                 block[k, 0] = block[k - 1, 0] - carry[k - 1]
                 for t in range(1, used):
@@ -153,7 +153,7 @@ def back_substitute(M, q, column):
 
 
 @compiled
-def nuisance(P, degree, states, n, signals, lag, count):
+def nuisance(P, degree, states, n, signals, count):
     """Write the columns of initial conditions and constant; `states` counts them per row of the table, constant last.
 
     Past inputs reach the output as a free response x / F_j, the noise filter's past as x / C: both are linear, so they
@@ -161,22 +161,29 @@ def nuisance(P, degree, states, n, signals, lag, count):
     """
     pulse, held = np.zeros(n), np.empty(n)
     pulse[0] = 1.0
-    at = 0
-    for row in range(ROW_FIRST + 1, P.shape[0], 2):
+    made = count_nuisance(states, count)
+    for at in range(made - 2):
+        row = ROW_FIRST + 1 + 2 * at
         if states[row] > 0:
             all_pole(pulse, P[row], degree[row], held)
             whiten(held, P, degree, signals[at])
-        lag[at], count[at] = 0, states[row]
-        at += 1
     if states[ROW_C] > 0:
-        all_pole(pulse, P[ROW_C], degree[ROW_C], signals[at])
-    lag[at], count[at] = 0, states[ROW_C]
-    at += 1
+        all_pole(pulse, P[ROW_C], degree[ROW_C], signals[made - 2])
     if states[P.shape[0]] > 0:
         held[:] = 1.0
-        whiten(held, P, degree, signals[at])
-    lag[at], count[at] = 0, states[P.shape[0]]
-    return at + 1
+        whiten(held, P, degree, signals[made - 1])
+    return made
+
+
+@compiled
+def count_nuisance(states, count):
+    """Write how many columns each nuisance signal gives (every F, then C, then the constant); return the signals."""
+    at = 0
+    for row in range(ROW_FIRST + 1, states.size - 1, 2):
+        count[at] = states[row]
+        at += 1
+    count[at], count[at + 1] = states[ROW_C], states[states.size - 1]
+    return at + 2
 
 
 @compiled
@@ -197,8 +204,11 @@ def paths(u, P, degree, lag, driven, parts):
 
 
 @compiled
-def evaluate(u, y, P, degree, lag, states, driven, parts, rest, e):
-    """Fill paths, y's unexplained part `rest` and residual `e`, nuisance eliminated; return the loss."""
+def evaluate(u, y, P, degree, lag, states, signals, driven, parts, rest, e):
+    """Fill paths, y's unexplained part `rest` and residual `e`, nuisance eliminated; return the loss.
+
+    The first rows of `signals` are left holding the nuisance columns, which `normal_matrix` takes over.
+    """
     nu, n = u.shape
     paths(u, P, degree, lag, driven, parts)
     moving(y, P[ROW_A], degree[ROW_A] + 1, 0, rest)
@@ -206,9 +216,8 @@ def evaluate(u, y, P, degree, lag, states, driven, parts, rest, e):
         rest -= parts[j]
     whiten(rest, P, degree, e)
     columns = nu + 3
-    signals = np.zeros((columns, n))
     lags, counts = np.zeros(columns, np.int64), np.zeros(columns, np.int64)
-    made = nuisance(P, degree, states, n, signals, lags, counts)
+    made = nuisance(P, degree, states, n, signals, counts)
     if counts.sum() > 0:
         signals[made] = e
         counts[made] = 1
@@ -249,15 +258,13 @@ def add_back(x, P, degree, signals, counts, made, parts, rest, e):
 
 
 @compiled
-def normal_matrix(u, y, P, degree, lag, free, states, driven, parts, rest, e):
+def normal_matrix(y, P, degree, lag, free, states, signals, driven, parts, rest, e):
     """Return the products of nuisance, gradient and residual columns, in this order, and the nuisance count q."""
-    nu, n = u.shape
-    total = nu + 2 + P.shape[0] + 1
-    signals = np.zeros((total, n))
+    total = signals.shape[0]
     lags, counts = np.zeros(total, np.int64), np.zeros(total, np.int64)
-    at = nuisance(P, degree, states, n, signals, lags, counts)
+    at = count_nuisance(states, counts)
     q = counts[:at].sum()
-    held = np.empty(n)
+    held = np.empty(y.size)
     for row in gradient_rows(P.shape[0]):
         if not free[row] or degree[row] == 0:
             continue
@@ -360,11 +367,13 @@ def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
     P = start.copy()
     driven, parts, rest, e = np.zeros((nu, n)), np.zeros((nu, n)), np.zeros(n), np.zeros(n)
     driven2, parts2, rest2, e2 = np.zeros((nu, n)), np.zeros((nu, n)), np.zeros(n), np.zeros(n)
-    loss = evaluate(u, y, P, degree, lag, states, driven, parts, rest, e)
+    # Every F's, C's and the constant's column, every gradient row's, the residual's.
+    signals = np.zeros((nu + 2 + P.shape[0] + 1, n))
+    loss = evaluate(u, y, P, degree, lag, states, signals, driven, parts, rest, e)
     damping, state, small, iterations = 1e-3, 0, 0, 0
     S = np.zeros((1, 1))
     while True:
-        G, q = normal_matrix(u, y, P, degree, lag, free, states, driven, parts, rest, e)
+        G, q = normal_matrix(y, P, degree, lag, free, states, signals, driven, parts, rest, e)
         S = reduced(G, q)
         _, promised = damped_step(S, 0.0)
         if promised <= tolerance * loss or small >= STALLED_STEPS:
@@ -377,7 +386,7 @@ def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
             trial = stepped(P, degree, free, step)
             better = np.inf
             if admissible(trial, degree):
-                better = evaluate(u, y, trial, degree, lag, states, driven2, parts2, rest2, e2)
+                better = evaluate(u, y, trial, degree, lag, states, signals, driven2, parts2, rest2, e2)
             if better < loss:
                 gain = n * (loss - better)
                 factor = 0.1 if gain > 0.75 * promised else (0.5 if gain > 0.25 * promised else 2.0)

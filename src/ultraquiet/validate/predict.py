@@ -1,0 +1,121 @@
+"""What a model says of a record: simulated outputs, predictions k steps ahead, innovations."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, same_rate, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet.linalg import prediction
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
+
+Model = PolynomialMatrix | PolynomialModel | StateSpace
+
+
+def simulated(model: Model, record: Record, initial: str = "estimate", offset: bool = True) -> FloatArray:
+    """Return the outputs `(ny, n)` that the model gives to the record's inputs alone.
+
+    Args:
+        model: `(ny, nu)` channels at the record's rate.
+        record: its inputs drive the model; its outputs only fit what follows.
+        initial: "estimate" fits the state before the first sample to the outputs, "rest" takes it as zero.
+        offset: whether a constant is fitted to each output.
+    """
+    _matching(model, record)
+    estimate = _estimate(initial)
+    if isinstance(model, StateSpace):
+        return _state_space(model, record, estimate, offset)
+    out = []
+    for y, row in zip(record.outputs, _rows(model), strict=True):
+        b = [p for m in row for p in m.b]
+        f = [m.denominator(j) for m in row for j in range(len(m.b))]
+        out.append(prediction.simulate(record.inputs, y, b, f, estimate=estimate, offset=offset))
+    return np.stack(out)
+
+
+def innovations(model: PolynomialMatrix | PolynomialModel, record: Record) -> FloatArray:
+    """Return the one-step prediction errors `(ny, n)`, the past before the first sample and a constant fitted.
+
+    Raises:
+        InputError: rows made of several models (one record per actuator): which noise is theirs together is unknown.
+    """
+    _matching(model, record)
+    out = []
+    for i, (y, row) in enumerate(zip(record.outputs, _rows(model), strict=True)):
+        m = _single(i, row, record)
+        f = [m.denominator(j) for j in range(len(m.b))]
+        rest = y - prediction.simulate(record.inputs, y, m.b, f)
+        out.append(prediction.residual(rest, m.c, np.convolve(m.a, m.d)))
+    return np.stack(out)
+
+
+def predicted(model: PolynomialMatrix | PolynomialModel, record: Record, steps: int = 1) -> FloatArray:
+    """Return the outputs `(ny, n)` predicted `steps` samples ahead: y(t | t - steps).
+
+    y - y_k = sum_{i<k} h_i e(t - i) with h the pulse response of the noise filter C / (A D) (Ljung, eq. 3.31).
+    """
+    who = "predicted"
+    whole(who, "steps", steps, 1)
+    e = innovations(model, record)
+    miss = np.zeros_like(e)
+    for i, row in enumerate(_rows(model)):
+        m = _single(i, row, record)
+        h = prediction.impulse(m.c, np.convolve(m.a, m.d), steps)
+        miss[i] = np.convolve(e[i], h)[: e.shape[1]]
+    return record.outputs - miss
+
+
+def _rows(model: PolynomialMatrix | PolynomialModel) -> tuple[tuple[PolynomialModel, ...], ...]:
+    return ((model,),) if isinstance(model, PolynomialModel) else model.rows
+
+
+def _single(i: int, row: tuple[PolynomialModel, ...], record: Record) -> PolynomialModel:
+    if len(row) == 1:
+        return row[0]
+    raise InputError(
+        f"validate: output '{record.sensors[i].name}' has {len(row)} models, each with its own noise, so one-step "
+        f"errors are undefined; test one channel with its own record, or compare simulated outputs."
+    )
+
+
+def _matching(model: Model, record: Record) -> None:
+    same_rate("validate", "the model", model.rate_hz, "the record", record.rate_hz)
+    if isinstance(model, StateSpace):
+        ny, nu = model.D.shape
+    else:
+        rows = _rows(model)
+        ny, nu = len(rows), sum(len(m.b) for m in rows[0])
+    if (ny, nu) != (len(record.sensors), len(record.actuators)):
+        raise InputError(
+            f"validate: the model has {nu} inputs and {ny} outputs, the record {len(record.actuators)} and "
+            f"{len(record.sensors)}; pick the channels with record.pick."
+        )
+
+
+def _estimate(initial: str) -> bool:
+    if initial not in ("estimate", "rest"):
+        raise InputError(f"validate: 'initial' must be 'estimate' or 'rest', got {initial!r}.")
+    return initial == "estimate"
+
+
+def _state_space(model: StateSpace, record: Record, estimate: bool, offset: bool) -> FloatArray:
+    if not model.is_stable():
+        return np.full(record.outputs.shape, np.inf)
+    out = model.simulate(record.inputs)
+    miss = record.outputs - out
+    if offset:
+        constant = miss.mean(axis=1, keepdims=True)
+        out, miss = out + constant, miss - constant
+    if estimate and model.states:
+        out = out + _free_motion(model, miss)
+    return out
+
+
+def _free_motion(model: StateSpace, miss: FloatArray) -> FloatArray:
+    """Return C A^t x0 with x0 fitted to `miss` by least squares, from the Gram matrix over time."""
+    n, size = miss.shape[1], model.states
+    observed = np.empty((n, *model.C.shape))
+    observed[0] = model.C
+    for t in range(1, n):
+        observed[t] = observed[t - 1] @ model.A
+    flat = observed.reshape(-1, size)
+    x0 = np.linalg.lstsq(flat, miss.T.reshape(-1), rcond=None)[0]
+    return (flat @ x0).reshape(n, -1).T
