@@ -64,24 +64,24 @@ class Table:
             if self.scalars.get(name):
                 return 1.0 / self.scalars[name]
         if self.time is None:
-            raise InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate-hz (rate_hz=).")
+            raise InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=).")
         return _clock_hz(self.path, self.time)
 
 
 def _clock_hz(path: str, time: Column) -> float:
     unit = time.unit or time.name.partition("_")[2]
     if unit.lower() not in TIME_UNITS_S:
-        raise InputError(f"read_record: '{path}' counts time in '{unit}', which is unknown; give --rate-hz (rate_hz=).")
+        raise InputError(f"read_record: '{path}' counts time in '{unit}', which is unknown; give --rate (rate_hz=).")
     t = time.values * TIME_UNITS_S[unit.lower()]
     if t.size < 2 or not np.all(np.isfinite(t)) or t[-1] <= t[0]:
-        raise InputError(f"read_record: '{path}' has a time column that does not rise; give --rate-hz (rate_hz=).")
+        raise InputError(f"read_record: '{path}' has a time column that does not rise; give --rate (rate_hz=).")
     rate_hz = (t.size - 1) / float(t[-1] - t[0])
     stray = np.abs((t - t[0]) * rate_hz - np.arange(t.size))
     if stray.max() > JITTER:
         k = int(np.argmax(stray > JITTER))
         raise InputError(
             f"read_record: '{path}' is not evenly sampled: sample {k} at {t[k]:g} s is {stray[k]:.3g} samples off "
-            f"a clock of {rate_hz:g} Hz; resample it, or give --rate-hz (rate_hz=) if the stamps are wrong."
+            f"a clock of {rate_hz:g} Hz; resample it, or give --rate (rate_hz=) if the stamps are wrong."
         )
     return rate_hz
 

@@ -1,0 +1,142 @@
+"""Experiment lists: read from TOML, checked whole, ready to run."""
+
+import os
+import re
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import content_hash
+from ultraquiet.experiments.command import Content
+from ultraquiet.experiments.compile import Compiler, make
+from ultraquiet.experiments.lines import line_numbers
+from ultraquiet.experiments.mistakes import ListError, Mistakes
+from ultraquiet.experiments.plan import Measurement, Pause, Step
+
+PACKAGED = ("suite",)
+NO_BENCH = 'there is no bench; name one in a table [bench], as in method = "hexapod", or give one to run.'
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentList:
+    """A checked list: its text, the bench it names (or None) and the plan it comes to on that bench.
+
+    `steps` are measurements and pauses in order; they are empty as long as no bench is known.
+    """
+
+    name: str
+    title: str
+    text: str
+    folder: Path | None
+    bench: Any | None
+    steps: tuple[Step, ...]
+
+    @property
+    def measurements(self) -> tuple[Measurement, ...]:
+        """The measurements in order; each leaves one record."""
+        return tuple(step for step in self.steps if isinstance(step, Measurement))
+
+    @property
+    def groups(self) -> dict[str, tuple[str, ...]]:
+        """Name given in the list -> names of its records, one per actuator and round."""
+        found: dict[str, tuple[str, ...]] = {}
+        for m in self.measurements:
+            found[m.group] = (*found.get(m.group, ()), m.name)
+        return found
+
+    @property
+    def duration_s(self) -> float:
+        """Time on the bench in seconds: samples and pauses, without what lies between runs."""
+        rate_hz = 1.0 if self.bench is None else self.bench.rate_hz
+        samples = sum(m.samples for m in self.measurements)
+        return samples / rate_hz + sum(step.seconds for step in self.steps if isinstance(step, Pause))
+
+    @property
+    def hash(self) -> str:
+        """Content hash of the text."""
+        return content_hash(self.text)
+
+    def on(self, bench: Any) -> "ExperimentList":
+        """Return the list planned for another bench; mistakes are raised as by `parse`."""
+        return parse(self.text, bench, self.name, self.folder)
+
+
+def load(path: str | os.PathLike[str], bench: Any | None = None) -> ExperimentList:
+    """Read and check an experiment list.
+
+    Args:
+        path: a TOML file, or `"suite"` for the packaged list of the paper's test signals. Controllers named in it are
+            sought beside it.
+        bench: used instead of the list's table `[bench]`.
+
+    Raises:
+        InputError: the file cannot be read, or holds mistakes; all of them are told, each with its line.
+
+    >>> suite = load("suite")
+    >>> suite.groups["tone"], round(suite.duration_s)
+    (('tone',), 25)
+    """
+    place = Path(path)
+    if str(path) in PACKAGED and not place.exists():
+        place = Path(__file__).with_name(f"{path}.toml")
+    try:
+        text = place.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"experiment list: '{path}' cannot be read ({error}).") from error
+    return parse(text, bench, str(path), place.parent)
+
+
+def parse(
+    text: str, bench: Any | None = None, name: str = "experiment list", folder: Path | None = None
+) -> ExperimentList:
+    """Check the text of an experiment list; arguments and errors as in `load`.
+
+    >>> parse('''
+    ... [bench]
+    ... method = "hexapod"
+    ... [[commands]]
+    ... do = "excite"
+    ... name = "loud"
+    ... signal = { method = "tone", frequency_hz = 60.0 }
+    ... actuator = 7
+    ... ''')
+    Traceback (most recent call last):
+    ultraquiet.experiments.mistakes.ListError: experiment list: one mistake; nothing was executed.
+      line 8: there is no actuator 7; the bench has 1 to 6.
+    """
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"at line (\d+)", str(error))
+        raise ListError(name, [(int(found[1]) if found else 1, f"this is not TOML: {error}.")]) from None
+    mistakes = Mistakes(line_numbers(text))
+    head = _head(content, mistakes)
+    if bench is None and head.bench is not None:
+        bench = make("bench", head.bench, ("bench",), mistakes)
+    compiler = Compiler(bench, folder, head.seed, mistakes)
+    commands = content.get("commands")
+    compiler.walk(commands if isinstance(commands, list) else [], ("commands",))
+    if not any(isinstance(step, Measurement) for step in compiler.steps) and not len(mistakes):
+        mistakes.add((), "no command records anything; it would take an 'excite' or a 'record'.")
+    if len(mistakes):
+        # A bench may still be given to run, so its absence alone is no mistake yet.
+        if bench is None and "bench" not in content:
+            mistakes.add((), NO_BENCH)
+        raise ListError(name, mistakes.told())
+    steps = () if bench is None else tuple(compiler.steps)
+    return ExperimentList(name, head.title, text, folder, bench, steps)
+
+
+def _head(content: dict[str, Any], mistakes: Mistakes) -> Content:
+    """Return the head of a list; what is wrong in it is noted and left at its default."""
+    try:
+        return Content.model_validate(content)
+    except ValidationError as error:
+        mistakes.add_refusal((), error, Content)
+        wrong = {found["loc"][0] for found in error.errors()}
+        sound = {k: v for k, v in content.items() if k not in wrong and k in Content.model_fields}
+        return Content.model_validate({"commands": [None], **sound})

@@ -1,0 +1,75 @@
+"""What a checked list comes to on a given bench: measurements and pauses, in order."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.provenance import content_hash, plain
+from ultraquiet.values import StateSpace
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A signal on one actuator (counted from 0), with the seed of its draw."""
+
+    method: str
+    signal: Any
+    actuator: int
+    seed: int
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes this drive, in plain types."""
+        return {"method": self.method, **plain(self.signal), "actuator": self.actuator + 1, "seed": self.seed}
+
+
+@dataclass(frozen=True)
+class Pause:
+    """A wait between measurements."""
+
+    seconds: float
+    line: int
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One run of the bench that leaves one record called `name`; `group` is the name its command gave."""
+
+    name: str
+    group: str
+    line: int
+    samples: int
+    drives: tuple[Drive, ...]
+    disturbances: tuple[Drive, ...]
+    controller: StateSpace | None
+    controller_file: str
+
+    def describe(self) -> dict[str, Any]:
+        """Return everything that decides this measurement, in plain types."""
+        return {
+            "name": self.name,
+            "group": self.group,
+            "samples": self.samples,
+            "excitation": [d.describe() for d in self.drives],
+            "disturbance": [d.describe() for d in self.disturbances],
+            "controller": self.controller_file,
+            "controller_hash": "" if self.controller is None else self.controller.hash,
+        }
+
+    @property
+    def hash(self) -> str:
+        """Content hash of what decides the measurement: equal for equal measurements."""
+        return content_hash(self.describe())
+
+
+Step = Measurement | Pause
+
+
+def volts(drives: Iterable[Drive], actuators: int, samples: int, rate_hz: float) -> FloatArray:
+    """Return the drives as `(actuators, samples)` volts."""
+    u = np.zeros((actuators, samples))
+    for drive in drives:
+        u[drive.actuator] += drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed)
+    return u

@@ -1,0 +1,152 @@
+"""Execute a checked list on a bench: one HDF5 record per measurement, none of them ever written over unasked."""
+
+import inspect
+import os
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.progress import task
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet.experiments.listed import NO_BENCH, ExperimentList
+from ultraquiet.experiments.mistakes import ListError
+from ultraquiet.experiments.plan import Measurement, Pause, volts
+from ultraquiet.files import load as load_value
+from ultraquiet.files import save
+from ultraquiet.values import Record
+
+SAMPLE_BYTES = 8  # float64, as archives hold it
+RECORD_BYTES = 65536  # what channels, provenance and HDF5's own tables take beside the samples, generously
+
+
+def run(
+    experiment_list: ExperimentList,
+    folder: str | os.PathLike[str],
+    bench: Any | None = None,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    sleep: Callable[[float], None] = time.sleep,
+) -> dict[str, Record]:
+    """Execute a list in order; each measurement leaves `folder/NAME.h5` before the next one begins.
+
+    Args:
+        experiment_list: what `load` or `parse` returned.
+        folder: where the records go; made when absent.
+        bench: used instead of the one the list names.
+        resume: take finished records of this very list from the folder instead of measuring them again.
+        overwrite: write over records that stand in the folder.
+        sleep: how to spend a pause in seconds, for benches whose time is not the wall's.
+
+    Returns:
+        Name -> record, in the order of the list.
+
+    Raises:
+        InputError: no bench, or mistakes that show only on this bench; nothing has moved then.
+        StorageError: records would be written over, the disk is full, the folder is closed; finished records stay.
+    """
+    listed = experiment_list if bench is None else experiment_list.on(bench)
+    if listed.bench is None:
+        raise ListError(listed.name, [(1, NO_BENCH)])
+    place = _prepared(Path(folder))
+    finished = _finished(listed, place, resume, overwrite)
+    _check_space(listed, place, finished)
+    records: dict[str, Record] = {}
+    with task(listed.title or listed.name, len(listed.measurements)) as progress:
+        for step in listed.steps:
+            if isinstance(step, Pause):
+                # Nothing needs to come to rest when nothing further will be measured.
+                if len(records) < len(listed.measurements) and len(finished) < len(listed.measurements):
+                    sleep(step.seconds)
+                continue
+            record = finished.get(step.name)
+            if record is None:
+                record = _measured(listed, step, len(records))
+                _keep(record, place, step, len(records), overwrite)
+            records[step.name] = record
+            progress.advance(note=step.name)
+    return records
+
+
+def path_of(folder: Path, name: str) -> Path:
+    """Return the file of a record."""
+    return folder / f"{name}.h5"
+
+
+def _measured(listed: ExperimentList, step: Measurement, index: int) -> Record:
+    bench = listed.bench
+    assert bench is not None
+    count, rate_hz = len(bench.actuators), bench.rate_hz
+    actuation = volts(step.drives, count, step.samples, rate_hz)
+    disturbance = volts(step.disturbances, count, step.samples, rate_hz) if step.disturbances else None
+    # A bench that numbers its draws gets the place in the list, so that a resumed list repeats none of them.
+    numbered = {"run_index": index} if "run_index" in inspect.signature(bench.run).parameters else {}
+    record: Record = bench.run(actuation, disturbance=disturbance, controller=step.controller, **numbered)
+    settings = {
+        "list": listed.title or listed.name,
+        "measurement": step.describe(),
+        "measurement_hash": step.hash,
+        "bench": {"made_by": record.provenance.made_by, **record.provenance.settings},
+    }
+    made = Provenance("experiment", settings, record.provenance.seed, (listed.hash,), versions())
+    return Record(record.inputs, record.outputs, record.rate_hz, record.actuators, record.sensors, made)
+
+
+def _keep(record: Record, place: Path, step: Measurement, index: int, overwrite: bool) -> None:
+    try:
+        save(record, path_of(place, step.name), overwrite)
+    except StorageError as error:
+        said = str(error).rstrip(".").removeprefix("files: ")
+        raise StorageError(
+            f"experiment stopped at '{step.name}', {index} records are finished and safe: {said}."
+        ) from error
+
+
+def _prepared(folder: Path) -> Path:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"experiment: the folder '{folder}' cannot be made ({error.strerror}).") from error
+    return folder
+
+
+def _finished(listed: ExperimentList, place: Path, resume: bool, overwrite: bool) -> dict[str, Record]:
+    """Return the records that need not be measured; refuse when others would be written over."""
+    there = [m for m in listed.measurements if os.path.lexists(path_of(place, m.name))]
+    if resume:
+        return {m.name: _same(m, path_of(place, m.name)) for m in there}
+    if there and not overwrite:
+        names = ", ".join(m.name for m in there[:5]) + (", ..." if len(there) > 5 else "")
+        raise StorageError(
+            f"experiment: '{place}' holds {len(there)} of the records already ({names}); resume, ask to overwrite, or "
+            "choose another folder."
+        )
+    return {}
+
+
+def _same(measurement: Measurement, path: Path) -> Record:
+    record = load_value(path)
+    made = record.provenance.settings.get("measurement_hash") if isinstance(record, Record) else None
+    if made != measurement.hash:
+        raise InputError(
+            f"experiment: '{path}' was not made by '{measurement.name}' as the list has it now (line "
+            f"{measurement.line}); move it away or choose another folder."
+        )
+    return record
+
+
+def _check_space(listed: ExperimentList, place: Path, finished: dict[str, Record]) -> None:
+    bench = listed.bench
+    assert bench is not None
+    channels = len(bench.actuators) + len(bench.sensors)
+    todo = [m.samples for m in listed.measurements if m.name not in finished]
+    needed = sum(todo) * channels * SAMPLE_BYTES + len(todo) * RECORD_BYTES
+    free = shutil.disk_usage(place).free
+    if free < needed:
+        raise StorageError(
+            f"experiment: the records need {needed / 1e6:.1f} MB, '{place}' has {free / 1e6:.1f} MB free; "
+            "nothing was executed."
+        )
