@@ -22,47 +22,43 @@ UNITS = ("ground", "flight", "rigid")
 RATE = 3500.0
 
 
-def some_law(rng, states=7, gain=1.0):
+def some_law(rng, states=7):
+    """Return a random law so weak that the loop is stable by the small-gain theorem: |K| = 0.05, |G| < 16."""
     A = rng.normal(size=(states, states))
     A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
-    return StateSpace(
-        A,
-        rng.normal(size=(states, 6)),
-        gain * rng.normal(size=(6, states)),
-        gain * rng.normal(size=(6, 6)),
-        rate_hz=RATE,
-    )
+    C, D = rng.normal(size=(6, states)), rng.normal(size=(6, 6))
+    law = StateSpace(A, rng.normal(size=(states, 6)), C, D, rate_hz=RATE)
+    g = np.moveaxis(law.frequency_response(np.linspace(0.0, RATE / 2, 500)), -1, 0)
+    weak = 0.05 / np.linalg.norm(g, 2, axis=(1, 2)).max()
+    return StateSpace(law.A, law.B, weak * C, weak * D, rate_hz=RATE)
 
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("options", [{}, {"adc_bits": 16}, {"quantise": False}, {"saturate": False}, {"linear": True}])
 def test_the_kernel_does_what_plain_numpy_does(unit, options, rng, seed):
     bench = Hexapod(unit=unit, seed=seed, **options)
-    law = some_law(rng, gain=0.02)
+    law = some_law(rng)
     u, d = 12.0 * rng.normal(size=(6, 400)), 30.0 * rng.normal(size=(6, 400))
     record = bench.run(u, d, law)
     noise = bench._noise(400, 0)
-    plain = plain_loop(bench._sampled, (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits)
-    # A reading within rounding of a converter's threshold may fall to either side: a step, rarely.
-    step = bench._limits[3]
-    off = np.abs(record.outputs - plain[1].T)
-    print(f"{unit} {options}: readings differ by {off.max():.2e} V, {np.count_nonzero(off > 1e-9)} of {off.size}")
-    assert off.max() <= step + 1e-9
-    assert np.count_nonzero(off > 1e-9) <= 2
-    if not np.any(off > 1e-9):
-        assert np.abs(record.inputs - plain[0].T).max() < 1e-9
-        assert record.provenance.settings["limited_commands"] == plain[2][0].tolist()
-        assert record.provenance.settings["limited_stacks"] == plain[2][1].tolist()
+    command, readings, counts = plain_loop(bench._sampled, (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits)
+    off = np.abs(record.outputs - readings.T).max()
+    print(f"{unit} {options}: readings differ by {off:.1e} V")
+    # Rounding hides the differences of 1e-13 V, unless one straddles a threshold: about once in 1e7 tests.
+    assert off < 1e-9
+    assert np.abs(record.inputs - command.T).max() < 1e-9
+    assert record.provenance.settings["limited_commands"] == counts[0].tolist()
+    assert record.provenance.settings["limited_stacks"] == counts[1].tolist()
 
 
 def test_a_stepped_controller_gives_the_record_of_the_compiled_one(rng, seed):
-    law = some_law(rng, gain=0.02)
+    law = some_law(rng)
     u = 15.0 * rng.normal(size=(6, 300))
     compiled = Hexapod(seed=seed).run(u, controller=law)
     stepped = Hexapod(seed=seed).run(u, controller=SteppedController(law))
-    assert np.abs(compiled.outputs - stepped.outputs).max() < 0.005
-    assert np.mean(compiled.outputs == stepped.outputs) > 0.99
-    assert np.abs(compiled.inputs - stepped.inputs).max() < 0.05
+    assert np.abs(compiled.outputs - stepped.outputs).max() < 1e-9
+    assert np.abs(compiled.inputs - stepped.inputs).max() < 1e-9
+    assert compiled.provenance.settings == stepped.provenance.settings
 
 
 @pytest.mark.parametrize("unit", UNITS)
@@ -88,7 +84,8 @@ def test_commands_act_one_sample_late_and_disturbances_at_once():
 def test_the_record_shows_the_delay_a_controller_meets(rng):
     """u = actuation + K y in the sample of y; with no further minus sign."""
     bench = Hexapod(linear=True)
-    D = 0.05 * rng.normal(size=(6, 6))
+    D = rng.normal(size=(6, 6))
+    D *= 0.05 / np.linalg.norm(D, 2)
     law = StateSpace(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros((6, 0)), D, rate_hz=RATE)
     u = rng.normal(size=(6, 300))
     record = bench.run(u, controller=law)
@@ -231,7 +228,7 @@ def test_bad_input_is_refused_in_one_sentence(case):
 
 
 def test_ten_seconds_with_a_60_state_controller_take_half_a_second(rng):
-    bench, law = Hexapod(), some_law(rng, states=60, gain=1e-3)
+    bench, law = Hexapod(), some_law(rng, states=60)
     u = signals.MAXIMUM_V * rng.uniform(-1, 1, size=(6, 35000))
     bench.run(u[:, :10], controller=law)
     spent = []

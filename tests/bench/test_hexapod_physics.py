@@ -72,6 +72,17 @@ def test_threefold_and_mirror_symmetry(unit):
         assert off < 1e-10
 
 
+@pytest.mark.parametrize("unit", UNITS)
+def test_the_struts_resonate_near_1_5_khz(unit):
+    """Section 2.1 of the paper; the largest singular value stays below the 16 that the loop tests rely on."""
+    f_hz = np.geomspace(1.0, 1750.0, 2000)
+    g = np.moveaxis(Hexapod(unit=unit).linear_response(f_hz), -1, 0)
+    gain = np.linalg.norm(g, 2, axis=(1, 2))
+    print(f"{unit}: largest gain {gain.max():.2f} V/V at {f_hz[gain.argmax()]:.0f} Hz")
+    assert f_hz[gain.argmax()] == pytest.approx(1500.0, rel=0.05)
+    assert gain.max() < 16.0
+
+
 def test_symmetry_leaves_six_transfer_functions():
     g = Hexapod(unit="flight").linear_response(np.array([20.0, 45.0, 70.0, 130.0])).reshape(36, -1)
     kinds = []

@@ -30,7 +30,7 @@ def test_a_wrapped_plant_runs_like_the_bench_it_copies(rng):
     wrapped = Wrapped(
         plant.step, plant.reset, 3500.0, [f"strut {i}" for i in range(6)], [f"strut {i}" for i in range(6)]
     )
-    law = StateSpace(0.5 * np.eye(6), 0.01 * np.eye(6), np.eye(6), 0.02 * rng.normal(size=(6, 6)), rate_hz=3500.0)
+    law = StateSpace(0.5 * np.eye(6), 0.01 * np.eye(6), np.eye(6), 0.002 * rng.normal(size=(6, 6)), rate_hz=3500.0)
     u, d = rng.normal(size=(2, 6, 200))
     assert isinstance(wrapped, Bench)
     for controller in (None, law):
