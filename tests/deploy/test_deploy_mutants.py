@@ -117,7 +117,7 @@ def test_self_test_notices_planted_faults(law_of, rng, tmp_path, cc):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ramp_s", [1 / 3500, 0.004, 0.05])
+@pytest.mark.parametrize("ramp_s", [2 / 3500, 0.004, 0.05])
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_self_test_notices_every_planted_fault(law_of, tmp_path, cc, precision, ramp_s):
     generate(law_of(5, 2, 3), tmp_path / "code", precision, limits_v=2.0, ramp_s=ramp_s, anti_windup=True)

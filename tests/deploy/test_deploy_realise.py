@@ -106,8 +106,8 @@ def test_auto_takes_the_cheapest_form_that_is_exact_enough(law_of, tmp_path):
 
 
 def test_auto_turns_to_delta_where_float32_moves_slow_poles(tmp_path):
-    # 0.002 Hz at 3.5 kHz: 1 - z is 4e-6, of which float32 keeps 1 part in 60.
-    pole = np.exp(2 * np.pi * 0.002 * (-0.7 + 0.714j) / RATE_HZ)
+    # 0.0002 Hz at 3.5 kHz: 1 - z is 4e-7, and float32 rounds z by up to 3e-8.
+    pole = np.exp(2 * np.pi * 0.0002 * (-0.7 + 0.714j) / RATE_HZ)
     law = StateSpace(block(pole), [[1e-3], [1e-3]], [[1e-2, 1e-2]], [[0.1]], rate_hz=RATE_HZ)
     made = generate(law, tmp_path / "code")
     print(made.tables["forms_tried"])

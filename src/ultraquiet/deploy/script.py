@@ -65,11 +65,13 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
     ramp, last = law.ramp_steps, law.inputs - 1
     some = min(ramp, 7) if ramp > 1 else 1
     calls: list[tuple[str, int, float]] = [
+        ("INIT", 0, quiet),
         ("RUN", 3, quiet),  # off: command zero, state at rest
         ("FRAME", 0, quiet),
         ("DISABLE", 0, quiet),  # of no effect when off
         ("CLEAR", 0, quiet),
         ("ENABLE", 0, quiet),
+        ("CLEAR", 0, quiet),  # of no effect without a fault
         ("RUN", some, quiet),  # part of the ramp
         ("DISABLE", 0, quiet),
         ("RUN", max(some // 2, 1), quiet),
