@@ -2,5 +2,21 @@
 
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
 from ultraquiet.analyse.norms import h2_norm, hinf_norm
+from ultraquiet.analyse.singular import singular_values
+from ultraquiet.analyse.symmetry import reciprocity_error, threefold_error
+from ultraquiet.analyse.zeros import Roots, poles, roots, zeros
 
-__all__ = ["Margins", "h2_norm", "hinf_norm", "loop_margins", "peak_sensitivity"]
+__all__ = [
+    "Margins",
+    "Roots",
+    "h2_norm",
+    "hinf_norm",
+    "loop_margins",
+    "peak_sensitivity",
+    "poles",
+    "reciprocity_error",
+    "roots",
+    "singular_values",
+    "threefold_error",
+    "zeros",
+]

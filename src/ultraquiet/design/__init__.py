@@ -2,11 +2,11 @@
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.band import BandAttenuation
-from ultraquiet.design.generalised import four_block, output_shaping
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
 from ultraquiet.design.weights import band_pass, high_pass, peak
+from ultraquiet.values.generalised import four_block, output_shaping
 
 __all__ = [
     "BandAttenuation",

@@ -1,6 +1,7 @@
 """Broadband attenuation: the sensitivity pressed down over a band, its peak held down elsewhere."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -10,10 +11,10 @@ from ultraquiet._base.registry import register
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
-from ultraquiet.design.generalised import output_shaping
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.weights import band_pass, high_pass
 from ultraquiet.linalg import balance
+from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import append
 from ultraquiet.values.state_space import StateSpace
 
@@ -74,10 +75,10 @@ class BandAttenuation:
         """Return the controller u = K y of a square plant; peak, margins and poles are those with the whole plant.
 
         `details` holds `attenuation_db`, the worst direction over the band reached on the design model, the `height`
-        used and `synthesis_states`.
+        used and the `weights`.
 
         Raises:
-            InputError: the plant is not square, or the structure `alike` is asked of a scalar plant's sizes.
+            InputError: the plant is not square.
         """
         ny, nu = plant.D.shape
         if ny != nu:
@@ -88,18 +89,24 @@ class BandAttenuation:
         law = found.controller
         if law is not None and part.D.shape != plant.D.shape:
             law = append(*[law] * ny)
-        details = {"height": settings.height, "synthesis_states": settings.generalised(part).states}
+        details: dict[str, Any] = {"height": settings.height, "weights": settings.weights(plant)}
         if law is not None:
             details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band())
         return from_synthesis(plant, found, self, details, law)
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the generalised plant, inputs (w, u), outputs (W1 S w, W2 K S w, W3 T w, y)."""
-        n, rate = plant.D.shape[0], plant.rate_hz
-        on_s = band_pass(self.band_hz, self.height, self.floor, self.order, rate, n)
-        on_ks = high_pass(self.control_hz, 1 / self.control_limit, RISE / self.control_limit, 1, rate, n)
-        on_t = high_pass(self.roll_off_hz, T_WEIGHT, RISE * T_WEIGHT, 1, rate, n)
-        return output_shaping(plant, on_s, on_ks, on_t)
+        n, weights = plant.D.shape[0], self.weights(plant)
+        return output_shaping(plant, *(append(*[w] * n) for w in weights.values()))
+
+    def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
+        """Return the weights of one channel: `performance` W1, `control` W2, `complementary` W3."""
+        rate, limit = plant.rate_hz, self.control_limit
+        return {
+            "performance": band_pass(self.band_hz, self.height, self.floor, self.order, rate),
+            "control": high_pass(self.control_hz, 1 / limit, RISE / limit, 1, rate),
+            "complementary": high_pass(self.roll_off_hz, T_WEIGHT, RISE * T_WEIGHT, 1, rate),
+        }
 
     def _quiet_band(self) -> tuple[float, float]:
         # the corners of a Butterworth edge lie where half of the weight's height is lost: a tenth inside it is whole

@@ -5,15 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
-from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
-from ultraquiet.design.generalised import four_block, output_shaping
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.weights import band_pass, high_pass, rational
-from ultraquiet.values.interconnect import append, gain
+from ultraquiet.values.generalised import four_block, full, output_shaping
+from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
 FORMS = ("four-block", "skst", "paper")
@@ -125,12 +124,3 @@ class MixedSensitivity:
             return high_pass(self.roll_off_hz, 1 / self.control_limit, 10 / self.control_limit, 1, rate_hz)
         # in the four-block form W2 u answers to the disturbance, so that it weights T at the plant's input
         return high_pass(self.roll_off_hz, 0.4, 4.0, 1, rate_hz)
-
-
-def full(weight: StateSpace, size: int, name: str) -> StateSpace:
-    """Return a weight for all channels: as it is when it has them, else one copy for each."""
-    if weight.D.shape == (size, size):
-        return weight
-    if weight.D.shape == (1, 1):
-        return append(*[weight] * size)
-    raise InputError(f"MixedSensitivity: '{name}' is {weight.D.shape}, it must be (1, 1) or ({size}, {size}).")

@@ -77,3 +77,12 @@ def _fits(plant: StateSpace, weight: StateSpace, size: int, name: str) -> None:
     same_rate("generalised plant", "the plant", plant.rate_hz, f"the weight '{name}'", weight.rate_hz)
     if weight.D.shape[1] != size:
         raise InputError(f"generalised plant: '{name}' takes {weight.D.shape[1]} signals where {size} are wanted.")
+
+
+def full(weight: StateSpace, size: int, name: str) -> StateSpace:
+    """Return a weight for all channels: as it is when it has them, else one copy for each."""
+    if weight.D.shape[1] == size:
+        return weight
+    if weight.D.shape == (1, 1):
+        return append(*[weight] * size)
+    raise InputError(f"generalised plant: '{name}' is {weight.D.shape}, it must be (1, 1) or ({size}, {size}).")
