@@ -116,7 +116,8 @@ def _state_space_in(tree: Tree) -> StateSpace:
 
 
 def _response_out(response: FrequencyResponse) -> Tree:
-    quality = {} if response.coherence is None else {"coherence": response.coherence}
+    known = {"coherence": response.coherence, "variance": response.variance}
+    quality = {name: array for name, array in known.items() if array is not None}
     return {
         "f_hz": response.f_hz,
         "values": response.values,
@@ -128,7 +129,12 @@ def _response_out(response: FrequencyResponse) -> Tree:
 
 def _response_in(tree: Tree) -> FrequencyResponse:
     return FrequencyResponse(
-        tree["f_hz"], tree["values"], tree.get("coherence"), json.loads(tree["estimator"]), **_named_in(tree)
+        tree["f_hz"],
+        tree["values"],
+        tree.get("coherence"),
+        json.loads(tree["estimator"]),
+        variance=tree.get("variance"),
+        **_named_in(tree),
     )
 
 

@@ -6,5 +6,19 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 from ultraquiet.identify._abstract import Identification, Result
 from ultraquiet.identify.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
+from ultraquiet.identify.rational import Rational, ResponseFit
+from ultraquiet.identify.subspace import Subspace
 
-__all__ = ["Armax", "Arx", "BoxJenkins", "Identification", "MatrixResult", "OutputError", "Result", "identify_matrix"]
+__all__ = [
+    "Armax",
+    "Arx",
+    "BoxJenkins",
+    "Identification",
+    "MatrixResult",
+    "OutputError",
+    "Rational",
+    "ResponseFit",
+    "Result",
+    "Subspace",
+    "identify_matrix",
+]

@@ -21,6 +21,7 @@ class FrequencyResponse:
         values: complex gains, output unit per input unit.
         coherence: `(ny, nu, nf)` between 0 and 1, or None.
         estimator: how it was estimated (`H1`, `H2`, ...), with windows and averages; empty for a model's response.
+        variance: `(ny, nu, nf)` of the complex gains, squared units of `values`, or None.
     """
 
     f_hz: FloatArray
@@ -30,6 +31,7 @@ class FrequencyResponse:
     actuators: tuple[Channel, ...]
     sensors: tuple[Channel, ...]
     provenance: Provenance = field(default_factory=Provenance)
+    variance: FloatArray | None = None
 
     def __init__(
         self,
@@ -40,18 +42,22 @@ class FrequencyResponse:
         actuators: Sequence[Channel | str] | None = None,
         sensors: Sequence[Channel | str] | None = None,
         provenance: Provenance | None = None,
+        variance: ArrayLike | None = None,
     ) -> None:
         f = frequency_array("FrequencyResponse", f_hz)
         g = np.array(values, dtype=np.complex128)
         if g.ndim != 3 or g.shape[2] != f.size:
             raise InputError(f"FrequencyResponse: values must be (ny, nu, {f.size}), got {g.shape}.")
         c = None if coherence is None else np.array(coherence, dtype=np.float64)
-        if c is not None and c.shape != g.shape:
-            raise InputError(f"FrequencyResponse: coherence has shape {c.shape}, values have {g.shape}.")
+        v = None if variance is None else np.array(variance, dtype=np.float64)
+        for name, quality in (("coherence", c), ("variance", v)):
+            if quality is not None and quality.shape != g.shape:
+                raise InputError(f"FrequencyResponse: {name} has shape {quality.shape}, values have {g.shape}.")
         put = object.__setattr__
         put(self, "f_hz", frozen(f))
         put(self, "values", frozen(g))
         put(self, "coherence", None if c is None else frozen(c))
+        put(self, "variance", None if v is None else frozen(v))
         put(self, "estimator", estimator)
         put(self, "actuators", channels("FrequencyResponse", actuators, g.shape[1], "input"))
         put(self, "sensors", channels("FrequencyResponse", sensors, g.shape[0], "output"))

@@ -1,0 +1,245 @@
+"""State space from a measured frequency response: a weighted rational fit with common poles."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import task
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.registry import register
+from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.linalg import vector_fitting
+from ultraquiet.linalg.prediction import fit_percent
+from ultraquiet.linalg.response import points
+from ultraquiet.spectra import frf
+from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
+
+ORDERS = tuple(range(4, 33, 2))
+# The smallest order whose held-out error is within this factor of the best is taken.
+WORTH = 1.1
+# Starting poles: this relative damping, from the lowest line to the highest.
+START_DAMPING = 0.1
+# An order that misses the held-out lines by more than this share of the response has not caught the plant.
+POOR = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseFit:
+    """A system fitted to a response.
+
+    Attributes:
+        model: stable, discrete, `order` poles shared by all channels (each as often as its residue has rank).
+        status: `ok`, or `poor fit` with the error.
+        order: number of common poles.
+        error: weighted RMS error relative to the response, at lines used for the fit and at held-out ones.
+        errors_by_order: held-out error of every order tried.
+    """
+
+    model: StateSpace
+    status: Status
+    order: int
+    error: tuple[float, float]
+    errors_by_order: dict[int, float]
+
+
+@register("identify", "rational")
+@dataclass(frozen=True)
+class Rational:
+    """Fit G(z) = z^(1 - delay) sum_k R_k / (z - p_k) to a frequency response, relative to its size.
+
+    The error at a line is divided by the RMS gain g(f) of the response there and by sqrt(floor^2 + (sigma/g)^2), sigma the
+    noise of the line: weak bands count as much as strong ones, noisy lines less. Every other line is held out, to choose
+    the order and to judge the fit.
+
+    Args:
+        order: number of common poles; chosen on held-out lines when None.
+        delay: samples before the first response, at least one.
+        iterations: relocations of the poles.
+        floor: relative error below which precision is not worth having.
+        most_lines: lines used at most, half of them spaced evenly in frequency and half in its logarithm.
+        rank_tolerance: residue directions that matter less than this share of the response are left out.
+
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal((1, 8000))
+    >>> plant = StateSpace([[0.9, 0.2], [-0.2, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], rate_hz=100.0)
+    >>> bool(Rational(order=2).identify(Record(u, plant.simulate(u), 100.0)).fit_percent[0] > 98)
+    True
+
+    References: see `ultraquiet.linalg.vector_fitting`.
+    """
+
+    order: int | None = None
+    delay: int = 1
+    iterations: int = 8
+    floor: float = 0.01
+    most_lines: int = 500
+    rank_tolerance: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if self.order is not None:
+            whole("Rational", "order", self.order, 1)
+        whole("Rational", "delay", self.delay, 1)
+        whole("Rational", "iterations", self.iterations, 1)
+        whole("Rational", "most_lines", self.most_lines, 8)
+        between("Rational", "floor", self.floor, 1e-6, 1.0)
+        between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
+
+    def identify(self, record: Record) -> Result:
+        """Estimate the H1 response of a record and fit it; periodic records are better fitted by `identify_response`."""
+        usable("Rational", record, (self.order or max(ORDERS)) * (len(record.actuators) + 1), 64)
+        found = self.identify_response(frf(record), record.rate_hz)
+        simulated = found.model.simulate(record.inputs)
+        residual = record.outputs - simulated
+        ny = len(record.sensors)
+        unknown = np.full(ny, np.nan)
+        made = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
+        return Result(
+            found.model,
+            found.status,
+            np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
+            np.mean(residual**2, axis=1),
+            np.full((ny, 0, 0), np.nan),
+            unknown,
+            unknown,
+            np.full(ny, self.iterations),
+            (found.status,) * ny,
+            made,
+            {"order": found.order, "error": found.error},
+        )
+
+    def identify_response(self, response: FrequencyResponse, rate_hz: float) -> ResponseFit:
+        """Fit a measured response, as `spectra.frf` or `spectra.periodic_response` give it.
+
+        Args:
+            response: `(ny, nu, nf)` below half the rate; its `variance` weighs the lines when it is there.
+            rate_hz: sampling rate of the system wanted.
+
+        Raises:
+            InputError: lines beyond half the rate, too few lines for the order, a response that is zero.
+        """
+        f, G, weight = _checked(self, response, rate_hz)
+        z = points(f, rate_hz)
+        H = G * z ** (self.delay - 1)
+        seen = np.arange(f.size) % 2 == 0
+        orders = ORDERS if self.order is None else (self.order,)
+        orders = tuple(n for n in orders if n * 4 <= np.count_nonzero(seen))
+        fits: dict[int, vector_fitting.Rational] = {}
+        held: dict[int, float] = {}
+        with task("rational fit", len(orders)) as progress:
+            for n in orders:
+                start = _starting_poles(n, f, rate_hz)
+                fits[n] = vector_fitting.fit(z[seen], H[:, :, seen], weight[seen], start, self.iterations)
+                held[n] = _error(fits[n], z[~seen], H[:, :, ~seen], weight[~seen])
+                progress.advance(note=f"order {n}: {held[n]:.4f}")
+        best = min(held.values())
+        chosen = min(n for n in held if held[n] <= WORTH * best)
+        model = _realised(self, fits[chosen], f, rate_hz, weight, response)
+        return ResponseFit(model, _verdict(held[chosen]), chosen, (fits[chosen].error, held[chosen]), held)
+
+
+def _checked(
+    method: Rational, response: FrequencyResponse, rate_hz: float
+) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Return lines, gains and weights `(nf,)`, thinned and cleared of the lines that say nothing."""
+    f, G = response.f_hz, response.values
+    if f.size and f[-1] > rate_hz / 2:
+        raise InputError(
+            f"Rational: lines up to {f[-1]:g} Hz contradict a rate of {rate_hz:g} Hz; half of it is the limit."
+        )
+    size = np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 1)) * max(G.shape[:2]))
+    noise = np.zeros_like(size) if response.variance is None else np.mean(response.variance, axis=(0, 1))
+    keep = (size > 0) & (f > 0) & (f < rate_hz / 2)
+    keep[keep] = _thin(f[keep], method.most_lines)
+    needed = 8 * (method.order or ORDERS[0])
+    if np.count_nonzero(keep) < needed:
+        raise InputError(
+            f"Rational: {np.count_nonzero(keep)} usable lines are too few, order {method.order or ORDERS[0]} needs {needed}."
+        )
+    noise_share = noise * max(G.shape[:2]) / np.where(size > 0, size, 1.0) ** 2
+    weight = 1.0 / (np.where(size > 0, size, 1.0) * np.sqrt(method.floor**2 + noise_share))
+    # The error then reads as a share of the response where noise does not matter.
+    return f[keep], G[:, :, keep], weight[keep] * method.floor
+
+
+def _thin(f: FloatArray, most: int) -> np.ndarray:
+    keep = np.ones(f.size, dtype=bool)
+    if f.size > most:
+        wanted = np.concatenate([np.linspace(f[0], f[-1], most // 2), np.geomspace(f[0], f[-1], most // 2)])
+        keep[:] = False
+        keep[np.clip(np.searchsorted(f, wanted), 0, f.size - 1)] = True
+    return keep
+
+
+def _starting_poles(order: int, f: FloatArray, rate_hz: float) -> ComplexArray:
+    """Return poles spaced evenly in the logarithm of frequency, and one real for an odd order."""
+    centres = np.geomspace(max(f[0], f[-1] * 1e-4), f[-1], order // 2)
+    upper = np.exp(2 * np.pi * centres / rate_hz * (-START_DAMPING + 1j))
+    real = np.full(order % 2, np.exp(-2 * np.pi * np.sqrt(f[0] * f[-1]) / rate_hz))
+    return np.concatenate([upper, upper.conj(), real]).astype(np.complex128)
+
+
+def _error(fit: vector_fitting.Rational, z: ComplexArray, H: ComplexArray, weight: FloatArray) -> float:
+    model = np.einsum("ijk,kf->ijf", fit.residues, 1.0 / (z - fit.poles[:, None]))
+    return float(np.sqrt(np.mean(np.abs(weight * (model - H)) ** 2)))
+
+
+def _verdict(error: float) -> Status:
+    if error > POOR:
+        return Status("poor fit", f"Held-out lines are missed by {100 * error:.0f} % of the response; raise the order.")
+    return Status("ok", f"Held-out lines are met within {100 * error:.2g} % of the response (RMS).")
+
+
+def _realised(
+    method: Rational,
+    fit: vector_fitting.Rational,
+    f: FloatArray,
+    rate_hz: float,
+    weight: FloatArray,
+    response: FrequencyResponse,
+) -> StateSpace:
+    """Return real blocks of the poles, each with as many copies as its residue has directions that matter."""
+    z = points(f, rate_hz)
+    blocks: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    k = 0
+    while k < fit.poles.size:
+        reach = float(np.max(weight / np.abs(z - fit.poles[k])))
+        blocks.append(_block(fit.poles[k], fit.residues[:, :, k], method.rank_tolerance / reach))
+        k += 1 if fit.poles[k].imag == 0 else 2
+    ny, nu = response.values.shape[:2]
+    A = _diagonal([a for a, _, _ in blocks])
+    B = np.vstack([b for _, b, _ in blocks])
+    C = np.hstack([c for _, _, c in blocks])
+    for _ in range(method.delay - 1):
+        n = A.shape[0]
+        A = np.block([[A, B], [np.zeros((nu, n + nu))]])
+        B = np.vstack([np.zeros((n, nu)), np.eye(nu)])
+        C = np.hstack([C, np.zeros((ny, nu))])
+    made = Provenance("rational", asdict(method), parents=response.provenance.parents, versions=versions())
+    return StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz, response.actuators, response.sensors, made)
+
+
+def _block(pole: complex, residue: ComplexArray, smallest: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Realise 2 Re(R / (z - p)), or R / (z - p) of a real pole, keeping singular values above `smallest`."""
+    real = pole.imag == 0
+    U, s, Vh = np.linalg.svd(residue.real if real else residue)
+    r = int(np.count_nonzero(s > smallest))
+    c, b = U[:, :r] * np.sqrt(s[:r]), np.sqrt(s[:r])[:, None] * Vh[:r]
+    if real:
+        return pole.real * np.eye(r), b.real, c.real
+    rotation = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
+    # The complex state x+ = p x + b u, y = 2 Re(c x), written with its real and imaginary parts.
+    A = np.kron(np.eye(r), rotation)
+    B = np.stack([b.real, b.imag], axis=1).reshape(2 * r, -1) * np.sqrt(2.0)
+    C = np.stack([c.real, -c.imag], axis=2).reshape(c.shape[0], 2 * r) * np.sqrt(2.0)
+    return A, B, C
+
+
+def _diagonal(blocks: list[FloatArray]) -> FloatArray:
+    n = sum(b.shape[0] for b in blocks)
+    A, at = np.zeros((n, n)), 0
+    for b in blocks:
+        A[at : at + b.shape[0], at : at + b.shape[0]] = b
+        at += b.shape[0]
+    return A

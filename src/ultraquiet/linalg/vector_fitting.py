@@ -1,0 +1,141 @@
+"""Rational approximation of sampled matrix responses with common poles: vector fitting in z.
+
+H(z) = sum_k R_k / (z - p_k) is fitted to samples by turns: with the poles fixed, a scalar sigma(z) = d + sum_k c_k / (z - p_k)
+is sought such that sigma H has the poles p_k as well; its zeros are the next poles. Gustavsen & Semlyen 1999
+(doi:10.1109/61.772353), relaxed as Gustavsen 2006 (doi:10.1109/TPWRD.2005.860281), channel by channel compressed as
+Deschrijver et al. 2008 (doi:10.1109/LMWC.2008.922585).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+
+# A pole on the unit circle makes its own basis function infinite at a sample; this is as near as one may come.
+NEAREST_TO_CIRCLE = 1e-7
+
+
+class Rational(NamedTuple):
+    """Poles in the order of the basis (reals, then conjugate pairs), residues `(ny, nu, poles)`, weighted RMS error."""
+
+    poles: ComplexArray
+    residues: ComplexArray
+    error: float
+
+
+def fit(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, iterations: int) -> Rational:
+    """Return the stable rational matrix of common poles nearest to samples in the weighted RMS.
+
+    Args:
+        z: `(nf,)` points on the unit circle.
+        H: `(ny, nu, nf)` samples.
+        weight: `(nf,)` positive; the error counted is weight * (fit - H).
+        poles: starting poles inside the circle, complex ones with their conjugates.
+        iterations: relocations; the best of all poles met is returned.
+    """
+    p = paired(poles)
+    best = residues(z, H, weight, p)
+    for _ in range(iterations):
+        p = relocated(z, H, weight, p)
+        found = residues(z, H, weight, p)
+        if found.error < best.error:
+            best = found
+    return best
+
+
+def residues(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray) -> Rational:
+    """Return the least-squares residues for fixed poles (`paired`)."""
+    ny, nu, nf = H.shape
+    wanted = _real((weight * H).reshape(ny * nu, nf).T)
+    phi = _real(weight[:, None] * basis(z, poles))
+    size = np.linalg.norm(phi, axis=0)
+    x, *_ = np.linalg.lstsq(phi / size, wanted, rcond=None)
+    error = np.linalg.norm(phi / size @ x - wanted) / np.sqrt(nf * ny * nu)
+    x = x / size[:, None]
+    R = np.zeros((ny * nu, poles.size), dtype=np.complex128)
+    k = 0
+    while k < poles.size:
+        if poles[k].imag == 0:
+            R[:, k] = x[k]
+            k += 1
+        else:
+            R[:, k] = x[k] + 1j * x[k + 1]
+            R[:, k + 1] = R[:, k].conj()
+            k += 2
+    return Rational(poles, R.reshape(ny, nu, -1), float(error))
+
+
+def relocated(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray) -> ComplexArray:
+    """Return the zeros of sigma, reflected into the unit circle where they lie outside."""
+    n, nf = poles.size, z.size
+    phi = basis(z, poles)
+    with_one = np.hstack([phi, np.ones((nf, 1))])
+    common, _ = np.linalg.qr(_real(weight[:, None] * phi))
+    rows: list[FloatArray] = []
+    for h in H.reshape(-1, nf):
+        block = _real((weight * h)[:, None] * with_one)
+        rows.append(np.linalg.qr(block - common @ (common.T @ block), mode="r"))
+    # Relaxed normalisation: the real part of sigma adds up to the number of samples.
+    scale = np.linalg.norm(weight * H) / nf
+    rows.append(scale * np.append(phi.real.sum(axis=0), nf)[None])
+    stacked = np.vstack(rows)
+    size = np.linalg.norm(stacked, axis=0)
+    wanted = np.zeros(len(stacked))
+    wanted[-1] = scale * nf
+    sigma = np.linalg.lstsq(stacked / size, wanted, rcond=None)[0] / size
+    A, b = _sigma_states(poles)
+    d = sigma[n] if abs(sigma[n]) > np.finfo(float).eps else np.finfo(float).eps
+    return paired(_inside(np.linalg.eigvals(A - np.outer(b, sigma[:n]) / d).astype(np.complex128)))
+
+
+def basis(z: ComplexArray, poles: ComplexArray) -> ComplexArray:
+    """Return `(nf, n)` functions whose real combinations are the rational functions with these poles and real values."""
+    columns: list[ComplexArray] = []
+    k = 0
+    while k < poles.size:
+        one = 1.0 / (z - poles[k])
+        if poles[k].imag == 0:
+            columns.append(one)
+            k += 1
+        else:
+            other = 1.0 / (z - poles[k].conjugate())
+            columns += [one + other, 1j * (one - other)]
+            k += 2
+    return np.stack(columns, axis=1)
+
+
+def paired(poles: ComplexArray) -> ComplexArray:
+    """Return poles as reals first, then each complex one followed by its conjugate."""
+    real = poles[poles.imag == 0]
+    upper = poles[poles.imag > 0]
+    return np.concatenate([np.sort(real.real), np.stack([upper, upper.conj()], axis=1).ravel()]).astype(np.complex128)
+
+
+def _real(M: ComplexArray) -> FloatArray:
+    return np.concatenate([M.real, M.imag])
+
+
+def _inside(poles: ComplexArray) -> ComplexArray:
+    size = np.abs(poles)
+    poles = np.where(size > 1, poles / np.maximum(size, 1.0) ** 2, poles)
+    size = np.abs(poles)
+    limit = 1 - NEAREST_TO_CIRCLE
+    return np.where(size > limit, poles / np.maximum(size, limit) * limit, poles)
+
+
+def _sigma_states(poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return A, b with sigma = d + c (z - A)^-1 b in the basis above."""
+    n = poles.size
+    A, b = np.zeros((n, n)), np.zeros(n)
+    k = 0
+    while k < n:
+        if poles[k].imag == 0:
+            A[k, k], b[k] = poles[k].real, 1.0
+            k += 1
+        else:
+            re, im = poles[k].real, poles[k].imag
+            A[k : k + 2, k : k + 2] = [[re, im], [-im, re]]
+            b[k] = 2.0
+            k += 2
+    return A, b
