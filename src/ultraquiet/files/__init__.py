@@ -1,7 +1,7 @@
 """Files: every value to one HDF5 file and back, and records from CSV, MAT and NPZ."""
 
 from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
-from ultraquiet.files.atomic import write_bytes
+from ultraquiet.files.atomic import reason, write_bytes
 from ultraquiet.files.read import read_record
 
-__all__ = ["contents", "is_archive", "load", "load_many", "read_record", "save", "save_many", "write_bytes"]
+__all__ = ["contents", "is_archive", "load", "load_many", "read_record", "reason", "save", "save_many", "write_bytes"]

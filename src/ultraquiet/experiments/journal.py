@@ -1,0 +1,113 @@
+"""The journal of a folder of records: what was begun is written down before the bench moves.
+
+So no excitation of a run that was killed is repeated by mistake. Each line is the CRC-32 of an entry in hexadecimal,
+a blank, and the entry as JSON. A line that was being written when the power went lacks its end; it is the last one,
+and is dropped: what it announces had not begun.
+"""
+
+import json
+import os
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ultraquiet._base.errors import StorageError
+from ultraquiet.files import reason
+
+FILE = "journal.log"
+
+
+def entries(folder: Path) -> list[dict[str, Any]]:
+    """Return the entries of a folder's journal, oldest first; none when there is no journal.
+
+    Raises:
+        StorageError: the journal cannot be read, or is damaged before its last line.
+    """
+    path = folder / FILE
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise StorageError(f"journal: '{path}' cannot be read ({reason(error)}).") from error
+    return [entry for entry, _ in _sound(path, data)]
+
+
+def begun(folder: Path) -> dict[str, str]:
+    """Return name -> hash of every measurement that was ever begun in a folder."""
+    return {e["name"]: e["hash"] for e in entries(folder) if e["event"] == "begun"}
+
+
+class Journal:
+    """An open journal; use `opened`."""
+
+    def __init__(self, path: Path, handle: int) -> None:
+        self._path = path
+        self._handle = handle
+
+    def write(self, event: str, **what: Any) -> None:
+        """Append an entry and wait until the disk has it.
+
+        Raises:
+            StorageError: the disk is full or gone; what was written before stays.
+        """
+        body = json.dumps({"event": event, **what}, sort_keys=True).encode()
+        line = memoryview(_framed(body))
+        try:
+            while line:
+                line = line[os.write(self._handle, line) :]
+            os.fsync(self._handle)
+        except OSError as error:
+            raise StorageError(f"journal: '{self._path}' cannot be written ({reason(error)}).") from error
+
+
+@contextmanager
+def opened(folder: Path) -> Iterator[Journal]:
+    """Open the journal of a folder for one process alone, after dropping a last line that was cut short.
+
+    Raises:
+        StorageError: another process executes a list into this folder, or the journal cannot be opened.
+    """
+    path = folder / FILE
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
+    except OSError as error:
+        raise StorageError(f"journal: '{path}' cannot be opened ({reason(error)}).") from error
+    try:
+        _lock(path, handle)
+        ends = [end for _, end in _sound(path, path.read_bytes())]
+        os.truncate(handle, max(ends, default=0))
+        yield Journal(path, handle)
+    finally:
+        os.close(handle)
+
+
+def _framed(body: bytes) -> bytes:
+    return b"%08x %s\n" % (zlib.crc32(body), body)
+
+
+def _sound(path: Path, data: bytes) -> Iterator[tuple[dict[str, Any], int]]:
+    """Yield each sound entry and where it ends."""
+    end = 0
+    for line in data.splitlines(keepends=True):
+        body = line[9:-1]
+        if _framed(body) != line:
+            # A line with an end was whole once: it is damaged, not torn, and dropping it would forget a run.
+            if b"\n" in data[end:]:
+                raise StorageError(f"journal: '{path}' is damaged at byte {end}; move the folder's records elsewhere.")
+            return
+        end += len(line)
+        yield json.loads(body), end
+
+
+def _lock(path: Path, handle: int) -> None:
+    if os.name == "nt":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise StorageError(f"journal: another process is executing a list into '{path.parent}'.") from None

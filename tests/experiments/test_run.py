@@ -1,0 +1,418 @@
+"""Lists do what they say, in order; records are kept, never written over, and no excitation is repeated unasked."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet import experiments, files
+from ultraquiet._base import progress
+from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.experiments import journal
+from ultraquiet.signals import Chirp, Tone
+from ultraquiet.values import StateSpace
+
+FAKES = Path(__file__).with_name("fakes.py")
+spec = spec_from_file_location("experiment_fakes", FAKES)
+assert spec is not None
+assert spec.loader is not None
+fakes = module_from_spec(spec)
+spec.loader.exec_module(fakes)
+
+LIST = """\
+title = "three chirps, a tone and silence"
+[[commands]]
+do = "configure"
+samples = 256
+[[commands]]
+do = "excite"
+name = "chirp"
+signal = { method = "chirp", start_hz = 5.0, stop_hz = 100.0 }
+[[commands]]
+do = "wait"
+seconds = 2.5
+[[commands]]
+do = "excite"
+name = "tone"
+actuator = 2
+samples = 100
+signal = { method = "tone", frequency_hz = 60.0, amplitude_v = 10.0 }
+[[commands]]
+do = "record"
+name = "quiet"
+"""
+
+
+@pytest.fixture
+def bench():
+    return fakes.Fake()
+
+
+def run(text, folder, bench, **kwargs):
+    return experiments.run(experiments.parse(text, bench, folder=folder), folder, sleep=lambda _: None, **kwargs)
+
+
+def test_commands_in_order_and_records_that_reopen(bench, tmp_path):
+    slept = []
+    listed = experiments.parse(LIST, bench)
+    records = experiments.run(listed, tmp_path / "out", sleep=slept.append)
+    assert list(records) == ["chirp-1", "chirp-2", "tone", "quiet"]
+    assert listed.groups == {"chirp": ("chirp-1", "chirp-2"), "tone": ("tone",), "quiet": ("quiet",)}
+    assert slept == [2.5]
+    assert listed.duration_s == pytest.approx((3 * 256 + 100) / 1000 + 2.5)
+    sweep = Chirp(start_hz=5.0, stop_hz=100.0).generate(256, 1000.0)
+    assert np.array_equal(bench.calls[0][0], [sweep, 0 * sweep])
+    assert np.array_equal(bench.calls[1][0], [0 * sweep, sweep])
+    tone = Tone(frequency_hz=60.0, amplitude_v=10.0).generate(100, 1000.0)
+    assert np.array_equal(records["tone"].inputs, [0 * tone, tone])
+    assert not bench.calls[3][0].any()
+    assert all(d is None and c is None for _, d, c in bench.calls)
+    for name, record in records.items():
+        again = files.read_record(tmp_path / "out" / f"{name}.h5")
+        assert again.hash == record.hash
+        assert again.sensors == bench.sensors
+        made = again.provenance.settings
+        assert made["measurement"]["name"] == name
+        assert made["list"] == "three chirps, a tone and silence"
+        assert again.provenance.parents == (listed.hash,)
+
+
+def test_controller_and_disturbance_come_and_go(bench, tmp_path, rng):
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((2, 0)), rng.standard_normal((2, 3)), 1000.0)
+    files.save(law, tmp_path / "law.h5")
+    text = """
+[[commands]]
+do = "record"
+name = "open"
+[[commands]]
+do = "controller-on"
+file = "law.h5"
+[[commands]]
+do = "disturbance-on"
+actuator = 1
+signal = { method = "tone", frequency_hz = 25.0, amplitude_v = 1.0 }
+[[commands]]
+do = "record"
+name = "closed"
+[[commands]]
+do = "controller-off"
+[[commands]]
+do = "record"
+name = "disturbed"
+[[commands]]
+do = "disturbance-off"
+[[commands]]
+do = "record"
+name = "end"
+"""
+    records = run(text, tmp_path, bench)
+    disturbed = [d is not None for _, d, _ in bench.calls]
+    closed = [c is not None for _, _, c in bench.calls]
+    assert disturbed == [False, True, True, False]
+    assert closed == [False, True, False, False]
+    assert bench.calls[1][2].hash == law.hash
+    assert not bench.calls[1][1][1].any()
+    assert bench.calls[1][1][0].max() == pytest.approx(1.0, abs=0.01)
+    assert records["closed"].provenance.settings["measurement"]["controller_hash"] == law.hash
+
+
+def test_repeat_numbers_its_rounds_and_knows_them(bench, tmp_path):
+    text = """
+[[commands]]
+do = "set"
+level = 3
+[[commands]]
+do = "repeat"
+times = 2
+[[commands.commands]]
+do = "repeat"
+times = 2
+[[commands.commands.commands]]
+do = "excite"
+name = "s"
+actuator = 1
+samples = 200
+signal = { method = "step", level_v = "$round", rise_s = 0.0 }
+[[commands]]
+do = "excite"
+name = "last"
+actuator = [1, 2]
+samples = 200
+signal = { method = "step", level_v = "$level", rise_s = 0.0 }
+"""
+    records = run(text, tmp_path, bench)
+    assert list(records) == ["s-r1-r1", "s-r1-r2", "s-r2-r1", "s-r2-r2", "last"]
+    assert [r.inputs[0, 0] for r in records.values()] == [1.0, 2.0, 1.0, 2.0, 3.0]
+    assert records["last"].inputs[1, 0] == 3.0
+
+
+def test_random_signals_are_independent_and_repeatable(bench, tmp_path, seed):
+    noise = 'signal = { method = "noise", stop_hz = 250.0 }'
+    text = f"""
+seed = {seed}
+[[commands]]
+do = "excite"
+name = "each"
+{noise}
+[[commands]]
+do = "excite"
+name = "all"
+actuator = "all"
+{noise}
+[[commands]]
+do = "excite"
+name = "own"
+actuator = 1
+seed = 7
+{noise}
+[[commands]]
+do = "excite"
+name = "same"
+actuator = 1
+seed = 7
+{noise}
+"""
+    records = run(text, tmp_path / "a", bench)
+    rows = [records["each-1"].inputs[0], records["each-2"].inputs[1], *records["all"].inputs, records["own"].inputs[0]]
+    # 250 of 500 Hz are filled, so 4096 samples hold about 2048 independent ones: sigma 0.022, five of them 0.11.
+    correlation = np.abs(np.corrcoef(rows) - np.eye(len(rows))).max()
+    print(f"largest correlation between actuators and measurements: {correlation:.3f}")
+    assert correlation < 0.15
+    assert np.array_equal(records["own"].inputs, records["same"].inputs)
+    again = run(text, tmp_path / "b", bench)
+    assert all(again[name].hash == record.hash for name, record in records.items())
+
+
+def test_progress_is_told(bench, tmp_path):
+    told = []
+
+    class Listener:
+        def start(self, title, total):
+            told.append((title, total))
+            return 0
+
+        def advance(self, key, steps, note):
+            told.append(note)
+
+        def finish(self, key):
+            told.append("done")
+
+    with progress.listening(Listener()):
+        run(LIST, tmp_path, bench)
+    assert told == [("three chirps, a tone and silence", 4), "chirp-1", "chirp-2", "tone", "quiet", "done"]
+
+
+def test_nothing_is_written_over_unasked(bench, tmp_path):
+    (tmp_path / "tone.h5").write_bytes(b"precious")
+    with pytest.raises(StorageError, match="holds 1 of the records already \\(tone\\)"):
+        run(LIST, tmp_path, bench)
+    assert not bench.calls
+    with pytest.raises(StorageError, match="not an HDF5 file"):
+        run(LIST, tmp_path, bench, resume=True)
+    assert (tmp_path / "tone.h5").read_bytes() == b"precious"
+    assert not bench.calls
+    run(LIST, tmp_path, bench, overwrite=True)
+    assert files.read_record(tmp_path / "tone.h5").samples == 100
+
+
+def test_resume_measures_only_what_is_missing(bench, tmp_path):
+    records = run(LIST, tmp_path, bench)
+    assert len(bench.calls) == 4
+    again = run(LIST, tmp_path, bench, resume=True)
+    assert len(bench.calls) == 4
+    assert {n: r.hash for n, r in again.items()} == {n: r.hash for n, r in records.items()}
+    more = LIST + '[[commands]]\ndo = "record"\nname = "more"\n'
+    assert list(run(more, tmp_path, bench, resume=True)) == [*records, "more"]
+    assert len(bench.calls) == 5
+
+
+def test_resume_refuses_records_of_another_list(bench, tmp_path):
+    run(LIST, tmp_path, bench)
+    changed = LIST.replace("60.0", "61.0")
+    with pytest.raises(InputError, match=r"was not made by 'tone' as the list has it now \(line 12\)"):
+        run(changed, tmp_path, bench, resume=True)
+    assert len(bench.calls) == 4
+
+
+def test_what_was_begun_is_not_repeated_unasked(bench, tmp_path):
+    def broken(*args, **kwargs):
+        raise RuntimeError("cable")
+
+    whole, bench.run = bench.run, broken
+    with pytest.raises(RuntimeError):
+        run(LIST, tmp_path, bench)
+    bench.run = whole
+    for resume in (False, True):
+        with pytest.raises(StorageError, match=r"chirp-1 in .* was begun before and left no record"):
+            run(LIST, tmp_path, bench, resume=resume)
+    assert not bench.calls
+    with pytest.raises(InputError, match="no measurement 'chirp-9' to repeat"):
+        run(LIST, tmp_path, bench, resume=True, repeat=["chirp-9"])
+    run(LIST, tmp_path, bench, resume=True, repeat=["chirp-1"])
+    assert len(bench.calls) == 4
+
+
+def test_a_lost_record_is_not_measured_again_unasked(bench, tmp_path):
+    run(LIST, tmp_path, bench)
+    (tmp_path / "tone.h5").unlink()
+    with pytest.raises(StorageError, match=r"tone in .* was begun before and left no record"):
+        run(LIST, tmp_path, bench, resume=True)
+    assert len(bench.calls) == 4
+
+
+@pytest.mark.parametrize("at", [1, 2, 3, 5, 6])
+def test_a_full_disk_keeps_what_is_finished(at, bench, tmp_path, monkeypatch):
+    """The disk is full at the n-th fsync; a measurement takes five (journal, record, folder, journal)."""
+    whole, count = os.fsync, 0
+
+    def full(handle):
+        nonlocal count
+        count += 1
+        if count >= at:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        whole(handle)
+
+    (tmp_path / "other.h5").write_bytes(b"precious")
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(StorageError, match="no space left on device") as caught:
+        run(LIST, tmp_path, bench)
+    monkeypatch.undo()
+    print(caught.value)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "other.h5").read_bytes() == b"precious"
+    kept = sorted(p.name for p in tmp_path.glob("*.h5") if p.name != "other.h5")
+    assert not list(tmp_path.glob(".*.part"))
+    for name in kept:
+        assert files.read_record(tmp_path / name).samples == 256
+    assert len(kept) >= len(bench.calls) - 1
+
+
+SCRIPT = """\
+import sys, time, importlib.util as u
+from ultraquiet import experiments
+spec = u.spec_from_file_location("experiment_fakes", sys.argv[1])
+fakes = u.module_from_spec(spec)
+spec.loader.exec_module(fakes)
+folder, repeat = sys.argv[3], sys.argv[4:]
+listed = experiments.parse(open(sys.argv[2]).read(), fakes.Fake())
+print("ready", flush=True)
+experiments.run(listed, folder, resume=True, repeat=repeat, sleep=lambda _: None)
+"""
+
+
+def test_a_really_full_disk(bench, tmp_path):
+    """The system itself refuses to let a file grow beyond 20 kB: records of 256 samples fit, one of 4096 does not."""
+    (tmp_path / "list.toml").write_text(LIST + '[[commands]]\ndo = "record"\nname = "long"\nsamples = 4096\n')
+    words = [sys.executable, "-c", SCRIPT, str(FAKES), str(tmp_path / "list.toml"), str(tmp_path / "out")]
+
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
+
+    done = subprocess.run(words, capture_output=True, text=True, preexec_fn=limit, check=False)
+    last = done.stderr.strip().splitlines()[-1]
+    print(last)
+    assert "experiment stopped at 'long', 4 records are finished and safe" in last
+    assert sorted(p.name for p in (tmp_path / "out").glob("*.h5")) == [
+        "chirp-1.h5",
+        "chirp-2.h5",
+        "quiet.h5",
+        "tone.h5",
+    ]
+    for path in (tmp_path / "out").glob("*.h5"):
+        files.read_record(path)
+
+
+def test_too_little_space_is_told_before_anything_moves(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: os.terminal_size((0, 0)) and type("U", (), {"free": 1000})())
+    with pytest.raises(StorageError, match=r"need 0\.3 MB, .* has 0\.0 MB free; nothing was executed"):
+        run(LIST, tmp_path, bench)
+    assert not bench.calls
+
+
+def kills(count, tmp_path, rng):
+    """Kill a running list `count` times; return how often each measurement was excited and what was lost."""
+    text = "".join(f'[[commands]]\ndo = "record"\nname = "m{k}"\nsamples = 3000\n' for k in range(4 * count))
+    (tmp_path / "list.toml").write_text(text)
+    out, seen = tmp_path / "out", {}
+    for _ in range(count):
+        started = journal.begun(out) if out.exists() else {}
+        torn = [name for name in started if not (out / f"{name}.h5").exists()]
+        words = [sys.executable, "-c", SCRIPT, str(FAKES), str(tmp_path / "list.toml"), str(out), *torn]
+        child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert child.stdout is not None
+        child.stdout.readline()
+        time.sleep(rng.uniform(0.0, 0.2))
+        child.kill()
+        _, complaint = child.communicate()
+        assert not complaint, complaint
+        for path in out.glob("*.h5"):
+            record = files.read_record(path)
+            assert seen.setdefault(path.name, record.provenance.to_json()) == record.provenance.to_json()
+        assert set(seen) == {p.name for p in out.glob("*.h5")}
+    events = journal.entries(out)
+    begun = [e["name"] for e in events if e["event"] == "begun"]
+    lost = [e["name"] for e in events if e["event"] == "finished" and f"{e['name']}.h5" not in seen]
+    return begun, seen, lost
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
+def test_killed_at_any_time_nothing_is_lost(count, tmp_path, rng):
+    begun, seen, lost = kills(count, tmp_path, rng)
+    again = len(begun) - len(set(begun))
+    print(f"{count} kills: {len(seen)} records kept, {len(lost)} lost, {again} excitations repeated as asked")
+    assert not lost
+    # What was begun twice had been broken off, and was asked for again: at most one a kill.
+    assert again <= count
+
+
+def test_a_torn_journal_line_is_dropped_and_a_damaged_one_refused(bench, tmp_path):
+    run(LIST, tmp_path, bench)
+    path = tmp_path / journal.FILE
+    whole = path.read_bytes()
+    for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
+        path.write_bytes(whole[:-cut])
+        assert len(journal.entries(tmp_path)) == 7
+    run(LIST, tmp_path, bench, resume=True)
+    assert path.read_bytes() == b"".join(whole.splitlines(keepends=True)[:-1])
+    path.write_bytes(whole[:20] + b"X" + whole[21:])
+    with pytest.raises(StorageError, match="damaged at byte 0"):
+        run(LIST, tmp_path, bench, resume=True)
+
+
+def test_two_lists_do_not_share_a_folder_at_once(bench, tmp_path):
+    with journal.opened(tmp_path), pytest.raises(StorageError, match="another process"):
+        run(LIST, tmp_path, bench)
+
+
+def test_the_suite_list(tmp_path):
+    listed = uq.experiments.load("suite")
+    counts = {name: len(records) for name, records in listed.groups.items()}
+    assert counts == {"chirp": 6, "noise": 6, "prbs": 6, "step": 1, "tone": 1, "broadband": 1}
+    records = uq.experiments.run(listed, tmp_path)
+    assert all(r.samples == 4096 and r.rate_hz == 3500.0 and len(r.sensors) == 6 for r in records.values())
+    assert all(np.abs(r.inputs).max() <= 25.0 for r in records.values())
+    excited = [np.flatnonzero(records[f"chirp-{k + 1}"].inputs.any(axis=1)).tolist() for k in range(6)]
+    assert excited == [[k] for k in range(6)]
+    assert np.abs(np.corrcoef(records["broadband"].inputs) - np.eye(6)).max() < 0.25
+    assert sum(records["tone"].clipped()) > 0
+    print(f"suite: {len(records)} records, {listed.duration_s:.1f} s on the bench")
+
+
+def test_the_bench_numbers_its_noise_by_the_list(tmp_path):
+    text = '[bench]\nmethod = "hexapod"\n' + "".join(
+        f'[[commands]]\ndo = "record"\nname = "{n}"\nsamples = 500\n' for n in "ab"
+    )
+    records = experiments.run(experiments.parse(text), tmp_path)
+    (tmp_path / "b.h5").unlink()
+    resumed = experiments.run(experiments.parse(text), tmp_path, resume=True, repeat=["b"])
+    assert resumed["b"].hash == records["b"].hash != records["a"].hash
