@@ -5,6 +5,7 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
+from functools import cache
 from importlib import metadata
 from typing import Any
 
@@ -40,6 +41,12 @@ class Provenance:
 
 def versions() -> dict[str, str]:
     """Return the versions that decide a number: this package, its numerical libraries and Python."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> Mapping[str, str]:
+    # Asked for by every value that is made, and slow: the metadata of four packages are parsed.
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in VERSIONED}}
 
 
