@@ -297,7 +297,7 @@ def test_a_full_disk_keeps_what_is_finished(at, bench, tmp_path, monkeypatch):
 
 
 SCRIPT = """\
-import sys, time, importlib.util as u
+import sys, h5py, importlib.util as u
 from ultraquiet import experiments
 spec = u.spec_from_file_location("experiment_fakes", sys.argv[1])
 fakes = u.module_from_spec(spec)
