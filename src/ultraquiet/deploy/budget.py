@@ -12,13 +12,16 @@ SKELETON_CYCLES = 142
 # Instructions around the multiply-adds, counted in hand-written kernels (RPTS costs 1 + 3; pointers, store): per row
 # of a full matrix, per state of a modal kernel, per state more in delta form, and once for the whole call.
 ROW, STATE, DELTA, CALL = 10, 3, 1, 5
+# Two blocks of on-chip RAM, 1K words of 32 bits each.
+INTERNAL_WORDS = 2048
 
 ASSUMPTIONS = (
     "TMS320C31-40, 50 ns an instruction, 20 million instructions a second; MPYF3 || ADDF3 does one multiply-add a cycle"
     " when two of its four sources are memory; coefficients and states lie in the two internal single-cycle RAM blocks"
-    " (1K words each; a larger law needs external zero-wait memory); kernel counts are those of hand-written code for"
-    " six inputs and six outputs, other sizes are scaled by their multiply-adds; conversions, saturation and interrupt"
-    f" are the {SKELETON_CYCLES} cycles of the frame's skeleton. The law fits the model; it has not run on the DSP."
+    " (1K words each; a larger law needs external zero-wait memory); numbers are the C31's own; kernel counts are"
+    " those of hand-written code for six inputs and six outputs, other sizes are scaled by their multiply-adds;"
+    f" conversions, saturation and interrupt are the {SKELETON_CYCLES} cycles of the frame's skeleton. A law fits the"
+    " model; it has not run on the DSP."
 )
 
 
@@ -61,6 +64,11 @@ def cycles(law: Law) -> int:
         anti_windup=law.L is not None,
         block=width if law.form == "schur" else None,
     )
+
+
+def words(law: Law) -> int:
+    """Return the 32-bit words of coefficients, states, measurements and commands."""
+    return law.coefficients + law.states + law.inputs + 3 * law.outputs
 
 
 def largest_order(

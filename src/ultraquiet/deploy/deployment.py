@@ -13,7 +13,7 @@ from ultraquiet.deploy import budget, emit, script, toolchain
 from ultraquiet.deploy.antiwindup import conditioning_gain
 from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of
 from ultraquiet.deploy.compiled import CompiledController, Library
-from ultraquiet.deploy.folder import require_ours, write_folder
+from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
 from ultraquiet.deploy.law import DTYPES, Law, actuator_limits, rounded
 from ultraquiet.deploy.realise import FORMS, realisation
@@ -35,8 +35,9 @@ class Deployment:
     is a sentence on the law, `law` holds the rounded coefficients.
     """
 
-    def __init__(self, law: Law, folder: Path, tables: dict[str, Any], status: Status) -> None:
+    def __init__(self, law: Law, folder: Path, tables: dict[str, Any], status: Status, model_hash: str) -> None:
         self.law, self.folder, self.tables, self.status = law, folder, tables, status
+        self.model_hash = model_hash
         self._library: Library | None = None
 
     @property
@@ -64,14 +65,34 @@ class Deployment:
         return twin
 
     def verify(self, steps: int = STEPS, seed: int = 0) -> Verification:
-        """Compile the code, compare `steps` samples and the self-test bit by bit, and note the outcome in `tables`.
+        """Compile the code, compare `steps` samples and the self-test bit by bit, and note the outcome.
 
-        Never raises for a missing or refusing compiler: the status says so.
+        With a Cortex-M7 compiler and emulator at hand the self-test also runs there and a step's instructions are
+        counted. `tables` and the folder's README and manifest then hold what was found. Never raises for a missing or
+        refusing compiler: the status says so.
         """
         whole("Deployment.verify", "steps", steps, 1)
         found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed)
         self.tables["bit_exact"] = found.bit_exact
+        if found.cortex_m7 is not None:
+            self.tables["cortex_m7_instructions"] = found.cortex_m7.step
+            self.tables["cortex_m7_output_instructions"] = found.cortex_m7.output
+        rewrite(self.folder, self.documents(found.status))
         return found
+
+    def documents(self, verified: Status | None = None) -> dict[str, str]:
+        """Return the texts of README and manifest as things stand."""
+        said = "Not verified yet." if verified is None else str(verified)
+        manifest = {
+            "name": self.law.name,
+            "model_sha256": self.model_hash,
+            "coefficients_sha256": self.law.hash,
+            "tables": self.tables,
+            "status": asdict(self.status),
+            "verified": said,
+        }
+        text = emit.readme(self.law, self.model_hash, self.tables, [str(self.status), said], budget.ASSUMPTIONS)
+        return {"README.md": text, MANIFEST: manifest_text(manifest)}
 
 
 def generate(
@@ -144,18 +165,9 @@ def generate(
     files = emit.sources(choice.law, rows, controller.hash)
     tables = _tables(choice, budget_cycles) | footprint(choice.law, files)
     files["vectors.csv"] = emit.vectors(choice.law)
-    files["README.md"] = emit.readme(
-        choice.law, rows, controller.hash, tables=tables, status=str(status), assumptions=budget.ASSUMPTIONS
-    )
-    manifest = {
-        "name": name,
-        "model_sha256": controller.hash,
-        "coefficients_sha256": choice.law.hash,
-        "tables": tables,
-        "status": asdict(status),
-    }
-    write_folder(folder, files, manifest)
-    return Deployment(choice.law, folder, tables, status)
+    made = Deployment(choice.law, folder, tables, status, controller.hash)
+    write_folder(folder, files | made.documents())
+    return made
 
 
 def _check(controller: StateSpace, precision: str, name: str, form: str) -> None:
@@ -205,6 +217,8 @@ def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
         "c31_kernel_cycles": kernel,
         "c31_budget": budget_cycles,
         "c31_fits_the_model": used <= budget_cycles,
+        "c31_words": budget.words(law),
+        "c31_internal_words": budget.INTERNAL_WORDS,
         "c31_largest_order": budget.largest_order(
             law.form, budget_cycles, law.inputs, law.outputs, anti_windup=anti_windup
         ),

@@ -13,6 +13,10 @@ from ultraquiet.deploy.twin import Twin
 if TYPE_CHECKING:
     import jinja2
 
+# Cortex-M7 with its double-precision unit. The emulated machine's SysTick runs at 25 MHz; at 2^10 ns an instruction
+# each takes 25.6 ticks, so counts round exactly.
+M7_FLAGS = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
+EMULATION = ("-M", "mps2-an500", "-icount", "shift=10", "-display", "none", "-serial", "none", "-monitor", "none")
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 VECTOR_STEPS = 256
 
@@ -22,6 +26,8 @@ FILES = {
     "controller.c.j2": "{name}.c",
     "selftest.c.j2": "{name}_selftest.c",
     "host.c.j2": "{name}_host.c",
+    "cortex_m7.c.j2": "{name}_m7.c",
+    "cortex_m7.ld.j2": "{name}_m7.ld",
     "Makefile.j2": "Makefile",
 }
 
@@ -32,16 +38,29 @@ def sources(law: Law, script: list[Row], model_hash: str) -> dict[str, str]:
     return {file.format(name=law.name): render(template, context) for template, file in FILES.items()}
 
 
-def readme(
-    law: Law, script: list[Row], model_hash: str, *, tables: dict[str, Any], status: str, assumptions: str
-) -> str:
-    """Return the text of README.md."""
-    rows = [(key.replace("_", " "), "not measured" if value is None else value) for key, value in tables.items()]
-    steps = sum(row.count if row.op == "RUN" else 1 for row in script)
-    context = _context(law, script, model_hash)
-    return render(
-        "README.md.j2", {**context, "rows": rows, "status": status, "assumptions": assumptions, "steps": steps}
-    )
+def readme(law: Law, model_hash: str, tables: dict[str, Any], said: list[str], assumptions: str) -> str:
+    """Return the text of README.md; `said` are the sentences on the law and on its verification."""
+    context = {
+        "law": law,
+        "name": law.name,
+        "rate": f"{law.rate_hz:g}",
+        "rows": [(key.replace("_", " "), _plain(value)) for key, value in tables.items()],
+        "model_hash": model_hash,
+        "said": said,
+        "assumptions": assumptions,
+        "flags": " ".join(FLAGS),
+    }
+    return render("README.md.j2", context)
+
+
+def _plain(value: Any) -> str:
+    if value is None:
+        return "not measured"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_plain(each)}" for key, each in value.items())
+    return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
 def vectors(law: Law, seed: int = 0) -> str:
@@ -108,7 +127,7 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "sizes": [len(b) for b in law.blocks],
         "A": table(flat) if pairs else [constant(v, law.precision) for block in flat for v in block],
         "B": table(law.B),
-        "C": table(law.C),
+        "C": table(law.C.T),
         "D": table(law.D),
         "L": None if law.L is None else table(law.L),
         "limits": table(law.limits),
@@ -120,6 +139,9 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "minus_inf_bits": special["MINUS_INFINITE"],
         "large_bits": special["LARGE"],
         "flags": " ".join(FLAGS),
+        "m7_flags": " ".join(M7_FLAGS),
+        "emulation": " ".join(EMULATION),
+        "scale": constant(2.0**-12 * script[0].scale * 2.0**23, law.precision),
     }
 
 

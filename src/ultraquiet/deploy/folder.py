@@ -14,7 +14,7 @@ MANIFEST = "manifest.json"
 WRITER = "ultraquiet.deploy"
 
 
-def write_folder(folder: Path, files: Mapping[str, str], manifest: Mapping[str, Any]) -> None:
+def write_folder(folder: Path, files: Mapping[str, str]) -> None:
     """Write all files beside `folder` and rename; replace an older folder only when this package wrote it.
 
     Raises:
@@ -32,13 +32,32 @@ def write_folder(folder: Path, files: Mapping[str, str], manifest: Mapping[str, 
     try:
         for name, text in files.items():
             (work / name).write_text(text, encoding="utf-8")
-        (work / MANIFEST).write_text(json.dumps({"writer": WRITER, **manifest}, indent=1), encoding="utf-8")
         work.chmod(0o755)
         _swap(work, folder)
     except OSError as error:
         raise StorageError(f"deploy: cannot write '{folder}' ({error.strerror}); nothing was changed there.") from None
     finally:
         shutil.rmtree(work, ignore_errors=True)
+
+
+def rewrite(folder: Path, files: Mapping[str, str]) -> None:
+    """Replace single files of a folder, each whole or not at all.
+
+    Raises:
+        StorageError: the folder is gone or cannot be written.
+    """
+    for name, text in files.items():
+        work = folder / f".{name}.new"
+        try:
+            work.write_text(text, encoding="utf-8")
+            os.replace(work, folder / name)
+        except OSError as error:
+            raise StorageError(f"deploy: cannot write '{folder / name}' ({error.strerror}).") from None
+
+
+def manifest_text(manifest: Mapping[str, Any]) -> str:
+    """Return the manifest, which marks the folder as this package's."""
+    return json.dumps({"writer": WRITER, **manifest}, indent=1) + "\n"
 
 
 def require_ours(folder: Path) -> None:

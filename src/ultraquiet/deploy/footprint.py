@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.cortex_m7 import COMPILER
+from ultraquiet.deploy.emit import FLAGS, M7_FLAGS
 from ultraquiet.deploy.law import Law
 from ultraquiet.deploy.toolchain import compile_c, compiler, flash_of
 
-M7_COMPILER = "arm-none-eabi-gcc"
-M7_FLAGS = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
 COUNTERS = 9  # 32-bit words in the state struct beside its numbers, the hook's pointer included
 
 
@@ -39,7 +38,7 @@ def _measured(law: Law, files: Mapping[str, str]) -> tuple[int | None, str]:
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
         for cc, size_tool, flags in (
-            (shutil.which(M7_COMPILER), "arm-none-eabi-size", (*FLAGS, *M7_FLAGS)),
+            (shutil.which(COMPILER), "arm-none-eabi-size", (*FLAGS, *M7_FLAGS)),
             (compiler(), "size", FLAGS),
         ):
             if cc is None:

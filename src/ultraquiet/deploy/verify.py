@@ -3,13 +3,14 @@
 import shutil
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.cortex_m7 import Count, count_instructions, missing_tool
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law, Rounded
 from ultraquiet.deploy.script import sizes
@@ -25,7 +26,8 @@ class Verification:
     """What the proof found.
 
     `bit_exact` is None when nothing could be compared, `mismatches` counts commands that differ in at least one bit,
-    `first` is the (step, output) of the first one, `self_test` whether the shipped self-test passed on this machine.
+    `first` is the (step, output) of the first one, `self_test` whether the shipped self-test passed on this machine,
+    `cortex_m7` what the emulated target said (None without its tools).
     """
 
     status: Status
@@ -36,6 +38,7 @@ class Verification:
     self_test: bool | None = None
     compiler: str | None = None
     seconds: float = 0.0
+    cortex_m7: Count | None = None
 
     @property
     def ok(self) -> bool:
@@ -54,23 +57,25 @@ def verify_code(law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed
     try:
         library = Library(law, folder, cc)
         self_test = _self_test(law, folder, cc)
+        target = count_instructions(law, folder) if missing_tool() is None else None
     except ToolError as refusal:
         return Verification(Status("not compiled", str(refusal)), False, compiler=cc)
     y = measurements(law, steps, seed)
     code, twin = CompiledController(library, ramp=True), Twin(law)
     twin.enable()
     mismatches, first = compare(code.run(y), twin.run(y))
-    exact = mismatches == 0
-    return Verification(
-        _verdict(self_test, steps, mismatches, first, cc),
-        exact and self_test,
+    found = Verification(
+        Status("ok", ""),
+        mismatches == 0 and self_test and (target is None or target.self_test),
         steps,
         mismatches,
         first,
         self_test,
         cc,
         time.perf_counter() - began,
+        target,
     )
+    return replace(found, status=_verdict(found))
 
 
 def measurements(law: Law, steps: int, seed: int) -> Rounded:
@@ -106,14 +111,19 @@ def _self_test(law: Law, folder: Path, cc: str) -> bool:
         return call([program], Path(work)).returncode == 0
 
 
-def _verdict(self_test: bool, steps: int, mismatches: int, first: tuple[int, int] | None, cc: str) -> Status:
-    if first is None and self_test:
-        return Status("ok", f"All bits of {steps} steps and of the self-test are those of the twin, compiled by {cc}.")
-    if first is None:
-        return Status("self-test failed", f"The run of {steps} steps agrees but the shipped self-test does not pass.")
+def _verdict(found: Verification) -> Status:
+    if found.first is not None:
+        step, output = found.first
+        sentence = f"{found.mismatches} commands of {found.steps} steps differ from the twin, the first at step {step}"
+        return Status("differs", f"{sentence}, output {output}.")
+    if not found.self_test:
+        return Status("self-test failed", f"{found.steps} steps agree but the shipped self-test does not pass here.")
+    if found.cortex_m7 is not None and not found.cortex_m7.self_test:
+        return Status("self-test failed", "The code agrees here but its self-test does not pass on the Cortex-M7.")
+    where = "" if found.cortex_m7 is None else ", and the self-test's on an emulated Cortex-M7"
     return Status(
-        "differs",
-        f"{mismatches} commands of {steps} steps differ from the twin, first at step {first[0]}, output {first[1]}.",
+        "ok",
+        f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}{where}.",
     )
 
 

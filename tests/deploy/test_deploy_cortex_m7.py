@@ -1,0 +1,71 @@
+"""On an emulated Cortex-M7: the same bits as here, and instructions counted exactly."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ultraquiet._base.errors import ToolError
+from ultraquiet.deploy import generate
+from ultraquiet.deploy.cortex_m7 import count_instructions, missing_tool
+
+
+@pytest.fixture
+def target():
+    absent = missing_tool()
+    if absent is not None:
+        pytest.skip(f"'{absent}' is not installed (Debian: gcc-arm-none-eabi, qemu-system-arm)")
+
+
+@pytest.mark.usefixtures("target")
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])
+def test_self_test_passes_bit_for_bit_on_the_target(law_of, rng, tmp_path, form, precision):
+    law = law_of(int(rng.integers(2, 30)), int(rng.integers(1, 8)), int(rng.integers(1, 8)))
+    made = generate(law, tmp_path / "code", precision, form=form, anti_windup=bool(rng.integers(2)), ramp_s=0.01)
+    assert count_instructions(made.law, made.folder).self_test
+
+
+@pytest.mark.usefixtures("target")
+def test_target_notices_a_wrong_bit(law_of, tmp_path):
+    made = generate(law_of(6), tmp_path / "code", ramp_s=0.01)
+    path = tmp_path / "code" / "controller.c"
+    path.write_text(path.read_text().replace("s->level > 0U", "s->level > 1U"))
+    assert not count_instructions(made.law, made.folder).self_test
+
+
+@pytest.mark.usefixtures("target")
+def test_instructions_grow_with_the_floor_of_the_form(law_of, tmp_path):
+    """Modal form needs 14 multiply-adds a state (load, multiply, add each, so 42) and some counting."""
+    counts = {}
+    for states in (30, 60, 120):
+        made = generate(law_of(states), tmp_path / str(states), form="modal", ramp_s=0.01)
+        counts[states] = count_instructions(made.law, made.folder)
+    slopes = [(counts[b].step - counts[a].step) / (b - a) for a, b in ((30, 60), (60, 120))]
+    print({n: (c.step, c.output) for n, c in counts.items()}, f"{slopes} instructions a state")
+    assert np.ptp(slopes) < 1.0
+    assert min(slopes) >= 14
+    assert max(slopes) < 1.25 * 42
+    # A Cortex-M7 at 216 MHz that needed two cycles an instruction would still spend less than half a frame.
+    assert 2 * counts[120].step / 216e6 < 0.5 / 3500
+
+
+@pytest.mark.usefixtures("target", "cc")
+def test_verification_fills_the_table(law_of, tmp_path):
+    made = generate(law_of(10), tmp_path / "code", ramp_s=0.01)
+    assert made.tables["cortex_m7_instructions"] is None
+    found = made.verify(steps=500)
+    print(found.status)
+    assert found.cortex_m7 is not None
+    assert made.tables["cortex_m7_instructions"] == found.cortex_m7.step > 0
+    held = json.loads((tmp_path / "code" / "manifest.json").read_text())
+    assert held["tables"] == made.tables
+    assert held["verified"].startswith("ok: All bits")
+    assert "emulated Cortex-M7" in (tmp_path / "code" / "README.md").read_text()
+
+
+def test_missing_tools_are_named(law_of, tmp_path, monkeypatch):
+    made = generate(law_of(2), tmp_path / "code")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(ToolError, match="'arm-none-eabi-gcc' is not installed"):
+        count_instructions(made.law, made.folder)
