@@ -2,6 +2,7 @@
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.band import BandAttenuation
+from ultraquiet.design.h2 import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
@@ -19,5 +20,6 @@ __all__ = [
     "high_pass",
     "output_shaping",
     "peak",
+    "synthesize_h2",
     "synthesize_hinf",
 ]

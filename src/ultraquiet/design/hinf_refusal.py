@@ -40,7 +40,7 @@ def _axis_zeros(P: StateSpace, p: int, m: int) -> str:
     for z, f_hz in zip(points(f, P.rate_hz), f, strict=True):
         for name, B, C, D in (
             ("P12 (controls to performance outputs)", P.B[:, m:], P.C[:p], P.D[:p, m:]),
-            ("P21 (disturbances to measurements)", P.B[:, :m].T, P.C[p:].T, P.D[p:, :m].T),
+            ("P21 (disturbances to measurements)", P.C[p:].T, P.B[:, :m].T, P.D[p:, :m].T),
         ):
             A = P.A if name.startswith("P12") else P.A.T
             pencil = np.block([[A - z * np.eye(P.states), B], [C, D]])

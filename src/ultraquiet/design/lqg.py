@@ -10,9 +10,9 @@ from ultraquiet._base.registry import register
 from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
+from ultraquiet.design.h2_kernel import Problem, Solution, solve
 from ultraquiet.design.ltr import recovery_error
 from ultraquiet.design.weights import band_pass
-from ultraquiet.linalg.equations import Riccati, discrete_gain, discrete_riccati
 from ultraquiet.values.interconnect import append, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
 
@@ -81,16 +81,14 @@ class Lqg:
         P = self.generalised(plant)
         ny, nu = plant.D.shape
         try:
-            regulator = _regulator(P, ny, nu)
-            observer = _observer(P, ny, nu)
-            K = _controller(P, ny, nu, regulator, observer, self.estimator == "current")
+            found = solve(Problem.of(P, ny, nu), discrete=True)
         except NumericalError as error:
             return refused(f"Lqg: {error}")
+        K = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=plant.rate_hz)
         achieved = h2_norm(lft(P, K))
-        promised = _promised(P, ny, nu, regulator, observer) if self._has_formula(plant) else achieved
-        details = {"recovery": self._recovery(plant, P, K, regulator, observer)}
-        residuals = {"regulator": regulator.residual, "observer": observer.residual}
-        return judged(plant, K, self, promised, achieved, residuals, details)
+        promised = found.cost() if self.estimator == "current" else achieved
+        details = {"recovery": self._recovery(plant, P, K, found)}
+        return judged(plant, K, self, promised, achieved, found.residuals, details)
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the system from (w, v, u) to (W y, sqrt(rho) u, y), all noises of unit variance."""
@@ -121,73 +119,16 @@ class Lqg:
         W = band_pass(self.band_hz, 1.0, self.floor, self.band_order, plant.rate_hz, channels=ny)
         return series(open_loop, append(W, gain(np.eye(nu + ny), plant.rate_hz)))
 
-    def _has_formula(self, plant: StateSpace) -> bool:
-        return self.estimator == "current" and not np.any(plant.D) and self.disturbance_at == "input"
-
     def _recovery(
-        self, plant: StateSpace, P: StateSpace, K: StateSpace, regulator: Riccati, observer: Riccati
-    ) -> dict[str, FloatArray | float | str]:
+        self, plant: StateSpace, P: StateSpace, K: StateSpace, found: Solution
+    ) -> dict[str, FloatArray | str]:
         assert plant.rate_hz is not None
         f = np.geomspace(plant.rate_hz / 5000, plant.rate_hz / 2, RECOVERY_POINTS)
         ny, nu = plant.D.shape
         if self.recovery_at == "input":
-            gain_x = _feedback(P, ny, nu, regulator)
-            target = StateSpace(P.A, P.B[:, -nu:], -gain_x, np.zeros((nu, nu)), P.rate_hz)
+            target = StateSpace(P.A, P.B[:, -nu:], -found.F, np.zeros((nu, nu)), P.rate_hz)
             error = recovery_error(series(plant, K), target, f)
         else:
-            M, _ = _filter_gains(P, ny, nu, observer)
-            target = StateSpace(P.A, P.A @ M, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
+            target = StateSpace(P.A, found.L, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
             error = recovery_error(series(K, plant), target, f)
         return {"at": self.recovery_at, "f_hz": f, "error": error[0], "relative_error": error[1]}
-
-
-def _parts(P: StateSpace, ny: int, nu: int) -> tuple[FloatArray, ...]:
-    p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
-    return P.B[:, :m], P.B[:, m:], P.C[:p], P.C[p:], P.D[:p, m:], P.D[p:, :m], P.D[p:, m:]
-
-
-def _regulator(P: StateSpace, ny: int, nu: int) -> Riccati:
-    _, B2, C1, _, D12, _, _ = _parts(P, ny, nu)
-    return discrete_riccati(P.A, B2, C1.T @ C1, D12.T @ D12, C1.T @ D12)
-
-
-def _observer(P: StateSpace, ny: int, nu: int) -> Riccati:
-    B1, _, _, C2, _, D21, _ = _parts(P, ny, nu)
-    return discrete_riccati(P.A.T, C2.T, B1 @ B1.T, D21 @ D21.T, B1 @ D21.T)
-
-
-def _feedback(P: StateSpace, ny: int, nu: int, regulator: Riccati) -> FloatArray:
-    _, B2, C1, _, D12, _, _ = _parts(P, ny, nu)
-    return discrete_gain(P.A, B2, D12.T @ D12, C1.T @ D12, regulator.X)
-
-
-def _filter_gains(P: StateSpace, ny: int, nu: int, observer: Riccati) -> tuple[FloatArray, FloatArray]:
-    """Return M (update with this sample's innovation) and L (one step ahead)."""
-    B1, _, _, C2, _, D21, _ = _parts(P, ny, nu)
-    innovation = C2 @ observer.X @ C2.T + D21 @ D21.T
-    M = np.linalg.solve(innovation, C2 @ observer.X).T
-    return M, discrete_gain(P.A.T, C2.T, D21 @ D21.T, B1 @ D21.T, observer.X).T
-
-
-def _controller(P: StateSpace, ny: int, nu: int, regulator: Riccati, observer: Riccati, current: bool) -> StateSpace:
-    """Return u = -F (x + M e), x+ = A x + B u + L e with the innovation e = y - C x - D u."""
-    _, B2, _, C2, _, _, D22 = _parts(P, ny, nu)
-    F = _feedback(P, ny, nu, regulator)
-    M, L = _filter_gains(P, ny, nu, observer)
-    N = F @ M if current else np.zeros((nu, ny))
-    # u (I - N D22) = -(F - N C2) x - N y, solved for u
-    u = np.linalg.solve(np.eye(nu) - N @ D22, np.hstack([-(F - N @ C2), -N]))
-    Ck, Dk = u[:, : P.states], u[:, P.states :]
-    drive = B2 - L @ D22
-    return StateSpace(P.A - L @ C2 + drive @ Ck, L + drive @ Dk, Ck, Dk, P.rate_hz)
-
-
-def _promised(P: StateSpace, ny: int, nu: int, regulator: Riccati, observer: Riccati) -> float:
-    """Return sqrt(tr(X W) + tr(Pf F'(R + B'XB) F)), Pf the covariance of the current estimate's error."""
-    B1, B2, _, C2, D12, _, _ = _parts(P, ny, nu)
-    F = _feedback(P, ny, nu, regulator)
-    M, _ = _filter_gains(P, ny, nu, observer)
-    Pf = observer.X - M @ C2 @ observer.X
-    weight = D12.T @ D12 + B2.T @ regulator.X @ B2
-    cost = np.trace(B1.T @ regulator.X @ B1) + np.trace(F @ Pf @ F.T @ weight)
-    return float(np.sqrt(cost))

@@ -1,5 +1,6 @@
 """Riccati and Lyapunov equations, each solved by a ladder of methods and checked outside the solver."""
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +80,10 @@ def lyapunov(A: FloatArray, Q: FloatArray) -> FloatArray:
     """Solve A X + X A' + Q = 0 for symmetric Q."""
     if A.shape[0] == 0:
         return np.zeros((0, 0))
-    return _symmetric(solve_continuous_lyapunov(A, -Q))
+    with warnings.catch_warnings():
+        # SciPy warns where A and -A nearly share an eigenvalue; callers look at the residual instead
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return _symmetric(solve_continuous_lyapunov(A, -Q))
 
 
 def stein(A: FloatArray, Q: FloatArray) -> FloatArray:
@@ -155,6 +159,7 @@ def _doubled_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray
     return _double(A - B @ RB[:, n:], _symmetric(B @ RB[:, :n]), _symmetric(Q - S @ RB[:, n:]))
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def _double(E: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray | None:
     """Double (E, G, H) until H stands still at the solution; None when it does not."""
     identity = np.eye(E.shape[0])

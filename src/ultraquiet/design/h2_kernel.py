@@ -1,0 +1,125 @@
+"""The two-Riccati solution of the H2 problem, continuous or discrete: arrays in, arrays out."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg.equations import Riccati, continuous_riccati, discrete_riccati
+from ultraquiet.linalg.realize import Matrices
+from ultraquiet.values.state_space import StateSpace
+
+RANK = 1e-12  # of D12'D12 and D21 D21' (continuous), relative
+
+
+class Problem(NamedTuple):
+    """x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w + D22 u."""
+
+    A: FloatArray
+    B1: FloatArray
+    B2: FloatArray
+    C1: FloatArray
+    C2: FloatArray
+    D11: FloatArray
+    D12: FloatArray
+    D21: FloatArray
+    D22: FloatArray
+
+    @classmethod
+    def of(cls, P: StateSpace, ny: int, nu: int) -> "Problem":
+        """Take a generalised plant apart."""
+        p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
+        D = P.D
+        return cls(P.A, P.B[:, :m], P.B[:, m:], P.C[:p], P.C[p:], D[:p, :m], D[:p, m:], D[p:, :m], D[p:, m:])
+
+
+class Solution(NamedTuple):
+    """Gains of the optimal law u = -F x - N e, x' = A x + B2 u + L e, e = y - C2 x - D22 u."""
+
+    problem: Problem
+    regulator: Riccati
+    observer: Riccati
+    F: FloatArray
+    L: FloatArray
+    N: FloatArray
+    discrete: bool
+
+    @property
+    def residuals(self) -> dict[str, float]:
+        """Relative residuals of the two equations."""
+        return {"regulator": self.regulator.residual, "observer": self.observer.residual}
+
+    def controller(self, current: bool = True) -> Matrices:
+        """Return the controller u = K y; without the current innovation (N = 0) it answers one sample later."""
+        p = self.problem
+        N = self.N if current else np.zeros_like(self.N)
+        n = p.A.shape[0]
+        # u (I - N D22) = -(F - N C2) x - N y
+        u = np.linalg.solve(np.eye(N.shape[0]) - N @ p.D22, np.hstack([-(self.F - N @ p.C2), -N]))
+        drive = p.B2 - self.L @ p.D22
+        return p.A - self.L @ p.C2 + drive @ u[:, :n], self.L + drive @ u[:, n:], u[:, :n], u[:, n:]
+
+    def cost(self) -> float:
+        """Return the H2 norm that the equations promise, by the optimal cost and the price of not knowing the state."""
+        p, X, Y = self.problem, self.regulator.X, self.observer.X
+        full = np.trace(p.B1.T @ X @ p.B1)
+        if not self.discrete:
+            return float(np.sqrt(full + np.trace(self.F @ Y @ self.F.T @ (p.D12.T @ p.D12))))
+        R, S = _weights(self)
+        full += np.sum(p.D11**2)
+        # what the best u would be, were x and w known, minus what the innovations tell of it
+        wish = np.hstack([self.F, np.linalg.solve(R, p.B2.T @ X @ p.B1 + p.D12.T @ p.D11)])
+        m = p.B1.shape[1]
+        known = np.block([[Y, np.zeros((Y.shape[0], m))], [np.zeros((m, Y.shape[0])), np.eye(m)]])
+        seen = np.vstack([Y @ p.C2.T, p.D21.T])
+        left = known - seen @ np.linalg.solve(S, seen.T)
+        gain = wish[:, Y.shape[0] :]
+        return float(np.sqrt(full - np.trace(gain.T @ R @ gain) + np.trace(R @ wish @ left @ wish.T)))
+
+
+def solve(p: Problem, discrete: bool) -> Solution:
+    """Solve both equations.
+
+    Raises:
+        NumericalError: an equation has no stabilising solution; in continuous time also when D12 or D21 lacks rank or
+            D11 is not zero.
+    """
+    Rx, Ry = p.D12.T @ p.D12, p.D21 @ p.D21.T
+    Sx, Sy = p.C1.T @ p.D12, p.B1 @ p.D21.T
+    if discrete:
+        X = discrete_riccati(p.A, p.B2, p.C1.T @ p.C1, Rx, Sx)
+        Y = discrete_riccati(p.A.T, p.C2.T, p.B1 @ p.B1.T, Ry, Sy)
+        R, S = Rx + p.B2.T @ X.X @ p.B2, Ry + p.C2 @ Y.X @ p.C2.T
+        F = np.linalg.solve(R, p.B2.T @ X.X @ p.A + Sx.T)
+        L = np.linalg.solve(S, p.C2 @ Y.X @ p.A.T + Sy.T).T
+        # of x and of w, the part that this sample's innovation tells
+        told = np.linalg.solve(R, p.B2.T @ X.X @ p.B1 + p.D12.T @ p.D11) @ p.D21.T
+        N = np.linalg.solve(S, (F @ Y.X @ p.C2.T + told).T).T
+        return Solution(p, X, Y, F, L, N, True)
+    _ranks(p, Rx, Ry)
+    X = _continuous(p.A, p.B2, p.C1.T @ p.C1, Rx, Sx)
+    Y = _continuous(p.A.T, p.C2.T, p.B1 @ p.B1.T, Ry, Sy)
+    F = np.linalg.solve(Rx, p.B2.T @ X.X + Sx.T)
+    L = np.linalg.solve(Ry, p.C2 @ Y.X + Sy.T).T
+    return Solution(p, X, Y, F, L, np.zeros((F.shape[0], p.C2.shape[0])), False)
+
+
+def _continuous(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> Riccati:
+    RS, RB = np.linalg.solve(R, S.T), np.linalg.solve(R, B.T)
+    G, cost = B @ RB, Q - S @ RS
+    return continuous_riccati(A - B @ RS, (G + G.T) / 2, (cost + cost.T) / 2)
+
+
+def _ranks(p: Problem, Rx: FloatArray, Ry: FloatArray) -> None:
+    if np.any(p.D11):
+        raise NumericalError("H2 synthesis: D11 is not zero, so the norm of a continuous loop is infinite; filter w.")
+    for name, R, what in (("D12", Rx, "control"), ("D21", Ry, "measurement")):
+        if np.linalg.cond(R) > 1 / RANK:
+            raise NumericalError(f"H2 synthesis: {name} lacks rank; every {what} needs a weight of its own.")
+
+
+def _weights(s: Solution) -> tuple[FloatArray, FloatArray]:
+    p = s.problem
+    R = p.D12.T @ p.D12 + p.B2.T @ s.regulator.X @ p.B2
+    return R, p.D21 @ p.D21.T + p.C2 @ s.observer.X @ p.C2.T

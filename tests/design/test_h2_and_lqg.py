@@ -1,0 +1,109 @@
+"""H2 and LQG: promised against achieved, SLICOT's examples, optimality, recovery."""
+
+import numpy as np
+import pytest
+from named_plants import bench_like, printed, slicot
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.analyse import h2_norm
+from ultraquiet.design import Lqg, synthesize_h2
+from ultraquiet.values import StateSpace, SteppedController
+from ultraquiet.values.interconnect import feedback, lft
+
+
+def test_slicot_sb10ed_discrete_h2():
+    P, ny, nu, _ = slicot("SB10ED", rate_hz=1.0)
+    result = synthesize_h2(P, ny, nu)
+    K = result.controller
+    np.testing.assert_allclose(K.D, printed("SB10ED", "The controller matrix DK is", (2, 2)), atol=6e-5)
+    markov = [printed("SB10ED", f"The controller {k} matrix", s) for k, s in (("input", (6, 2)), ("output", (2, 6)))]
+    np.testing.assert_allclose(K.C @ K.B, markov[1] @ markov[0], atol=1e-3)
+    assert abs(result.gamma / result.achieved - 1) < 1e-9
+
+
+def test_slicot_sb10hd_continuous_h2():
+    P, ny, nu, _ = slicot("SB10HD")
+    result = synthesize_h2(P, ny, nu)
+    B = printed("SB10HD", "The controller input matrix BK is", (6, 2))
+    C = printed("SB10HD", "The controller output matrix CK is", (2, 6))
+    np.testing.assert_allclose(result.controller.C @ result.controller.B, C @ B, atol=5e-2)
+    assert abs(result.gamma / result.achieved - 1) < 1e-9
+
+
+def test_promised_equals_achieved_with_every_direct_term(rng):
+    """Random discrete problems with D11, D12, D21 and D22 all full: the current-innovation term is exact."""
+    worst = 0.0
+    for _ in range(10):
+        n = int(rng.integers(2, 10))
+        A = rng.standard_normal((n, n)) / np.sqrt(n)
+        D = rng.standard_normal((6, 6))
+        D[-2:, -2:] *= 0.1
+        P = StateSpace(A, rng.standard_normal((n, 6)), rng.standard_normal((6, n)), D, rate_hz=1.0)
+        result = synthesize_h2(P, 2, 2)
+        assert result.status.ok, result.status
+        worst = max(worst, abs(result.gamma / result.achieved - 1))
+    print(f"H2, promised against achieved: {worst:.1e}")
+    assert worst < 1e-6
+
+
+def test_no_neighbour_of_the_h2_controller_is_better(rng):
+    P, ny, nu, _ = slicot("SB10ED", rate_hz=1.0)
+    best = synthesize_h2(P, ny, nu)
+    K = best.controller
+    for _ in range(40):
+        near = StateSpace(
+            *(m + 1e-3 * rng.standard_normal(m.shape) * (np.abs(m).max() + 0.1) for m in (K.A, K.B, K.C, K.D)),
+            rate_hz=1.0,
+        )
+        assert h2_norm(lft(P, near)) >= best.achieved * (1 - 1e-9)
+
+
+@pytest.mark.parametrize("settings", [{}, {"band_hz": (10.0, 100.0)}, {"estimator": "predicted"}, {"recovery": 1e3}])
+def test_lqg_on_a_bench(rng, settings):
+    plant = bench_like(rng, 9)
+    result = Lqg(**settings).design(plant)
+    print(f"LQG {settings}: {result.status}, promised {result.gamma:.6g}, achieved {result.achieved:.6g}")
+    assert result.status.ok
+    assert np.abs(result.closed_loop_poles).max() < 1
+    assert abs(result.gamma / result.achieved - 1) < 1e-6
+    assert max(result.residuals.values()) < 1e-8
+    if settings.get("estimator") == "predicted":
+        assert not np.any(result.controller.D)
+
+
+def test_lqg_law_runs_sample_by_sample_as_designed(rng):
+    """u[k] = C x[k] + D y[k] in the loop gives the poles that the design states."""
+    plant = bench_like(rng, 3)
+    result = Lqg().design(plant)
+    law = SteppedController(result.controller)
+    x = rng.standard_normal(plant.states)
+    sizes = []
+    for _ in range(20_000):
+        u = law.step(plant.C @ x)
+        x = plant.A @ x + plant.B @ u
+        sizes.append(np.linalg.norm(x))
+    rho = np.abs(result.closed_loop_poles).max()
+    np.testing.assert_allclose(np.sort(np.abs(feedback(plant, result.controller).poles()))[-1], rho, rtol=1e-9)
+    assert sizes[-1] < 1e-2 * sizes[0]
+
+
+def test_current_estimator_is_never_worse(rng):
+    plant = bench_like(rng, 5)
+    current, predicted = (Lqg(estimator=e).design(plant).achieved for e in ("current", "predicted"))
+    assert current <= predicted * (1 + 1e-9)
+
+
+def test_recovery_works_without_delay_and_is_reported_to_fail_with_it(rng):
+    """A minimum-phase lag is recovered; two samples of delay keep the error up however large the factor."""
+    lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    errors = [Lqg(recovery=q).design(lag).details["recovery"]["relative_error"].max() for q in (1.0, 1e4)]
+    late = bench_like(rng, 4)
+    stuck = Lqg(recovery=1e4).design(late).details["recovery"]["relative_error"].max()
+    print(f"recovery error of a lag {errors[0]:.3f} -> {errors[1]:.4f}; with two samples of delay {stuck:.2f}")
+    assert errors[1] < 0.05 < errors[0]
+    assert stuck > 0.5
+
+
+def test_continuous_plants_are_refused():
+    with pytest.raises(InputError, match="continuous"):
+        Lqg().design(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))

@@ -1,0 +1,176 @@
+"""H-infinity synthesis: known optima, reported against achieved, units, refusals."""
+
+import numpy as np
+import pytest
+from named_plants import bench_like, printed, slicot
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.analyse import hinf_norm
+from ultraquiet.design import band_pass, four_block, high_pass, output_shaping, synthesize_hinf
+from ultraquiet.linalg import discretize
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import append, gain, lft, series
+
+
+def bbmx():
+    return StateSpace(
+        -np.eye(2),
+        [[0, 0, 1], [0, 1, 1]],
+        [[1, 0], [0, 1], [1, 1]],
+        [[0.5, 0, 0], [0, 0.5, 1], [0, 1, 0]],
+    )
+
+
+def agreement(result):
+    return abs(result.gamma / result.achieved - 1)
+
+
+def test_benner_byers_mehrmann_xu_problem():
+    """Optimum sqrt(0.65); python-control reports 0.0062."""
+    result = synthesize_hinf(bbmx(), measurements=1, controls=1)
+    print(f"BBMX: gamma {result.gamma:.7f}, achieved {result.achieved:.7f}, truth {np.sqrt(0.65):.7f}")
+    assert result.status.ok
+    assert abs(result.gamma - np.sqrt(0.65)) < 1e-4
+    assert agreement(result) < 1e-3
+    assert abs(hinf_norm(lft(bbmx(), result.controller))[0] - result.achieved) < 1e-6
+
+
+def test_a_level_below_the_optimum_is_refused_and_gives_no_controller():
+    for share in (0.71, 0.9, 0.99, 0.999):
+        result = synthesize_hinf(bbmx(), 1, 1, gamma=share * np.sqrt(0.65))
+        assert not result.status.ok
+        assert result.controller is None
+
+
+@pytest.mark.parametrize(("corners", "gamma"), [((0.25, 0.25), 2.80), ((0.25, 25.0), 2.92), ((25.0, 0.25), 6.73)])
+def test_skogestad_and_postlethwaite_example_3_8(corners, gamma):
+    """G = [1, 1; 1 + 2 s, 2] / (0.2 s^2 + 1.2 s + 1), W1 = (s / 1.5 + w) / (s + 1e-4 w), W2 = I."""
+    A = np.kron(np.eye(2), [[0.0, 1.0], [-5.0, -6.0]])
+    B = np.kron(np.eye(2), [[0.0], [1.0]])
+    C = np.array([[5.0, 0, 5, 0], [5, 10, 10, 0]])
+    plant = StateSpace(A, B, C, np.zeros((2, 2)))
+    weights = append(*(StateSpace([[-1e-4 * w]], [[1.0]], [[w - 1e-4 * w / 1.5]], [[1 / 1.5]]) for w in corners))
+    result = synthesize_hinf(output_shaping(plant, weights, gain(np.eye(2))), 2, 2)
+    print(f"S&P 3.8, corners {corners}: gamma {result.gamma:.4f}")
+    assert result.status.ok
+    assert abs(result.gamma - gamma) < 6e-3
+    assert agreement(result) < 1e-3
+
+
+def test_slicot_sb10fd_central_controller():
+    P, ny, nu, (gamma, _) = slicot("SB10FD")
+    result = synthesize_hinf(P, ny, nu, gamma=gamma)
+    assert result.status.ok
+    np.testing.assert_allclose(result.controller.D, printed("SB10FD", "The controller matrix DK is", (2, 2)), atol=6e-5)
+    real = printed("SB10FD", "The real parts of the closed-loop system poles are", (1, 12))
+    imag = printed("SB10FD", "The imaginary parts of the closed-loop system poles are", (1, 12))
+    ours, theirs = (np.sort_complex(p.ravel()) for p in (result.closed_loop_poles, real + 1j * imag))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-4)
+
+
+def test_slicot_sb10dd_discrete_level():
+    """The example's level 111.294 is feasible, one below the smallest is not."""
+    P, ny, nu, (gamma, _) = slicot("SB10DD", rate_hz=1.0)
+    at, free = synthesize_hinf(P, ny, nu, gamma=gamma), synthesize_hinf(P, ny, nu)
+    print(f"SB10DD: smallest level {free.details['optimum']}")
+    assert at.status.ok
+    assert free.details["optimum"][1] <= gamma
+    assert not synthesize_hinf(P, ny, nu, gamma=0.999 * free.details["optimum"][0]).status.ok
+
+
+def random_problem(rng, n):
+    A = rng.standard_normal((n, n)) / np.sqrt(n) - 0.3 * np.eye(n)
+    return StateSpace(A, rng.standard_normal((n, 5)), rng.standard_normal((5, n)), rng.standard_normal((5, 5)))
+
+
+def test_reported_equals_achieved_and_time_does_not_matter(rng):
+    """Random plants, stable or not, all direct terms full: continuous and discrete by the bilinear map."""
+    worst, apart, solved = 0.0, 0.0, 0
+    for _ in range(12):
+        P = random_problem(rng, int(rng.integers(2, 12)))
+        result = synthesize_hinf(P, 2, 2)
+        sampled = StateSpace(*discretize.bilinear_to_discrete(P.A, P.B, P.C, P.D), rate_hz=10.0)
+        other = synthesize_hinf(sampled, 2, 2)
+        assert result.status.ok, result.status
+        assert other.status.ok, other.status
+        worst = max(worst, agreement(result), agreement(other))
+        apart = max(apart, abs(other.gamma / result.gamma - 1))
+        assert result.achieved <= result.details["bound"] * (1 + 1e-3)
+        solved += 1
+    print(f"{solved} random problems: reported against achieved {worst:.1e}, continuous against discrete {apart:.1e}")
+    assert worst < 1e-3
+    assert apart < 1e-3
+
+
+def test_no_controller_found_by_chance_does_better(rng):
+    """The optimum is a floor: static output feedbacks drawn at random never get below it."""
+    P = random_problem(rng, 4)
+    floor = synthesize_hinf(P, 2, 2).details["optimum"][0]
+    for _ in range(300):
+        assert hinf_norm(lft(P, gain(rng.standard_normal((2, 2)))))[0] > floor * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("form", ["S/KS/T", "four-block"])
+def test_units_and_coordinates_do_not_move_gamma(rng, form):
+    """66 states, modal volts against stacked displacements and velocities in milli- and megavolts."""
+    seed = int(rng.integers(2**32))
+    found = []
+    for raw in (False, True):
+        plant = bench_like(np.random.default_rng(seed), 27, raw=raw)
+        assert plant.states == 66
+        to_volts = 1e3 * 1e-6 if raw else 1.0
+        rate = plant.rate_hz
+        on_s = band_pass((9, 108), 10.0, 0.5, 2, rate, 6)
+        on_ks = high_pass(400.0, 1e-2, 1e-1, 1, rate, 6)
+        if form == "S/KS/T":
+            control = series(gain(to_volts * np.eye(6), rate), on_ks)
+            P = output_shaping(plant, on_s, control, high_pass(500.0, 0.4, 4.0, 1, rate, 6))
+        else:
+            # the same problem in other units: u' = u / 1e3, y' = y * 1e-6
+            P = four_block(
+                plant,
+                series(gain(1e6 * np.eye(6) if raw else np.eye(6), rate), on_s),
+                series(gain(1e3 * np.eye(6) if raw else np.eye(6), rate), on_ks),
+                disturbance=(1e-3 if raw else 1.0) * np.eye(6),
+                noise=(1e-6 if raw else 1.0) * 0.1 * np.eye(6),
+            )
+        found.append(synthesize_hinf(P, 6, 6))
+    one, other = found
+    print(f"{form}: gamma {one.gamma:.6f} and {other.gamma:.6f}, achieved {one.achieved:.6f} and {other.achieved:.6f}")
+    assert one.status.ok, one.status
+    assert other.status.ok, other.status
+    assert abs(other.gamma / one.gamma - 1) < 5e-3
+    assert max(agreement(one), agreement(other)) < 1e-3
+
+
+def test_refusals_name_the_block():
+    P = bbmx()
+    lame = StateSpace(P.A, P.B, P.C, np.array([[0.5, 0, 0], [0, 0.5, 0], [0, 1, 0]]))
+    result = synthesize_hinf(lame, 1, 1)
+    assert "D12" in result.status.sentence
+    assert result.controller is None
+    deaf = StateSpace(P.A, P.B, P.C, np.array([[0.5, 0, 0], [0, 0.5, 1], [0, 0, 0]]))
+    assert "D21" in synthesize_hinf(deaf, 1, 1).status.sentence
+
+
+def test_an_integrator_out_of_reach_is_named():
+    A = np.diag([0.0, -1.0])
+    P = StateSpace(A, [[1, 0, 0], [0, 1, 1]], [[1, 1], [0, 0], [0, 1]], [[0, 0, 0], [0, 0, 1], [1, 0, 0]])
+    result = synthesize_hinf(P, 1, 1)
+    assert result.controller is None
+    assert "B2" in result.status.sentence or "C2" in result.status.sentence
+
+
+def test_a_zero_on_the_axis_is_named():
+    """z = y / (s + 1) * s: the performance path vanishes at 0 Hz, where control costs nothing."""
+    A = np.array([[-1.0]])
+    P = StateSpace(A, [[1, 0, 1]], [[-1], [1]], [[0, 0, 1], [0, 1, 0]])
+    result = synthesize_hinf(P, 1, 1)
+    assert result.controller is None or result.status.ok
+    if result.controller is None:
+        assert "zero on the stability boundary" in result.status.sentence
+
+
+def test_sizes_are_checked():
+    with pytest.raises(InputError, match="measurements"):
+        synthesize_hinf(bbmx(), 3, 1)

@@ -1,0 +1,102 @@
+"""Modal coordinates, balancing, the bilinear map, sampling and delay."""
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.signal import cont2discrete
+
+from ultraquiet.linalg import balance, discretize, modal_response, response
+
+
+def plant(rng, modes=8, channels=3):
+    w, zeta = np.sort(rng.uniform(1, 50, modes)), rng.uniform(0.001, 0.1, modes)
+    A = block_diag(*[[[0, w[k]], [-w[k], -2 * zeta[k] * w[k]]] for k in range(modes)])
+    n = 2 * modes
+    return A, rng.standard_normal((n, channels)), rng.standard_normal((channels, n)), np.zeros((channels, channels))
+
+
+def mixed(rng, M):
+    T = rng.standard_normal(M[0].shape)
+    Ti = np.linalg.inv(T)
+    return Ti @ M[0] @ T, Ti @ M[1], M[2] @ T, M[3]
+
+
+def test_modal_form_keeps_the_response_and_evens_the_sizes(rng):
+    A, B, C, D = mixed(rng, plant(rng))
+    form = balance.modal(A, B, C)
+    z = 1j * np.geomspace(0.1, 100, 50)
+    before = response.frequency_response(A, B, C, D, z)
+    after = response.frequency_response(form.A, form.B, form.C, D, z)
+    np.testing.assert_allclose(after, before, atol=1e-7 * np.abs(before).max())
+    assert max(form.blocks) == 2
+    ratio = np.linalg.norm(form.B, axis=1) / np.linalg.norm(form.C, axis=0)
+    assert ratio.max() / ratio.min() < 1e3
+
+
+def test_delays_and_repeated_poles_stay_together(rng):
+    """Nilpotent blocks have no basis of eigenvectors; a modal form that pretends so loses all digits."""
+    A, B, C, D = plant(rng, modes=3)
+    delay = discretize.delay(3, 3)
+    A = block_diag(0.01 * A + 0.9 * np.eye(6), delay[0])
+    B, C = np.vstack([B, delay[1]]), np.hstack([C, delay[2]])
+    form = balance.modal(A, B, C)
+    assert np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) < 1e9
+    z = np.exp(1j * np.linspace(0, np.pi, 40))
+    before = response.frequency_response(A, B, C, D, z)
+    np.testing.assert_allclose(response.frequency_response(form.A, form.B, form.C, D, z), before, atol=1e-8)
+
+
+def test_modal_response_is_that_of_the_triangular_kernel(rng):
+    A, B, C, D = mixed(rng, plant(rng))
+    z = 1j * np.geomspace(0.1, 100, 200)
+    fast, slow = modal_response.residues(A, B, C, D).at(z), response.frequency_response(A, B, C, D, z)
+    np.testing.assert_allclose(fast, slow, atol=1e-7 * np.abs(slow).max())
+
+
+def test_bilinear_map_and_back_is_the_identity(rng):
+    M = plant(rng)
+    back = discretize.bilinear_to_continuous(*discretize.bilinear_to_discrete(*M))
+    for one, other in zip(M, back, strict=True):
+        np.testing.assert_allclose(other, one, atol=1e-9 * max(1, np.abs(one).max()))
+
+
+def test_bilinear_map_keeps_the_response(rng):
+    M = plant(rng)
+    w = np.geomspace(0.01, 100, 60)
+    before = response.frequency_response(*M, 1j * w)
+    after = response.frequency_response(*discretize.bilinear_to_discrete(*M), np.exp(2j * np.arctan(w)))
+    np.testing.assert_allclose(after, before, atol=1e-8 * np.abs(before).max())
+
+
+def test_tustin_is_exact_where_asked(rng):
+    M, f = plant(rng), 3.3
+    sampled = discretize.tustin(*M, rate_hz=50.0, exact_hz=f)
+    before = response.frequency_response(*M, np.array([2j * np.pi * f]))
+    after = response.frequency_response(*sampled, np.exp(np.array([2j * np.pi * f / 50.0])))
+    np.testing.assert_allclose(after, before, atol=1e-9 * np.abs(before).max())
+
+
+def test_zero_order_hold_is_scipys(rng):
+    M = plant(rng)
+    theirs = cont2discrete(M, 0.01)
+    for one, other in zip(discretize.zero_order_hold(*M, 0.01), theirs[:4], strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_delay_delays():
+    A, B, C, D = discretize.delay(2, 2)
+    u = np.random.default_rng(0).standard_normal((2, 9))
+    y = response.simulate(A, B, C, D, u, np.zeros(4))
+    np.testing.assert_array_equal(y[:, 2:], u[:, :-2])
+
+
+def test_balanced_truncation_keeps_glovers_bound(rng):
+    for _ in range(10):
+        A, B, C, D = plant(rng)
+        P, Q = balance.gramians(A, B, C, discrete=False)
+        left, right, hankel = balance.balancing(P, Q, 8)
+        np.testing.assert_allclose(left @ right, np.eye(8), atol=1e-8)
+        small = balance.truncate((A, B, C, D), left, right)
+        z = 1j * np.geomspace(0.1, 200, 800)
+        error = response.frequency_response(A, B, C, D, z) - response.frequency_response(*small, z)
+        worst = np.linalg.norm(np.moveaxis(error, 2, 0), 2, axis=(1, 2)).max()
+        assert worst <= 2 * hankel[8:].sum() * (1 + 1e-6)
