@@ -9,12 +9,13 @@ def limited(values, limit):
 
 def plain_loop(plant, law, actuation, disturbance, noise, limits):
     """Return commands, readings and counts of limited commands and stacks; signals are `(n, channels)`."""
-    A, B, C = plant
+    A, B, C, thresholds, weights = plant
     Ak, Bk, Ck, Dk = law
     command_limit, stack_limit, reading_limit, step = limits
     x, xk, held = np.zeros(len(A)), np.zeros(len(Ak)), np.zeros(B.shape[1])
     command, outputs = np.empty_like(actuation), np.empty((len(actuation), len(C)))
     counts = np.zeros((2, B.shape[1]))
+    anchors = np.zeros((B.shape[1], len(weights)))
     for k in range(len(actuation)):
         y = np.clip(C @ x + noise[k], -reading_limit, reading_limit)
         outputs[k] = step * np.round(y / step) if step else y
@@ -22,6 +23,9 @@ def plain_loop(plant, law, actuation, disturbance, noise, limits):
         xk = Ak @ xk + Bk @ outputs[k]
         stack, over = limited(held + disturbance[k], stack_limit)
         counts[1] += over
+        if len(weights):
+            anchors = np.clip(anchors, stack[:, None] - thresholds, stack[:, None] + thresholds)
+            stack = anchors @ weights
         x = A @ x + B @ stack
         held, over = limited(asked, command_limit)
         counts[0] += over

@@ -34,14 +34,18 @@ def some_law(rng, states=7):
 
 
 @pytest.mark.parametrize("unit", UNITS)
-@pytest.mark.parametrize("options", [{}, {"adc_bits": 16}, {"quantise": False}, {"saturate": False}, {"linear": True}])
+@pytest.mark.parametrize(
+    "options", [{}, {"adc_bits": 16}, {"quantise": False}, {"saturate": False}, {"hysteresis": True}, {"linear": True}]
+)
 def test_the_kernel_does_what_plain_numpy_does(unit, options, rng, seed):
     bench = Hexapod(unit=unit, seed=seed, **options)
     law = some_law(rng)
     u, d = 12.0 * rng.normal(size=(6, 400)), 30.0 * rng.normal(size=(6, 400))
     record = bench.run(u, d, law)
     noise = bench._noise(400, 0)
-    command, readings, counts = plain_loop(bench._sampled, (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits)
+    command, readings, counts = plain_loop(
+        (*bench._sampled, *bench._plant[3:]), (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits
+    )
     off = np.abs(record.outputs - readings.T).max()
     print(f"{unit} {options}: readings differ by {off:.1e} V")
     # Rounding hides the differences of 1e-13 V, unless one straddles a threshold: about once in 1e7 tests.

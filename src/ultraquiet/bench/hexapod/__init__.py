@@ -1,4 +1,15 @@
-"""SUITE's hexapod: six struts, each a piezo stack, a geophone and a viscoelastic stage, between base and payload."""
+"""SUITE's hexapod: six struts, each a piezo stack, a geophone and a viscoelastic stage, between base and payload.
+
+Facts that the simulated bench brings out, each held by a test:
+
+* |f22| lies within 1.5 dB of eq. (12) over 25-250 Hz. |f21| lies within 5 dB of eq. (11) in the mean; at the yaw mode
+  near 113 Hz, which eq. (11) does not show, it is 11 dB above, and at 250 Hz 7 dB below.
+* Eq. (10) has three zeros at DC. Held and sampled, one stays; the others become a pair near 0.27 Hz inside the circle.
+* One real zero near z = -2.7 comes from sampling: the like of the paper's "1787 Hz" (z = -1.92). The bench has no zeros
+  outside the circle at 1 or 3 Hz.
+* The struts resonate near 1.55 kHz with a gain of 13 V/V, below half the sampling rate: a controller must roll off.
+* A stage with a loss factor of 0.167 cannot have a constant stiffness: it grows by a quarter from 20 to 120 Hz.
+"""
 
 from ultraquiet.bench.hexapod.unit import Hexapod
 

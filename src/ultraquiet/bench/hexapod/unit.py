@@ -13,6 +13,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.bench._abstract import checked_controller, checked_law, checked_signals, commands
 from ultraquiet.bench.hexapod.assemble import Mechanics, assemble
 from ultraquiet.bench.hexapod.chain import Chain, chain, sampled_response
+from ultraquiet.bench.hexapod.hysteresis import none, typical
 from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS, Electronics, Geometry, Strut
 from ultraquiet.values import Channel, Record, StateSpace
 
@@ -34,14 +35,15 @@ class Hexapod:
         adc_bits: resolution of the readings over +-10 V.
         quantise: round the readings to the converter's steps.
         saturate: limit commands (+-25 V), stacks (-15..150 V) and readings (+-10 V).
-        linear: shorthand for no noise, no rounding and no limits.
+        hysteresis: let the stacks lag by plays, a loop 5 to 8 % wide at +-25 V; gain one at 15 V.
+        linear: shorthand for no noise, no rounding, no limits and no hysteresis.
 
     Raises:
         InputError: an unknown unit; signals of the wrong shape or with NaN; a controller of other dimensions.
         RateError: a controller made for another rate.
 
-    What is left out, and where it would go: hysteresis of the stacks (between limit and product in `kernels.move`),
-    proof-mass actuators and tri-axial geophones (further columns and rows of `assemble.Mechanics`).
+    What is left out, and where it would go: proof-mass actuators and tri-axial geophones, as further columns and rows
+    of `assemble.Mechanics`, and struts that differ from one another, as vectors in `parameters.Strut`.
 
     >>> bench = Hexapod(unit="ground", seed=0)
     >>> record = bench.run(np.zeros((6, 100)))
@@ -57,6 +59,7 @@ class Hexapod:
     adc_bits: int = 12
     quantise: bool = True
     saturate: bool = True
+    hysteresis: bool = False
     linear: bool = False
 
     def __post_init__(self) -> None:
@@ -110,7 +113,7 @@ class Hexapod:
         return self._record(command, y, limited, index)
 
     def linear_model(self) -> StateSpace:
-        """Return the truth from command to reading, computing delay included: for tests and for judging, not design."""
+        """Return the linear truth from command to reading, computing delay included: for judging, not for design."""
         A, B, C = self._sampled
         n = len(A)
         Ad = np.block([[A, B], [np.zeros((STRUTS, n + STRUTS))]])
@@ -145,6 +148,13 @@ class Hexapod:
         return self.continuous.sampled(RATE_HZ)
 
     @cached_property
+    def _plant(self) -> tuple[FloatArray, ...]:
+        """The plant as the kernels take it."""
+        A, B, C = self._sampled
+        plays = typical() if self.hysteresis and not self.linear else none()
+        return _turned(A), _turned(B), np.array(C), plays.thresholds_v, plays.weights
+
+    @cached_property
     def _limits(self) -> tuple[float, float, float, float]:
         """Limits of command, stack and reading in volts, and the step of the converter (0: none)."""
         e = self.electronics
@@ -174,16 +184,14 @@ class Hexapod:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         from ultraquiet.bench import kernels
 
-        A, B, C = self._sampled
         if law is None:
             law = _silent()
         checked_law("Hexapod.run", law, RATE_HZ, STRUTS, STRUTS)
         command, y = np.empty((u.shape[1], STRUTS)), np.empty((u.shape[1], STRUTS))
         limited = np.zeros((2, STRUTS))
-        plant = (_turned(A), _turned(B), C)
         inside = (_turned(law.A), _turned(law.B), _turned(law.C), _turned(law.D))
-        kernels.loop(plant, inside, _turned(u), _turned(d), noise, self._limits, command, y, limited)
-        return command.T, y.T, limited
+        kernels.loop(self._plant, inside, _turned(u), _turned(d), noise, self._limits, command, y, limited)
+        return _turned(command), _turned(y), limited
 
     def _stepped(
         self, u: FloatArray, d: FloatArray, noise: FloatArray, controller: Any
@@ -191,21 +199,21 @@ class Hexapod:
         from ultraquiet.bench import kernels
 
         law = checked_controller("Hexapod.run", controller, RATE_HZ, STRUTS, STRUTS)
-        A, B, C = self._sampled
-        At, Bt = _turned(A), _turned(B)
+        plant = self._plant
         u, d = _turned(u), _turned(d)
         command, y = np.empty_like(u), np.empty_like(u)
         limited = np.zeros((2, STRUTS))
-        x, work = np.zeros(len(A)), np.zeros(len(A))
+        x, work = np.zeros(len(plant[0])), np.zeros(len(plant[0]))
+        anchors = np.zeros((STRUTS, plant[4].size))
         held, stack = np.zeros(STRUTS), np.zeros(STRUTS)
         command_limit, stack_limit, reading_limit, step = self._limits
         for k in range(len(u)):
-            kernels.read(C, x, noise[k], reading_limit, step, y[k])
+            kernels.read(plant[2], x, noise[k], reading_limit, step, y[k])
             asked = u[k] + commands("Hexapod.run", law.step(y[k].copy()), STRUTS, k)
-            kernels.move(At, Bt, x, held, d[k], stack_limit, stack, work, limited[1])
+            kernels.move(plant, x, anchors, held, d[k], stack_limit, stack, work, limited[1])
             kernels.clip(asked, command_limit, held, limited[0])
             command[k] = held
-        return command.T, y.T, limited
+        return _turned(command), _turned(y), limited
 
     def _record(self, command: FloatArray, y: FloatArray, limited: FloatArray, index: int) -> Record:
         settings = {
@@ -214,6 +222,7 @@ class Hexapod:
             "adc_bits": self.adc_bits,
             "quantise": self.quantise and not self.linear,
             "saturate": self.saturate and not self.linear,
+            "hysteresis": self.hysteresis and not self.linear,
             "run_index": index,
             "limited_commands": [int(v) for v in limited[0]],
             "limited_stacks": [int(v) for v in limited[1]],
