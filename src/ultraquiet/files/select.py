@@ -113,4 +113,4 @@ def _speaking(table: Table) -> tuple[list[Column], list[Column]]:
 def _is_ramp(column: Column) -> bool:
     # Evenly rising numbers are time stamps without a name, not an excitation.
     steps = np.diff(column.values)
-    return bool(steps.size and np.all(steps > 0) and np.ptp(steps) <= 1e-3 * steps.mean())
+    return bool(steps.size > 1 and np.all(steps > 0) and np.ptp(steps) <= 1e-3 * steps.mean())

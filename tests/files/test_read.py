@@ -1,0 +1,210 @@
+"""Records from the files of others: what is found, what is chosen, and what is refused with which words."""
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ultraquiet import files
+from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.values import Record, Status
+
+DATA = Path(__file__).parents[1] / "data"
+read = files.read_record
+
+
+@pytest.fixture
+def table(tmp_path):
+    def write(text, name="run.csv"):
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_hairdryer_is_one_table_of_input_and_output():
+    record = read(DATA / "hairdryer.mat", 12.5)
+    held = scipy.io.loadmat(DATA / "hairdryer.mat")["hairdryer"]
+    assert np.array_equal(record.inputs[0], held[:, 0])
+    assert np.array_equal(record.outputs[0], held[:, 1])
+    assert read(DATA / "hairdryer.mat", 12.5, inputs="1", outputs="2").hash == record.hash
+    assert record.provenance.settings["inputs"] == ["hairdryer:1"]
+    with pytest.raises(InputError, match="states no sampling rate; give it with --rate"):
+        read(DATA / "hairdryer.mat")
+
+
+def test_two_inertia_bench_is_chosen_by_name():
+    path = DATA / "two_inertia_cut.mat"
+    with pytest.raises(InputError) as caught:
+        read(path)
+    print(caught.value)
+    for words in ("iq_adx (2500), iq_refx (2500), omega_max (2500)", "--inputs and --outputs"):
+        assert words in str(caught.value)
+    for names in ("omega_max,omega_may", ["omega_max", "omega_may"], "omega_max, omega_may"):
+        record = read(path, inputs="iq_adx", outputs=names)
+        assert (record.rate_hz, record.inputs.shape, record.outputs.shape) == (2500.0, (1, 2500), (2, 2500))
+        assert [c.name for c in record.sensors] == ["omega_max", "omega_may"]
+    with pytest.raises(InputError, match=r"has no column 'current'; it holds the variables iq_adx"):
+        read(path, inputs="current", outputs="omega_max")
+    with pytest.raises(InputError, match="is a number, but"):
+        read(path, inputs="1", outputs="2")
+    with pytest.raises(InputError, match="go together"):
+        read(path, inputs="iq_adx")
+
+
+def test_text_with_header_units_time_and_remarks(table):
+    text = "\ufeff# bench 3\ntime [ms]; force [N]; strut 1 (V); strut 2 (V)\n0;1;10;20\n2;2;11;21\n4;3;12;22\n"
+    record = read(table(text), inputs="force", outputs="strut 1,strut 2 (V)")
+    assert record.rate_hz == pytest.approx(500.0, rel=1e-12)
+    assert [(c.name, c.unit) for c in (*record.actuators, *record.sensors)] == [
+        ("force", "N"),
+        ("strut 1", "V"),
+        ("strut 2", "V"),
+    ]
+    assert record.outputs.tolist() == [[10.0, 11.0, 12.0], [20.0, 21.0, 22.0]]
+    assert read(table(text), inputs="2", outputs="3-4").hash == record.hash
+    assert read(table(text), rate_hz=7.0, inputs="2", outputs="3-4").rate_hz == 7.0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,u,y\n0,1,3\n0.1,2,4\n",
+        "t,u1,y1\n0,1,3\n0.1,2,4\n",
+        "t,Input 1,Output 1\n0,1,3\n0.1,2,4\n",
+        "# t u y\n0 1 3\n0.1 2 4\n",
+        "t\tforce\tspeed\n0\t1\t3\n0.1\t2\t4\n",
+        "y,t,u\n3,0,1\n4,0.1,2\n",
+    ],
+)
+def test_names_or_order_may_say_it(text, table):
+    record = read(table(text))
+    assert record.rate_hz == pytest.approx(10.0)
+    assert (record.inputs.tolist(), record.outputs.tolist()) == ([[1.0, 2.0]], [[3.0, 4.0]])
+
+
+def test_columns_of_numbers_padded_with_blanks(table):
+    record = read(table("  1.0e+00\t  2 \t 3\t\n  4\t  5 \t 6\t\n", "arm.dat"), 2048.0, "1-2", "3")
+    assert record.inputs.tolist() == [[1.0, 4.0], [2.0, 5.0]]
+    assert [c.name for c in record.sensors] == ["column 3"]
+
+
+@pytest.mark.parametrize(
+    ("text", "choice", "words"),
+    [
+        ("a,b,c\n1,2,3\n", (None, None), r"does not say what goes in .* a \(1\), b \(1\), c \(1\).*--inputs 1-2"),
+        ("a,b\n0,5\n1,6\n2,7\n", (None, None), "does not say what goes in"),  # the first column counts samples
+        ("a,b\n1,x\n", ("a", "b"), "holds no line of numbers"),
+        ("a,b\n1,2\n3,x\n", ("a", "b"), "could not convert string 'x'"),
+        ("a,b\n1,2\n3\n", ("a", "b"), "the number of columns changed"),
+        ("", ("a", "b"), "holds no line of numbers"),
+        ("a,a\n1,2\n", ("a", "a"), "has 2 columns called 'a'; choose by number"),
+        ("a,b\n1,2\n", ("1-2", "2"), "'inputs' "),
+        ("a,b\n1,2\n", ("1,1", "2"), "'a' was chosen twice"),
+        ("a,b\n1,2\n", ("0", "2"), "'0' was asked .* numbered 1 to 2"),
+        ("a,b\n1,2\n", ("3", "2"), "'3' was asked .* numbered 1 to 2"),
+        ("a,b\n1,2\n", ("2-1", "2"), "'2-1' was asked"),
+        ("a,b\n1,2\n", ("", "2"), "has no column ''"),
+        ("t,a,b\n0,1,2\n1,1,2\n2,1,2\n4,1,2\n", ("a", "b"), "is not evenly sampled: sample 3 "),
+        ("t,a,b\n3,1,2\n1,1,2\n", ("a", "b"), "does not rise"),
+        ("t,a,b\n0,1,2\n0,1,2\n1,1,2\n", ("a", "b"), "does not rise"),
+        ("t [weeks],a,b\n0,1,2\n1,1,2\n", ("a", "b"), "counts time in 'weeks'"),
+    ],
+)
+def test_what_text_is_refused_for(text, choice, words, table):
+    if choice == ("1-2", "2"):
+        # One column may be both measured and sent: that is a choice, not a mistake.
+        assert read(table(text), 1.0, *choice).inputs.tolist() == [[1.0], [2.0]]
+        return
+    rate_hz = None if text.startswith("t") else 1.0
+    with pytest.raises(InputError, match=words) as caught:
+        read(table(text), rate_hz, *choice)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_values_are_refused(table):
+    with pytest.raises(InputError, match="'outputs' has 1 NaN or infinite values, the first at index"):
+        read(table("u,y\n1,2\n3,nan\n"), 1.0)
+
+
+def test_npz_and_mat_agree(tmp_path, rng):
+    u, y = rng.standard_normal((2, 40)), rng.standard_normal((3, 40))
+    np.savez(tmp_path / "a.npz", inputs=u, outputs=y, rate_hz=3500.0, remark=np.array("text"))
+    scipy.io.savemat(tmp_path / "b.mat", {"u": u.T, "y": y.T, "dt": 1 / 3500, "remark": "text"})
+    scipy.io.savemat(tmp_path / "c.mat", {"run": {"u": u.T, "y": y.T, "Fs": 3500}})
+    with h5py.File(tmp_path / "d.mat", "w", userblock_size=512) as file:
+        file["u"], file["y"], file["fs"] = u, y, [[3500.0]]
+    # MATLAB's own header of version 7.3, which is what tells SciPy that this is HDF5.
+    with (tmp_path / "d.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    for name in ("a.npz", "b.mat", "c.mat", "d.mat"):
+        record = read(tmp_path / name)
+        assert np.array_equal(record.inputs, u), name
+        assert np.array_equal(record.outputs, y), name
+        assert record.rate_hz == pytest.approx(3500.0, rel=1e-12)
+    some = read(tmp_path / "b.mat", inputs="u:2", outputs="y:1-2")
+    assert np.array_equal(some.inputs, u[1:])
+    assert np.array_equal(some.outputs, y[:2])
+
+
+def test_unequal_lengths_and_separate_variables(tmp_path):
+    np.savez(tmp_path / "a.npz", a=np.arange(5.0), b=np.arange(4.0))
+    with pytest.raises(InputError, match=r"differ in length: a \(5\), b \(4\)"):
+        read(tmp_path / "a.npz", 1.0, "a", "b")
+    np.savez(tmp_path / "b.npz", accel=[0.0, 3.0, 1.0], force=[1.0, 1.0, 2.0])
+    # Variables come in the order of the alphabet, which says nothing about what goes in.
+    with pytest.raises(InputError, match="does not say what goes in"):
+        read(tmp_path / "b.npz", 1.0)
+
+
+def test_archives_with_a_choice_of_channels(tmp_path, rng):
+    record = Record(rng.standard_normal((2, 9)), rng.standard_normal((3, 9)), 3500.0, ["a", "b"], ["a", "c", "d"])
+    path = files.save(record, tmp_path / "r.h5")
+    assert read(path).hash == record.hash
+    some = read(path, inputs="b", outputs="a,3")
+    assert np.array_equal(some.inputs, record.inputs[1:])
+    assert np.array_equal(some.outputs, record.outputs[[0, 2]])
+    assert np.array_equal(read(path, outputs="c").inputs, record.inputs)
+    with pytest.raises(InputError, match="was recorded at 3500 Hz; it cannot be read at 3000 Hz"):
+        read(path, 3000.0)
+    with pytest.raises(InputError, match="holds no record"):
+        read(files.save(Status("ok", ""), tmp_path / "s.h5"))
+    with pytest.raises(InputError, match=r"holds 2 records \(x, y\)"):
+        read(files.save_many({"x": record, "y": record}, tmp_path / "t.h5"))
+
+
+def test_files_that_are_not_there_or_not_what_they_say(tmp_path, table):
+    with pytest.raises(InputError, match=r"none of the suffixes .h5, "):
+        read(tmp_path / "x.wav")
+    for suffix in (".csv", ".mat", ".npz", ".h5"):
+        with pytest.raises(StorageError, match="no such file or directory"):
+            read(tmp_path / f"missing{suffix}")
+        with pytest.raises((StorageError, InputError)) as caught:
+            read(table("\x00\x01 not at all \x02\n" * 20, f"bad{suffix}"))
+        assert "\n" not in str(caught.value)
+    (tmp_path / "latin.csv").write_bytes("µ,y\n1,2\n".encode("latin-1"))
+    with pytest.raises(InputError, match="no text file in UTF-8"):
+        read(tmp_path / "latin.csv")
+    whole = (DATA / "hairdryer.mat").read_bytes()
+    for cut in (10, 130, 1000, len(whole) - 1):
+        (tmp_path / "cut.mat").write_bytes(whole[:cut])
+        with pytest.raises((StorageError, InputError)) as caught:
+            read(tmp_path / "cut.mat", 12.5)
+        assert "\n" not in str(caught.value)
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=20), st.sampled_from([",", ";", "\t", " "]))
+def test_text_keeps_every_bit(tmp_path_factory, rows, delimiter):
+    path = tmp_path_factory.mktemp("text") / "x.csv"
+    path.write_text(delimiter.join("uyz") + "\n" + "".join(delimiter.join(map(repr, row)) + "\n" for row in rows))
+    record = read(path, 3500.0, "u", "y,z")
+    assert np.array_equal(np.vstack([record.inputs, record.outputs]).T, np.array(rows))
