@@ -18,8 +18,8 @@ class Plays:
     """w = sum_j g_j p_j, each p_j dragged along by v once they are r_j apart: |v - p_j| <= r_j.
 
     The elements of Goldfarb and Celanovic, IEEE Control Systems 17 (1997) 69-79, doi:10.1109/37.588158, told by the
-    anchors of their springs. The loop is the same at every frequency: the paper calls its hysteresis so, while its eq. (9)
-    is linear and depends on frequency.
+    anchors of their springs. The loop is the same at every frequency: the paper calls its hysteresis so, while its
+    eq. (9) is linear and depends on frequency.
 
     differs from the stack: the plays act on the held command, before the amplifier's RC, where they can be sampled.
     """
