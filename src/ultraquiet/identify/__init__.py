@@ -5,6 +5,7 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 
 from ultraquiet.identify._abstract import Identification, Result
 from ultraquiet.identify.matrix import MatrixResult, identify_matrix
+from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.rational import Rational, ResponseFit
 from ultraquiet.identify.subspace import Subspace
@@ -13,6 +14,7 @@ __all__ = [
     "Armax",
     "Arx",
     "BoxJenkins",
+    "Candidate",
     "Identification",
     "MatrixResult",
     "OutputError",
@@ -20,5 +22,7 @@ __all__ = [
     "ResponseFit",
     "Result",
     "Subspace",
+    "Sweep",
     "identify_matrix",
+    "sweep",
 ]

@@ -15,7 +15,7 @@ def observability(u: FloatArray, y: FloatArray, rows: int) -> tuple[FloatArray, 
     The future outputs are projected on the past inputs and outputs, orthogonal to the future inputs, by the Cholesky
     factor of the Gram matrix of [U_f; U_p, Y_p; Y_f] (Verhaegen 1994, doi:10.1016/0005-1098(94)90229-1).
     """
-    from ultraquiet.identify.kernels import hankel_gram
+    from ultraquiet.identify.state_kernels import hankel_gram
 
     nu, ny = u.shape[0], y.shape[0]
     width = nu + ny

@@ -399,27 +399,3 @@ def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
             damping = max(damping, 1e-9) * 6.0
         iterations += 1
     return P, loss, e, S, iterations, state
-
-
-@compiled
-def hankel_gram(z, rows):
-    """Return the Gram matrix of the block Hankel matrix of z `(m, n)` with `rows` block rows.
-
-    Shifting both factors by one sample changes a product by its two end terms, so only the first block row is summed.
-    """
-    m, n = z.shape
-    columns = n - rows + 1
-    G = np.empty((rows * m, rows * m))
-    for j in range(rows):
-        for a in range(m):
-            for b in range(m):
-                s = np.dot(z[a, :columns], z[b, j : j + columns])
-                G[a, j * m + b], G[j * m + b, a] = s, s
-    for i in range(1, rows):
-        for j in range(i, rows):
-            for a in range(m):
-                for b in range(m):
-                    s = G[(i - 1) * m + a, (j - 1) * m + b]
-                    s += z[a, columns + i - 1] * z[b, columns + j - 1] - z[a, i - 1] * z[b, j - 1]
-                    G[i * m + a, j * m + b], G[j * m + b, i * m + a] = s, s
-    return G

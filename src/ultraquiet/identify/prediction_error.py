@@ -16,6 +16,9 @@ from ultraquiet.values import PolynomialMatrix, Record
 
 HIGHEST_ORDER = 30
 LONGEST_DELAY = 1000
+# Block rows of the starting subspaces. 40 alone finds the minimum of the 3.5 kHz reference truth in 98 of 100 records;
+# on records of the simulated hexapod no single one does in more than 3 of 4 channels, these six together in 79 of 84.
+HORIZONS = (40, 20, 10, 30, 60, 80)
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class PolynomialMethod:
     order: int = 5
     delay: int = 1
     b_order: int | None = None
-    horizons: tuple[int, ...] = (40, 20, 60)
+    horizons: tuple[int, ...] = HORIZONS
     initial: str = "estimate"
     offset: bool = True
     max_iterations: int = 100

@@ -148,7 +148,7 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
 
     Hannan and Rissanen 1982, doi:10.1093/biomet/69.1.81.
     """
-    from ultraquiet.linalg.prediction import residual
+    from ultraquiet.linalg.prediction import filtered
 
     memory = min(LONG_MEMORY, v.size // 8)
     lagged = _shifted(v, memory)
@@ -159,7 +159,7 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
         found = np.linalg.lstsq(X, v[memory:], rcond=None)[0]
         d = stable(np.concatenate([[1.0], found[:d_order]]), NOISE_RADIUS)
         c = stable(np.concatenate([[1.0], found[d_order:]]), NOISE_RADIUS)
-        e = residual(v, c, d, estimate=False)
+        e = filtered(v, d, c)
     return c, d
 
 

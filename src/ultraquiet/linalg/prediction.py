@@ -39,15 +39,36 @@ def simulate(
     return out + _explained(y - out, columns)
 
 
-def residual(v: FloatArray, c: FloatArray, d: FloatArray, estimate: bool = True) -> FloatArray:
-    """Return the innovations e of v = (c / d) e; the filter's past is fitted to make them small when asked for."""
+def innovations(
+    u: FloatArray,
+    y: FloatArray,
+    a: FloatArray,
+    b: Sequence[FloatArray],
+    f: Sequence[FloatArray],
+    c: FloatArray,
+    d: FloatArray,
+) -> FloatArray:
+    """Return e = (d / c)(a y - sum_j b_j / f_j u_j), the past before the first sample and a constant fitted.
+
+    It exists for an unstable `a` too: only c and every f are divided by.
+    """
     from scipy.signal import lfilter
 
+    v = np.asarray(lfilter(a, [1.0], y))
+    for x, num, den in zip(u, b, f, strict=True):
+        v = v - np.asarray(lfilter(num, den, x))
+    columns = [np.asarray(lfilter(d, c, x)) for den in f for x in free_responses(den, y.size)]
+    columns.append(np.asarray(lfilter(d, c, np.ones(y.size))))
+    past = max(c.size, a.size + d.size - 1, *(num.size for num, den in zip(b, f, strict=True) if den.size == 1), 1) - 1
     e = np.asarray(lfilter(d, c, v))
-    if not estimate:
-        return e
-    order = max(c.size, d.size) - 1
-    return e - _explained(e, free_responses(c, v.size, order))
+    return e - _explained(e, [*columns, *free_responses(c, y.size, past)])
+
+
+def filtered(v: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
+    """Return (c / d) v from rest."""
+    from scipy.signal import lfilter
+
+    return np.asarray(lfilter(c, d, v))
 
 
 def free_responses(den: FloatArray, n: int, count: int | None = None) -> list[FloatArray]:
@@ -57,18 +78,9 @@ def free_responses(den: FloatArray, n: int, count: int | None = None) -> list[Fl
     count = den.size - 1 if count is None else count
     pulse = np.zeros(n)
     pulse[0] = 1.0
-    h = np.asarray(lfilter([1.0], den, pulse))
+    h = np.asarray(lfilter([1.0], den, pulse)) if den.size > 1 else pulse
     h[np.abs(h) < 1e-140] = 0.0  # denormal tails slow all that follows
     return [np.concatenate([np.zeros(k), h[: n - k]]) for k in range(count)]
-
-
-def impulse(c: FloatArray, d: FloatArray, n: int) -> FloatArray:
-    """Return the first n samples of the pulse response of c / d."""
-    from scipy.signal import lfilter
-
-    pulse = np.zeros(n)
-    pulse[0] = 1.0
-    return np.asarray(lfilter(c, d, pulse))
 
 
 def _explained(y: FloatArray, columns: list[FloatArray]) -> FloatArray:

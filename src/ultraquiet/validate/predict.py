@@ -41,9 +41,7 @@ def innovations(model: PolynomialMatrix | PolynomialModel, record: Record) -> Fl
     out = []
     for i, (y, row) in enumerate(zip(record.outputs, _rows(model), strict=True)):
         m = _single(i, row, record)
-        f = [m.denominator(j) for j in range(len(m.b))]
-        rest = y - prediction.simulate(record.inputs, y, m.b, f)
-        out.append(prediction.residual(rest, m.c, np.convolve(m.a, m.d)))
+        out.append(prediction.innovations(record.inputs, y, m.a, m.b, m.f, m.c, m.d))
     return np.stack(out)
 
 
@@ -58,7 +56,7 @@ def predicted(model: PolynomialMatrix | PolynomialModel, record: Record, steps: 
     miss = np.zeros_like(e)
     for i, row in enumerate(_rows(model)):
         m = _single(i, row, record)
-        h = prediction.impulse(m.c, np.convolve(m.a, m.d), steps)
+        h = prediction.filtered(np.eye(1, steps)[0], m.c, np.convolve(m.a, m.d))
         miss[i] = np.convolve(e[i], h)[: e.shape[1]]
     return record.outputs - miss
 

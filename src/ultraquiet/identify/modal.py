@@ -1,0 +1,180 @@
+"""Least squares in modal coordinates: y_i = sum_k Re(c_ik sum_j b_kj s_kj) + D u + constant, s_kj = u_j / (z - p_k).
+
+Everything is read off one Gram matrix of the filter bank, so fitting B, then C, then B again costs no pass over the
+data. The initial state is one more input: a pulse just before the first sample.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.values import StateSpace
+
+IMAGINARY = 1e-9  # a pole nearer to the real axis than this is real
+# Share of the largest eigenvalue of the unit-diagonal normal matrix below which a direction is left out. Such directions
+# (slow modes where the input has no power) are fitted to drift: on the steel frame of DaISy 96-013 the held-out fit
+# of the worst output is 89 % with 1e-6, 29 % with 1e-8 and below zero with 1e-13; the 6 x 6 truth does not mind.
+CUTOFF = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """Poles of the upper half plane `(m,)`, `b` `(m, nu + 1)`, initial state last, `c` `(ny, m)`, `D`, constant."""
+
+    poles: ComplexArray
+    b: ComplexArray
+    c: ComplexArray
+    D: FloatArray
+    constant: FloatArray
+
+    def state_space(self, rate_hz: float, **channels: Any) -> StateSpace:
+        """Return real modal blocks, input and output matrix of each of equal size."""
+        from scipy.linalg import block_diag
+
+        A, B, C = [], [], []
+        even = _even(self)
+        for p, b, c in zip(even.poles, even.b[:, :-1], even.c.T, strict=True):
+            if p.imag == 0.0:
+                A.append(np.array([[p.real]]))
+                B.append(b.real[None])
+                C.append(c.real[:, None])
+            else:
+                A.append(np.array([[p.real, p.imag], [-p.imag, p.real]]))
+                B.append(np.stack([b.real, -b.imag]))
+                C.append(np.stack([c.real, c.imag], axis=1))
+        return StateSpace(np.asarray(block_diag(*A)), np.vstack(B), np.hstack(C), self.D, rate_hz, **channels)
+
+
+class Bank:
+    """Products of all filtered inputs, inputs and outputs for one set of poles."""
+
+    def __init__(self, poles: ComplexArray, u: FloatArray, y: FloatArray, feedthrough: bool, offset: bool) -> None:
+        from ultraquiet.identify.state_kernels import modal_gram
+
+        self.poles = poles
+        self.nu, self.ny, self.n = u.shape[0], y.shape[0], u.shape[1]
+        self.direct = (self.nu if feedthrough else 0) + int(offset)
+        self.feedthrough, self.offset = feedthrough, offset
+        rest = [u] if feedthrough else []
+        rest += [np.ones((1, self.n))] if offset else []
+        # A pulse before the first sample starts every mode at one.
+        pulse = np.zeros((1, self.n))
+        pulse[0, 0] = 1.0
+        started = np.vstack([np.hstack([np.zeros((self.nu, 1)), u[:, :-1]]), pulse])
+        tail = np.vstack([*rest, y])
+        G = modal_gram(poles, np.ascontiguousarray(started), np.ascontiguousarray(tail))
+        self.modes = 2 * poles.size * (self.nu + 1)
+        self.G = G
+        self.power = np.diag(G)[-self.ny :].copy()
+
+    def _direct_rows(self) -> slice:
+        return slice(self.modes, self.modes + self.direct)
+
+    def fit_b(self, c: ComplexArray) -> Modes:
+        """Return b, D and constant that fit best with the given output directions c `(ny, m)`."""
+        m, inputs = self.poles.size, self.nu + 1
+        size = self.modes
+        total = size + self.ny * self.direct
+        N, r = np.zeros((total, total)), np.zeros(total)
+        for i in range(self.ny):
+            T = _rotation(c[i])
+            SS = _left(T, _left(T, self.G[:size, :size], m, inputs).T, m, inputs)
+            SW = _left(T, self.G[:size, self._direct_rows()], m, inputs)
+            rows = slice(size + i * self.direct, size + (i + 1) * self.direct)
+            N[:size, :size] += SS
+            N[:size, rows], N[rows, :size] = SW, SW.T
+            N[rows, rows] = self.G[self._direct_rows(), self._direct_rows()]
+            r[:size] += _left(T, self.G[:size, self.modes + self.direct + i, None], m, inputs)[:, 0]
+            r[rows] = self.G[self._direct_rows(), self.modes + self.direct + i]
+        x = solve(N, r)
+        beta = x[:size].reshape(m, inputs, 2)
+        return self._modes(beta[..., 0] + 1j * beta[..., 1], c, x[size:].reshape(self.ny, self.direct))
+
+    def fit_c(self, modes: Modes) -> Modes:
+        """Return c, D and constant that fit best with the given inputs b; each output by itself."""
+        m, inputs = self.poles.size, self.nu + 1
+        X = np.zeros((2 * m + self.direct, self.modes + self.direct))
+        for k in range(m):
+            for j in range(inputs):
+                at, b = 2 * (k * inputs + j), modes.b[k, j]
+                X[2 * k, at : at + 2] = b.real, -b.imag  # real part of the mode's state
+                X[2 * k + 1, at : at + 2] = -b.imag, -b.real  # minus its imaginary part
+        X[2 * m :, self.modes :] = np.eye(self.direct)
+        inner = self.modes + self.direct
+        N = X @ self.G[:inner, :inner] @ X.T
+        found = solve(N, X @ self.G[:inner, inner:])
+        c = (found[: 2 * m : 2] + 1j * found[1 : 2 * m : 2]).T
+        return self._modes(modes.b, c, found[2 * m :].T)
+
+    def _modes(self, b: ComplexArray, c: ComplexArray, direct: FloatArray) -> Modes:
+        real = self.poles.imag == 0.0
+        b, c = b.copy(), c.copy()
+        b[real], c[:, real] = b[real].real, c[:, real].real
+        D = direct[:, : self.nu] if self.feedthrough else np.zeros((self.ny, self.nu))
+        constant = direct[:, -1] if self.offset else np.zeros(self.ny)
+        return Modes(self.poles, b, c, D, constant)
+
+    def loss(self, modes: Modes) -> FloatArray:
+        """Return the mean squared error of each output, `(ny,)`."""
+        m, inputs = self.poles.size, self.nu + 1
+        inner = self.modes + self.direct
+        out = np.zeros(self.ny)
+        for i in range(self.ny):
+            gain = modes.c[i, :, None] * modes.b
+            w = np.stack([gain.real, -gain.imag], axis=2).reshape(2 * m * inputs)
+            direct = list(modes.D[i]) if self.feedthrough else []
+            direct += [modes.constant[i]] if self.offset else []
+            v = np.concatenate([w, direct])
+            out[i] = self.power[i] - 2.0 * v @ self.G[:inner, inner + i] + v @ self.G[:inner, :inner] @ v
+        return np.maximum(out, 0.0) / self.n
+
+
+def _rotation(c: ComplexArray) -> FloatArray:
+    """Return for each mode the 2 x 2 matrix from (Re s, Im s) to the factors of (Re b, Im b) in Re(c b s)."""
+    return np.stack([np.stack([c.real, -c.imag], axis=1), np.stack([-c.imag, -c.real], axis=1)], axis=1)
+
+
+def _left(T: FloatArray, X: FloatArray, m: int, inputs: int) -> FloatArray:
+    """Apply each mode's 2 x 2 matrix to its rows of X."""
+    shaped = X.reshape(m, inputs, 2, X.shape[1])
+    return np.einsum("kab,kjbx->kjax", T, shaped).reshape(X.shape)
+
+
+def solve(N: FloatArray, r: FloatArray) -> FloatArray:
+    """Solve a semidefinite normal equation, columns scaled, without directions that hold only round-off."""
+    size = np.sqrt(np.diag(N))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(N * scale[:, None] * scale[None, :])
+    kept = values > CUTOFF * values[-1]
+    right = (r.T * scale).T
+    found = (vectors[:, kept] / values[kept]) @ (vectors[:, kept].T @ right)
+    return (found.T * scale).T
+
+
+def alternate(bank: Bank, c: ComplexArray, rounds: int, gain: float) -> Modes:
+    """Fit b and c in turn until a round lowers the summed relative loss by less than `gain`."""
+    modes = bank.fit_b(c)
+    last = _relative(bank, modes)
+    for _ in range(rounds):
+        better = bank.fit_c(_even(modes))
+        better = bank.fit_b(_even(better).c)
+        now = _relative(bank, better)
+        if not now < last:
+            break
+        modes, step, last = better, last - now, now
+        if step < gain * last:
+            break
+    return modes
+
+
+def _even(modes: Modes) -> Modes:
+    """Return the modes with b and c of equal size, which leaves their products as they are."""
+    size_b, size_c = np.linalg.norm(modes.b[:, :-1], axis=1), np.linalg.norm(modes.c, axis=0)
+    t = np.sqrt(np.where((size_b > 0) & (size_c > 0), size_c / np.where(size_b > 0, size_b, 1.0), 1.0))
+    return replace(modes, b=modes.b * t[:, None], c=modes.c / t)
+
+
+def _relative(bank: Bank, modes: Modes) -> float:
+    return float(np.sum(bank.loss(modes) * bank.n / bank.power))

@@ -1,0 +1,188 @@
+"""Which structure and order: all of them on all channels in one call, ranked on data none of them has seen."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, one_of
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import lookup
+from ultraquiet.identify.fit import Fit
+from ultraquiet.identify.matrix import columns, in_threads
+from ultraquiet.identify.prediction_error import PolynomialMethod
+from ultraquiet.identify.starts import Channel
+from ultraquiet.linalg import prediction
+from ultraquiet.values import Record
+
+STRUCTURES = ("arx", "armax", "output-error", "box-jenkins")
+ORDERS = range(2, 8)
+FITTED_SHARE = 2 / 3  # of each record when no other records are held out
+# A larger model must lower the score by this share to be preferred: less is within what another record would change.
+WORTH = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One structure and order on all channels.
+
+    Attributes:
+        method: the settings, ready to `identify`.
+        held_out_fit: `(ny, nu)` simulated fit in percent on held-out data.
+        held_out_loss: `(ny, nu)` mean squared one-step residual there.
+        fit_percent, loss: the same on the fitted data.
+        words: `(ny, nu)` verdicts.
+        seconds: processor seconds of all channels' fits.
+    """
+
+    method: PolynomialMethod
+    held_out_fit: FloatArray
+    held_out_loss: FloatArray
+    fit_percent: FloatArray
+    loss: FloatArray
+    words: np.ndarray[Any, np.dtype[np.str_]]
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """All candidates, best first, and the one to take.
+
+    `preferred` is the smallest order of the best structure whose score lies within 2 % of the best one's.
+    """
+
+    candidates: tuple[Candidate, ...]
+    preferred: Candidate
+    rank_by: str
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one plain row per candidate: structure, order, median and worst fit in percent, loss, seconds."""
+        return [
+            {
+                "structure": c.method.name,
+                "order": c.method.order,
+                "median_fit_percent": float(np.median(c.held_out_fit)),
+                "worst_fit_percent": float(np.min(c.held_out_fit)),
+                "median_loss": float(np.median(c.held_out_loss)),
+                "ok": int(np.count_nonzero(c.words == "ok")),
+                "seconds": c.seconds,
+            }
+            for c in self.candidates
+        ]
+
+
+def sweep(
+    records: Sequence[Record],
+    held_out: Sequence[Record] | None = None,
+    structures: Iterable[str | PolynomialMethod] = STRUCTURES,
+    orders: Iterable[int] = ORDERS,
+    rank_by: str = "loss",
+    workers: int | None = None,
+) -> Sweep:
+    """Fit every structure at every order to every channel and rank them on held-out data.
+
+    Args:
+        records: one record per actuator, as `identify_matrix` takes them.
+        held_out: as many others for the ranking; when absent the last third of each record is kept back.
+        structures: registered names, or settings whose order is varied.
+        orders: whole numbers.
+        rank_by: "loss" (geometric mean over channels of the one-step loss, which weighs every channel alike) or "fit"
+            (median simulated fit).
+        workers: threads; as many as processors when absent.
+
+    Raises:
+        InputError: as `identify_matrix`; held-out records that do not match the others.
+
+    >>> import numpy as np, ultraquiet as uq
+    >>> rng = np.random.default_rng(0)
+    >>> u = rng.standard_normal(1500)
+    >>> lag = uq.PolynomialModel(b=[[0.0, 1.0, 0.4]], f=[[1.0, -1.2, 0.6]], rate_hz=100.0)
+    >>> y = lag.state_space().simulate(u[None])[0] + 0.1 * rng.standard_normal(1500)
+    >>> found = uq.identify.sweep([uq.Record(u, y, 100.0)], structures=["output-error"], orders=[1, 2, 3])
+    >>> found.preferred.method.order
+    2
+    """
+    one_of("sweep", "rank_by", rank_by, ("loss", "fit"))
+    methods = [_at_order(s, n) for s in structures for n in orders]
+    if not methods:
+        raise InputError("sweep: no structures or no orders were given.")
+    if held_out is None:
+        cuts = [int(FITTED_SHARE * r.samples) for r in records]
+        held_out = [r.part(cut) for r, cut in zip(records, cuts, strict=True)]
+        records = [r.part(0, cut) for r, cut in zip(records, cuts, strict=True)]
+    largest = max(methods, key=lambda m: m.structure().parameters(1))
+    fitted, kept = columns(largest, records), columns(largest, held_out)
+    if len(fitted) != len(kept) or len(fitted[0].sensors) != len(kept[0].sensors):
+        raise InputError("sweep: the held-out records must match the fitted ones, one per actuator, same sensors.")
+    places = [(i, k) for k in range(len(fitted)) for i in range(len(fitted[0].sensors))]
+
+    def one(place: tuple[int, int]) -> list[tuple[Fit, float, float, float]]:
+        i, k = place
+        data = Channel(fitted[k].inputs, fitted[k].outputs[i])
+        return [_judged(method, data, kept[k], i) for method in methods]
+
+    found = in_threads("compare structures and orders", one, places, workers)
+    shape = (len(fitted[0].sensors), len(fitted))
+    return _ranked([_candidate(m, n, found, shape) for n, m in enumerate(methods)], rank_by)
+
+
+def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
+    if isinstance(structure, PolynomialMethod):
+        return replace(structure, order=order)
+    method = lookup("identify", structure)
+    if not issubclass(method, PolynomialMethod):
+        raise InputError(f"sweep: '{structure}' is no polynomial structure; known are {', '.join(STRUCTURES)}.")
+    return method(order=order)
+
+
+def _judged(method: PolynomialMethod, data: Channel, kept: Record, i: int) -> tuple[Fit, float, float, float]:
+    """Return the fit of one channel, its simulated fit and one-step loss on the kept record, and its seconds."""
+    begun = time.thread_time()
+    fit = method.fit(data, kept.rate_hz)
+    seconds = time.thread_time() - begun
+    y, m = kept.outputs[i], fit.model
+    simulated = prediction.simulate(kept.inputs, y, m.b, [m.denominator(j) for j in range(len(m.b))])
+    return fit, prediction.fit_percent(y, simulated), _one_step_loss(y, kept.inputs, fit), seconds
+
+
+def _one_step_loss(y: FloatArray, u: FloatArray, fit: Fit) -> float:
+    m = fit.model
+    return float(np.mean(prediction.innovations(u, y, m.a, m.b, m.f, m.c, m.d) ** 2))
+
+
+def _candidate(method: PolynomialMethod, n: int, found: dict[Any, Any], shape: tuple[int, int]) -> Candidate:
+    def table(pick: Callable[[Any], Any]) -> Any:
+        return np.array([[pick(found[(i, k)][n]) for k in range(shape[1])] for i in range(shape[0])])
+
+    return Candidate(
+        method,
+        table(lambda x: x[1]),
+        table(lambda x: x[2]),
+        table(lambda x: x[0].fit_percent),
+        table(lambda x: x[0].loss),
+        table(lambda x: x[0].status.word),
+        float(np.sum(table(lambda x: x[3]))),
+    )
+
+
+def _ranked(candidates: list[Candidate], rank_by: str) -> Sweep:
+    """Order by score, least first; prefer the smallest order of the best structure that scores nearly as well."""
+    scores = [_score(c, rank_by) for c in candidates]
+    order = sorted(range(len(candidates)), key=lambda k: scores[k])
+    best = order[0]
+    near = [
+        k
+        for k in order
+        if candidates[k].method.name == candidates[best].method.name and scores[k] <= (1.0 + WORTH) * scores[best]
+    ]
+    smallest = min(near, key=lambda k: candidates[k].method.order)
+    return Sweep(tuple(candidates[k] for k in order), candidates[smallest], rank_by)
+
+
+def _score(candidate: Candidate, rank_by: str) -> float:
+    """Return what is to be small: the geometric mean of the losses, or the fit's distance from 100 percent."""
+    if rank_by == "fit":
+        return float(100.0 - np.median(candidate.held_out_fit))
+    return float(np.exp(np.mean(np.log(candidate.held_out_loss))))
