@@ -1,6 +1,6 @@
 """SUITE's hexapod: six struts, each a piezo stack, a geophone and a viscoelastic stage, between base and payload.
 
-Facts that the simulated bench brings out, each held by a test:
+Facts that the simulated bench brings out, each measured and printed by a test of tests/bench:
 
 * |f22| lies within 1.5 dB of eq. (12) over 25-250 Hz. |f21| lies within 5 dB of eq. (11) in the mean; at the yaw mode
   near 113 Hz, which eq. (11) does not show, it is 11 dB above, and at 250 Hz 7 dB below.
