@@ -1,6 +1,6 @@
 """Tables from MATLAB files: version 5 to 7.2 by SciPy, version 7.3 by h5py."""
 
-import os
+import io
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +11,7 @@ from ultraquiet.files.atomic import reason
 from ultraquiet.files.table import Table, from_arrays
 
 
-def read_mat(path: str | os.PathLike[str]) -> Table:
+def read_mat(name: str, data: bytes) -> Table:
     """Return the numeric variables of a MAT file; fields of a structure are named `structure.field`.
 
     Objects that only MATLAB understands (transfer functions, tables) are passed over.
@@ -19,12 +19,14 @@ def read_mat(path: str | os.PathLike[str]) -> Table:
     import scipy.io
 
     try:
-        held = scipy.io.loadmat(path, simplify_cells=True)
-    except NotImplementedError:
-        held = _version_73(path)
-    except (OSError, ValueError, TypeError, KeyError, EOFError, scipy.io.matlab.MatReadError) as error:
-        raise StorageError(f"read_record: '{path}' cannot be read as a MAT file ({reason(error)}).") from error
-    return from_arrays(os.path.basename(path), _flat(held))
+        try:
+            held = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+        except NotImplementedError:
+            held = _version_73(data)
+    except Exception as error:
+        # Damaged bytes surface as whatever zlib, SciPy or HDF5 stumble over first.
+        raise StorageError(f"read_record: '{name}' cannot be read as a MAT file ({reason(error)}).") from error
+    return from_arrays(name, _flat(held))
 
 
 def _flat(held: Mapping[Any, Any], before: str = "") -> dict[str, Any]:
@@ -40,11 +42,8 @@ def _flat(held: Mapping[Any, Any], before: str = "") -> dict[str, Any]:
     return flat
 
 
-def _version_73(path: str | os.PathLike[str]) -> dict[str, Any]:
+def _version_73(data: bytes) -> dict[str, Any]:
     import h5py
 
-    try:
-        with h5py.File(path, "r") as file:
-            return {name: held[()] for name, held in file.items() if isinstance(held, h5py.Dataset)}
-    except (OSError, RuntimeError) as error:
-        raise StorageError(f"read_record: '{path}' cannot be read as a MAT file ({reason(error)}).") from error
+    with h5py.File(io.BytesIO(data), "r") as file:
+        return {name: held[()] for name, held in file.items() if isinstance(held, h5py.Dataset)}

@@ -1,10 +1,8 @@
 """Tables from text files (CSV, TSV, columns of numbers) and from NumPy's `.npz`."""
 
-import os
+import io
 import re
-import zipfile
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -15,20 +13,17 @@ from ultraquiet.files.table import Column, Table, from_arrays, split_unit
 DELIMITERS = (";", "\t", ",")
 
 
-def read_text(path: str | os.PathLike[str]) -> Table:
+def read_text(name: str, data: bytes) -> Table:
     """Return the columns of a text file; the line before the numbers names them, with units in brackets.
 
     Cells are parted by semicolons, tabs, commas or blanks; lines that begin with `#` are remarks, and the last of them
     before the numbers may be the header.
     """
-    name = os.path.basename(path)
     try:
         # Spreadsheets begin UTF-8 files with a byte-order mark.
-        lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+        lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise InputError(f"read_record: '{name}' is no text file in UTF-8.") from None
-    except OSError as error:
-        raise StorageError(f"read_record: '{path}' cannot be read ({reason(error)}).") from error
     start = next((k for k, line in enumerate(lines) if _is_numbers(line)), None)
     if start is None:
         raise InputError(f"read_record: '{name}' holds no line of numbers.")
@@ -41,14 +36,15 @@ def read_text(path: str | os.PathLike[str]) -> Table:
     return Table(name, tuple(Column(*_named(h, values)) for h, values in zip(header, rows.T, strict=True)))
 
 
-def read_npz(path: str | os.PathLike[str]) -> Table:
+def read_npz(name: str, data: bytes) -> Table:
     """Return the arrays of an `.npz` file; pickled objects are not opened."""
     try:
-        with np.load(path, allow_pickle=False) as held:
+        with np.load(io.BytesIO(data), allow_pickle=False) as held:
             arrays = {key: held[key] for key in held.files if held[key].dtype.kind in "fiu"}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise StorageError(f"read_record: '{path}' cannot be read as .npz ({reason(error)}).") from error
-    return from_arrays(os.path.basename(path), arrays)
+    except Exception as error:
+        # Damaged bytes surface as whatever zipfile, zlib or NumPy stumble over first.
+        raise StorageError(f"read_record: '{name}' cannot be read as .npz ({reason(error)}).") from error
+    return from_arrays(name, arrays)
 
 
 def _named(header: str, values: np.ndarray) -> tuple[str, np.ndarray, str]:

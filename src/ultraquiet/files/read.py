@@ -1,5 +1,6 @@
 """One door for records from outside: the suffix decides who reads."""
 
+import hashlib
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -8,7 +9,6 @@ from types import MappingProxyType
 import numpy as np
 
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet._base.provenance import content_hash
 from ultraquiet.files.archive import load_many
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.matlab import read_mat
@@ -20,7 +20,7 @@ from ultraquiet.values import Channel, Record
 _Path = str | os.PathLike[str]
 
 ARCHIVES = (".h5", ".hdf5")
-READERS: Mapping[str, Callable[[_Path], Table]] = MappingProxyType(
+READERS: Mapping[str, Callable[[str, bytes], Table]] = MappingProxyType(
     {
         ".csv": read_text,
         ".tsv": read_text,
@@ -66,10 +66,11 @@ def read_record(path: _Path, rate_hz: float | None = None, inputs: Choice = None
     if suffix not in READERS:
         raise InputError(f"read_record: '{path}' has none of the suffixes {', '.join((*ARCHIVES, *READERS))}.")
     try:
-        mark = content_hash(Path(path).read_bytes().hex())
+        data = Path(path).read_bytes()
     except OSError as error:
         raise StorageError(f"read_record: '{path}' cannot be read ({reason(error)}).") from error
-    return to_record(READERS[suffix](path), rate_hz, inputs, outputs, mark)
+    table = READERS[suffix](Path(path).name, data)
+    return to_record(table, rate_hz, inputs, outputs, hashlib.sha256(data).hexdigest())
 
 
 def _archived(path: _Path, rate_hz: float | None, inputs: Choice, outputs: Choice) -> Record:
@@ -90,5 +91,5 @@ def _places(path: _Path, held: Sequence[Channel], choice: Choice) -> list[int] |
     if choice is None:
         return None
     empty = np.zeros(0)
-    table = Table(os.path.basename(path), tuple(Column(c.name, empty, c.unit) for c in held))
+    table = Table(Path(path).name, tuple(Column(c.name, empty, c.unit) for c in held))
     return [table.columns.index(column) for column in chosen(table, choice)]
