@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from conftest import RATE_HZ, block
-from ultraquiet.deploy import Twin, generate, realisation
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy import Twin, generate, realisation, rounding_errors
 from ultraquiet.deploy.law import rounded
 from ultraquiet.values import StateSpace
 
@@ -65,3 +66,29 @@ def test_running_sums_stay_with_the_float64_law(law_of, rng, tmp_path, form):
     error = np.linalg.norm(twin.run(y) - exact) / np.linalg.norm(exact)
     print(f"{form}: relative error of the commands {error:.1e}")
     assert error < 1e-3
+
+
+def test_word_length_study_halves_the_error_with_each_bit(law_of):
+    law = law_of(48)
+    bits = (18, 22, 26, 30, 34)
+    errors = rounding_errors(law, bits)
+    for form, each in errors.items():
+        slope = np.polyfit(bits, np.log2(each), 1)[0]
+        print(form, " ".join(f"{b}: {e:.0e}" for b, e in zip(bits, each, strict=True)), f"slope {slope:.2f}")
+        assert -1.3 < slope < -0.7
+    assert np.all(errors["delta"] < errors["modal"])
+
+
+def test_word_length_24_is_float32(law_of, tmp_path):
+    law = law_of(16)
+    made = generate(law, tmp_path / "code", form="modal")
+    assert rounding_errors(law, (24,))["modal"][0] == pytest.approx(made.tables["response_error"], rel=1e-6)
+
+
+def test_word_length_leaves_out_a_form_that_does_not_exist(rng):
+    delays = StateSpace(np.diag(np.ones(3), 1), np.ones((4, 1)), np.ones((1, 4)), [[0.0]], rate_hz=RATE_HZ)
+    assert set(rounding_errors(delays)) == {"schur", "dense"}
+    with pytest.raises(InputError, match="continuous time"):
+        rounding_errors(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+    with pytest.raises(InputError, match="'bits' must be between 1 and 53"):
+        rounding_errors(delays, (64,))

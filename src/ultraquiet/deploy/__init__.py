@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.realise import realisation as realisation
     from ultraquiet.deploy.twin import Twin as Twin
     from ultraquiet.deploy.verify import Verification as Verification
+    from ultraquiet.deploy.word_length import rounding_errors as rounding_errors
 
 _HOME = {
     "CompiledController": "compiled",
@@ -33,6 +34,7 @@ _HOME = {
     "kernel_cycles": "budget",
     "largest_order": "budget",
     "realisation": "realise",
+    "rounding_errors": "word_length",
 }
 
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -66,6 +66,11 @@ def cycles(law: Law) -> int:
     )
 
 
+def output_cycles(law: Law) -> int:
+    """Return the kernel's instructions from measurements to commands, the part of the step that delays the loop."""
+    return law.outputs * (law.states + law.inputs + ROW) + CALL
+
+
 def words(law: Law) -> int:
     """Return the 32-bit words of coefficients, states, measurements and commands."""
     return law.coefficients + law.states + law.inputs + 3 * law.outputs

@@ -56,7 +56,7 @@ def choose(
         except InputError as refusal:
             sentence = str(refusal)
             continue
-        laws[form] = (law, error_of(law, controller, plant), condition)
+        laws[form] = (law, error_of(law.state_space(), controller, plant), condition)
     if not laws:
         raise InputError(sentence)
     good = [form for form, (_, error, _) in laws.items() if error <= tolerance]
@@ -65,22 +65,22 @@ def choose(
     return Choice(law, error, {form: held[1] for form, held in laws.items()}, condition)
 
 
-def error_of(law: Law, controller: StateSpace, plant: StateSpace | None = None) -> float:
-    """Return the largest relative change over frequency that rounding makes.
+def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None = None) -> float:
+    """Return the largest relative change over frequency from the controller to what rounding left of it.
 
     Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
     the loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
     """
     f_hz = _grid(controller)
-    exact, held = (_points_first(k.frequency_response(f_hz)) for k in (controller, law.state_space()))
+    exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
     if plant is not None:
         same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
-        if loop_radius(plant, controller) < 1.0 <= loop_radius(plant, law.state_space()):
+        if loop_radius(plant, controller) < 1.0 <= loop_radius(plant, held):
             return float("inf")
         G = _points_first(plant.frequency_response(f_hz))
-        exact, held = (np.linalg.inv(np.eye(G.shape[1]) - G @ K) for K in (exact, held))
+        exact, coarse = (np.linalg.inv(np.eye(G.shape[1]) - G @ K) for K in (exact, coarse))
     size = np.linalg.norm(exact, 2, axis=(1, 2))
-    change = np.linalg.norm(held - exact, 2, axis=(1, 2))
+    change = np.linalg.norm(coarse - exact, 2, axis=(1, 2))
     floor = max(FLOOR * float(size.max()), np.finfo(float).tiny)
     return float((change / np.maximum(size, floor)).max())
 

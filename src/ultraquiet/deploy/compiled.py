@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law, Rounded
 from ultraquiet.deploy.toolchain import compile_c
@@ -19,12 +19,19 @@ class Library:
     """The generated files, compiled to a shared library and loaded; the library lives as long as the process."""
 
     def __init__(self, law: Law, folder: Path, cc: str, flags: tuple[str, ...] = FLAGS) -> None:
-        self.law = law
+        self.law, self.folder, self.cc, self.flags = law, folder, cc, flags
         with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
             made = Path(work) / f"{law.name}.so"
             sources = [folder / f"{law.name}.c", folder / f"{law.name}_host.c"]
             compile_c([cc, *flags, "-fPIC", "-shared", *sources, "-o", made], folder)
-            self._library = ctypes.CDLL(str(made))
+            try:
+                self._library = ctypes.CDLL(str(made))
+            except OSError as error:
+                raise ToolError(f"deploy: the compiled controller cannot be loaded ({error}).") from None
+
+    def __reduce__(self) -> Any:
+        # A loaded library does not travel to another process; its sources do.
+        return Library, (self.law, self.folder, self.cc, self.flags)
 
     def function(self, name: str) -> Any:
         """Return an exported C function by its name after the controller's."""
@@ -34,7 +41,8 @@ class Library:
 class CompiledController:
     """u = K y by the generated code, a `Controller`; instances do not touch each other.
 
-    In control at full command from the first step on, unless `ramp` asks for the ramp of a real start.
+    In control at full command from the first step on, unless `ramp` asks for the ramp of a real start. A copy made by
+    pickling starts at rest.
     """
 
     def __init__(self, library: Library, ramp: bool = False) -> None:
@@ -48,6 +56,9 @@ class CompiledController:
         self._step = library.function("host_step")
         self._step.restype = None
         self.reset()
+
+    def __reduce__(self) -> Any:
+        return CompiledController, (self.library, self.ramp)
 
     @property
     def rate_hz(self) -> float | None:

@@ -187,7 +187,7 @@ def _choice(controller: StateSpace, form: str, make: Any, plant: StateSpace | No
     if form == "auto":
         return choose(controller, make, budget.cycles, plant, tolerance)
     law, condition = make(form)
-    error = error_of(law, controller, plant)
+    error = error_of(law.state_space(), controller, plant)
     return Choice(law, error, {form: error}, condition)
 
 
@@ -215,6 +215,7 @@ def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
         "anti_windup": anti_windup,
         "c31_cycles": used,
         "c31_kernel_cycles": kernel,
+        "c31_output_cycles": budget.output_cycles(law),
         "c31_budget": budget_cycles,
         "c31_fits_the_model": used <= budget_cycles,
         "c31_words": budget.words(law),

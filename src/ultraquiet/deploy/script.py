@@ -29,6 +29,7 @@ OPS = (
 FNV_BASIS, FNV_PRIME, MASK = 2166136261, 16777619, 2**32 - 1
 LCG_FACTOR, LCG_STEP = 1664525, 1013904223
 CANONICAL_NAN = 0x7FC00000
+COMMENT = 22  # column at which a script's remarks begin
 HALF_RANGE = 2**23  # the generator's 24 bits, centred
 
 # Bits of NaN, infinity, minus infinity, and of half the largest number, which overflows in the next sums.
@@ -53,6 +54,89 @@ class Row:
     digest: int
 
 
+# One call each: what, how many steps or which channel, and `loud` for measurements beyond the limits. `ramp` is the
+# length of the ramp, `some` a part of it, `half` of that, `last` the last channel, `middle` a state.
+START = """
+INIT 0
+RUN 3                 off: command zero, state at rest
+FRAME
+DISABLE               of no effect when off
+CLEAR
+ENABLE
+CLEAR                 of no effect without a fault
+RUN some
+DISABLE
+RUN half
+ENABLE                resumes where the ramp out stands
+RUN ramp+50
+CLEAR
+RUN 100 loud          limits, both sides
+RUN 50
+"""
+OVERRUNS = """
+OUTPUT
+FRAME                 an overrun without a hook
+UPDATE
+UPDATE                a second update must not advance
+FRAME
+OUTPUT
+OUTPUT                a step without its update
+FRAME
+SPEND 1               overruns stop at their largest value
+FRAME
+FRAME
+UPDATE
+DISABLE
+RUN ramp+3            out, off and at rest
+ENABLE
+RUN ramp+20
+"""
+AFTER_BAD = """
+ENABLE                refused
+CLEAR                 refused while the ramp runs
+RUN 2
+CLEAR
+INIT 1
+ENABLE
+RUN some+2
+"""
+FAULTS = """
+OUTPUT
+FRAME                 an overrun with the hook
+UPDATE
+OUTPUT
+NOT_A_NUMBER          upon an unfinished step: its update must not advance
+DISABLE               must not turn a fault into a stop
+RUN ramp+2            the whole ramp of a fault
+CLEAR
+RUN 2
+INFINITE last         latched even when off
+RUN 2
+CLEAR
+ENABLE
+RUN ramp+10
+"""
+OVERFLOWS = """
+RUN 4
+OUTPUT
+INIT 0                also ends an unfinished step
+FRAME
+ENABLE
+RUN some+2
+POKE middle
+RUN 2
+CLEAR
+INIT 0
+OUTPUT
+FRAME                 the hook is gone
+UPDATE
+ENABLE
+RUN 20 loud           limits during the ramp
+NOT_A_NUMBER 0 loud
+RUN 5 loud
+"""
+
+
 def self_test(law: Law) -> list[Row]:
     """Return the script for a law, its digests computed by the twin."""
     player = Player(law)
@@ -61,88 +145,19 @@ def self_test(law: Law) -> list[Row]:
 
 def plan(law: Law) -> list[tuple[str, int, float]]:
     """Return the calls: ramps, limits on both sides, every kind of bad measurement, faults, overruns, restarts."""
+    last = law.inputs - 1
+    bad = [f"{op} {channel}" for op in ("NOT_A_NUMBER", "INFINITE", "MINUS_INFINITE") for channel in {0, last}]
+    bad += [f"NOT_A_NUMBER {channel}" for channel in range(1, last)]
+    large = [f"LARGE {k % law.inputs}" for k in range(4)]
+    text = [START, OVERRUNS, *(f"{one}\n{AFTER_BAD}" for one in bad), FAULTS, *large, OVERFLOWS]
+    some = min(law.ramp_steps, 7)
+    names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
     quiet, loud = sizes(law)
-    ramp, last = law.ramp_steps, law.inputs - 1
-    some = min(ramp, 7) if ramp > 1 else 1
-    calls: list[tuple[str, int, float]] = [
-        ("INIT", 0, quiet),
-        ("RUN", 3, quiet),  # off: command zero, state at rest
-        ("FRAME", 0, quiet),
-        ("DISABLE", 0, quiet),  # of no effect when off
-        ("CLEAR", 0, quiet),
-        ("ENABLE", 0, quiet),
-        ("CLEAR", 0, quiet),  # of no effect without a fault
-        ("RUN", some, quiet),  # part of the ramp
-        ("DISABLE", 0, quiet),
-        ("RUN", max(some // 2, 1), quiet),
-        ("ENABLE", 0, quiet),  # resumes where the ramp out stands
-        ("RUN", ramp + 50, quiet),
-        ("CLEAR", 0, quiet),  # of no effect without a fault
-        ("RUN", 100, loud),  # limits, both sides
-        ("RUN", 50, quiet),
-        ("OUTPUT", 0, quiet),
-        ("FRAME", 0, quiet),  # an overrun without a hook
-        ("UPDATE", 0, quiet),
-        ("UPDATE", 0, quiet),  # a second update must not advance
-        ("FRAME", 0, quiet),
-        ("OUTPUT", 0, quiet),
-        ("OUTPUT", 0, quiet),  # a step without its update
-        ("FRAME", 0, quiet),
-        ("SPEND", 1, quiet),  # overruns stop at their largest value
-        ("FRAME", 0, quiet),
-        ("FRAME", 0, quiet),
-        ("UPDATE", 0, quiet),
-        ("DISABLE", 0, quiet),
-        ("RUN", ramp + 3, quiet),  # out, off and at rest
-        ("ENABLE", 0, quiet),
-        ("RUN", ramp + 20, quiet),
-    ]
-    bad = [(op, channel) for op in ("NOT_A_NUMBER", "INFINITE", "MINUS_INFINITE") for channel in {0, last}]
-    for op, channel in [*bad, *(("NOT_A_NUMBER", k) for k in range(1, last))]:
-        calls += [
-            (op, channel, quiet),
-            ("ENABLE", 0, quiet),  # refused
-            ("CLEAR", 0, quiet),  # refused while the ramp runs
-            ("RUN", 2, quiet),
-            ("CLEAR", 0, quiet),
-            ("INIT", 1, quiet),
-            ("ENABLE", 0, quiet),
-            ("RUN", some + 2, quiet),
-        ]
-    calls += [
-        ("OUTPUT", 0, quiet),
-        ("FRAME", 0, quiet),  # an overrun with the hook
-        ("UPDATE", 0, quiet),
-        ("OUTPUT", 0, quiet),
-        ("NOT_A_NUMBER", 0, quiet),  # upon an unfinished step: its update must not advance
-        ("DISABLE", 0, quiet),  # must not turn a fault into a stop
-        ("RUN", ramp + 2, quiet),  # the whole ramp of a fault
-        ("CLEAR", 0, quiet),
-        ("RUN", 2, quiet),
-        ("INFINITE", last, quiet),  # latched even when off
-        ("RUN", 2, quiet),
-        ("CLEAR", 0, quiet),
-        ("ENABLE", 0, quiet),
-        ("RUN", ramp + 10, quiet),
-        *[("LARGE", k % law.inputs, quiet) for k in range(4)],
-        ("RUN", 4, quiet),
-        ("OUTPUT", 0, quiet),
-        ("INIT", 0, quiet),  # also ends an unfinished step
-        ("FRAME", 0, quiet),
-        ("ENABLE", 0, quiet),
-        ("RUN", some + 2, quiet),
-        ("POKE", law.states // 2, quiet),
-        ("RUN", 2, quiet),
-        ("CLEAR", 0, quiet),  # refused, or at once where the ramp is a single step
-        ("INIT", 0, quiet),
-        ("OUTPUT", 0, quiet),
-        ("FRAME", 0, quiet),  # the hook is gone
-        ("UPDATE", 0, quiet),
-        ("ENABLE", 0, quiet),
-        ("RUN", 20, loud),  # limits during the ramp
-        ("NOT_A_NUMBER", 0, loud),
-        ("RUN", 5, loud),
-    ]
+    calls = []
+    for line in filter(None, "\n".join(text).splitlines()):
+        words = line[:COMMENT].split()
+        count = sum(names[word] if word in names else int(word) for word in (words[1:2] or ["0"])[0].split("+"))
+        calls.append((words[0], count, loud if "loud" in words else quiet))
     return calls
 
 
