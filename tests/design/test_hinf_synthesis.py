@@ -53,7 +53,8 @@ def test_skogestad_and_postlethwaite_example_3_8(corners, gamma):
     result = synthesize_hinf(output_shaping(plant, weights, gain(np.eye(2))), 2, 2)
     print(f"S&P 3.8, corners {corners}: gamma {result.gamma:.4f}")
     assert result.status.ok
-    assert abs(result.gamma - gamma) < 6e-3
+    # printed to two decimals from a bisection of finite width: ours may be a little lower, being achieved, not higher
+    assert gamma * 0.998 < result.gamma < gamma + 0.005
     assert agreement(result) < 1e-3
 
 

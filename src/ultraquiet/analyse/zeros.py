@@ -17,8 +17,8 @@ class Roots:
         values: `(n,)` in z, or in rad/s for continuous time.
         frequency_hz: `(n,)` |s| / 2 pi with s = rate ln z; infinite for z = 0.
         zeta: `(n,)` damping, -Re s / |s|; negative beyond the stability boundary, one for z = 0.
-        outside: `(n,)` True where the root is not strictly inside the stability region: an unstable pole, or a zero that
-            limits what feedback can do (non-minimum phase).
+        outside: `(n,)` True where the root is not strictly inside the stability region: an unstable pole, or a zero
+            that limits what feedback can do (non-minimum phase).
     """
 
     values: ComplexArray

@@ -13,12 +13,11 @@ from ultraquiet.design import hinf_kernel as kernel
 from ultraquiet.design._abstract import DesignResult, is_stable, refused
 from ultraquiet.design.hinf_refusal import diagnose
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
-from ultraquiet.linalg.norms import gain_from_below
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
-FINEST = 2e-6  # relative width of the bracket around the optimum
+FINEST = 1e-5  # relative width of the bracket around the optimum
 COARSENESS = 0.05  # the bracket is this share of the margin wide: a controller at 1.05 needs no optimum to six digits
 LARGEST = 1e12  # times the starting level: above it the assumptions of the theory must be violated
 PROBES = 60
@@ -113,7 +112,7 @@ def _search(plant: kernel.Plant, tolerance: float) -> _Bracket:
     low, reason = bottom, "the direct term D11 sets the floor"
     tried: list[kernel.Level] = [best]
     while not best.reason and best.gamma > low * (1 + tolerance) and best.gamma > 1e-9 * start and probes < PROBES:
-        level = kernel.attempt(plant, _next(tried, low, best.gamma, tolerance))
+        level = kernel.attempt(plant, _next(tried, low, best.gamma, tolerance), reason.startswith("filter"))
         probes += 1
         tried.append(level)
         if level.reason:
@@ -202,7 +201,7 @@ def _verified(
 
 
 def _own_norm(plant: kernel.Plant, controller: kernel.Matrices, w: float) -> float:
-    """Return the norm of the loop formed in the normalised coordinates of the synthesis, looked for near `w` too."""
+    """Return the gain, at the peak's frequency, of the loop formed in the normalised coordinates of the synthesis."""
     D12, D21 = kernel.direct_terms(plant)
     P = StateSpace(
         plant.A,
@@ -211,7 +210,8 @@ def _own_norm(plant: kernel.Plant, controller: kernel.Matrices, w: float) -> flo
         np.block([[plant.D11, D12], [D21, np.zeros((D21.shape[0], D12.shape[1]))]]),
     )
     loop = lft(P, StateSpace(*kernel.normalised_controller(plant, controller)))
-    return gain_from_below(loop.A, loop.B, loop.C, loop.D, np.array([w]))
+    response = loop.C @ np.linalg.solve(1j * w * np.eye(loop.states) - loop.A, loop.B) + loop.D
+    return float(np.linalg.norm(response, 2))
 
 
 def _normalised_frequency(plant: kernel.Plant, f_hz: float, rate_hz: float | None) -> float:

@@ -15,6 +15,7 @@ from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import continuous_riccati
 from ultraquiet.linalg.realize import Matrices
 
+EQUATIONS = {"X": "state-feedback", "Y": "filter"}
 RANK = 1e-10  # a singular value of D12 or D21 below this share of the largest counts as zero
 # What is left of C'C after a cancellation that should be complete, relative to C'C.
 ROUND_OFF = 1e-12
@@ -86,24 +87,32 @@ def floor(plant: Plant) -> float:
     return max((float(np.linalg.norm(d, 2)) for d in (rows, columns) if d.size), default=0.0)
 
 
-def attempt(plant: Plant, gamma: float) -> Level:
-    """Solve both equations at a level and say whether a controller exists there."""
-    none = np.zeros((0, 0))
-    try:
-        X, rx = _state_equation(plant, gamma)
-    except (NumericalError, LinAlgError) as error:
-        return Level(gamma, none, none, np.inf, (np.inf, np.inf), f"state-feedback equation X: {error}")
-    try:
-        Y, ry = _filter_equation(plant, gamma)
-    except (NumericalError, LinAlgError) as error:
-        return Level(gamma, X, none, np.inf, (rx, np.inf), f"filter equation Y: {error}")
-    for name, P, source in (("X", X, plant.C1), ("Y", Y, plant.B1)):
-        values = np.linalg.eigvalsh(P) if P.size else np.zeros(1)
+def attempt(plant: Plant, gamma: float, filter_first: bool = False) -> Level:
+    """Solve both equations at a level and say whether a controller exists there.
+
+    The equation named by `filter_first` is solved first, so that a search which knows where levels fail fails soon.
+    """
+    equations = {"X": (_state_equation, plant.C1), "Y": (_filter_equation, plant.B1)}
+    found: dict[str, FloatArray] = {"X": np.zeros((0, 0)), "Y": np.zeros((0, 0))}
+    residuals = {"X": np.inf, "Y": np.inf}
+    reason = ""
+    for name in ("Y", "X") if filter_first else ("X", "Y"):
+        solve, source = equations[name]
+        try:
+            found[name], residuals[name] = solve(plant, gamma)
+        except (NumericalError, LinAlgError) as error:
+            reason = f"{EQUATIONS[name]} equation {name}: {error}"
+            break
+        values = np.linalg.eigvalsh(found[name]) if plant.A.size else np.zeros(1)
         if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(source**2)):
-            return Level(gamma, X, Y, np.inf, (rx, ry), f"{name} is indefinite, smallest eigenvalue {values[0]:.2e}")
+            reason = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {values[0]:.2e}"
+            break
+    X, Y = found["X"], found["Y"]
+    if reason:
+        return Level(gamma, X, Y, np.inf, (residuals["X"], residuals["Y"]), reason)
     coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0
     reason = "" if coupling < 1 else f"the spectral radius of XY is {coupling:.6g} gamma^2"
-    return Level(gamma, X, Y, coupling, (rx, ry), reason)
+    return Level(gamma, X, Y, coupling, (residuals["X"], residuals["Y"]), reason)
 
 
 def central(plant: Plant, level: Level) -> Matrices:

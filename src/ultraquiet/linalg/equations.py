@@ -12,6 +12,8 @@ from ultraquiet._base.errors import NumericalError
 ACCEPTED_RESIDUAL = 1e-8  # relative; a Newton step follows above it, a refusal if that does not help
 POLISHED_RESIDUAL = 1e-11  # no Newton step is taken below it
 NEWTON_STEPS = 2
+AXIS = 1e-9  # an eigenvalue with a real part below this share of its modulus lies on the axis
+UNSPLIT = np.full((1, 1), np.nan)  # what the Schur rung returns for a spectrum that cannot be split
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 
 
@@ -30,8 +32,9 @@ class Riccati(NamedTuple):
 def continuous_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> Riccati:
     """Solve A'X + X A - X G X + Q = 0 for the X that makes A - G X stable; G and Q symmetric, of any sign.
 
-    The ladder: structured doubling, ordered real Schur form of the balanced Hamiltonian, each polished by Newton steps.
-    Whatever a rung returns is accepted only for its residual and its stability, both computed here.
+    The ladder: ordered real Schur form of the balanced Hamiltonian, structured doubling, each polished by Newton steps.
+    Whatever a rung returns is accepted only for its residual and its stability, both computed here. A Hamiltonian with
+    eigenvalues on the axis ends the ladder at once: no method can split them.
 
     Raises:
         NumericalError: no rung gave a stabilising solution, as when the Hamiltonian has eigenvalues on the axis.
@@ -44,8 +47,10 @@ def continuous_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> Riccati:
         return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()))
     d, As, Gs, Qs = _symplectic_scaling(A, G, Q)
     found = None
-    for rung in (_doubled_continuous, _schur_continuous):
+    for rung in (_schur_continuous, _doubled_continuous):
         X = rung(As, Gs, Qs)
+        if X is UNSPLIT:
+            break
         if X is not None:
             found = _best(found, _polished_continuous(As, Gs, Qs, X))
             if found.residual <= ACCEPTED_RESIDUAL and found.margin > 0:
@@ -184,11 +189,21 @@ def _double(E: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray | None:
 def _schur_continuous(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray | None:
     """Stable invariant subspace of the Hamiltonian by ordered real Schur form (Laub 1979)."""
     n = A.shape[0]
+    H = np.block([[A, -G], [-Q, -A.T]])
     try:
-        _, U, split = schur(np.block([[A, -G], [-Q, -A.T]]), output="real", sort="lhp")
-        return None if split != n else _symmetric(np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T)
+        T, U, split = schur(H, output="real", sort="lhp")
+        if split == n:
+            return _symmetric(np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T)
     except (LinAlgError, ValueError):
-        return None
+        T = schur(H, output="real")[0]
+    moduli, real = _spectrum(T)
+    return UNSPLIT if np.any(np.abs(real) <= AXIS * np.maximum(moduli, AXIS * moduli.max())) else None
+
+
+def _spectrum(T: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return moduli and real parts of the eigenvalues of a real Schur form."""
+    values = np.linalg.eigvals(T)
+    return np.abs(values), values.real
 
 
 def _qz_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray | None:

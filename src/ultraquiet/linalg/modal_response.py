@@ -4,9 +4,11 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import schur
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.linalg import balance, response
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.response import _solve_triangular
 
 # Loss of digits that is accepted for the speed; beyond it the triangular kernel is used.
 CONDITION = 1e6
@@ -17,7 +19,7 @@ class Residues(NamedTuple):
 
     poles: ComplexArray
     residues: ComplexArray  # (ny * nu, poles)
-    rest: tuple[FloatArray, FloatArray, FloatArray] | None
+    rest: tuple[ComplexArray, ComplexArray, ComplexArray] | None  # A in complex Schur form, B, C
     D: FloatArray
 
     def at(self, z: ComplexArray) -> ComplexArray:
@@ -27,27 +29,32 @@ class Residues(NamedTuple):
         if self.poles.size:
             out += (self.residues @ (1.0 / (z[None, :] - self.poles[:, None]))).reshape(ny, nu, z.size)
         if self.rest is not None:
-            out += response.frequency_response(*self.rest, np.zeros((ny, nu)), z)
+            T, b, c = self.rest
+            out += (c @ _solve_triangular(T, b, z).reshape(T.shape[0], nu * z.size)).reshape(ny, nu, z.size)
         return out
 
 
 def residues(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Residues:
     """Split a system into first-order terms; modes that cannot be told apart stay together in `rest`."""
-    form = balance.modal(A, B, C)
-    if A.shape[0] and np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) > CONDITION:
-        return Residues(np.zeros(0, complex), np.zeros((D.size, 0), complex), (A, B, C), D)
-    edges = [0, *np.cumsum(form.blocks)]
-    poles, terms, left = [], [], []
-    for low, high in pairwise(edges):
-        if high - low > 2 or (high - low == 2 and form.A[low, low + 1] * form.A[low + 1, low] >= 0):
+    return split(balance.modal(A, B, C), D)
+
+
+def split(form: balance.Coordinates, D: FloatArray) -> Residues:
+    """Split a system that is in modal coordinates already."""
+    lost = form.T.size > 0 and np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) > CONDITION
+    poles, terms, left = [np.zeros(0, complex)], [np.zeros((D.size, 0), complex)], []
+    for low, high in pairwise([0, *np.cumsum(form.blocks)]):
+        oscillates = high - low == 2 and form.A[low, low + 1] * form.A[low + 1, low] < 0
+        if lost or not (oscillates or high - low == 1):
             left += list(range(low, high))
             continue
         p, b, c = _block(form.A[low:high, low:high], form.B[low:high], form.C[:, low:high])
         poles.append(p)
         terms.append((c[:, None, :] * b.T[None, :, :]).reshape(D.size, p.size))
-    rest = (form.A[np.ix_(left, left)], form.B[left], form.C[:, left]) if left else None
-    if not poles:
-        return Residues(np.zeros(0, complex), np.zeros((D.size, 0), complex), rest, D)
+    rest = None
+    if left:
+        T, Q = schur(form.A[np.ix_(left, left)], output="complex")
+        rest = (T, Q.conj().T @ form.B[left], form.C[:, left] @ Q)
     return Residues(np.concatenate(poles), np.concatenate(terms, axis=1), rest, D)
 
 
