@@ -60,6 +60,7 @@ class Rational:
         floor: relative error below which precision is not worth having.
         most_lines: lines used at most, half of them spaced evenly in frequency and half in its logarithm.
         rank_tolerance: residue directions that matter less than this share of the response are left out.
+        zeros_at_dc: zeros that physics puts at z = 1 in every channel: three for a stack seen by a geophone, eq. (10).
 
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal((1, 8000))
@@ -76,6 +77,7 @@ class Rational:
     floor: float = 0.01
     most_lines: int = 500
     rank_tolerance: float = 1e-3
+    zeros_at_dc: int = 0
 
     def __post_init__(self) -> None:
         if self.order is not None:
@@ -83,6 +85,7 @@ class Rational:
         whole("Rational", "delay", self.delay, 1)
         whole("Rational", "iterations", self.iterations, 1)
         whole("Rational", "most_lines", self.most_lines, 8)
+        whole("Rational", "zeros_at_dc", self.zeros_at_dc, 0, 8)
         between("Rational", "floor", self.floor, 1e-6, 1.0)
         between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
 
@@ -130,7 +133,7 @@ class Rational:
         with task("rational fit", len(orders)) as progress:
             for n in orders:
                 start = _starting_poles(n, f, rate_hz)
-                fits[n] = vector_fitting.fit(z[seen], H[:, :, seen], weight[seen], start, self.iterations)
+                fits[n] = vector_fitting.fit(z[seen], H[:, :, seen], weight[seen], start, self.iterations, self.zeros_at_dc)
                 held[n] = _error(fits[n], z[~seen], H[:, :, ~seen], weight[~seen])
                 progress.advance(note=f"order {n}: {held[n]:.4f}")
         best = min(held.values())

@@ -24,7 +24,9 @@ class Rational(NamedTuple):
     error: float
 
 
-def fit(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, iterations: int) -> Rational:
+def fit(
+    z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, iterations: int, zeros_at_one: int = 0
+) -> Rational:
     """Return the stable rational matrix of common poles nearest to samples in the weighted RMS.
 
     Args:
@@ -33,24 +35,28 @@ def fit(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArra
         weight: `(nf,)` positive; the error counted is weight * (fit - H).
         poles: starting poles inside the circle, complex ones with their conjugates.
         iterations: relocations; the best of all poles met is returned.
+        zeros_at_one: zeros that every channel is known to have at z = 1.
     """
     p = paired(poles)
-    best = residues(z, H, weight, p)
+    best = residues(z, H, weight, p, zeros_at_one)
     for _ in range(iterations):
-        p = relocated(z, H, weight, p)
-        found = residues(z, H, weight, p)
+        p = relocated(z, H, weight, p, zeros_at_one)
+        found = residues(z, H, weight, p, zeros_at_one)
         if found.error < best.error:
             best = found
     return best
 
 
-def residues(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray) -> Rational:
+def residues(
+    z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, zeros_at_one: int = 0
+) -> Rational:
     """Return the least-squares residues for fixed poles (`paired`)."""
     ny, nu, nf = H.shape
     wanted = _real((weight * H).reshape(ny * nu, nf).T)
     phi = _real(weight[:, None] * basis(z, poles))
     size = np.linalg.norm(phi, axis=0)
-    x, *_ = np.linalg.lstsq(phi / size, wanted, rcond=None)
+    free = _vanishing(poles, size, zeros_at_one)
+    x = free @ np.linalg.lstsq(phi / size @ free, wanted, rcond=None)[0]
     error = np.linalg.norm(phi / size @ x - wanted) / np.sqrt(nf * ny * nu)
     x = x / size[:, None]
     R = np.zeros((ny * nu, poles.size), dtype=np.complex128)
@@ -66,12 +72,16 @@ def residues(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: Comple
     return Rational(poles, R.reshape(ny, nu, -1), float(error))
 
 
-def relocated(z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray) -> ComplexArray:
+def relocated(
+    z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, zeros_at_one: int = 0
+) -> ComplexArray:
     """Return the zeros of sigma, reflected into the unit circle where they lie outside."""
     n, nf = poles.size, z.size
     phi = basis(z, poles)
     with_one = np.hstack([phi, np.ones((nf, 1))])
-    common, _ = np.linalg.qr(_real(weight[:, None] * phi))
+    own = _real(weight[:, None] * phi)
+    size = np.linalg.norm(own, axis=0)
+    common, _ = np.linalg.qr(own / size @ _vanishing(poles, size, zeros_at_one))
     rows: list[FloatArray] = []
     for h in H.reshape(-1, nf):
         block = _real((weight * h)[:, None] * with_one)
@@ -103,6 +113,22 @@ def basis(z: ComplexArray, poles: ComplexArray) -> ComplexArray:
             columns += [one + other, 1j * (one - other)]
             k += 2
     return np.stack(columns, axis=1)
+
+
+def _vanishing(poles: ComplexArray, size: FloatArray, zeros: int) -> FloatArray:
+    """Return columns that span the scaled coefficients of functions with `zeros` zeros at z = 1."""
+    n = poles.size
+    if not zeros:
+        return np.eye(n)
+    rows = np.zeros((zeros, n))
+    for m in range(zeros):
+        at_one = (1.0 - poles) ** -(m + 1.0)
+        rows[m] = at_one.real
+        upper = np.flatnonzero(poles.imag > 0)
+        rows[m, upper], rows[m, upper + 1] = 2 * at_one[upper].real, -2 * at_one[upper].imag
+    rows /= size
+    rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+    return np.linalg.svd(rows)[2][zeros:].T
 
 
 def paired(poles: ComplexArray) -> ComplexArray:
