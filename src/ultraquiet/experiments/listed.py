@@ -77,8 +77,8 @@ def load(path: str | os.PathLike[str], bench: Any | None = None) -> ExperimentLi
         InputError: the file cannot be read, or holds mistakes; all of them are told, each with its line.
 
     >>> suite = load("suite")
-    >>> suite.groups["tone"], round(suite.duration_s)
-    (('tone',), 25)
+    >>> suite.groups["tone"], suite.groups["chirp"][:2]
+    (('tone',), ('chirp-1', 'chirp-2'))
     """
     place = Path(path)
     if str(path) in PACKAGED and not place.exists():
