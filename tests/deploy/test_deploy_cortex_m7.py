@@ -7,7 +7,9 @@ import pytest
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.cortex_m7 import count_instructions, missing_tool
+from ultraquiet.deploy.cortex_m7 import COMPILER, count_instructions, missing_tool
+from ultraquiet.deploy.emit import M7_FLAGS
+from ultraquiet.deploy.toolchain import compile_c
 
 
 @pytest.fixture
@@ -48,6 +50,17 @@ def test_instructions_grow_with_the_floor_of_the_form(law_of, tmp_path):
     assert max(slopes) < 1.25 * 42
     # A Cortex-M7 at 216 MHz that needed two cycles an instruction would still spend less than half a frame.
     assert 2 * counts[120].step / 216e6 < 0.5 / 3500
+
+
+@pytest.mark.usefixtures("target")
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_ram_is_the_state_on_the_target(law_of, rng, tmp_path, precision):
+    law = law_of(int(rng.integers(1, 30)), int(rng.integers(1, 8)), int(rng.integers(1, 8)))
+    made = generate(law, tmp_path / "code", precision)
+    size = f"char same[sizeof(controller_state) == {made.tables['ram_bytes']}U ? 1 : -1];"
+    (tmp_path / "code" / "size.c").write_text(f'#include "controller.h"\n{size}\n')
+    compile_c([COMPILER, *M7_FLAGS, "-c", "size.c"], tmp_path / "code")
+    assert made.tables["flash_from"].startswith("arm-none-eabi-gcc")
 
 
 @pytest.mark.usefixtures("target", "cc")

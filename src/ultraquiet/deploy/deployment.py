@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +46,9 @@ class Deployment:
         """The linear law with its rounded coefficients, for an analysis in float64."""
         return self.law.state_space()
 
-    @property
+    @cached_property
     def controller(self) -> Controller:
-        """A new instance of the law at rest and in control; the compiled code runs it (without a compiler its twin)."""
+        """The law in control, from rest; the compiled code runs it (without a compiler its twin)."""
         return self.instance()
 
     def instance(self, ramp: bool = False) -> Controller:
