@@ -13,9 +13,9 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.values import StateSpace
 
 IMAGINARY = 1e-9  # a pole nearer to the real axis than this is real
-# Share of the largest eigenvalue of the unit-diagonal normal matrix below which a direction is left out. Such directions
-# (slow modes where the input has no power) are fitted to drift: on the steel frame of DaISy 96-013 the held-out fit
-# of the worst output is 89 % with 1e-6, 29 % with 1e-8 and below zero with 1e-13; the 6 x 6 truth does not mind.
+# Share of the largest eigenvalue of the unit-diagonal normal matrix below which a direction is left out. Such
+# directions (slow modes where the input has no power) are fitted to drift: on the steel frame of DaISy 96-013 the
+# held-out fit of the worst output is 89 % with 1e-6, 29 % with 1e-8 and below zero with 1e-13.
 CUTOFF = 1e-6
 
 

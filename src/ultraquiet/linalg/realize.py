@@ -7,6 +7,9 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 
+POLISHING = 3  # Newton's steps: each doubles the digits
+CLOSE = 1e-4  # a longer step would leave the root it started from
+
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -21,9 +24,9 @@ def sections(b: FloatArray, a: FloatArray) -> Matrices:
     num[: len(b)], den[: len(a)] = b, a
     if order == 0 or not np.any(num):
         return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[num[0]]])
-    zeros = np.roots(np.trim_zeros(num, "f"))
+    zeros = _roots(np.trim_zeros(num, "f"))
     gain = num[np.flatnonzero(num)[0]]
-    stages = _pair(_groups(np.roots(den)), _groups(zeros))
+    stages = _pair(_groups(_roots(den)), _groups(zeros))
     A, B, C, D = _stage(*stages[0])
     for poles, near in stages[1:]:
         A, B, C, D = _series((A, B, C, D), _stage(poles, near))
@@ -49,6 +52,25 @@ def grid(blocks: Sequence[Sequence[Matrices]]) -> Matrices:
         B[rows, j], C[i, rows], D[i, j] = b[:, 0], c[0], d[0, 0]
         at += a.shape[0]
     return A, B, C, D
+
+
+def _roots(p: FloatArray) -> ComplexArray:
+    """Return the roots of p, polished by Newton's steps in extended precision.
+
+    Eigenvalues of the companion matrix carry its condition: at 3.5 kHz a 12 Hz pole is off by 1e-12, which is 1e-8 of a
+    lightly damped resonance. A step is taken only where it shrinks the polynomial and is tiny; real roots stay real,
+    pairs stay conjugate, for both follow from the same arithmetic.
+    """
+    found = np.roots(p).astype(np.complex128)
+    fine, high = found.astype(np.clongdouble), p.astype(np.longdouble)
+    for _ in range(POLISHING):
+        value, slope = np.polyval(high, fine), np.polyval(np.polyder(high), fine)
+        step = np.where(slope != 0, value / np.where(slope != 0, slope, 1), 0)
+        moved = fine - step
+        better = (np.abs(np.polyval(high, moved)) < np.abs(value)) & (np.abs(step) < CLOSE * (np.abs(fine) + CLOSE))
+        fine = np.where(better, moved, fine)
+    out = fine.astype(np.complex128)
+    return np.where(found.imag == 0, out.real, out)
 
 
 def _groups(roots: ComplexArray) -> list[ComplexArray]:
