@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -340,18 +341,19 @@ def test_too_little_space_is_told_before_anything_moves(bench, tmp_path, monkeyp
 
 
 def kills(count, tmp_path, rng):
-    """Kill a running list `count` times; return how often each measurement was excited and what was lost."""
+    """Kill a running list `count` times; return what was begun, kept, lost and asked to be repeated."""
     text = "".join(f'[[commands]]\ndo = "record"\nname = "m{k}"\nsamples = 3000\n' for k in range(4 * count))
     (tmp_path / "list.toml").write_text(text)
-    out, seen = tmp_path / "out", {}
+    out, seen, asked = tmp_path / "out", {}, Counter()
     for _ in range(count):
         started = journal.begun(out) if out.exists() else {}
         torn = [name for name in started if not (out / f"{name}.h5").exists()]
+        asked.update(torn)
         words = [sys.executable, "-c", SCRIPT, str(FAKES), str(tmp_path / "list.toml"), str(out), *torn]
         child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert child.stdout is not None
         child.stdout.readline()
-        time.sleep(rng.uniform(0.0, 0.2))
+        time.sleep(rng.uniform(0.0, 0.4))
         child.kill()
         _, complaint = child.communicate()
         assert not complaint, complaint
@@ -362,17 +364,17 @@ def kills(count, tmp_path, rng):
     events = journal.entries(out)
     begun = [e["name"] for e in events if e["event"] == "begun"]
     lost = [e["name"] for e in events if e["event"] == "finished" and f"{e['name']}.h5" not in seen]
-    return begun, seen, lost
+    return begun, seen, lost, asked
 
 
 @pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
 def test_killed_at_any_time_nothing_is_lost(count, tmp_path, rng):
-    begun, seen, lost = kills(count, tmp_path, rng)
+    begun, seen, lost, asked = kills(count, tmp_path, rng)
     again = len(begun) - len(set(begun))
     print(f"{count} kills: {len(seen)} records kept, {len(lost)} lost, {again} excitations repeated as asked")
     assert not lost
-    # What was begun twice had been broken off, and was asked for again: at most one a kill.
-    assert again <= count
+    # A list is resumed once after each request, and may be killed before it comes to the repetition.
+    assert all(times <= 1 + asked[name] for name, times in Counter(begun).items())
 
 
 def test_a_torn_journal_line_is_dropped_and_a_damaged_one_refused(bench, tmp_path):

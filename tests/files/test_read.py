@@ -77,6 +77,8 @@ def test_text_with_header_units_time_and_remarks(table):
         "t,u,y\n0,1,3\n0.1,2,4\n",
         "t,u1,y1\n0,1,3\n0.1,2,4\n",
         "t,Input 1,Output 1\n0,1,3\n0.1,2,4\n",
+        '"t","u","y"\n0,1,3\n0.1,2,4\n',
+        '"t", "force, x", "speed, y"\n0,1,3\n0.1,2,4\n',
         "# t u y\n0 1 3\n0.1 2 4\n",
         "t\tforce\tspeed\n0\t1\t3\n0.1\t2\t4\n",
         "y,t,u\n3,0,1\n4,0.1,2\n",
@@ -224,3 +226,19 @@ def test_text_keeps_every_bit(tmp_path_factory, rows, delimiter):
     path.write_text(delimiter.join("uyz") + "\n" + "".join(delimiter.join(map(repr, row)) + "\n" for row in rows))
     record = read(path, 3500.0, "u", "y,z")
     assert np.array_equal(np.vstack([record.inputs, record.outputs]).T, np.array(rows))
+
+
+def test_exported_records_come_back(tmp_path, rng):
+    u, y = rng.standard_normal((2, 30)), rng.standard_normal((3, 30))
+    struts = Record(u, y, 3500.0, ["strut 1", "strut 2"], ["strut 1", "strut 2", "strut 3"])
+    for choice in (("u strut 1,u strut 2", "y strut 1,y strut 2,y strut 3"), ("2-3", "4-6")):
+        back = read(files.export_record(struts, tmp_path / "a.csv"), None, *choice)
+        assert np.array_equal(back.inputs, u)
+        assert np.array_equal(back.outputs, y)
+        assert back.rate_hz == pytest.approx(3500.0, rel=1e-12)
+    back = read(files.export_record(struts, tmp_path / "a.mat"))
+    assert (back.hash, back.rate_hz) == (struts.hash, 3500.0)
+    with pytest.raises(StorageError, match="exists already"):
+        files.export_record(struts, tmp_path / "a.mat", overwrite=False)
+    with pytest.raises(InputError, match="neither of the suffixes"):
+        files.export_record(struts, tmp_path / "a.xlsx")

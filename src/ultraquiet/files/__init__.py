@@ -2,6 +2,18 @@
 
 from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
 from ultraquiet.files.atomic import reason, write_bytes
+from ultraquiet.files.export import export_record
 from ultraquiet.files.read import read_record
 
-__all__ = ["contents", "is_archive", "load", "load_many", "read_record", "reason", "save", "save_many", "write_bytes"]
+__all__ = [
+    "contents",
+    "export_record",
+    "is_archive",
+    "load",
+    "load_many",
+    "read_record",
+    "reason",
+    "save",
+    "save_many",
+    "write_bytes",
+]

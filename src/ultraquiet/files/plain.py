@@ -1,5 +1,6 @@
 """Tables from text files (CSV, TSV, columns of numbers) and from NumPy's `.npz`."""
 
+import csv
 import io
 import re
 from collections.abc import Sequence
@@ -67,7 +68,10 @@ def _delimiter(line: str) -> str | None:
 
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
-    return [cell.strip().strip('"') for cell in line.split(delimiter)]
+    if delimiter is None:
+        return line.split()
+    # Only the csv module knows what a quoted name with a comma in it is.
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
 
 
 def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[str]:
