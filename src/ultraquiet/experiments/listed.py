@@ -81,7 +81,7 @@ def load(path: str | os.PathLike[str], bench: Any | None = None) -> ExperimentLi
     (('tone',), ('chirp-1', 'chirp-2'))
     """
     place = Path(path)
-    if str(path) in PACKAGED and not place.exists():
+    if str(path) in PACKAGED and not place.is_file():
         place = Path(__file__).with_name(f"{path}.toml")
     try:
         text = place.read_text(encoding="utf-8")
