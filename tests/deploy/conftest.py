@@ -1,33 +1,9 @@
-"""Random control laws of the kind the bench gets: lightly damped modes between 0.5 and 400 Hz, mixed coordinates."""
+"""Fixtures of the deployment tests: random laws and the C compiler."""
 
 import shutil
 
-import numpy as np
 import pytest
-from scipy.linalg import block_diag, qr
-
-from ultraquiet.values import StateSpace
-
-RATE_HZ = 3500.0
-
-
-def block(pole):
-    return np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
-
-
-def random_law(rng, states, inputs=6, outputs=6, mixed=True):
-    f_hz = np.exp(rng.uniform(np.log(0.5), np.log(400.0), states // 2))
-    damping = 10 ** rng.uniform(-2.5, -0.2, states // 2)
-    s = 2 * np.pi * f_hz * (-damping + 1j * np.sqrt(1 - damping**2))
-    blocks = [block(p) for p in np.exp(s / RATE_HZ)]
-    if states % 2:
-        blocks.append(np.array([[rng.uniform(0.5, 0.999)]]))
-    A = block_diag(*blocks) if blocks else np.zeros((0, 0))
-    T = qr(rng.standard_normal((states, states)))[0] if mixed and states else np.eye(states)
-    size = 0.3 / np.sqrt(max(states, 1))
-    B = T @ (size * rng.standard_normal((states, inputs)))
-    C = (size * rng.standard_normal((outputs, states))) @ T.T
-    return StateSpace(T @ A @ T.T, B, C, 0.2 * rng.standard_normal((outputs, inputs)), rate_hz=RATE_HZ)
+from deploy_laws import random_law
 
 
 @pytest.fixture

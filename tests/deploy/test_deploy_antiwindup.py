@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from deploy_laws import RATE_HZ
 
-from conftest import RATE_HZ
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.deploy import Twin, conditioning_gain, generate
 from ultraquiet.values import StateSpace

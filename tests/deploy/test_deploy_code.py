@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
+from deploy_laws import RATE_HZ
 
-from conftest import RATE_HZ
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.emit import FLAGS

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from deploy_laws import RATE_HZ, block
 from scipy.linalg import block_diag
 
-from conftest import RATE_HZ, block
 from ultraquiet.deploy import generate, realisation
 from ultraquiet.deploy.blocks import block_diagonal
 from ultraquiet.deploy.choose import choose, error_of, loop_radius

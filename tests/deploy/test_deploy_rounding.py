@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from deploy_laws import RATE_HZ, block
 
-from conftest import RATE_HZ, block
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import Twin, generate, realisation, rounding_errors
 from ultraquiet.deploy.law import rounded
