@@ -110,7 +110,13 @@ def _separated(A: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
         return np.eye(0), ()
     values, vectors = np.linalg.eig(A)
     groups = _clusters(values, vectors)
-    bases = [_invariant(A, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g]) for g in groups]
+    try:
+        bases = [
+            _invariant(A, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g]) for g in groups
+        ]
+    except np.linalg.LinAlgError:
+        # The reordering moved eigenvalues of a tight cluster across the border between it and its neighbours.
+        return schur(A, output="real")[1], (n,)
     T = np.hstack(bases)
     if T.shape == (n, n) and np.linalg.cond(T) < MODAL_CONDITION:
         return T, tuple(len(g) for g in groups)
