@@ -3,6 +3,13 @@
 May be changed here: words, options and how results are printed. No computation: every command calls a room below.
 """
 
-from ultraquiet.cli.app import main
+import os
+
+# Linear algebra here is many small problems: threads inside each of them cost more than they give, and fight with the
+# threads that identify channels side by side. Must be set before NumPy loads its BLAS.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+from ultraquiet.cli.app import main  # noqa: E402
 
 __all__ = ["main"]

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.registry import lookup
 
-PACKAGED = {"suite": "suite.toml"}
+QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 Positive = Annotated[float, Field(gt=0)]
 Order = Annotated[int, Field(ge=1, le=20)]
 
@@ -58,27 +58,22 @@ class Experiment(Strict):
 
 
 class Sweep(Strict):
-    """`[identify]`: the channel-by-channel identification and its judges."""
+    """`[identify]`: the channel-by-channel identification and its judges; records are named by their group."""
 
     structures: list[str] = Field(default=["arx", "armax", "output-error", "box-jenkins"], min_length=1)
-    orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7], min_length=1)
-    record: str = "chirp"
+    orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7, 8], min_length=1)
+    records: str = "noise"
+    held_out: str = "judge"
     paper_structure: str = "box-jenkins"
     paper_order: Order = 5
-    compare_records: list[str] = ["noise", "prbs"]
-    preferred_record: str = "noise"
-    preferred_orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7, 8], min_length=1)
+    paper_records: list[str] = Field(default=["chirp", "noise", "prbs"], min_length=1)
 
 
 class Plant(Method):
-    """`[plant]`: how the design model is identified, and from which record."""
+    """`[plant]`: how the design model is identified, from which groups of records; a period makes them responses."""
 
-    record: str = "broadband"
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The method's settings; `record` is not one of them."""
-        return super().settings
+    records: list[str] = Field(min_length=1)
+    period_samples: int | None = Field(default=None, ge=2)
 
 
 class Design(Strict):
@@ -117,7 +112,32 @@ class Study(Strict):
     deploy: Deploy = Deploy()
 
 
-def load(path: Path) -> Study:
+def packaged_study(name: str) -> Study:
+    """Return a study that ships with the package."""
+    return load_study(Path(__file__).with_name(f"{name}.toml"))
+
+
+def quick_study(study: Study) -> Study:
+    """Return the study with two structures and two orders instead of a whole sweep, on its first unit alone."""
+    sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
+    loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
+    return study.model_copy(update={"identify": sweep, "closed_loop": loop})
+
+
+def reload_study(folder: Path) -> Study:
+    """Return the study that a folder was made by.
+
+    Raises:
+        InputError: the folder holds no study.
+    """
+    path = folder / "study.json"
+    try:
+        return Study.model_validate_json(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ValidationError) as error:
+        raise InputError(f"report: '{folder}' holds no study that can be read ({type(error).__name__}).") from error
+
+
+def load_study(path: Path) -> Study:
     """Read and check a study file; every mistake is named in one error.
 
     Raises:
@@ -161,7 +181,7 @@ def _method_mistakes(content: Mapping[str, Any]) -> Iterator[str]:
     """Name every method or setting that the registry does not know, whatever else is wrong with the file."""
     for where, family, table in _methods(content):
         try:
-            Method.model_validate({k: v for k, v in table.items() if (where, k) != ("plant", "record")}).make(family)
+            (Plant if where == "plant" else Method).model_validate(table).make(family)
         except ValidationError:
             continue  # the schema has named it already
         except (UltraquietError, TypeError, ValueError) as error:

@@ -52,6 +52,17 @@ class MeasuredSensitivity:
         """Largest amplification of any direction at any line, in dB."""
         return float(-self.worst_direction_db().min())
 
+    def mean_log_db(self) -> float:
+        """Return the mean over frequency of 20 log10 |det S| / ny: what quiet bands are paid with elsewhere.
+
+        For a stable loop with a stable controller and at least one sample of delay the mean over 0 to Nyquist is zero:
+        every decibel gained over a hertz is lost over another (Bode's integral in discrete time; Sung and Hara 1988,
+        doi:10.1080/00207178808906305).
+        """
+        size = np.abs(np.linalg.det(np.moveaxis(self.S.values, 2, 0)))
+        level = 20 * np.log10(size) / self.S.values.shape[0]
+        return float(np.trapezoid(level, self.f_hz) / (self.f_hz[-1] - self.f_hz[0]))
+
     def broadband_db(self, low_hz: float, high_hz: float) -> float:
         """Reduction of the RMS of the worst sensor under equal, independent disturbances over a band, in dB."""
         band = self._band(low_hz, high_hz)

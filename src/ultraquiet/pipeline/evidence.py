@@ -1,0 +1,107 @@
+"""The stages that judge models: the paper's validation, and what the transfer matrix looks like."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ultraquiet import analyse, validate
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.pipeline.models import group
+from ultraquiet.pipeline.stage import Outcome
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+
+# The band over which the paper compares its excitations, and that of the bench's own response.
+PAPER_BAND_HZ = (10.0, 250.0)
+TRUTH_BAND_HZ = (20.0, 200.0)
+SHOWN_HZ = np.geomspace(1.0, 1700.0, 300)
+
+
+def validated(records: Mapping[str, Record], models: Mapping[str, PolynomialMatrix], bench: Any) -> Outcome:
+    """Compare models with the step, the clipping sine, each other and, on a simulated bench, with its own response."""
+    reference = models["preferred"]
+    facts: dict[str, Any] = {"records": {}, "agreement": {}, "residuals": {}}
+    values: dict[str, Any] = {}
+    for name in ("step", "tone"):
+        if name not in records:
+            continue
+        record = records[name]
+        driven = int(np.argmax(np.ptp(record.inputs, axis=1)))
+        shown = validate.compare(reference, record, initial="rest", offset=False)
+        unclipped = validate.simulated(reference, record, "rest", offset=False)
+        values[f"simulated-{name}"] = Record(record.inputs, unclipped, record.rate_hz, record.actuators, record.sensors)
+        facts["records"][name] = {
+            "channel": driven,
+            "fit_percent": float(shown.fit_percent[driven]),
+            "clipped_samples": int(shown.clipped[driven]),
+            "samples": record.samples,
+        }
+    for name, model in models.items():
+        if name != "preferred":
+            facts["agreement"][name] = _agreement(reference, model, PAPER_BAND_HZ)
+    tested = [validate.residual_test(_row(reference, k), r.pick([k])) for k, r in enumerate(group(records, "judge"))]
+    facts["residuals"] = {
+        "whiteness_p_median": float(np.median([t.whiteness_p for t in tested])),
+        "correlation_p_median": float(np.median([t.correlation_p for t in tested])),
+    }
+    truth = getattr(bench, "linear_model", None)
+    if truth is not None:
+        own = truth()
+        facts["against_bench"] = {name: _agreement(own, model, TRUTH_BAND_HZ) for name, model in models.items()}
+    return Outcome(values, facts)
+
+
+def _row(model: PolynomialMatrix, column: int) -> PolynomialMatrix:
+    return PolynomialMatrix([[row[column]] for row in model.rows])
+
+
+def _agreement(first: Any, second: Any, band_hz: tuple[float, float]) -> dict[str, Any]:
+    found = validate.bode_agreement(first, second, band_hz)
+    diagonal = np.arange(found.worst_gain_db.shape[0])
+    return {
+        "band_hz": band_hz,
+        "diagonal_gain_db": float(found.worst_gain_db[diagonal, diagonal].max()),
+        "diagonal_phase_deg": float(found.worst_phase_deg[diagonal, diagonal].max()),
+        "median_gain_db": float(np.median(np.abs(found.gain_db))),
+    }
+
+
+def analysed(plant: StateSpace, paper: PolynomialMatrix) -> Outcome:
+    """Return poles, zeros, transmission zeros, singular values and symmetry of the design model and the paper's."""
+    G = plant.frequency_response(SHOWN_HZ)
+    facts = {
+        "f_hz": SHOWN_HZ,
+        "singular_values": {
+            "plant": analyse.singular_values(plant, SHOWN_HZ),
+            "paper": np.linalg.svd(np.moveaxis(paper.frequency_response(SHOWN_HZ), 2, 0), compute_uv=False).T,
+        },
+        "poles": _table(analyse.poles(plant)),
+        "transmission_zeros": _table(analyse.zeros(plant)),
+        "paper_zeros": [_table(analyse.roots(m.zeros(0), m.rate_hz)) for m in _diagonal(paper)],
+        "reciprocity_error": analyse.reciprocity_error(G),
+        "threefold_error": analyse.threefold_error(G) if G.shape[0] == 6 else None,
+        "dominance_db": _dominance(G),
+    }
+    return Outcome({}, facts)
+
+
+def _diagonal(model: PolynomialMatrix) -> list[Any]:
+    return [row[i] for i, row in enumerate(model.rows)]
+
+
+def _table(roots: analyse.Roots) -> list[dict[str, Any]]:
+    """Return one row per real root or conjugate pair below the Nyquist frequency."""
+    rows = zip(roots.values, roots.frequency_hz, roots.zeta, roots.outside, strict=True)
+    return [
+        {"frequency_hz": float(f), "zeta": float(z), "outside": bool(out), "real": v.real, "imag": v.imag}
+        for v, f, z, out in rows
+        if v.imag >= 0 and np.isfinite(f)
+    ]
+
+
+def _dominance(G: Any) -> FloatArray:
+    """Return how far the weakest diagonal gain stands above the strongest other gain of its column, in dB."""
+    size = np.abs(G)
+    own = np.einsum("iif->if", size)
+    others = np.where(np.eye(size.shape[0], dtype=bool)[:, :, None], 0.0, size).max(axis=0)
+    return (20 * np.log10(own / others)).min(axis=0)

@@ -1,0 +1,104 @@
+"""The stages that turn records into models: channel by channel as the paper did, and whole for design."""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ultraquiet import identify, spectra
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import lookup
+from ultraquiet.pipeline.stage import Outcome
+from ultraquiet.pipeline.study import Plant, Sweep
+from ultraquiet.values import FrequencyResponse, Record
+
+
+def group(records: Mapping[str, Record], name: str) -> list[Record]:
+    """Return the records of a group in the actuators' order: NAME-1, NAME-2, ..., or NAME alone."""
+    if name in records:
+        return [records[name]]
+    found = [key for key in records if key.rpartition("-")[0] == name]
+    if not found:
+        known = sorted({key.rpartition("-")[0] or key for key in records})
+        raise InputError(f"study: there are no records '{name}'; the experiment leaves {', '.join(known)}.")
+    return [records[key] for key in sorted(found, key=lambda k: int(k.rpartition("-")[2]))]
+
+
+def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome:
+    """Rank structures and orders on held-out records, and fit the paper's structure to each of its test signals."""
+    ranking = identify.sweep(
+        group(records, settings.records),
+        group(records, settings.held_out),
+        structures=settings.structures,
+        orders=settings.orders,
+    )
+    preferred = ranking.preferred.method
+    best = identify.identify_matrix(preferred, group(records, settings.records))
+    values: dict[str, Any] = {"preferred": best.model}
+    paper = lookup("identify", settings.paper_structure)(order=settings.paper_order)
+    fits: dict[str, Any] = {}
+    for name in settings.paper_records:
+        started = time.perf_counter()
+        result = identify.identify_matrix(paper, group(records, name))
+        values[f"paper-{name}"] = result.model
+        fits[name] = {
+            "median_fit_percent": float(np.median(result.fit_percent)),
+            "worst_fit_percent": float(np.min(result.fit_percent)),
+            "status": str(result.status),
+            "ok": sum(s.ok for row in result.statuses for s in row),
+            "stable": result.model.is_stable(),
+            "invertible": result.model.is_invertible(),
+            "seconds": time.perf_counter() - started,
+        }
+    facts = {
+        "table": ranking.table(),
+        "preferred": {"structure": preferred.name, "order": preferred.order, "status": str(best.status)},
+        "paper": fits,
+        "whiteness_p_median": float(np.nanmedian(best.whiteness_p)),
+    }
+    return Outcome(values, facts)
+
+
+def plant(records: Mapping[str, Record], settings: Plant) -> Outcome:
+    """Identify the model that controllers are designed from."""
+    method = settings.make("identify")
+    if settings.period_samples is None:
+        if len(settings.records) > 1 or len(group(records, settings.records[0])) > 1:
+            raise InputError("plant: without 'period_samples' one record that excites all actuators is needed.")
+        result = method.identify(group(records, settings.records[0])[0])
+        system, facts = result.state_space(), {"status": str(result.status), "fit_percent": result.fit_percent}
+        return Outcome({"plant": system}, {**facts, "states": system.states})
+    if not hasattr(method, "identify_response"):
+        raise InputError(f"plant: '{settings.method}' does not fit responses; leave 'period_samples' out.")
+    response = measured_response(records, settings)
+    rate_hz = group(records, settings.records[0])[0].rate_hz
+    found = method.identify_response(response, rate_hz)
+    facts = {
+        "status": str(found.status),
+        "states": found.model.states,
+        "order": found.order,
+        "held_out_error": found.error[1],
+        "errors_by_order": found.errors_by_order,
+    }
+    return Outcome({"plant": found.model, "response": response}, facts)
+
+
+def measured_response(records: Mapping[str, Record], settings: Plant) -> FrequencyResponse:
+    """Return the responses of all groups of periodic records, side by side in frequency."""
+    assert settings.period_samples is not None
+    parts = [spectra.periodic_response(group(records, name), settings.period_samples) for name in settings.records]
+    f = np.concatenate([p.f_hz for p in parts])
+    if np.unique(f).size < f.size:
+        raise InputError("plant: two groups of periodic records share lines; give them bands of their own.")
+    order = np.argsort(f)
+    variances = [p.variance for p in parts if p.variance is not None]
+    return FrequencyResponse(
+        f[order],
+        np.concatenate([p.values for p in parts], axis=2)[:, :, order],
+        estimator="; ".join(p.estimator for p in parts),
+        actuators=parts[0].actuators,
+        sensors=parts[0].sensors,
+        provenance=parts[0].provenance,
+        variance=np.concatenate(variances, axis=2)[:, :, order],
+    )

@@ -1,0 +1,126 @@
+"""The walk: a study from its bench to its report, each stage reused when nothing it depends on has changed."""
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from ultraquiet import experiments
+from ultraquiet._base.errors import StorageError
+from ultraquiet.files import write_bytes
+from ultraquiet.pipeline import control, evidence, models, study, summary, tell
+from ultraquiet.pipeline.stage import Cache, Outcome
+from ultraquiet.report import write
+from ultraquiet.values import PolynomialMatrix, Record
+
+PACKAGED_LISTS = ("suite",)
+STUDY_FILE = "study.json"
+Say = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Done:
+    """Everything a study knows when it is through; what report and summary are written from."""
+
+    study: study.Study
+    bench: Any
+    records: Mapping[str, Record]
+    identified: Outcome
+    plant: Outcome
+    validated: Outcome
+    analysed: Outcome
+    designs: Mapping[str, Outcome]
+    loops: Mapping[str, Outcome]
+    deployment: Mapping[str, Mapping[str, Any]]
+
+
+def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> dict[str, Any]:
+    """Run a study and return its summary.
+
+    Args:
+        settings: the checked study.
+        folder: where `summary.json`, `report.html`, `records/`, `models/`, `controllers/` and `code/` go.
+        beside: folder of the study file, where its experiment list is sought.
+        say: told one line per finished stage.
+
+    Raises:
+        UltraquietError: a stage refuses; those before it are kept and reused.
+    """
+    _prepare(settings, folder)
+    bench = settings.bench.make("bench")
+    listed = experiments.load(_list_of(settings, beside), bench)
+    records = experiments.run(listed, folder / "records", bench, resume=True, overwrite=True)
+    say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
+    done = _stages(settings, Cache(folder), bench, records, say)
+    told = summary.summarise(done)
+    write_bytes(folder / "summary.json", summary.to_json(told))
+    write(tell.report(done, told), folder / "report.html")
+    return told
+
+
+def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[str, Record], say: Say) -> Done:
+    marks = {name: record.hash for name, record in records.items()}
+    found = cache.stage(
+        "identify", "models", [marks, settings.identify], partial(models.identified, records, settings.identify)
+    )
+    best = found.facts["preferred"]
+    say(f"identified: held-out records prefer {best['structure']} of order {best['order']}")
+    plant = cache.stage(
+        "plant", "models", [marks, _key(settings.plant)], partial(models.plant, records, settings.plant)
+    )
+    say(f"plant for design: {plant.facts['states']} states, {plant.facts['status']}")
+    system = plant.values["plant"]
+    control.require_bench(bench, system)
+    polynomial = {k: v for k, v in found.values.items() if isinstance(v, PolynomialMatrix)}
+    marks_and_models = [marks, settings.identify, _key(settings.bench)]
+    validated = cache.stage(
+        "validate", "models", marks_and_models, partial(evidence.validated, records, polynomial, bench)
+    )
+    paper = polynomial[f"paper-{settings.identify.paper_records[0]}"]
+    analysed = cache.stage(
+        "analyse", "models", [system.hash, marks_and_models], partial(evidence.analysed, system, paper)
+    )
+    say("validated and analysed")
+    designs, loops, deployment = {}, {}, {}
+    for name, wanted in settings.controllers.items():
+        key = [system.hash, _key(wanted.design), wanted.reduce and _key(wanted.reduce)]
+        made = cache.stage(f"design-{name}", "controllers", key, partial(control.designed, name, system, wanted))
+        designs[name] = made
+        say(f"designed {name}: {made.facts['status']}")
+        if name not in made.values:
+            continue
+        law = made.values[name]
+        loop_key = [law.hash, _key(settings.bench), settings.closed_loop]
+        loops[name] = cache.stage(
+            f"loop-{name}", "loops", loop_key, partial(control.closed, name, law, bench, settings.closed_loop)
+        )
+        deployment[name] = control.deployed(name, law, bench, cache.folder / "code", settings.deploy)
+        say(f"closed and deployed {name}: {deployment[name].get('verification', deployment[name]['status'])}")
+    return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment)
+
+
+def _key(method: study.Method) -> dict[str, Any]:
+    """Return all that a method's table says; its settings are not declared fields and must be asked for."""
+    return method.model_dump()
+
+
+def _list_of(settings: study.Study, beside: Path | None) -> str:
+    name = settings.experiment.list
+    return name if name in PACKAGED_LISTS or beside is None else str(beside / name)
+
+
+def _prepare(settings: study.Study, folder: Path) -> None:
+    """Make the folder and leave the study in it, so that `report` finds it again."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"study: '{folder}' cannot be made ({error.strerror}); choose another with --out.") from error
+    if shutil.disk_usage(folder).free < NEEDED_BYTES:
+        raise StorageError(f"study: '{folder}' has less than {NEEDED_BYTES >> 20} MB free; nothing was started.")
+    write_bytes(folder / STUDY_FILE, settings.model_dump_json(indent=1).encode())
+
+
+# Records, loops and models of the packaged study take about 60 MB.
+NEEDED_BYTES = 100 << 20
