@@ -1,0 +1,90 @@
+"""Bad data never yields a model: each refusal is one sentence that names the culprit."""
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError, RateError
+
+METHODS = [
+    uq.identify.Arx(order=2),
+    uq.identify.Armax(order=2),
+    uq.identify.OutputError(order=2),
+    uq.identify.BoxJenkins(order=2),
+    uq.identify.Subspace(order=2, horizon=5),
+]
+
+
+@pytest.fixture(params=METHODS, ids=lambda m: m.name)
+def method(request):
+    return request.param
+
+
+@pytest.mark.parametrize("level", [0.0, 3.0])
+def test_a_constant_input_is_refused(method, level, rng):
+    record = uq.Record(np.full(2000, level), rng.standard_normal(2000), 100.0, actuators=["strut 3"])
+    with pytest.raises(InputError, match=r"input 'strut 3' is constant at"):
+        method.identify(record)
+
+
+def test_a_dead_sensor_is_refused(method, rng):
+    record = uq.Record(rng.standard_normal(2000), np.zeros(2000), 100.0, sensors=["geophone 2"])
+    with pytest.raises(InputError, match=r"output 'geophone 2' is constant at 0"):
+        method.identify(record)
+
+
+def test_a_short_record_is_refused_with_the_length_that_would_do(method, rng):
+    with pytest.raises(InputError, match=r"has 15 samples") as caught:
+        method.identify(uq.Record(rng.standard_normal(15), rng.standard_normal(15), 100.0))
+    needed = max(int(word) for word in str(caught.value).replace(",", " ").replace(";", " ").split() if word.isdigit())
+    method.identify(uq.Record(rng.standard_normal(needed), rng.standard_normal(needed), 100.0))
+
+
+def test_a_record_with_nan_is_refused(rng):
+    u = rng.standard_normal(100)
+    u[7] = np.nan
+    with pytest.raises(InputError, match=r"NaN or infinite"):
+        uq.Record(u, u, 100.0)
+
+
+@pytest.mark.parametrize("make", [uq.identify.Arx, uq.identify.Armax, uq.identify.OutputError, uq.identify.BoxJenkins])
+@pytest.mark.parametrize(
+    "settings",
+    [{"order": 2.5}, {"order": 0}, {"delay": -1}, {"order": True}, {"initial": "zero"}, {"max_iterations": 0}],
+    ids=str,
+)
+def test_bad_settings_are_refused(make, settings):
+    name = next(iter(settings))
+    with pytest.raises(InputError, match=f"{make.__name__}: '{name}' must be"):
+        make(**settings)
+
+
+def two_records(rng):
+    u = np.zeros((2, 2, 500))
+    u[0, 0], u[1, 1] = rng.standard_normal((2, 500))
+    return [uq.Record(u[k], rng.standard_normal((2, 500)), 100.0) for k in range(2)]
+
+
+def test_records_in_the_wrong_order_are_refused(rng):
+    with pytest.raises(InputError, match=r"record 1 must excite 'input 1' alone, it excites 'input 2'"):
+        uq.identify.identify_matrix(uq.identify.Arx(order=1), two_records(rng)[::-1])
+
+
+def test_records_of_two_rates_are_refused(rng):
+    first, second = two_records(rng)
+    second = uq.Record(second.inputs, second.outputs, 200.0)
+    with pytest.raises(RateError, match=r"record 1 is sampled at 100 Hz but record 2 is sampled at 200 Hz"):
+        uq.identify.identify_matrix(uq.identify.Arx(order=1), [first, second])
+
+
+def test_no_records_are_refused():
+    with pytest.raises(InputError, match=r"no records"):
+        uq.identify.identify_matrix(uq.identify.Arx(order=1), [])
+
+
+def test_records_are_left_as_they_are(rng):
+    record = uq.Record(rng.standard_normal(500), rng.standard_normal(500), 100.0)
+    before = record.hash
+    for method in METHODS:
+        method.identify(record)
+    assert record.hash == before

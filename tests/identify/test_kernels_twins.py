@@ -1,0 +1,139 @@
+"""The compiled kernels beside plain NumPy, written from the formulas."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from ultraquiet.identify import kernels, state_kernels
+from ultraquiet.identify.structure import Structure, free_rows
+
+CASES = {
+    "box-jenkins": Structure(0, 3, 2, 3, 2, 1),
+    "armax": Structure(3, 2, 3, 0, 0, 2),
+    "output-error": Structure(0, 3, 0, 0, 3, 0),
+}
+INPUTS, SAMPLES = 2, 600
+
+
+def stable(rng, order):
+    pairs = [np.array([1.0, *(-2 * r * np.cos(w), r * r)]) for r, w in rng.uniform(0.3, 0.9, (order // 2, 2))]
+    out = np.array([1.0, -rng.uniform(0.2, 0.8)]) if order % 2 else np.ones(1)
+    for p in pairs:
+        out = np.convolve(out, p)
+    return out
+
+
+def table_of(structure, rng):
+    table = structure.empty(INPUTS)
+    orders = structure.degree(INPUTS)
+    for row, order in enumerate(orders):
+        if row >= 3 and (row - 3) % 2 == 0:
+            table[row, :order] = rng.standard_normal(order)
+        else:
+            table[row, : order + 1] = stable(rng, order)
+    return table
+
+
+def plain_residual(u, y, table, structure, states, with_past=True):
+    """e = (D/C)(A y - sum B/F u), past and constant taken out by least squares."""
+    d, degree = structure, structure.degree(INPUTS)
+    row = [table[k, : degree[k] + 1] for k in range(len(table))]
+
+    def whiten(x):
+        return lfilter(row[2], row[1], x)
+
+    v = lfilter(row[0], [1.0], y)
+    for j in range(INPUTS):
+        b = np.concatenate([np.zeros(d.delay), table[3 + 2 * j, : d.b]])
+        v = v - lfilter(b, row[4 + 2 * j], u[j])
+    e = whiten(v)
+    if not with_past:
+        return e
+    columns = []
+    for j in range(INPUTS):
+        h = whiten(lfilter([1.0], row[4 + 2 * j], np.eye(1, SAMPLES)[0]))
+        columns += [np.concatenate([np.zeros(k), h[: SAMPLES - k]]) for k in range(states[4 + 2 * j])]
+    h = lfilter([1.0], row[1], np.eye(1, SAMPLES)[0])
+    columns += [np.concatenate([np.zeros(k), h[: SAMPLES - k]]) for k in range(states[1])]
+    columns += [whiten(np.ones(SAMPLES))]
+    X = np.stack(columns, axis=1)
+    return e - X @ np.linalg.lstsq(X, e, rcond=None)[0]
+
+
+@pytest.fixture(params=CASES, ids=str)
+def case(request, rng):
+    structure = CASES[request.param]
+    u, y = rng.standard_normal((INPUTS, SAMPLES)), rng.standard_normal(SAMPLES)
+    return structure, u, y, table_of(structure, rng), structure.states(INPUTS, True, True)
+
+
+def evaluate(structure, u, y, table, states):
+    signals = np.zeros((INPUTS + 2 + len(table) + 1, SAMPLES))
+    work = [np.zeros((INPUTS, SAMPLES)), np.zeros((INPUTS, SAMPLES)), np.zeros(SAMPLES), np.zeros(SAMPLES)]
+    args = (table, structure.degree(INPUTS), structure.lag(INPUTS))
+    loss = kernels.evaluate(u, y, *args, states, signals, *work)
+    free = free_rows(INPUTS, range(len(table)))
+    G, q = kernels.normal_matrix(y, *args, free, states, signals, *work)
+    return loss, work[3], kernels.reduced(G, q)
+
+
+def test_residual_is_the_formula(case):
+    structure, u, y, table, states = case
+    loss, e, _ = evaluate(structure, u, y, table, states)
+    plain = plain_residual(u, y, table, structure, states)
+    print(f"\nresidual differs by {np.abs(e - plain).max() / np.abs(plain).max():.1e}")
+    assert e == pytest.approx(plain, abs=1e-7 * np.abs(plain).max())
+    assert loss == pytest.approx(np.mean(plain**2), rel=1e-7)
+
+
+def test_gradient_is_the_slope_of_the_residual(case, rng):
+    structure, u, y, table, states = case
+    _, e, S = evaluate(structure, u, y, table, states)
+    p = S.shape[0] - 1
+    degree, free = structure.degree(INPUTS), free_rows(INPUTS, range(len(table)))
+    step, h = rng.standard_normal(p), 1e-6
+    losses = []
+    for sign in (1, -1):
+        moved = kernels.stepped(table, degree, free, sign * h * step)
+        losses.append(np.sum(plain_residual(u, y, moved, structure, states) ** 2))
+    slope = (losses[0] - losses[1]) / (2 * h)
+    print(f"\nslope of e'e by filters {2 * S[:p, p] @ step:.8g}, by differences {slope:.8g}")
+    assert 2 * S[:p, p] @ step == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.sum(e**2))
+
+
+def test_gram_of_shifted_differences(rng):
+    x = rng.standard_normal((2, 5000))
+    G = kernels.gram(x, np.array([1, 3]), np.array([3, 2]))
+    rows = []
+    for signal, lag, count in zip(x, (1, 3), (3, 2), strict=True):
+        column = np.concatenate([np.zeros(lag), signal[:-lag]])
+        for _ in range(count):
+            rows.append(column)
+            column = column - np.concatenate([[0.0], column[:-1]])
+    assert pytest.approx(np.array(rows) @ np.array(rows).T, rel=1e-10, abs=1e-8) == G
+
+
+def test_roots_inside(rng):
+    for _ in range(300):
+        p = np.concatenate([[1.0], rng.standard_normal(rng.integers(1, 6)) * rng.uniform(0.1, 1.2)])
+        radius = np.abs(np.roots(p)).max()
+        if abs(radius - 1) > 1e-6:
+            assert kernels.inside(p, p.size - 1) == (radius < 1)
+
+
+def test_hankel_gram(rng):
+    z, rows = rng.standard_normal((3, 400)), 7
+    H = np.vstack([z[:, i : i + 400 - rows + 1] for i in range(rows)])
+    assert state_kernels.hankel_gram(z, rows) == pytest.approx(H @ H.T, rel=1e-9, abs=1e-9)
+
+
+def test_modal_gram(rng):
+    poles = np.array([0.9 + 0.2j, 0.5 + 0.0j])
+    u, tail = rng.standard_normal((2, 3000)), rng.standard_normal((1, 3000))
+    rows = []
+    for p in poles:
+        for x in u:
+            s = lfilter([1.0], [1.0, -p], x.astype(complex))
+            rows += [s.real, s.imag]
+    Z = np.vstack([*rows, tail])
+    assert state_kernels.modal_gram(poles, u, tail) == pytest.approx(Z @ Z.T, rel=1e-9, abs=1e-8)

@@ -1,0 +1,49 @@
+"""Records that others measured, judged on data the models have not seen."""
+
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+import ultraquiet as uq
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+def two_inertia():
+    held = scipy.io.loadmat(DATA / "two_inertia" / "multisine_10_periods.mat")
+    y = np.stack([held["motor_speed"].ravel(), held["load_speed"].ravel()]).astype(float)
+    return uq.Record(held["current"].ravel().astype(float), y, 2500.0, ["current"], ["motor speed", "load speed"])
+
+
+def test_two_inertia_bench():
+    record = two_inertia()
+    result = uq.identify.BoxJenkins(order=5).identify(record.part(0, 4096))
+    fit = uq.validate.compare(result.model, record.part(7 * 2500)).fit_percent
+    print(f"\ntwo-inertia, BJ5 on 4096 samples, simulated on three unseen periods: {fit.round(2)} %, {result.status}")
+    assert np.all(fit >= 80.0)
+    assert result.model.is_invertible()
+
+
+def test_hair_dryer():
+    data = scipy.io.loadmat(DATA / "hairdryer.mat")["hairdryer"]
+    record = uq.Record(data[:, 0], data[:, 1], 12.5)
+    first, second = record.part(0, 500), record.part(500)
+    for method in (uq.identify.Arx(order=2, delay=3), uq.identify.BoxJenkins(order=2, delay=3)):
+        result = method.identify(first)
+        fit = uq.validate.compare(result.model, second).fit_percent[0]
+        one = uq.validate.compare(result.model, second, steps=1).fit_percent[0]
+        print(f"\nhair dryer, {method.name}: {fit:.2f} % simulated, {one:.2f} % one step on the unseen half")
+        assert fit >= 84.0
+        assert one >= fit
+
+
+def test_steel_frame_by_subspace():
+    data = scipy.io.loadmat(DATA / "daisy" / "flexibleStructure.mat")["flexibleStructure"].T
+    record = uq.Record(data[:2], data[2:], 1024.0)
+    half = record.samples // 2
+    result = uq.identify.Subspace(order=40, horizon=20).identify(record.part(0, half))
+    fit = uq.validate.compare(result.model, record.part(half)).fit_percent
+    print(f"\nsteel frame, 28 outputs, order 40, unseen half: worst {fit.min():.1f}, median {np.median(fit):.1f} %")
+    assert fit.min() >= 85.0
+    assert np.median(fit) >= 92.9
