@@ -1,13 +1,14 @@
 """On an emulated Cortex-M7: the same bits as here, and instructions counted exactly."""
 
 import json
+import os
 
 import numpy as np
 import pytest
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.cortex_m7 import COMPILER, count_instructions, missing_tool
+from ultraquiet.deploy.cortex_m7 import COMPILER, EMULATOR, count_instructions, missing_tool
 from ultraquiet.deploy.emit import M7_FLAGS
 from ultraquiet.deploy.toolchain import compile_c
 
@@ -75,6 +76,22 @@ def test_verification_fills_the_table(law_of, tmp_path):
     assert held["tables"] == made.tables
     assert held["verified"].startswith("ok: All bits")
     assert "emulated Cortex-M7" in (tmp_path / "code" / "README.md").read_text()
+
+
+@pytest.mark.usefixtures("target", "cc")
+def test_emulator_out_of_order_does_not_spoil_the_comparison(law_of, tmp_path, monkeypatch):
+    made = generate(law_of(4), tmp_path / "code", ramp_s=0.01)
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    (tools / EMULATOR).write_text("#!/bin/sh\necho no such machine >&2; exit 1\n")
+    (tools / EMULATOR).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
+    found = made.verify(steps=100)
+    print(found.status)
+    assert found.bit_exact is True
+    assert found.cortex_m7 is None
+    assert "make no sense: 'no such machine'" in found.status.sentence
+    assert made.tables["cortex_m7_instructions"] is None
 
 
 def test_missing_tools_are_named(law_of, tmp_path, monkeypatch):

@@ -115,6 +115,19 @@ def test_auto_turns_to_delta_where_float32_moves_slow_poles(tmp_path):
     assert made.tables["forms_tried"]["modal"] > 5e-3
 
 
+def test_form_that_would_lose_the_loop_is_not_taken(tmp_path):
+    # A pole 1e-8 inside the unit circle: float32 puts it upon it, A - I keeps it.
+    law = StateSpace(np.diag([1 - 1e-8, 0.5]), [[1e-4], [0.1]], [[1e-4, 0.1]], [[0.0]], rate_hz=RATE_HZ)
+    plant = StateSpace([[0.5]], [[0.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
+    made = generate(law, tmp_path / "code", plant=plant)
+    assert made.tables["form"] == "delta"
+    assert made.tables["forms_tried"]["modal"] is None
+    lost = generate(law, tmp_path / "code", plant=plant, form="modal")
+    print(lost.status)
+    assert lost.status.word == "unstable"
+    assert "its float32 coefficients" in lost.status.sentence
+
+
 def test_loop_decides_when_a_plant_is_given(law_of, rng, tmp_path):
     plant, law = law_of(12), law_of(24)
     law = StateSpace(law.A, law.B, -0.02 * law.C, -0.02 * law.D, rate_hz=RATE_HZ)

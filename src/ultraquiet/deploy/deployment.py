@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import between, one_of, positive, whole
@@ -197,7 +198,12 @@ def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str)
     if not controller.is_stable():
         return Status("unstable", "The controller itself is unstable: it runs to its limits whenever the loop opens.")
     if not law.state_space().is_stable():
-        return Status("unstable", f"The controller is stable, its {law.precision} coefficients are not; take float64.")
+        return Status(
+            "unstable",
+            f"The controller is stable, its {law.precision} coefficients are not; take form='delta' or float64.",
+        )
+    if not np.isfinite(choice.error):
+        return Status("unstable", f"The loop is stable with the controller, not with its {law.precision} coefficients.")
     more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
     word = "ok" if choice.error <= tolerance else "inexact"
     sentence = f"Rounding to {law.precision} in {law.form} form{more} changes {what} by {choice.error:.1e} of its size."
@@ -226,8 +232,13 @@ def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
         ),
         "cortex_m7_instructions": None,
         "coefficients": law.coefficients,
-        "response_error": choice.error,
-        "forms_tried": choice.tried,
-        "eigenvector_condition": choice.condition,
+        "response_error": _finite(choice.error),
+        "forms_tried": {form: _finite(error) for form, error in choice.tried.items()},
+        "eigenvector_condition": _finite(choice.condition),
         "bit_exact": None,
     }
+
+
+def _finite(value: float) -> float | None:
+    """Return the number, or None for an infinite one, which JSON cannot hold."""
+    return value if np.isfinite(value) else None

@@ -55,7 +55,7 @@ def readme(law: Law, model_hash: str, tables: dict[str, Any], said: list[str], a
 
 def _plain(value: Any) -> str:
     if value is None:
-        return "not measured"
+        return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):

@@ -57,7 +57,7 @@ def rewrite(folder: Path, files: Mapping[str, str]) -> None:
 
 def manifest_text(manifest: Mapping[str, Any]) -> str:
     """Return the manifest, which marks the folder as this package's."""
-    return json.dumps({"writer": WRITER, **manifest}, indent=1) + "\n"
+    return json.dumps({"writer": WRITER, **manifest}, indent=1, allow_nan=False) + "\n"
 
 
 def require_ours(folder: Path) -> None:

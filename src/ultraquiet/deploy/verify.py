@@ -57,9 +57,9 @@ def verify_code(law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed
     try:
         library = Library(law, folder, cc)
         self_test = _self_test(law, folder, cc)
-        target = count_instructions(law, folder) if missing_tool() is None else None
     except ToolError as refusal:
-        return Verification(Status("not compiled", str(refusal)), False, compiler=cc)
+        return Verification(Status("not compiled", str(refusal)), None, compiler=cc)
+    target, complaint = _on_target(law, folder)
     y = measurements(law, steps, seed)
     code, twin = CompiledController(library, ramp=True), Twin(law)
     twin.enable()
@@ -75,7 +75,7 @@ def verify_code(law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed
         time.perf_counter() - began,
         target,
     )
-    return replace(found, status=_verdict(found))
+    return replace(found, status=_verdict(found, complaint))
 
 
 def measurements(law: Law, steps: int, seed: int) -> Rounded:
@@ -111,7 +111,17 @@ def _self_test(law: Law, folder: Path, cc: str) -> bool:
         return call([program], Path(work)).returncode == 0
 
 
-def _verdict(found: Verification) -> Status:
+def _on_target(law: Law, folder: Path) -> tuple[Count | None, str]:
+    """Return the count, or None with what the target's tools complained about; they are no part of the comparison."""
+    if missing_tool() is not None:
+        return None, ""
+    try:
+        return count_instructions(law, folder), ""
+    except ToolError as refusal:
+        return None, f" {refusal}"
+
+
+def _verdict(found: Verification, complaint: str) -> Status:
     if found.first is not None:
         step, output = found.first
         sentence = f"{found.mismatches} commands of {found.steps} steps differ from the twin, the first at step {step}"
@@ -121,10 +131,8 @@ def _verdict(found: Verification) -> Status:
     if found.cortex_m7 is not None and not found.cortex_m7.self_test:
         return Status("self-test failed", "The code agrees here but its self-test does not pass on the Cortex-M7.")
     where = "" if found.cortex_m7 is None else ", and the self-test's on an emulated Cortex-M7"
-    return Status(
-        "ok",
-        f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}{where}.",
-    )
+    sentence = f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}"
+    return Status("ok", f"{sentence}{where}.{complaint}")
 
 
 _NO_COMPILER = (
