@@ -22,8 +22,8 @@ def test_six_by_six_of_order_thirty(rng):
     true, found = plant.poles(), result.model.poles()
     near = sum(np.abs(found - p).min() < 0.2 * (1 - abs(p)) for p in true) // 2
     print(
-        f"\n6 x 6, 30 states, 24000 samples: fit to the truth {fit.min():.1f} .. {fit.max():.1f} %, {near} of 15 modes, "
-        f"{result.details['horizon']} block rows, {seconds:.1f} processor seconds, {result.status}"
+        f"\n6 x 6, 30 states, 24000 samples: fit {fit.min():.1f} .. {fit.max():.1f} %, {near} of 15 modes, "
+        f"{result.details['horizon']} block rows, {seconds:.1f} processor s, {result.status}"
     )
     assert np.mean(fit) >= PEER_FIT
     assert near >= 13

@@ -79,7 +79,7 @@ def identify_matrix(method: PolynomialMethod, records: Sequence[Record], workers
 
     def one(place: tuple[int, int]) -> Fit:
         i, k = place
-        return method.fit(Channel(picked[k].inputs, picked[k].outputs[i]), picked[k].rate_hz)
+        return method.fit(Channel.of(picked[k], i), picked[k].rate_hz)
 
     found = in_threads(f"identify {method.name}", one, channels, workers)
     grid = [[found[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]

@@ -120,7 +120,7 @@ def sweep(
 
     def one(place: tuple[int, int]) -> list[tuple[Fit, float, float, float]]:
         i, k = place
-        data = Channel(fitted[k].inputs, fitted[k].outputs[i])
+        data = Channel.of(fitted[k], i)
         return [_judged(method, data, kept[k], i) for method in methods]
 
     found = in_threads("compare structures and orders", one, places, workers)
@@ -144,7 +144,9 @@ def _judged(method: PolynomialMethod, data: Channel, kept: Record, i: int) -> tu
     seconds = time.thread_time() - begun
     y, m = kept.outputs[i], fit.model
     simulated = prediction.simulate(kept.inputs, y, m.b, [m.denominator(j) for j in range(len(m.b))])
-    return fit, prediction.fit_percent(y, simulated), _one_step_loss(y, kept.inputs, fit), seconds
+    low, high = kept.sensors[i].low, kept.sensors[i].high
+    loss = _one_step_loss(prediction.repaired(y, simulated, low, high), kept.inputs, fit)
+    return fit, prediction.fit_percent(y, np.clip(simulated, low, high)), loss, seconds
 
 
 def _one_step_loss(y: FloatArray, u: FloatArray, fit: Fit) -> float:

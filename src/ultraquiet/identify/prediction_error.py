@@ -38,6 +38,9 @@ class PolynomialMethod:
             183 times at 3.5 kHz when the noise had begun before the record.
         offset: whether a constant at the output is fitted too.
         max_iterations: accepted steps before the search gives up.
+        repair: whether readings at a sensor's limits (`Channel.low`, `Channel.high`) are taken for what they are: the
+            truth lies further out. They are replaced by the model's own output, in rounds. `details["repaired"]` counts
+            them; `fit_percent` is then judged on the model's output cut at the same limits.
     """
 
     name: ClassVar[str]
@@ -49,6 +52,7 @@ class PolynomialMethod:
     initial: str = "estimate"
     offset: bool = True
     max_iterations: int = 100
+    repair: bool = True
 
     def __post_init__(self) -> None:
         who = type(self).__name__
@@ -73,7 +77,7 @@ class PolynomialMethod:
             InputError: too few samples for the order, a constant input or output.
         """
         self.check(record)
-        fits = [self.fit(Channel(record.inputs, y), record.rate_hz) for y in record.outputs]
+        fits = [self.fit(Channel.of(record, i), record.rate_hz) for i in range(len(record.sensors))]
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         model = PolynomialMatrix([[f.model] for f in fits], record.actuators, record.sensors, made)
         return gather(model, fits, made)
@@ -86,7 +90,7 @@ class PolynomialMethod:
 
     def fit(self, data: Channel, rate_hz: float) -> Fit:
         """Return the model of one output."""
-        search = Search(self.horizons, self.initial == "estimate", self.offset, self.max_iterations)
+        search = Search(self.horizons, self.initial == "estimate", self.offset, self.max_iterations, self.repair)
         return fit_channel(data, self.structure(), search, rate_hz)
 
     def _b(self) -> int:
@@ -106,7 +110,7 @@ def gather(model: PolynomialMatrix, fits: list[Fit], made: Provenance) -> Result
         np.array([f.iterations for f in fits]),
         tuple(f.status for f in fits),
         made,
-        {"starts": tuple(f.starts for f in fits)},
+        {"starts": tuple(f.starts for f in fits), "repaired": tuple(f.repaired for f in fits)},
     )
 
 

@@ -1,6 +1,7 @@
 """Where the search begins. Starts decide success: at 3.5 kHz a search from a poor one ends in a poor minimum."""
 
 from collections.abc import Iterator
+from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -8,6 +9,8 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify import hankel
 from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
+from ultraquiet.linalg.prediction import repaired
+from ultraquiet.values import Record
 
 # A start's poles and zeros are drawn inside this radius: a search that begins on the circle cannot leave it.
 RADIUS = 0.9995
@@ -19,13 +22,31 @@ HANNAN_ROUNDS = 2
 class Channel:
     """One output with its inputs, each scaled to unit deviation; keeps what all structures and orders share."""
 
-    def __init__(self, u: FloatArray, y: FloatArray) -> None:
+    def __init__(self, u: FloatArray, y: FloatArray, low: float = -np.inf, high: float = np.inf) -> None:
+        self.recorded, self.low, self.high = y, low, high
         self.input_size = u.std(axis=1)
         self.output_size = float(y.std())
         self.u = np.ascontiguousarray(u / self.input_size[:, None])
         self.y = y / self.output_size
         self.gain = self.output_size / self.input_size
         self._subspaces: dict[int, tuple[FloatArray, FloatArray] | None] = {}
+
+    @classmethod
+    def of(cls, record: Record, output: int) -> "Channel":
+        """Return an output of a record with its sensor's limits."""
+        sensor = record.sensors[output]
+        return cls(record.inputs, record.outputs[output], sensor.low, sensor.high)
+
+    @property
+    def clipped(self) -> int:
+        """How many readings stand at the sensor's limits."""
+        return int(np.count_nonzero((self.recorded >= self.high) | (self.recorded <= self.low)))
+
+    def repaired(self, model: FloatArray) -> "Channel":
+        """Return the channel with its clipped readings replaced by a model's output, in output units."""
+        other = copy(self)
+        other.y = repaired(self.recorded, model, self.low, self.high) / self.output_size
+        return other
 
     @cached_property
     def centred(self) -> tuple[FloatArray, FloatArray]:

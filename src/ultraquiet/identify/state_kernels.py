@@ -1,7 +1,5 @@
 """Compiled sums for state-space models: Gram matrices of Hankel data and of filter banks, in one pass."""
 
-
-
 import numpy as np
 
 from ultraquiet.identify.kernels import FLUSH, compiled

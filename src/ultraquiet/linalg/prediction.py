@@ -16,6 +16,16 @@ def fit_percent(y: FloatArray, model: FloatArray) -> float:
     return 100.0 * (1.0 - miss / spread)
 
 
+def repaired(y: FloatArray, model: FloatArray, low: float, high: float) -> FloatArray:
+    """Return y with samples at or beyond its limits replaced by the model's, where that lies further out.
+
+    A reading at its limit only says that the truth is not inside: the model's value stands in for it, the limit
+    itself where the model disagrees.
+    """
+    model = np.where(np.isfinite(model), model, y)
+    return np.where(y >= high, np.maximum(model, y), np.where(y <= low, np.minimum(model, y), y))
+
+
 def simulate(
     u: FloatArray,
     y: FloatArray,
