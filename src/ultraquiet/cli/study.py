@@ -1,7 +1,7 @@
 """`ultraquiet demo`, `run` and `report`: whole studies."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -53,19 +53,18 @@ def _walk(study: object, folder: Path, beside: Path | None) -> None:
     show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
 
 
-def _table(summary: dict) -> object:
+def _table(summary: dict[str, Any]) -> object:
     from rich.table import Table
 
-    table = Table("controller", "unit", "states", "worst 10-100 Hz", "peak", "5 Hz", "25 Hz", "100 Hz", title="reduction on the bench (dB, worst channel)")
+    heads = ("controller", "unit", "states", "5 Hz", "25 Hz", "100 Hz", "worst direction", "peak", "verdict")
+    table = Table(*heads, title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
     for name, units in summary["closed_loop"].items():
         for unit, result in units.items():
-            tones = [f"{result['tones'][f]['reduction_db']:.1f}" for f in result["tones"]]
-            table.add_row(
-                name,
-                unit,
-                str(summary["design"][name]["states"]),
-                f"{result['worst_direction_band_db']:.1f}",
-                f"{result['peak_amplification_db']:.1f}",
-                *(tones + [""] * 3)[:3],
-            )
+            states = str(summary["design"][name]["states"])
+            if not result["stable"]:
+                table.add_row(name, unit, states, *[""] * 5, "[red]unstable")
+                continue
+            tones = [result["tones"].get(f, {}).get("reduction_db") for f in ("5", "25", "100")]
+            numbers = [*tones, result["worst_direction_band_db"], result["peak_amplification_db"]]
+            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in numbers), "stable")
     return table

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.loop import disturb
@@ -16,11 +16,15 @@ from ultraquiet.values.controller import Controller
 DENSE_TO_HZ = 130
 SPACING = 1.01
 HIGHEST_SHARE = 0.97
-# Amplitudes in volts of the dense and of the sparse lines, before the whole is scaled to the sensors' range.
-DENSE_V, SPARSE_V = 0.4, 0.1
-# Largest share of a sensor's range that the open loop may use.
-USED_RANGE = 0.6
-SETTLE_PERIODS, MEASURED_PERIODS = 1, 2
+# Amplitudes in volts of the dense and of the sparse lines, before the whole is scaled; the lowest are raised as a
+# geophone's response falls, with the square of frequency below its corner, up to a limit.
+DENSE_V, SPARSE_V = 0.2, 0.05
+RAISED_BELOW_HZ, RAISED_TO_V = 15.0, 1.5
+# Largest share of a sensor's range, and largest disturbance in volts, that the open loop may use.
+USED_RANGE, LARGEST_V = 0.6, 25.0
+SETTLE_PERIODS, MEASURED_PERIODS = 1, 4
+# A line is kept when noise moves its largest singular value by less than this share: 1.2 dB.
+TRUSTED = 0.15
 
 
 @dataclass(frozen=True)
@@ -80,8 +84,9 @@ class MeasuredSensitivity:
 def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed: int = 0) -> MeasuredSensitivity:
     """Measure S on the bench with a multisine disturbance on one actuator after the other, open and closed loop.
 
-    One-second periods; the first settles the loop, the next two are averaged. Lines: every Hz to 130 Hz, then 1 % apart.
-    The level is chosen so that the open loop uses at most 60 % of the sensors' range.
+    One-second periods; the first settles the loop, the next four are averaged. Lines: every Hz to 130 Hz, then 1 % apart.
+    The level is chosen so that the open loop uses at most 60 % of the sensors' range. Lines at which the scatter of the
+    periods would move the worst direction by more than 1.2 dB are left out: the lowest, where a geophone hears nothing.
 
     Args:
         bench: any bench with as many sensors as actuators (S must be square to be inverted).
@@ -99,18 +104,31 @@ def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed:
     wave *= _level(bench, wave)
     d = np.tile(wave, SETTLE_PERIODS + MEASURED_PERIODS)
     responses = np.zeros((2, ny, nu, lines.size), dtype=np.complex128)
+    scatter = np.zeros((2, lines.size))
     with task("sensitivity on the bench", 2 * nu) as progress:
         for j in range(nu):
             disturbance = np.zeros((nu, d.size))
             disturbance[j] = d
             for k, law in enumerate((None, controller)):
                 record = disturb(bench, disturbance, law)
-                responses[k, :, j] = _at_lines(record.outputs, wave, lines)
+                responses[k, :, j], variance = _at_lines(record.outputs, wave, lines)
+                scatter[k] += variance
                 progress.advance(note=f"actuator {j + 1}")
     opened, closed = responses
     S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0)
+    kept = _trusted(S, opened, scatter)
+    if not kept.any():
+        raise NumericalError("measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise.")
     text = f"disturbance to sensors, multisine, {MEASURED_PERIODS} periods of 1 s"
-    return MeasuredSensitivity(FrequencyResponse(lines, S, estimator=text), opened, closed)
+    response = FrequencyResponse(lines[kept], S[:, :, kept], estimator=text)
+    return MeasuredSensitivity(response, opened[:, :, kept], closed[:, :, kept])
+
+
+def _trusted(S: ComplexArray, opened: ComplexArray, scatter: FloatArray) -> np.ndarray:
+    """Return the lines `(nf,)` at which noise, S + dS = (Y closed + e) (Y open + e)^-1, leaves the worst direction be."""
+    worst = np.linalg.svd(np.moveaxis(S, 2, 0), compute_uv=False)[:, 0]
+    weakest = np.linalg.svd(np.moveaxis(opened, 2, 0), compute_uv=False)[:, -1]
+    return np.sqrt(scatter[1] + worst**2 * scatter[0]) < TRUSTED * worst * weakest
 
 
 def _lines(rate_hz: float) -> FloatArray:
@@ -125,7 +143,8 @@ def _lines(rate_hz: float) -> FloatArray:
 def _wave(lines: FloatArray, rate_hz: float, seed: int) -> FloatArray:
     period = round(rate_hz)
     phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, lines.size)
-    amplitude = np.where(lines <= DENSE_TO_HZ, DENSE_V, SPARSE_V)
+    raised = np.minimum(DENSE_V * (RAISED_BELOW_HZ / np.minimum(lines, RAISED_BELOW_HZ)) ** 2, RAISED_TO_V)
+    amplitude = np.where(lines <= DENSE_TO_HZ, raised, SPARSE_V)
     return np.cos(2 * np.pi * np.outer(np.arange(period), lines) / period + phases) @ amplitude
 
 
@@ -134,11 +153,13 @@ def _level(bench: Bench, wave: FloatArray) -> float:
     d[0] = wave
     used = np.abs(disturb(bench, d).outputs).max(axis=1)
     ranges = np.array([min(abs(c.low), abs(c.high)) for c in bench.sensors])
-    return float(min(2.0, np.min(USED_RANGE * ranges / np.maximum(used, 1e-12))))
+    loudest = LARGEST_V / np.abs(wave).max()
+    return float(min(loudest, np.min(USED_RANGE * ranges / np.maximum(used, np.finfo(float).tiny))))
 
 
-def _at_lines(outputs: FloatArray, wave: FloatArray, lines: FloatArray) -> ComplexArray:
-    """Return sensor volts per disturbance volt at the lines, averaged over the measured periods."""
+def _at_lines(outputs: FloatArray, wave: FloatArray, lines: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Return sensor volts per disturbance volt at the lines `(ny, nf)`, and the variance of their mean, summed `(nf,)`."""
     periods = outputs[:, -MEASURED_PERIODS * wave.size :].reshape(outputs.shape[0], MEASURED_PERIODS, wave.size)
     bins = np.rint(lines).astype(int)
-    return np.fft.rfft(periods.mean(axis=1), axis=1)[:, bins] / np.fft.rfft(wave)[bins]
+    gains = np.fft.rfft(periods, axis=2)[:, :, bins] / np.fft.rfft(wave)[bins]
+    return gains.mean(axis=1), gains.var(axis=1, ddof=1).sum(axis=0) / MEASURED_PERIODS
