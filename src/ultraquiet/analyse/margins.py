@@ -89,7 +89,8 @@ def loop_margins(
     rows = [_crossings(1 / response[i, i] - 1, f) for i in range(loops)]
     # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277), on the grid
     disk = [1.0 / float(np.abs(response[i, i] - 0.5).max()) for i in range(loops)]
-    return Margins(*(np.array(column) for column in zip(*rows, strict=True)), np.array(disk))
+    up, down, phase, delay = (np.array(column) for column in zip(*rows, strict=True))
+    return Margins(up, down, phase, delay, np.array(disk))
 
 
 def _crossings(L: ComplexArray, f: FloatArray) -> tuple[float, float, float, float]:

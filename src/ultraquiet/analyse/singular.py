@@ -22,4 +22,5 @@ def singular_values(G: StateSpace, f_hz: ArrayLike) -> FloatArray:
     >>> float(singular_values(G, [0.0])[0, 0])
     2.0
     """
-    return np.linalg.svd(np.moveaxis(G.frequency_response(f_hz), 2, 0), compute_uv=False).T
+    values = np.linalg.svd(np.moveaxis(G.frequency_response(f_hz), 2, 0), compute_uv=False)
+    return np.asarray(values.T, dtype=np.float64)

@@ -1,7 +1,7 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
-from ultraquiet.design.band import BandAttenuation
+from ultraquiet.design.band import BandAttenuation, common_mode, worst_attenuation_db
 from ultraquiet.design.h2 import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.lqg import Lqg
@@ -16,10 +16,12 @@ __all__ = [
     "Lqg",
     "MixedSensitivity",
     "band_pass",
+    "common_mode",
     "four_block",
     "high_pass",
     "output_shaping",
     "peak",
     "synthesize_h2",
     "synthesize_hinf",
+    "worst_attenuation_db",
 ]

@@ -12,7 +12,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf import synthesize_hinf
-from ultraquiet.design.weights import band_pass, high_pass
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import append
@@ -22,6 +22,7 @@ T_WEIGHT = 0.4  # |T| may reach gamma / 0.4 below the roll-off
 RISE = 10.0  # the weights on KS and T grow by this factor, one decade in frequency
 HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
 HEIGHT_STEPS = 8  # halvings of the logarithm of that range: 2 % in height
+CALMER = (1.1, 1.2)
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the scalar function
 
 
@@ -39,12 +40,13 @@ class BandAttenuation:
         floor: gain of W1 outside; the peak of S is near gamma / floor.
         order: states of W1 per channel, even. Steep weights attenuate more at the same peak than high ones.
         control_limit: largest wanted gain of K S, V/V.
-        control_hz: from where on less is wanted, Hz.
+        control_hz: from where on less is wanted, Hz; 0.4 of the rate at most, like the next.
         roll_off_hz: where the loop is to end, Hz.
         peak_db: when given, `height` is chosen such that the peak of S is this, within a tenth of a decibel or so.
         structure: `full` designs one controller for all channels; `alike` one scalar controller, used on each of them,
             for the function that the plant shows when all channels move together (the heave of a hexapod).
-        margin: the controller is formed at margin times the smallest norm.
+        margin: the controller is formed at margin times the smallest norm; where that controller is unstable by itself,
+            which nobody wants to switch on, larger margins up to 1.2 are tried first.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
     >>> result = BandAttenuation(height=5.0, order=4).design(plant)
@@ -56,7 +58,7 @@ class BandAttenuation:
     """
 
     band_hz: tuple[float, float] = (9.0, 108.0)
-    height: float = 15.0
+    height: float = 12.0
     floor: float = 0.6
     order: int = 8
     control_limit: float = 1000.0
@@ -85,7 +87,7 @@ class BandAttenuation:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
         part = plant if self.structure == "full" else common_mode(plant)
         settings = self if self.peak_db is None else replace(self, height=_height_for_peak(self, part, self.peak_db))
-        found = synthesize_hinf(settings.generalised(part), *part.D.shape, margin=self.margin)
+        found = settings.synthesis(part)
         law = found.controller
         if law is not None and part.D.shape != plant.D.shape:
             law = append(*[law] * ny)
@@ -93,6 +95,17 @@ class BandAttenuation:
         if law is not None:
             details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band())
         return from_synthesis(plant, found, self, details, law)
+
+    def synthesis(self, plant: StateSpace) -> DesignResult:
+        """Return the first stable controller over rising margins, or the first one when none is stable."""
+        P, first = self.generalised(plant), None
+        for margin in (self.margin, *(m for m in CALMER if m > self.margin)):
+            found = synthesize_hinf(P, *plant.D.shape, margin=margin)
+            if found.controller is None or found.controller.is_stable():
+                return first or found if found.controller is None else found
+            first = first or found
+        assert first is not None
+        return first
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the generalised plant, inputs (w, u), outputs (W1 S w, W2 K S w, W3 T w, y)."""
@@ -104,8 +117,8 @@ class BandAttenuation:
         rate, limit = plant.rate_hz, self.control_limit
         return {
             "performance": band_pass(self.band_hz, self.height, self.floor, self.order, rate),
-            "control": high_pass(self.control_hz, 1 / limit, RISE / limit, 1, rate),
-            "complementary": high_pass(self.roll_off_hz, T_WEIGHT, RISE * T_WEIGHT, 1, rate),
+            "control": high_pass(below_nyquist(self.control_hz, rate), 1 / limit, RISE / limit, 1, rate),
+            "complementary": high_pass(below_nyquist(self.roll_off_hz, rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate),
         }
 
     def _quiet_band(self) -> tuple[float, float]:
@@ -143,7 +156,7 @@ def _height_for_peak(settings: BandAttenuation, plant: StateSpace, peak_db: floa
     for _ in range(HEIGHT_STEPS):
         middle = (low + high) / 2
         trial = replace(settings, height=float(np.exp(middle)), peak_db=None)
-        found = synthesize_hinf(trial.generalised(plant), *plant.D.shape, margin=settings.margin)
+        found = trial.synthesis(plant)
         over = found.controller is None or peak_sensitivity(plant, found.controller)[0] > peak_db
         low, high = (low, middle) if over else (middle, high)
     return float(np.exp(low))

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.equations import Riccati, continuous_riccati, discrete_riccati
-from ultraquiet.linalg.realize import Matrices
+from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.values.state_space import StateSpace
 
 RANK = 1e-12  # of D12'D12 and D21 D21' (continuous), relative
@@ -16,15 +15,15 @@ RANK = 1e-12  # of D12'D12 and D21 D21' (continuous), relative
 class Problem(NamedTuple):
     """x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w + D22 u."""
 
-    A: FloatArray
-    B1: FloatArray
-    B2: FloatArray
-    C1: FloatArray
-    C2: FloatArray
-    D11: FloatArray
-    D12: FloatArray
-    D21: FloatArray
-    D22: FloatArray
+    A: Array
+    B1: Array
+    B2: Array
+    C1: Array
+    C2: Array
+    D11: Array
+    D12: Array
+    D21: Array
+    D22: Array
 
     @classmethod
     def of(cls, P: StateSpace, ny: int, nu: int) -> "Problem":
@@ -40,9 +39,9 @@ class Solution(NamedTuple):
     problem: Problem
     regulator: Riccati
     observer: Riccati
-    F: FloatArray
-    L: FloatArray
-    N: FloatArray
+    F: Array
+    L: Array
+    N: Array
     discrete: bool
 
     @property
@@ -105,13 +104,13 @@ def solve(p: Problem, discrete: bool) -> Solution:
     return Solution(p, X, Y, F, L, np.zeros((F.shape[0], p.C2.shape[0])), False)
 
 
-def _continuous(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> Riccati:
+def _continuous(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Riccati:
     RS, RB = np.linalg.solve(R, S.T), np.linalg.solve(R, B.T)
     G, cost = B @ RB, Q - S @ RS
     return continuous_riccati(A - B @ RS, (G + G.T) / 2, (cost + cost.T) / 2)
 
 
-def _ranks(p: Problem, Rx: FloatArray, Ry: FloatArray) -> None:
+def _ranks(p: Problem, Rx: Array, Ry: Array) -> None:
     if np.any(p.D11):
         raise NumericalError("H2 synthesis: D11 is not zero, so the norm of a continuous loop is infinite; filter w.")
     for name, R, what in (("D12", Rx, "control"), ("D21", Ry, "measurement")):
@@ -119,7 +118,7 @@ def _ranks(p: Problem, Rx: FloatArray, Ry: FloatArray) -> None:
             raise NumericalError(f"H2 synthesis: {name} lacks rank; every {what} needs a weight of its own.")
 
 
-def _weights(s: Solution) -> tuple[FloatArray, FloatArray]:
+def _weights(s: Solution) -> tuple[Array, Array]:
     p = s.problem
     R = p.D12.T @ p.D12 + p.B2.T @ s.regulator.X @ p.B2
     return R, p.D21 @ p.D21.T + p.C2 @ s.observer.X @ p.C2.T

@@ -9,11 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import continuous_riccati
-from ultraquiet.linalg.realize import Matrices
+from ultraquiet.linalg.ordered import Array, Matrices
 
 EQUATIONS = {"X": "state-feedback", "Y": "filter"}
 RANK = 1e-10  # a singular value of D12 or D21 below this share of the largest counts as zero
@@ -26,15 +25,15 @@ INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below
 class Plant:
     """A generalised plant with D12 = [0; I], D21 = [0 I], D22 = 0, and what brings its controller back."""
 
-    A: FloatArray
-    B1: FloatArray
-    B2: FloatArray
-    C1: FloatArray
-    C2: FloatArray
-    D11: FloatArray
-    into: FloatArray  # y_normalised = into y
-    out: FloatArray  # u = out u_normalised
-    D22: FloatArray  # of the plant as it was given
+    A: Array
+    B1: Array
+    B2: Array
+    C1: Array
+    C2: Array
+    D11: Array
+    into: Array  # y_normalised = into y
+    out: Array  # u = out u_normalised
+    D22: Array  # of the plant as it was given
     speed: float  # rad/s that were made one
 
     @property
@@ -47,8 +46,8 @@ class Level(NamedTuple):
     """What one level gamma gave: the two solutions, rho(XY) / gamma^2, and why it fails (empty when it does not)."""
 
     gamma: float
-    X: FloatArray
-    Y: FloatArray
+    X: Array
+    Y: Array
     coupling: float
     residuals: tuple[float, float]
     reason: str
@@ -93,7 +92,7 @@ def attempt(plant: Plant, gamma: float, filter_first: bool = False) -> Level:
     The equation named by `filter_first` is solved first, so that a search which knows where levels fail fails soon.
     """
     equations = {"X": (_state_equation, plant.C1), "Y": (_filter_equation, plant.B1)}
-    found: dict[str, FloatArray] = {"X": np.zeros((0, 0)), "Y": np.zeros((0, 0))}
+    found: dict[str, Array] = {"X": np.zeros((0, 0)), "Y": np.zeros((0, 0))}
     residuals = {"X": np.inf, "Y": np.inf}
     reason = ""
     for name in ("Y", "X") if filter_first else ("X", "Y"):
@@ -152,13 +151,13 @@ def normalised_controller(plant: Plant, M: Matrices) -> Matrices:
     return A / plant.speed, B @ back / root, out @ C / root, out @ D @ back
 
 
-def direct_terms(plant: Plant) -> tuple[FloatArray, FloatArray]:
+def direct_terms(plant: Plant) -> tuple[Array, Array]:
     """Return D12 = [0; I] and D21 = [0 I]."""
     m1, m2, p1, p2 = plant.sizes
     return np.eye(p1, m2, k=-(p1 - m2)), np.eye(p2, m1, k=m1 - p2)
 
 
-def _restored(plant: Plant, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
+def _restored(plant: Plant, A: Array, B: Array, C: Array, D: Array) -> Matrices:
     """Undo the scaling of inputs, outputs and frequency and the removal of D22."""
     root = np.sqrt(plant.speed)
     A, B, C, D = A * plant.speed, B @ plant.into * root, plant.out @ C * root, plant.out @ D @ plant.into
@@ -172,7 +171,7 @@ def _restored(plant: Plant, A: FloatArray, B: FloatArray, C: FloatArray, D: Floa
     return A - B @ plant.D22 @ Cw, B - B @ plant.D22 @ Dw, Cw, Dw
 
 
-def _state_equation(plant: Plant, gamma: float) -> tuple[FloatArray, float]:
+def _state_equation(plant: Plant, gamma: float) -> tuple[Array, float]:
     m1 = plant.B1.shape[1]
     B = np.hstack([plant.B1, plant.B2])
     D = _row(plant)
@@ -181,7 +180,7 @@ def _state_equation(plant: Plant, gamma: float) -> tuple[FloatArray, float]:
     return _indefinite(plant.A, B, plant.C1, D, R)
 
 
-def _filter_equation(plant: Plant, gamma: float) -> tuple[FloatArray, float]:
+def _filter_equation(plant: Plant, gamma: float) -> tuple[Array, float]:
     p1 = plant.C1.shape[0]
     C = np.vstack([plant.C1, plant.C2])
     D = _column(plant)
@@ -190,7 +189,7 @@ def _filter_equation(plant: Plant, gamma: float) -> tuple[FloatArray, float]:
     return _indefinite(plant.A.T, C.T, plant.B1.T, D.T, R)
 
 
-def _indefinite(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, R: FloatArray) -> tuple[FloatArray, float]:
+def _indefinite(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, float]:
     """Solve the Riccati equation of cost |C x + D v|^2 - gamma^2 |w|^2 with indefinite R."""
     n = A.shape[0]
     solved = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
@@ -202,7 +201,7 @@ def _indefinite(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, R: F
     return found.X, found.residual
 
 
-def _feedback_gain(plant: Plant, level: Level) -> FloatArray:
+def _feedback_gain(plant: Plant, level: Level) -> Array:
     m1 = plant.B1.shape[1]
     D = _row(plant)
     R = D.T @ D
@@ -211,7 +210,7 @@ def _feedback_gain(plant: Plant, level: Level) -> FloatArray:
     return -np.linalg.solve(R, D.T @ plant.C1 + B.T @ level.X)
 
 
-def _injection_gain(plant: Plant, level: Level) -> FloatArray:
+def _injection_gain(plant: Plant, level: Level) -> Array:
     p1 = plant.C1.shape[0]
     D = _column(plant)
     R = D @ D.T
@@ -220,17 +219,17 @@ def _injection_gain(plant: Plant, level: Level) -> FloatArray:
     return -np.linalg.solve(R, D @ plant.B1.T + C @ level.Y).T
 
 
-def _row(plant: Plant) -> FloatArray:
+def _row(plant: Plant) -> Array:
     """Return [D11 D12] with D12 = [0; I]."""
     return np.hstack([plant.D11, direct_terms(plant)[0]])
 
 
-def _column(plant: Plant) -> FloatArray:
+def _column(plant: Plant) -> Array:
     """Return [D11; D21] with D21 = [0 I]."""
     return np.vstack([plant.D11, direct_terms(plant)[1]])
 
 
-def _unit(D: FloatArray, block: str, what: str) -> tuple[FloatArray, FloatArray]:
+def _unit(D: Array, block: str, what: str) -> tuple[Array, Array]:
     """Return orthogonal U and a scaling V such that U' D V = [0; I].
 
     Raises:
@@ -247,7 +246,7 @@ def _unit(D: FloatArray, block: str, what: str) -> tuple[FloatArray, FloatArray]
     return np.hstack([U[:, m:], U[:, :m]]), Vt.T / s
 
 
-def _speed(A: FloatArray) -> float:
+def _speed(A: Array) -> float:
     """Return the geometric mean of the moduli of the poles, those near zero left out."""
     size = np.abs(np.linalg.eigvals(A)) if A.size else np.ones(1)
     size = size[size > 1e-9 * max(float(size.max()), 1e-300)]

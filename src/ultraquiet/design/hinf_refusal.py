@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.ordered import Array
 from ultraquiet.linalg.response import points
 from ultraquiet.values.state_space import StateSpace
 
@@ -26,7 +26,7 @@ def diagnose(P: StateSpace, ny: int, nu: int) -> str:
     return _axis_zeros(P, p, m)
 
 
-def _loses_rank(matrix: FloatArray, z: complex) -> bool:
+def _loses_rank(matrix: Array, z: complex) -> bool:
     n = matrix.shape[0]
     shifted = matrix.astype(np.complex128)
     shifted[:, :n] -= z * np.eye(n)
@@ -50,8 +50,8 @@ def _axis_zeros(P: StateSpace, p: int, m: int) -> str:
     return ""
 
 
-def _frequencies(P: StateSpace) -> FloatArray:
-    poles: ComplexArray = np.linalg.eigvals(P.A)
+def _frequencies(P: StateSpace) -> Array:
+    poles: Array = np.linalg.eigvals(P.A)
     if P.rate_hz is None:
         return np.abs(poles.imag) / (2 * np.pi)
     return np.concatenate([np.abs(np.angle(poles)) * P.rate_hz / (2 * np.pi), [P.rate_hz / 2]])

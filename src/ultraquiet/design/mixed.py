@@ -10,7 +10,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf import synthesize_hinf
-from ultraquiet.design.weights import band_pass, high_pass, rational
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, rational
 from ultraquiet.values.generalised import four_block, full, output_shaping
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
@@ -19,6 +19,8 @@ FORMS = ("four-block", "skst", "paper")
 # Eqs. (16) and (17): W1 = 1e-4 (s + 10) / ((s + 1) (s + 100)), W2 = 1e-5.
 PAPER_W1 = (1e-4, (-10.0,), (-1.0, -100.0))
 PAPER_W2 = 1e-5
+RISE_HZ = 30.0
+ROLL_OFF = 4.0  # weight on u at high frequency, V/V
 
 
 @register("design", "mixed-sensitivity")
@@ -26,7 +28,7 @@ PAPER_W2 = 1e-5
 class MixedSensitivity:
     """The controller that minimises the H-infinity norm of weighted closed-loop functions.
 
-    four-block: min || [W1; W2 K] (I - G K)^-1 [G Vd, Vn] ||, disturbance at the plant's input and sensor noise.
+    four-block: min || [W1; W2 K] (I - G K)^-1 [G Vd, Vn] ||, disturbance at the plant's input and at the sensors.
     skst: min || [W1 S; W2 K S; W3 T] ||, eq. (15) with a weight on T.
     paper: min || [W2 K S; T; W1 S] ||, eqs. (15)-(17) as printed.
 
@@ -40,10 +42,10 @@ class MixedSensitivity:
         height: gain of W1 in the band.
         floor: gain of W1 outside it.
         order: states of W1 per channel, even.
-        control_limit: allowed gain from sensor to actuator, V/V: W2 is its inverse, rising from `roll_off_hz`.
-        roll_off_hz: where control is to end, Hz.
-        disturbance: Vd, volts at every input.
-        noise: Vn, output units at every sensor.
+        control_limit: allowed gain from sensor to actuator at low frequency, V/V; W2 is its inverse there and rises.
+        roll_off_hz: where control is to end, Hz (`skst`; the four-block weight rises from 30 Hz with two slopes).
+        disturbance: Vd, volts at every input. At a third of a volt and above, W2 also weights T at the plant's input.
+        noise: Vn, disturbance and noise at every sensor, output units.
         margin: the controller is formed at margin times the smallest norm.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
@@ -59,13 +61,13 @@ class MixedSensitivity:
     control: StateSpace | None = None
     complementary: StateSpace | None = None
     band_hz: tuple[float, float] = (9.0, 108.0)
-    height: float = 30.0
-    floor: float = 0.5
-    order: int = 4
+    height: float = 12.0
+    floor: float = 0.6
+    order: int = 8
     control_limit: float = 1000.0
     roll_off_hz: float = 500.0
-    disturbance: float = 1.0
-    noise: float = 0.01
+    disturbance: float = 0.3
+    noise: float = 1.0
     margin: float = 1.05
 
     def __post_init__(self) -> None:
@@ -99,7 +101,7 @@ class MixedSensitivity:
             }
         w1 = self.performance or band_pass(self.band_hz, self.height, self.floor, self.order, rate)
         w2 = self.control or self._control(rate)
-        w3 = self.complementary or high_pass(self.roll_off_hz, 0.4, 4.0, 1, rate)
+        w3 = self.complementary or high_pass(below_nyquist(self.roll_off_hz, rate), 0.4, 4.0, 1, rate)
         return {
             "performance": full(w1, ny, "performance"),
             "control": full(w2, nu, "control"),
@@ -121,6 +123,7 @@ class MixedSensitivity:
 
     def _control(self, rate_hz: float | None) -> StateSpace:
         if self.form == "skst":
-            return high_pass(self.roll_off_hz, 1 / self.control_limit, 10 / self.control_limit, 1, rate_hz)
-        # in the four-block form W2 u answers to the disturbance, so that it weights T at the plant's input
-        return high_pass(self.roll_off_hz, 0.4, 4.0, 1, rate_hz)
+            corner = below_nyquist(self.roll_off_hz, rate_hz)
+            return high_pass(corner, 1 / self.control_limit, 10 / self.control_limit, 1, rate_hz)
+        # without a block for T, the weight on u rises early and far enough to end the loop as well
+        return high_pass(RISE_HZ, 1 / self.control_limit, ROLL_OFF, 2, rate_hz)

@@ -6,12 +6,15 @@ factor of it is taken, so that no phase of a sum can carve a notch into the weig
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, positive, whole
+from ultraquiet._base.constraints import positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
 from ultraquiet.linalg.discretize import tustin
+from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.interconnect import append
 from ultraquiet.values.state_space import StateSpace
+
+HIGHEST = 0.4  # of the sampling rate; nearer to Nyquist a corner has no room to rise
 
 
 def band_pass(
@@ -117,32 +120,42 @@ def rational(
     channels: int,
 ) -> StateSpace:
     """Return gain prod(s - zero) / prod(s - pole) on each channel, sampled by Tustin's rule when a rate is given."""
-    num = gain * np.atleast_1d(np.poly(np.array(zeros_rad_s))).real
-    den = np.atleast_1d(np.poly(np.array(poles_rad_s))).real
+    num: Array = gain * np.atleast_1d(np.poly(np.array(zeros_rad_s))).real
+    den: Array = np.atleast_1d(np.poly(np.array(poles_rad_s))).real
     M = realize.sections(np.concatenate([np.zeros(len(den) - len(num)), num]), den)
     return _copies(M, rate_hz, None, channels)
 
 
-def _butterworth(n: int) -> ComplexArray:
+def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
+    """Return a corner that a discrete weight can have: at most 0.4 of the rate."""
+    return corner_hz if rate_hz is None else min(corner_hz, HIGHEST * rate_hz)
+
+
+def _butterworth(n: int) -> Array:
     """Return the poles of a Butterworth filter, real ones exactly real."""
     k = np.arange(n)
-    p = np.exp(1j * np.pi * (2 * k + n + 1) / (2 * n))
-    return np.where(np.abs(p.imag) < 1e-12, p.real, p)
+    p: Array = np.exp(1j * np.pi * (2 * k + n + 1) / (2 * n))
+    return _exact(p)
 
 
-def _to_band(p: ComplexArray, width: float) -> ComplexArray:
+def _to_band(p: Array, width: float) -> Array:
     """Return the roots s of (s^2 + 1) / (width s) = p."""
     half = p * width / 2
     root = np.sqrt(half**2 - 1 + 0j)
-    s = np.concatenate([half + root, half - root])
-    return np.where(np.abs(s.imag) < 1e-12 * np.abs(s), s.real, s)
+    return _exact(np.concatenate([half + root, half - root]))
+
+
+def _exact(roots: Array) -> Array:
+    """Return roots with imaginary parts of round-off set to zero."""
+    return np.where(np.abs(roots.imag) < 1e-12 * np.abs(roots), roots.real, roots)
 
 
 def _realised(
-    zeros: ComplexArray, poles: ComplexArray, gain: float, unit_hz: float, rate_hz: float | None, channels: int
+    zeros: Array, poles: Array, gain: float, unit_hz: float, rate_hz: float | None, channels: int
 ) -> StateSpace:
     """Realise gain prod(s - zeros) / prod(s - poles), s in units of `unit_hz`."""
-    A, B, C, D = realize.sections(gain * np.poly(zeros).real, np.poly(poles).real)
+    num, den = np.real(np.poly(zeros)), np.real(np.poly(poles))
+    A, B, C, D = realize.sections(np.asarray(gain * num, dtype=np.float64), np.asarray(den, dtype=np.float64))
     w = 2 * np.pi * unit_hz
     return _copies((A * w, B * np.sqrt(w), C * np.sqrt(w), D), rate_hz, unit_hz, channels)
 

@@ -1,15 +1,14 @@
 """Coordinates in which equations are easily solved: real modal blocks, even scaling, Gramians, balancing."""
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import schur, solve_sylvester
+from scipy.linalg import solve_sylvester
 from scipy.sparse.csgraph import connected_components
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.equations import lyapunov, stein
-from ultraquiet.linalg.realize import Matrices
+from ultraquiet.linalg.ordered import Array, Matrices, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
 MODAL_CONDITION = 1e7
@@ -20,15 +19,15 @@ ROOT_TWO = np.sqrt(2.0)
 class Coordinates(NamedTuple):
     """A system in new coordinates x_old = T x: its A, B, C, T, the inverse of T, and the sizes of A's blocks."""
 
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    T: FloatArray
-    inverse: FloatArray
+    A: Array
+    B: Array
+    C: Array
+    T: Array
+    inverse: Array
     blocks: tuple[int, ...]
 
 
-def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> Coordinates:
+def modal(A: Array, B: Array, C: Array) -> Coordinates:
     """Return real modal coordinates, |b| = |c| block by block.
 
     A complex pair becomes [[re, im], [-im, re]], a real eigenvalue a single entry. Modes too close to be told apart
@@ -39,25 +38,25 @@ def modal(A: FloatArray, B: FloatArray, C: FloatArray) -> Coordinates:
     return _even(inverse @ A @ T, inverse @ B, C @ T, T, inverse, sizes)
 
 
-def scaled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def scaled(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array, Array]:
     """Return A, B, C and d with every state scaled, x_old = d x, so that its input and output sizes are alike."""
     d = _ratio(np.linalg.norm(C, axis=0), np.linalg.norm(B, axis=1))
     return A * (1 / d) / (1 / d)[:, None], B * d[:, None], C / d, 1 / d
 
 
-def gramians(A: FloatArray, B: FloatArray, C: FloatArray, discrete: bool) -> tuple[FloatArray, FloatArray]:
+def gramians(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
     """Return the controllability and observability Gramians of a stable system."""
     solve = stein if discrete else lyapunov
     return solve(A, B @ B.T), solve(A.T, C.T @ C)
 
 
-def square_root(P: FloatArray) -> FloatArray:
+def square_root(P: Array) -> Array:
     """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero."""
     values, vectors = np.linalg.eigh((P + P.T) / 2)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def balancing(P: FloatArray, Q: FloatArray, order: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def balancing(P: Array, Q: Array, order: int) -> tuple[Array, Array, Array]:
     """Return left `(order, n)` and right `(n, order)` projections of balanced truncation and all Hankel values.
 
     Square-root method (Tombs and Postlethwaite 1987): left @ right = I, `left @ A @ right` is the reduced A.
@@ -69,7 +68,7 @@ def balancing(P: FloatArray, Q: FloatArray, order: int) -> tuple[FloatArray, Flo
     return (L @ U[:, :order] / root).T, R @ Vt[:order].T / root, s
 
 
-def truncate(M: Matrices, left: FloatArray, right: FloatArray) -> Matrices:
+def truncate(M: Matrices, left: Array, right: Array) -> Matrices:
     """Return the projected system."""
     A, B, C, D = M
     return left @ A @ right, left @ B, C @ right, D.copy()
@@ -90,12 +89,12 @@ def residualize(M: Matrices, keep: int, discrete: bool) -> Matrices:
     )
 
 
-def stable_first(A: FloatArray, discrete: bool) -> tuple[FloatArray, FloatArray, int]:
+def stable_first(A: Array, discrete: bool) -> tuple[Array, Array, int]:
     """Return T, its inverse and the number of stable states, such that A becomes diag(stable, unstable)."""
     n = A.shape[0]
     if n == 0:
         return np.eye(0), np.eye(0), 0
-    S, U, count = schur(A, output="real", sort="iuc" if discrete else "lhp")
+    S, U, count = ordered_schur(A, "iuc" if discrete else "lhp")
     T = U.copy()
     if 0 < count < n:
         X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
@@ -103,7 +102,7 @@ def stable_first(A: FloatArray, discrete: bool) -> tuple[FloatArray, FloatArray,
     return T, np.linalg.inv(T), int(count)
 
 
-def _separated(A: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
+def _separated(A: Array) -> tuple[Array, tuple[int, ...]]:
     """Return a well-conditioned T that block-diagonalises A, and the block sizes."""
     n = A.shape[0]
     if n == 0:
@@ -116,14 +115,14 @@ def _separated(A: FloatArray) -> tuple[FloatArray, tuple[int, ...]]:
         ]
     except np.linalg.LinAlgError:
         # The reordering moved eigenvalues of a tight cluster across the border between it and its neighbours.
-        return schur(A, output="real")[1], (n,)
+        return real_schur(A)[1], (n,)
     T = np.hstack(bases)
     if T.shape == (n, n) and np.linalg.cond(T) < MODAL_CONDITION:
         return T, tuple(len(g) for g in groups)
-    return schur(A, output="real")[1], (n,)
+    return real_schur(A)[1], (n,)
 
 
-def _clusters(values: ComplexArray, vectors: ComplexArray) -> list[list[int]]:
+def _clusters(values: Array, vectors: Array) -> list[list[int]]:
     """Group eigenvalues whose eigenvectors are nearly parallel; conjugates stay together."""
     n = values.size
     near = np.abs(vectors.conj().T @ vectors) > 1 - PARALLEL
@@ -136,11 +135,11 @@ def _clusters(values: ComplexArray, vectors: ComplexArray) -> list[list[int]]:
     return list(groups.values())
 
 
-def _tangled(values: ComplexArray, group: list[int]) -> bool:
+def _tangled(values: Array, group: list[int]) -> bool:
     return not (len(group) == 1 or (len(group) == 2 and values[group[0]].imag != 0))
 
 
-def _real_basis(values: ComplexArray, vectors: ComplexArray) -> FloatArray:
+def _real_basis(values: Array, vectors: Array) -> Array:
     """Return one real column (real eigenvalue) or two (complex pair), of unit size and evenly conditioned."""
     if values.size == 1:
         return vectors.real / np.linalg.norm(vectors.real)
@@ -150,7 +149,7 @@ def _real_basis(values: ComplexArray, vectors: ComplexArray) -> FloatArray:
     return np.column_stack([v.real, v.imag]) * ROOT_TWO
 
 
-def _invariant(A: FloatArray, values: ComplexArray, group: list[int]) -> FloatArray:
+def _invariant(A: Array, values: Array, group: list[int]) -> Array:
     """Return an orthonormal basis of the invariant subspace of a group of eigenvalues."""
     wanted = values[group]
     others = np.delete(values, group)
@@ -159,13 +158,11 @@ def _invariant(A: FloatArray, values: ComplexArray, group: list[int]) -> FloatAr
         z = complex(re, im)
         return bool(not others.size or np.min(np.abs(wanted - z)) < np.min(np.abs(others - z)))
 
-    _, U, count = schur(A, output="real", sort=inside)
+    _, U, count = ordered_schur(A, inside)
     return U[:, : min(count, len(group))]
 
 
-def _even(
-    A: FloatArray, B: FloatArray, C: FloatArray, T: FloatArray, inverse: FloatArray, sizes: tuple[int, ...]
-) -> Coordinates:
+def _even(A: Array, B: Array, C: Array, T: Array, inverse: Array, sizes: tuple[int, ...]) -> Coordinates:
     edges = np.concatenate([[0], np.cumsum(sizes, dtype=int)]) if sizes else np.zeros(1, dtype=int)
     A = A.copy()
     d = np.ones(A.shape[0])
@@ -177,7 +174,7 @@ def _even(
     return Coordinates(A, B * d[:, None], C / d, T / d, inverse * d[:, None], sizes)
 
 
-def _ratio(c: FloatArray | float, b: FloatArray | float) -> FloatArray:
+def _ratio(c: Any, b: Any) -> Array:
     """Return sqrt(c / b) rounded to a power of two, one where either vanishes."""
     c, b = np.atleast_1d(c).astype(float), np.atleast_1d(b).astype(float)
     safe = (c > 0) & (b > 0)

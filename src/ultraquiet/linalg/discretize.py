@@ -3,14 +3,13 @@
 import numpy as np
 from scipy.linalg import expm
 
-from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.realize import Matrices
+from ultraquiet.linalg.ordered import Array, Matrices
 
 ROOT_TWO = np.sqrt(2.0)
 
 
-def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, step_s: float) -> Matrices:
+def zero_order_hold(A: Array, B: Array, C: Array, D: Array, step_s: float) -> Matrices:
     """Return the system whose input is held constant over each step of `step_s` seconds."""
     n, nu = B.shape
     block = np.zeros((n + nu, n + nu))
@@ -19,7 +18,7 @@ def zero_order_hold(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, 
     return held[:n, :n], held[:n, n:], C.copy(), D.copy()
 
 
-def bilinear_to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
+def bilinear_to_continuous(A: Array, B: Array, C: Array, D: Array) -> Matrices:
     """Map z = (1 + s) / (1 - s): the unit disc onto the left half-plane, gains, norms and state count unchanged.
 
     Both directions together give back the very system (Al-Saggaf and Franklin 1988). Gramians and solutions of the
@@ -35,7 +34,7 @@ def bilinear_to_continuous(A: FloatArray, B: FloatArray, C: FloatArray, D: Float
     return inverse @ (A - one), ROOT_TWO * inverse @ B, ROOT_TWO * C @ inverse, D - C @ inverse @ B
 
 
-def bilinear_to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Matrices:
+def bilinear_to_discrete(A: Array, B: Array, C: Array, D: Array) -> Matrices:
     """Map s = (z - 1) / (z + 1), the inverse of `bilinear_to_continuous`.
 
     Raises:
@@ -48,9 +47,7 @@ def bilinear_to_discrete(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatAr
     return inverse @ (one + A), ROOT_TWO * inverse @ B, ROOT_TWO * C @ inverse, D + C @ inverse @ B
 
 
-def tustin(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, rate_hz: float, exact_hz: float | None = None
-) -> Matrices:
+def tustin(A: Array, B: Array, C: Array, D: Array, rate_hz: float, exact_hz: float | None = None) -> Matrices:
     """Sample a continuous system by Tustin's rule; its response is kept exactly at `exact_hz` (0 Hz when absent)."""
     k = 2 * rate_hz if not exact_hz else 2 * np.pi * exact_hz / np.tan(np.pi * exact_hz / rate_hz)
     return bilinear_to_discrete(A / k, B / np.sqrt(k), C / np.sqrt(k), D)
@@ -65,6 +62,6 @@ def delay(samples: int, channels: int) -> Matrices:
     return A, np.eye(n, m), np.eye(n)[n - m :], np.zeros((m, m))
 
 
-def _reachable(M: FloatArray, where: str) -> None:
+def _reachable(M: Array, where: str) -> None:
     if M.shape[0] and np.linalg.cond(M) > 1e14:
         raise NumericalError(f"bilinear map: the system has a pole at {where}; move it by a small amount first.")

@@ -4,10 +4,10 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, lu_factor, lu_solve, matrix_balance, schur, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, lu_factor, lu_solve, matrix_balance, solve_continuous_lyapunov
 
-from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg.ordered import Array, ordered_schur, real_schur
 
 ACCEPTED_RESIDUAL = 1e-8  # relative; a Newton step follows above it, a refusal if that does not help
 POLISHED_RESIDUAL = 1e-11  # no Newton step is taken below it
@@ -24,12 +24,12 @@ class Riccati(NamedTuple):
     poles, positive when stable.
     """
 
-    X: FloatArray
+    X: Array
     residual: float
     margin: float
 
 
-def continuous_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> Riccati:
+def continuous_riccati(A: Array, G: Array, Q: Array) -> Riccati:
     """Solve A'X + X A - X G X + Q = 0 for the X that makes A - G X stable; G and Q symmetric, of any sign.
 
     The ladder: ordered real Schur form of the balanced Hamiltonian, structured doubling, each polished by Newton steps.
@@ -58,9 +58,7 @@ def continuous_riccati(A: FloatArray, G: FloatArray, Q: FloatArray) -> Riccati:
     raise NumericalError(_refusal("continuous", n, found))
 
 
-def discrete_riccati(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray | None = None
-) -> Riccati:
+def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = None) -> Riccati:
     """Solve X = A'XA - (A'XB + S)(R + B'XB)^-1 (B'XA + S') + Q for the stabilising X.
 
     The ladder: structure-preserving doubling, then SciPy's QZ of the extended pencil, then Newton steps.
@@ -81,7 +79,7 @@ def discrete_riccati(
     raise NumericalError(_refusal("discrete", A.shape[0], found))
 
 
-def lyapunov(A: FloatArray, Q: FloatArray) -> FloatArray:
+def lyapunov(A: Array, Q: Array) -> Array:
     """Solve A X + X A' + Q = 0 for symmetric Q."""
     if A.shape[0] == 0:
         return np.zeros((0, 0))
@@ -91,7 +89,7 @@ def lyapunov(A: FloatArray, Q: FloatArray) -> FloatArray:
         return _symmetric(solve_continuous_lyapunov(A, -Q))
 
 
-def stein(A: FloatArray, Q: FloatArray) -> FloatArray:
+def stein(A: Array, Q: Array) -> Array:
     """Solve X = A X A' + Q for stable A by doubling (squared Smith); 2^k terms of the series after k steps.
 
     Raises:
@@ -109,19 +107,19 @@ def stein(A: FloatArray, Q: FloatArray) -> FloatArray:
     raise NumericalError("Stein equation: A has an eigenvalue on or outside the unit circle, so the sum has no limit.")
 
 
-def continuous_residual(A: FloatArray, G: FloatArray, Q: FloatArray, X: FloatArray) -> float:
+def continuous_residual(A: Array, G: Array, Q: Array, X: Array) -> float:
     """Return the size of A'X + XA - XGX + Q relative to its terms."""
     AX, XGX = A.T @ X, X @ G @ X
     size = 2 * np.linalg.norm(AX) + np.linalg.norm(XGX) + np.linalg.norm(Q)
     return float(np.linalg.norm(AX + AX.T - XGX + Q) / size) if size else 0.0
 
 
-def discrete_gain(A: FloatArray, B: FloatArray, R: FloatArray, S: FloatArray, X: FloatArray) -> FloatArray:
+def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
     """Return K = (R + B'XB)^-1 (B'XA + S'), the gain of u = -K x."""
     return np.linalg.solve(R + B.T @ X @ B, B.T @ X @ A + S.T)
 
 
-def _symplectic_scaling(A: FloatArray, G: FloatArray, Q: FloatArray) -> tuple[FloatArray, ...]:
+def _symplectic_scaling(A: Array, G: Array, Q: Array) -> tuple[Array, ...]:
     """Scale the states by d, X -> d X d, so that the Hamiltonian's rows and columns match (Benner 2001).
 
     The powers of two that LAPACK finds for the 2n-by-2n matrix are halved into a symplectic scaling.
@@ -135,7 +133,7 @@ def _symplectic_scaling(A: FloatArray, G: FloatArray, Q: FloatArray) -> tuple[Fl
     return d, A * d / d[:, None], G / np.outer(d, d), Q * np.outer(d, d)
 
 
-def _doubled_continuous(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray | None:
+def _doubled_continuous(A: Array, G: Array, Q: Array) -> Array | None:
     """Structured doubling after a Cayley transformation (Chu, Fan and Lin 2005, doi:10.1016/j.laa.2004.10.010)."""
     n = A.shape[0]
     moduli = np.abs(np.linalg.eigvals(A))
@@ -154,7 +152,7 @@ def _doubled_continuous(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArr
     return _double(E, _symmetric(G0), _symmetric(H))
 
 
-def _doubled_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray | None:
+def _doubled_discrete(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array | None:
     """Structure-preserving doubling (Chu, Fan, Lin and Wang 2004, doi:10.1080/00207170410001714988)."""
     try:
         RB = np.linalg.solve(R, np.hstack([B.T, S.T]))
@@ -165,7 +163,7 @@ def _doubled_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray
 
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _double(E: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray | None:
+def _double(E: Array, G: Array, H: Array) -> Array | None:
     """Double (E, G, H) until H stands still at the solution; None when it does not."""
     identity = np.eye(E.shape[0])
     for _ in range(DOUBLINGS):
@@ -186,27 +184,27 @@ def _double(E: FloatArray, G: FloatArray, H: FloatArray) -> FloatArray | None:
     return None
 
 
-def _schur_continuous(A: FloatArray, G: FloatArray, Q: FloatArray) -> FloatArray | None:
+def _schur_continuous(A: Array, G: Array, Q: Array) -> Array | None:
     """Stable invariant subspace of the Hamiltonian by ordered real Schur form (Laub 1979)."""
     n = A.shape[0]
     H = np.block([[A, -G], [-Q, -A.T]])
     try:
-        T, U, split = schur(H, output="real", sort="lhp")
+        T, U, split = ordered_schur(H, "lhp")
         if split == n:
             return _symmetric(np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T)
     except (LinAlgError, ValueError):
-        T = schur(H, output="real")[0]
+        T = real_schur(H)[0]
     moduli, real = _spectrum(T)
     return UNSPLIT if np.any(np.abs(real) <= AXIS * np.maximum(moduli, AXIS * moduli.max())) else None
 
 
-def _spectrum(T: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _spectrum(T: Array) -> tuple[Array, Array]:
     """Return moduli and real parts of the eigenvalues of a real Schur form."""
     values = np.linalg.eigvals(T)
     return np.abs(values), values.real
 
 
-def _qz_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray | None:
+def _qz_discrete(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Array | None:
     from scipy.linalg import solve_discrete_are
 
     try:
@@ -215,7 +213,7 @@ def _qz_discrete(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: 
         return None
 
 
-def _polished_continuous(A: FloatArray, G: FloatArray, Q: FloatArray, X: FloatArray) -> Riccati:
+def _polished_continuous(A: Array, G: Array, Q: Array, X: Array) -> Riccati:
     held = _judged_continuous(A, G, Q, X)
     for _ in range(NEWTON_STEPS):
         if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
@@ -230,15 +228,13 @@ def _polished_continuous(A: FloatArray, G: FloatArray, Q: FloatArray, X: FloatAr
     return held
 
 
-def _judged_continuous(A: FloatArray, G: FloatArray, Q: FloatArray, X: FloatArray) -> Riccati:
+def _judged_continuous(A: Array, G: Array, Q: Array, X: Array) -> Riccati:
     if not np.all(np.isfinite(X)):
         return Riccati(X, np.inf, -np.inf)
     return Riccati(X, continuous_residual(A, G, Q, X), -float(np.linalg.eigvals(A - G @ X).real.max()))
 
 
-def _polished_discrete(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray, X: FloatArray
-) -> Riccati:
+def _polished_discrete(A: Array, B: Array, Q: Array, R: Array, S: Array, X: Array) -> Riccati:
     held = _judged_discrete(A, B, Q, R, S, X)
     for _ in range(NEWTON_STEPS):
         if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
@@ -252,9 +248,7 @@ def _polished_discrete(
     return held
 
 
-def _judged_discrete(
-    A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray, X: FloatArray
-) -> Riccati:
+def _judged_discrete(A: Array, B: Array, Q: Array, R: Array, S: Array, X: Array) -> Riccati:
     if not np.all(np.isfinite(X)):
         return Riccati(X, np.inf, -np.inf)
     try:
@@ -284,5 +278,5 @@ def _refusal(time: str, n: int, found: Riccati | None) -> str:
     return f"{who}: the relative residual {found.residual:.1e} is above {ACCEPTED_RESIDUAL:.0e}; scale the problem."
 
 
-def _symmetric(X: FloatArray) -> FloatArray:
+def _symmetric(X: Array) -> Array:
     return (X + X.T) / 2

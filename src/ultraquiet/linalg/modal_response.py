@@ -4,10 +4,9 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import schur
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.ordered import Array, complex_schur
 from ultraquiet.linalg.response import _solve_triangular
 
 # Loss of digits that is accepted for the speed; beyond it the triangular kernel is used.
@@ -17,12 +16,12 @@ CONDITION = 1e6
 class Residues(NamedTuple):
     """G(z) = sum of residues / (z - pole), plus what could not be split, plus D."""
 
-    poles: ComplexArray
-    residues: ComplexArray  # (ny * nu, poles)
-    rest: tuple[ComplexArray, ComplexArray, ComplexArray] | None  # A in complex Schur form, B, C
-    D: FloatArray
+    poles: Array
+    residues: Array  # (ny * nu, poles)
+    rest: tuple[Array, Array, Array] | None  # A in complex Schur form, B, C
+    D: Array
 
-    def at(self, z: ComplexArray) -> ComplexArray:
+    def at(self, z: Array) -> Array:
         """Return the response `(ny, nu, nz)`."""
         ny, nu = self.D.shape
         out = np.broadcast_to(self.D[:, :, None], (ny, nu, z.size)).astype(np.complex128)
@@ -34,12 +33,12 @@ class Residues(NamedTuple):
         return out
 
 
-def residues(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> Residues:
+def residues(A: Array, B: Array, C: Array, D: Array) -> Residues:
     """Split a system into first-order terms; modes that cannot be told apart stay together in `rest`."""
     return split(balance.modal(A, B, C), D)
 
 
-def split(form: balance.Coordinates, D: FloatArray) -> Residues:
+def split(form: balance.Coordinates, D: Array) -> Residues:
     """Split a system that is in modal coordinates already."""
     lost = form.T.size > 0 and np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) > CONDITION
     poles, terms, left = [np.zeros(0, complex)], [np.zeros((D.size, 0), complex)], []
@@ -53,12 +52,12 @@ def split(form: balance.Coordinates, D: FloatArray) -> Residues:
         terms.append((c[:, None, :] * b.T[None, :, :]).reshape(D.size, p.size))
     rest = None
     if left:
-        T, Q = schur(form.A[np.ix_(left, left)], output="complex")
+        T, Q = complex_schur(form.A[np.ix_(left, left)])
         rest = (T, Q.conj().T @ form.B[left], form.C[:, left] @ Q)
     return Residues(np.concatenate(poles), np.concatenate(terms, axis=1), rest, D)
 
 
-def _block(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def _block(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:
     """Return poles, rows of B and columns of C of a block of one or two states in complex form."""
     if A.shape[0] == 1:
         return A[0].astype(complex), B.astype(complex), C.astype(complex)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.balance import gramians, modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous
 from ultraquiet.linalg.modal_response import Residues, split
+from ultraquiet.linalg.ordered import Array
 
 ROUNDS = 30
 # An eigenvalue counts as imaginary when its real part is below this share of its modulus: generous, because each
@@ -19,9 +19,7 @@ FAN = np.linspace(-1, 1, 30)
 FANS = (2e-2, 1e-3, 5e-5, 2.5e-6)
 
 
-def peak_gain(
-    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discrete: bool, tolerance: float = 1e-7
-) -> tuple[float, float]:
+def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance: float = 1e-7) -> tuple[float, float]:
     """Return the largest singular value over frequency and where: rad/s, or radians per sample when discrete.
 
     Bruinsma and Steinbuch 1990 (doi:10.1016/0167-6911(90)90049-Z): imaginary eigenvalues of a Hamiltonian say whether
@@ -39,7 +37,7 @@ def peak_gain(
     return _peak(A, B, C, D, tolerance)
 
 
-def mean_square_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, discrete: bool) -> float:
+def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> float:
     """Return the H2 norm; infinite for unstable systems and for continuous ones with feedthrough."""
     poles = np.linalg.eigvals(A)
     if poles.size and (np.abs(poles).max() >= 1 if discrete else poles.real.max() >= 0):
@@ -51,7 +49,7 @@ def mean_square_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray,
     return float(np.sqrt(max(total, 0.0)))
 
 
-def _peak(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance: float) -> tuple[float, float]:
+def _peak(A: Array, B: Array, C: Array, D: Array, tolerance: float) -> tuple[float, float]:
     direct = float(np.linalg.norm(D, 2)) if D.size else 0.0
     if A.shape[0] == 0 or not np.any(B) or not np.any(C):
         return direct, 0.0
@@ -73,7 +71,7 @@ def _peak(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance:
     return best, at
 
 
-def _guesses(poles: ComplexArray) -> FloatArray:
+def _guesses(poles: Array) -> Array:
     """Return frequencies near which a peak is likely: resonances and corner frequencies, some between, and zero."""
     w = np.concatenate([np.abs(poles.imag), np.abs(poles)])
     w = w[w > 0]
@@ -90,7 +88,7 @@ class _Gain:
     def __init__(self, terms: Residues) -> None:
         self._terms = terms
 
-    def climb(self, w: FloatArray, best: float, at: float) -> tuple[float, float]:
+    def climb(self, w: Array, best: float, at: float) -> tuple[float, float]:
         """Return the larger of the best gain so far and those at `w`, and its place."""
         if w.size == 0:
             return best, at
@@ -107,7 +105,7 @@ class _Gain:
         return best, at
 
 
-def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, level: float) -> FloatArray:
+def _crossings(A: Array, B: Array, C: Array, D: Array, level: float) -> Array:
     """Return the frequencies at which a singular value may equal `level`, sorted."""
     b, c, d = B / np.sqrt(level), C / np.sqrt(level), D / level
     R = np.eye(d.shape[1]) - d.T @ d

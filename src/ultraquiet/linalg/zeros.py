@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.balance import scaled
+from ultraquiet.linalg.ordered import Array
 
 RANK = 1e-10  # relative to the largest entry of the scaled system
 
 
-def invariant_zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> ComplexArray:
+def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> Array:
     """Return the values of z at which [A - zI, B; C, D] loses rank, zeros at infinity left out.
 
     Rows, then columns, of D are compressed and the states that they tie down removed until D is invertible
@@ -30,7 +30,7 @@ def invariant_zeros(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) 
     return np.linalg.eigvals(core).astype(np.complex128)
 
 
-def _row_compressed(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> tuple[FloatArray, ...]:
+def _row_compressed(A: Array, B: Array, C: Array, D: Array) -> tuple[Array, ...]:
     """Remove the states that outputs without feedthrough tie to zero, until D has full row rank."""
     tiny = RANK * max(float(np.abs(M).max()) for M in (A, B, C, D) if M.size)
     while C.shape[0]:

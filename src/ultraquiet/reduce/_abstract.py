@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.realize import Matrices
+from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 

@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, project, renamed
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -54,7 +55,7 @@ class Balanced:
         P, Q = balance.gramians(*stable[:3], discrete)
         keep = max(0, min(self.states - (controller.states - count), count))
         (a, b, c, d), hankel = project(stable, P, Q, keep, discrete, self.method)
-        whole_system = (
+        whole_system: Matrices = (
             block_diag(a, A[count:, count:]) if count < controller.states else a,
             np.vstack([b, B[count:]]),
             np.hstack([c, C[:, count:]]),

@@ -46,14 +46,16 @@ def output_shaping(
 def four_block(
     plant: StateSpace, on_output: StateSpace, on_control: StateSpace, disturbance: FloatArray, noise: FloatArray
 ) -> StateSpace:
-    """Return the system from (d, n, u) to (W1 x, W2 u, y), x = G (u + Vd d), y = x + Vn n.
+    """Return the system from (d, n, u) to (W1 y, W2 u, y), y = G (u + Vd d) + Vn n.
+
+    The loop it makes is [W1; W2 K] (I - G K)^-1 [G Vd, Vn].
 
     Args:
         plant: G.
         on_output: W1.
         on_control: W2.
         disturbance: Vd `(nu, nu)`, volts of disturbance at the plant's input.
-        noise: Vn `(ny, ny)`, output units of sensor noise.
+        noise: Vn `(ny, ny)`, output units of disturbance and noise at the sensors.
     """
     ny, nu = plant.D.shape
     _fits(plant, on_output, ny, "on_output")
@@ -62,13 +64,8 @@ def four_block(
     n = plant.states
     B = np.hstack([plant.B @ Vd, np.zeros((n, ny)), plant.B])
     C = np.vstack([plant.C, np.zeros((nu, n)), plant.C])
-    D = np.block(
-        [
-            [plant.D @ Vd, np.zeros((ny, ny)), plant.D],
-            [np.zeros((nu, nu + ny)), np.eye(nu)],
-            [plant.D @ Vd, Vn, plant.D],
-        ]
-    )
+    seen = np.hstack([plant.D @ Vd, Vn, plant.D])
+    D = np.vstack([seen, np.hstack([np.zeros((nu, nu + ny)), np.eye(nu)]), seen])
     inner = StateSpace(plant.A, B, C, D, plant.rate_hz)
     return series(inner, append(on_output, on_control, gain(np.eye(ny), plant.rate_hz)))
 

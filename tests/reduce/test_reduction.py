@@ -1,0 +1,93 @@
+"""Reduction: certificates of the loop, bounds, and fewer states than plain truncation can keep stable."""
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+from ultraquiet.analyse import hinf_norm
+from ultraquiet.design import BandAttenuation, common_mode
+from ultraquiet.reduce import Balanced, ClosedLoopWeighted
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import feedback, parallel
+
+
+@pytest.fixture(scope="module")
+def designed():
+    plant = common_mode(uq.bench.Hexapod(unit="ground").linear_model())
+    return plant, BandAttenuation().design(plant)
+
+
+def test_certified_loss_is_that_of_the_loop(designed):
+    plant, result = designed
+    for states in (20, 16, 12, 10):
+        small = ClosedLoopWeighted(states=states).reduce(result.controller, plant, result.details["weights"])
+        print(f"{small.controller.states} of {result.controller.states} states: {small.status}")
+        assert small.status.ok
+        assert small.controller.states == states
+        assert feedback(plant, small.controller).is_stable()
+        assert abs(small.cost_before / result.achieved - 1) < 1e-3
+        assert small.cost_after >= 0.99 * result.details["optimum"][0]
+
+
+def test_two_thirds_of_the_states_cost_little(designed):
+    plant, result = designed
+    small = ClosedLoopWeighted(states=16).reduce(result.controller, plant, result.details["weights"])
+    print(f"24 -> 16 states: {100 * small.loss:.1f} % of the closed-loop norm")
+    assert small.loss < 0.10
+
+
+def test_fewest_states_within_a_loss(designed):
+    plant, result = designed
+    small = ClosedLoopWeighted(states=None, loss=0.05).reduce(result.controller, plant, result.details["weights"])
+    assert small.loss <= 0.05
+    assert small.controller.states < result.controller.states
+
+
+def test_full_six_by_six_controller_to_a_third():
+    plant = uq.bench.Hexapod(unit="ground").linear_model()
+    result = BandAttenuation().design(plant)
+    small = ClosedLoopWeighted(states=60).reduce(result.controller, plant, result.details["weights"])
+    plain = Balanced(states=60).reduce(result.controller)
+    stable = feedback(plant, plain.controller).is_stable()
+    print(f"{result.controller.states} -> 60 states: {small.status}; plain truncation {'' if stable else 'un'}stable")
+    assert small.status.ok
+    assert uq.analyse.peak_sensitivity(plant, small.controller)[0] < 8.0
+
+
+def test_balanced_keeps_its_bound_and_the_unstable_part(rng):
+    for _ in range(10):
+        n = 12
+        A = rng.standard_normal((n, n)) / np.sqrt(n) * 1.05
+        K = StateSpace(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)), rate_hz=10.0)
+        small = Balanced(states=9).reduce(K)
+        minus = StateSpace(small.controller.A, small.controller.B, -small.controller.C, -small.controller.D, 10.0)
+        f = np.linspace(0, 5, 2000)
+        error = np.linalg.norm(np.moveaxis(parallel(K, minus).frequency_response(f), 2, 0), 2, axis=(1, 2)).max()
+        assert error <= small.details["bound"] * (1 + 1e-6) + 1e-8
+        unstable = np.sum(np.abs(K.poles()) >= 1)
+        assert np.sum(np.abs(small.controller.poles()) >= 1) == unstable
+
+
+def test_perturbation_is_exact_at_zero_frequency(rng):
+    n = 10
+    A = rng.standard_normal((n, n)) / np.sqrt(n) * 0.7
+    K = StateSpace(A, rng.standard_normal((n, 2)), rng.standard_normal((2, n)), np.zeros((2, 2)), rate_hz=10.0)
+    small = Balanced(states=4, method="perturbation").reduce(K).controller
+    np.testing.assert_allclose(small.frequency_response([0.0]), K.frequency_response([0.0]), rtol=1e-6)
+
+
+def test_an_unstable_loop_is_refused():
+    plant = StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1.0)
+    K = StateSpace([[0.1]], [[1.0]], [[5.0]], [[0.0]], rate_hz=1.0)
+    with pytest.raises(InputError, match="unstable"):
+        ClosedLoopWeighted(states=1).reduce(K, plant)
+
+
+def test_norm_after_is_infinite_only_with_an_unstable_loop(designed):
+    plant, result = designed
+    small = ClosedLoopWeighted(states=1).reduce(result.controller, plant, result.details["weights"])
+    stable = feedback(plant, small.controller).is_stable()
+    assert small.status.ok == stable
+    assert np.isfinite(small.cost_after) == stable
+    assert hinf_norm(feedback(plant, small.controller))[0] < np.inf or not stable
