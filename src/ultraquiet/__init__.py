@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ultraquiet import simulate as simulate
     from ultraquiet import spectra as spectra
     from ultraquiet import validate as validate
+    from ultraquiet._base import errors as errors
     from ultraquiet.values import Channel as Channel
     from ultraquiet.values import FrequencyResponse as FrequencyResponse
     from ultraquiet.values import PolynomialMatrix as PolynomialMatrix
@@ -48,12 +49,14 @@ _ROOMS = (
 )
 _VALUES = ("Channel", "FrequencyResponse", "PolynomialMatrix", "PolynomialModel", "Record", "StateSpace")
 
-__all__ = sorted((*_ROOMS, *_VALUES))  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = sorted(("errors", *_ROOMS, *_VALUES))  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
     if name in _ROOMS:
         return importlib.import_module(f"ultraquiet.{name}")
+    if name == "errors":
+        return importlib.import_module("ultraquiet._base.errors")
     if name in _VALUES:
         return getattr(importlib.import_module("ultraquiet.values"), name)
     raise AttributeError(f"module 'ultraquiet' has no attribute {name!r}")

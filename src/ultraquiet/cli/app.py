@@ -5,7 +5,7 @@ import sys
 import typer
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.cli import deploy, design, doctor, experiment, identify, methods, study
+from ultraquiet.cli import deploy, design, doctor, experiment, identify, methods, study, validate
 
 app = typer.Typer(
     help="From the first excitation of a vibration-isolation bench to verified controller code.",
@@ -18,6 +18,7 @@ app.command("run")(study.run)
 app.command("report")(study.report)
 app.command("experiment")(experiment.experiment)
 app.command("identify")(identify.identify)
+app.command("validate")(validate.validate)
 app.command("design")(design.design)
 app.command("deploy")(deploy.deploy)
 app.command("methods")(methods.methods)

@@ -37,7 +37,7 @@ def identify(
     cut = data.samples - int(share * data.samples)
     with bars():
         result = settings.identify(data.part(0, cut))
-    judged = validate.simulated_fit(result.model, data.part(cut)) if share else np.full(len(data.sensors), np.nan)
+    judged = validate.compare(result.model, data.part(cut)).fit_percent if share else np.full(len(data.sensors), np.nan)
     target = out or record.with_name(f"{record.stem}-{method}.h5")
     files.save(result.model, target, overwrite=force)
     table = Table("output", "fit, seen", "fit, held out", "loss", title=f"{method} from {cut} samples at {data.rate_hz:g} Hz")

@@ -29,11 +29,12 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """All columns of a file and its scalars by lower-case name."""
+    """All columns of a file, its scalars by lower-case name, and which of its variables are no columns, with shapes."""
 
     path: str
     columns: tuple[Column, ...]
     scalars: Mapping[str, float] = field(default_factory=dict)
+    unusable: tuple[str, ...] = ()
 
     @property
     def time(self) -> Column | None:
@@ -50,10 +51,9 @@ class Table:
         sizes: dict[str, list[int]] = {}
         for c in self.columns:
             sizes.setdefault(c.variable or c.name, []).append(c.values.size)
-        if not sizes:
-            return "no column of numbers"
         said = [f"{name} ({n[0]}{f' x {len(n)}' if len(n) > 1 else ''})" for name, n in sizes.items()]
-        return "the variables " + ", ".join(said)
+        told = "the variables " + ", ".join(said) if said else "no column of numbers"
+        return told + (f" (no signals: {', '.join(self.unusable)})" if self.unusable else "")
 
     def rate_hz(self) -> float:
         """Return the sampling rate a scalar states, or the one the time column shows."""
@@ -109,15 +109,19 @@ def from_arrays(path: str, arrays: Mapping[str, Any]) -> Table:
     """Return a table of the numeric arrays of a file; the longer side of a matrix is time."""
     columns: list[Column] = []
     scalars: dict[str, float] = {}
+    unusable: list[str] = []
     for name, held in arrays.items():
         array = np.asarray(held)
-        if array.dtype.kind not in "fiu" or array.ndim > 2 or array.size == 0:
+        if array.dtype.kind not in "fiu":
+            continue
+        if array.ndim > 2 or array.size == 0:
+            unusable.append(f"{name} of shape {array.shape}")
             continue
         if array.size == 1:
             scalars[_last(name)] = float(array.reshape(-1)[0])
             continue
         columns.extend(_split(name, np.atleast_2d(array.astype(np.float64))))
-    return Table(path, tuple(columns), scalars)
+    return Table(path, tuple(columns), scalars, tuple(unusable))
 
 
 def _split(name: str, array: FloatArray) -> Sequence[Column]:

@@ -60,8 +60,13 @@ def closed(name: str, law: StateSpace, bench: Any, settings: ClosedLoop) -> Outc
         facts[unit] = {"stable": check.status.ok, "status": str(check.status)}
         if not check.status.ok:
             continue
-        tones = simulate.attenuation(on, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
-        matrix = simulate.measure_sensitivity(on, law)
+        try:
+            tones = simulate.attenuation(on, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
+            matrix = simulate.measure_sensitivity(on, law)
+        except UltraquietError as error:
+            # A law that runs away under a stronger disturbance is a finding about the law.
+            facts[unit] = {"stable": False, "status": f"unstable: Under disturbances the loop ran away: {error}"}
+            continue
         facts[unit] |= _measured(tones, matrix, settings)
         values[f"{name}-{unit}-sensitivity"] = matrix.S
         if unit == settings.units[0]:
@@ -105,7 +110,7 @@ def _measured(
     }
 
 
-def deployed(name: str, law: StateSpace, bench: Any, folder: Path, settings: Deploy) -> dict[str, Any]:
+def deployed(name: str, law: StateSpace, bench: Any, folder: Path, settings: Deploy) -> Outcome:
     """Generate, compile and compare the controller's code; what cannot be done is said, not raised."""
     from ultraquiet import deploy
 
@@ -114,8 +119,8 @@ def deployed(name: str, law: StateSpace, bench: Any, folder: Path, settings: Dep
         made = deploy.generate(law, folder / name, settings.precision, limits_v=limits)
         verified = made.verify()
     except UltraquietError as error:
-        return {"status": f"refused: {error}"}
-    return {**_plain(made.tables), "status": str(made.status), "verification": str(verified.status)}
+        return Outcome({}, {"status": f"refused: {error}"})
+    return Outcome({}, {**_plain(made.tables), "status": str(made.status), "verification": str(verified.status)})
 
 
 def _plain(value: Any) -> Any:

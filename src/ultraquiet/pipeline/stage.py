@@ -29,7 +29,9 @@ class Cache:
 
     folder: Path
 
-    def stage(self, name: str, room: str, key: Any, compute: Callable[[], Outcome]) -> Outcome:
+    def stage(
+        self, name: str, room: str, key: Any, compute: Callable[[], Outcome], needs: Path | None = None
+    ) -> Outcome:
         """Return the stage's outcome, computed unless a finished one with the same key is there.
 
         Args:
@@ -37,9 +39,10 @@ class Cache:
             room: sub-folder of its values (`records`, `models`, ...).
             key: everything the outcome depends on; the versions of the numerical libraries are added.
             compute: called when there is nothing to reuse.
+            needs: something the stage wrote beside its values; when it is gone the stage is computed again.
         """
         mark = content_hash(key, versions())
-        found = self._read(name, mark)
+        found = self._read(name, mark) if needs is None or needs.exists() else None
         if found is not None:
             return found
         started = time.perf_counter()

@@ -96,7 +96,11 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
         loops[name] = cache.stage(
             f"loop-{name}", "loops", loop_key, partial(control.closed, name, law, bench, settings.closed_loop)
         )
-        deployment[name] = control.deployed(name, law, bench, cache.folder / "code", settings.deploy)
+        code = cache.folder / "code"
+        generate = partial(control.deployed, name, law, bench, code, settings.deploy)
+        deployment[name] = cache.stage(
+            f"deploy-{name}", "code", [law.hash, settings.deploy], generate, needs=code / name
+        ).facts
         say(f"closed and deployed {name}: {deployment[name].get('verification', deployment[name]['status'])}")
     return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment)
 

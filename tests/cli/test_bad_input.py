@@ -1,0 +1,163 @@
+"""Bad input: one sentence that names the culprit, exit code 2, nothing written over."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet.cli.app import main
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run the command line in `tmp_path`; returns exit code and what it said on stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def command(*words):
+        monkeypatch.setattr(sys, "argv", ["ultraquiet", *map(str, words)])
+        try:
+            main()
+        except SystemExit as stop:
+            return stop.code or 0, capsys.readouterr().err
+        return 0, capsys.readouterr().err
+
+    return command
+
+
+def record(rng, n=400, **changes):
+    u = rng.standard_normal((1, n))
+    y = np.stack([np.convolve(u[0], [0.0, 1.0, 0.5])[:n]]) + 0.01 * rng.standard_normal((1, n))
+    return {"inputs": u, "outputs": y, "rate_hz": np.array(100.0)} | changes
+
+
+def put(folder, arrays):
+    path = folder / "record.npz"
+    np.savez(path, **arrays)
+    return path
+
+
+def with_nan(arrays):
+    y = arrays["outputs"].copy()
+    y[0, 7] = np.nan
+    return arrays | {"outputs": y}
+
+
+CULPRITS = {
+    "NaN": (with_nan, (), "NaN"),
+    "unequal lengths": (lambda a: a | {"outputs": a["outputs"][:, :-3]}, (), "400"),
+    "wrong shape": (lambda a: a | {"inputs": np.zeros((2, 3, 4))}, (), "(2, 3, 4)"),
+    "constant input": (lambda a: a | {"inputs": np.full((1, 400), 2.5)}, (), "constant at 2.5"),
+    "too short": (lambda a: a | {k: a[k][:, :40] for k in ("inputs", "outputs")}, (), "samples"),
+    "unknown method": (lambda a: a, ("--method", "box-jenkin"), "box-jenkins"),
+    "unknown setting": (lambda a: a, ("--set", "ordr=3"), "ordr"),
+    "order not whole": (lambda a: a, ("--set", "order=2.5"), "order"),
+}
+
+
+@pytest.mark.parametrize("culprit", CULPRITS)
+def test_identify_refuses(run, tmp_path, rng, culprit):
+    change, words, named = CULPRITS[culprit]
+    path = put(tmp_path, change(record(rng)))
+    target = tmp_path / "model.h5"
+    target.write_bytes(b"mine")
+    method = () if "--method" in words else ("--method", "arx")
+    order = () if "order=2.5" in words else ("--order", "2")
+    code, said = run("identify", path, *method, *order, "--out", target, "--force", *words)
+    print(said)
+    assert code == 2
+    assert named in said
+    assert target.read_bytes() == b"mine"
+
+
+def test_a_rate_that_contradicts_is_refused(run, tmp_path, rng):
+    """The record's own rate against --rate, and a model's rate against a record's."""
+    held = record(rng)
+    uq.files.save(uq.Record(held["inputs"], held["outputs"], 100.0), tmp_path / "a.h5")
+    uq.files.save(uq.Record(held["inputs"], held["outputs"], 250.0), tmp_path / "b.h5")
+    code, said = run("identify", "a.h5", "--method", "arx", "--order", "2", "--rate", "50", "--out", "m.h5")
+    print(said)
+    assert code == 2
+    assert "100 Hz" in said
+    assert "50 Hz" in said
+    assert not (tmp_path / "m.h5").exists()
+    assert run("identify", "a.h5", "--method", "arx", "--order", "2", "--out", "m.h5")[0] == 0
+    assert run("validate", "m.h5", "a.h5")[0] == 0
+    code, said = run("validate", "m.h5", "b.h5")
+    print(said)
+    assert code == 2
+    assert "250 Hz" in said
+
+
+def test_identify_does_not_write_over_a_model(run, tmp_path, rng):
+    path = put(tmp_path, record(rng))
+    target = tmp_path / "model.h5"
+    target.write_bytes(b"mine")
+    code, said = run("identify", path, "--method", "arx", "--order", "2", "--out", target)
+    assert code == 2
+    assert "model.h5" in said
+    assert target.read_bytes() == b"mine"
+
+
+def test_a_controller_of_another_rate_is_refused_by_the_bench():
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros((6, 0)), np.zeros((6, 6)), rate_hz=1000.0)
+    with pytest.raises(uq.errors.RateError, match="1000 Hz"):
+        uq.bench.Hexapod().run(np.zeros((6, 10)), controller=law)
+
+
+STUDY = """
+[study]
+title = "three mistakes"
+[bench]
+method = "hexapodd"
+[plant]
+method = "rational"
+records = ["low"]
+period = 7000
+[controllers.one.design]
+method = "lqg"
+sensor_nois = 0.1
+[closed_loop]
+tones_hz = [-5.0]
+"""
+
+
+def test_a_study_file_tells_all_its_mistakes(run, tmp_path):
+    path = tmp_path / "study.toml"
+    path.write_text(STUDY)
+    code, said = run("run", path)
+    print(said)
+    assert code == 2
+    for culprit in ("hexapodd", "period", "sensor_nois", "tones_hz"):
+        assert culprit in said
+    assert not (tmp_path / "study").exists()
+
+
+def test_a_missing_file_is_named(run, tmp_path):
+    code, said = run("run", tmp_path / "absent.toml")
+    assert code == 2
+    assert "absent.toml" in said
+
+
+FULL_DISK = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+sys.argv = ["ultraquiet", "experiment", "suite", "--out", sys.argv[1]]
+from ultraquiet.cli import main
+main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="file-size limits are POSIX")
+def test_a_full_disk_while_recording(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path / "records")], capture_output=True, text=True, check=False
+    )
+    print(done.stderr.splitlines()[-1])
+    assert done.returncode == 2
+    assert "ultraquiet:" in done.stderr
+    for path in (tmp_path / "records").glob("*.h5"):
+        assert uq.files.load(path).samples > 0

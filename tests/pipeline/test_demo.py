@@ -1,0 +1,118 @@
+"""The embedded study, once through in its quick form: what it leaves and what it reaches."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet.pipeline import packaged_study, quick_study, reload_study, walk
+
+FIRST_TARGET_DB, LARGEST_PEAK_DB = 12.0, 8.0
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    said = []
+    summary = walk(quick_study(packaged_study("suite")), folder, say=said.append)
+    return folder, summary, said
+
+
+def test_it_leaves_what_the_contract_says(demo):
+    folder, _, _ = demo
+    for name in ("summary.json", "report.html", "records", "models", "controllers", "code"):
+        assert (folder / name).exists(), name
+    held = json.loads((folder / "summary.json").read_text(), parse_constant=pytest.fail)
+    assert {"identification", "design", "closed_loop", "deployment", "limits", "versions", "seed"} <= set(held)
+    for facts in held["closed_loop"].values():
+        ground = facts["ground"]
+        keys = {"broadband_5_100_db", "broadband_10_60_db", "peak_amplification_db"}
+        assert keys <= set(ground)
+        assert {"reduction_db", "paper_db"} <= set(ground["tones"]["25"])
+    for tables in held["deployment"].values():
+        keys = {"states", "form", "c31_cycles", "c31_budget", "cortex_m7_instructions", "flash_bytes", "ram_bytes"}
+        assert keys | {"bit_exact"} <= set(tables)
+
+
+def test_every_controller_settles_on_the_bench_and_claims_what_it_achieves(demo):
+    folder, summary, _ = demo
+    for name, facts in summary["closed_loop"].items():
+        design = summary["design"][name]
+        print(f"{name}: gamma {design['gamma']:.6g}, achieved {design['achieved']:.6g}; {facts['ground']['status']}")
+        assert facts["ground"]["stable"], name
+        assert design["achieved"] == pytest.approx(design["gamma"], rel=1e-3), name
+        law = uq.files.load(folder / "controllers" / f"{name}.h5")
+        assert law.rate_hz == 3500.0
+
+
+def test_one_controller_quietens_every_direction(demo):
+    """At least 12 dB in the worst direction over the whole of 10-100 Hz with at most 8 dB of peak, on the bench."""
+    folder, summary, _ = demo
+    reached = {n: (f["ground"]["worst_direction_band_db"], f["ground"]["peak_amplification_db"]) for n, f in summary["closed_loop"].items()}
+    for name, (worst, peak) in reached.items():
+        print(f"{name}: worst direction {worst:.1f} dB over 10-100 Hz, peak amplification {peak:.1f} dB")
+    good = [n for n, (worst, peak) in reached.items() if worst >= FIRST_TARGET_DB and peak <= LARGEST_PEAK_DB]
+    assert good
+    # The same from the bench's own linear model, which hides nothing below the lines that noise leaves.
+    truth = uq.bench.Hexapod(unit="ground").linear_model()
+    f = np.concatenate([np.arange(0.25, 130, 0.25), np.geomspace(130, 1749, 1500)])
+    for name in good:
+        law = uq.files.load(folder / "controllers" / f"{name}.h5")
+        GK = np.einsum("ijf,jkf->fik", truth.frequency_response(f), law.frequency_response(f))
+        size = 20 * np.log10(np.linalg.norm(np.linalg.inv(np.eye(6) - GK), 2, axis=(1, 2)))
+        worst, peak = -size[(f >= 10) & (f <= 100)].max(), size.max()
+        print(f"{name}, bench's linear model: worst direction {worst:.1f} dB, peak {peak:.1f} dB")
+        assert worst >= FIRST_TARGET_DB
+        assert peak <= LARGEST_PEAK_DB
+
+
+def test_code_repeats_python_bit_by_bit_where_there_is_a_compiler(demo):
+    _, summary, _ = demo
+    for name, tables in summary["deployment"].items():
+        print(f"{name}: {tables['c31_cycles']} of {tables['c31_budget']} C31 cycles; {tables['verification']}")
+        assert tables["bit_exact"] in (True, None)
+        assert tables["c31_cycles"] <= tables["c31_budget"] == 2800
+
+
+def test_the_weights_as_printed_ask_for_nothing(demo):
+    _, summary, _ = demo
+    assert summary["design"]["hinf-as-printed"]["achieved"] < 1.1e-5
+    tones = summary["closed_loop"]["hinf-as-printed"]["ground"]["tones"]
+    assert max(abs(t["reduction_db"]) for t in tones.values()) < 1.0
+
+
+def test_the_report_stands_alone(demo):
+    folder, _, _ = demo
+    page = (folder / "report.html").read_text()
+    print(f"report: {len(page) / 1e6:.1f} MB, {page.count('<figure')} figures, {page.count('<table')} tables")
+    fetched = re.findall(r'(?:src|href)\s*=\s*"(?!#)([^"]*)"|@import|url\((?!#)([^)]*)\)', page)
+    assert not [f for f in fetched if any(f)], fetched[:5]
+    for figure in ("test_signals", "responses", "step", "sine", "bode", "singular_values", "sensitivity", "bode_grid"):
+        assert f'id="{figure}"' in page, figure
+
+
+def test_records_and_models_reopen(demo):
+    folder, _, _ = demo
+    assert uq.files.load(folder / "records" / "chirp-1.h5").samples == 4096
+    assert uq.files.load(folder / "models" / "paper-chirp.h5").rate_hz == 3500.0
+    assert uq.files.load(folder / "models" / "plant.h5").is_stable()
+
+
+def test_finished_stages_are_reused(demo):
+    folder, summary, _ = demo
+    before = {p: p.stat().st_mtime_ns for room in ("models", "controllers", "stages") for p in (folder / room).iterdir()}
+    again = walk(reload_study(folder), folder, say=lambda _: None)
+    assert {p: p.stat().st_mtime_ns for p in before} == before
+    assert again["closed_loop"] == json.loads(json.dumps(summary["closed_loop"]))
+
+
+def test_a_changed_design_leaves_the_rest_alone(demo):
+    folder, _, _ = demo
+    study = reload_study(folder)
+    kept = (folder / "stages" / "identify.json").stat().st_mtime_ns
+    one = {"hinf-as-printed": study.controllers["hinf-as-printed"]}
+    summary = walk(study.model_copy(update={"controllers": one}), folder, say=lambda _: None)
+    assert list(summary["design"]) == ["hinf-as-printed"]
+    assert (folder / "stages" / "identify.json").stat().st_mtime_ns == kept
