@@ -9,9 +9,12 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
-from ultraquiet.linalg.prediction import fit_percent
+from ultraquiet.linalg.prediction import fit_percent, repaired
 from ultraquiet.validate.predict import Model, predicted, simulated
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, PolynomialModel, Record
+
+
+REPAIRS = 3  # rounds in which clipped samples take the model's output before its state and constant are fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,10 +80,12 @@ def compare(
 
 
 def _simulated_clipped(model: Model, record: Record, initial: str, offset: bool) -> FloatArray:
-    # Samples at the limits would pull initial state and constant; where there are any, neither is fitted.
-    if any(record.clipped()):
-        return simulated(model, record, "rest", offset=False)
-    return simulated(model, record, initial, offset)
+    # Samples at the limits would pull the fitted state and constant inwards: the model's own output replaces them.
+    out = simulated(model, record, initial, offset)
+    for _ in range(REPAIRS if any(record.clipped()) else 0):
+        mended = [repaired(y, x, c.low, c.high) for y, x, c in zip(record.outputs, out, record.sensors, strict=True)]
+        out = simulated(model, Record(record.inputs, mended, record.rate_hz), initial, offset)
+    return out
 
 
 def _cut(out: FloatArray, record: Record) -> FloatArray:

@@ -1,0 +1,99 @@
+"""Fits and agreements against definitions written out by hand."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+
+MODEL = uq.PolynomialModel([[0, 0.4, 0.2]], [[1, -1.5, 0.8]], 100.0, c=[1, 0.4], d=[1, -0.7])
+
+
+@pytest.fixture
+def record(rng):
+    u, e = rng.standard_normal((2, 2000))
+    y = lfilter(MODEL.b[0], MODEL.f[0], u) + lfilter(MODEL.c, MODEL.d, 0.2 * e)
+    return uq.Record(u, y, 100.0)
+
+
+def test_simulated_fit_is_the_definition(record):
+    y = record.outputs[0]
+    out = lfilter(MODEL.b[0], MODEL.f[0], record.inputs[0])
+    fit = 100 * (1 - np.linalg.norm(y - out) / np.linalg.norm(y - y.mean()))
+    found = uq.validate.compare(MODEL, record, initial="rest", offset=False)
+    assert found.fit_percent[0] == pytest.approx(fit, abs=1e-9)
+    same = uq.validate.compare(MODEL.state_space(), record, initial="rest", offset=False)
+    assert same.fit_percent[0] == pytest.approx(fit, abs=1e-6)
+
+
+def test_a_cut_record_needs_its_initial_state(record):
+    cut = record.part(701)
+    rest, estimated = (uq.validate.compare(MODEL, cut, initial=i).fit_percent[0] for i in ("rest", "estimate"))
+    system = uq.validate.compare(MODEL.state_space(), cut).fit_percent[0]
+    print(f"\nfrom the middle: at rest {rest:.3f} %, state estimated {estimated:.3f} %, by state space {system:.3f} %")
+    assert estimated > rest
+    assert system == pytest.approx(estimated, abs=0.05)
+
+
+def test_k_step_predictions_run_from_innovations_to_simulation(record):
+    fits = [uq.validate.compare(MODEL, record, steps=k).fit_percent[0] for k in (1, 2, 5, 200)]
+    simulated = uq.validate.compare(MODEL, record).fit_percent[0]
+    print(f"\n1, 2, 5, 200 steps: {np.round(fits, 2)} %, simulated {simulated:.2f} %")
+    assert np.all(np.diff(fits) <= 0.05)
+    assert fits[-1] == pytest.approx(simulated, abs=0.5)
+    e = record.outputs[0] - uq.validate.predicted(MODEL, record, 1)[0]
+    assert e == pytest.approx(uq.validate.innovations(MODEL, record)[0], abs=1e-12)
+
+
+def test_two_step_prediction_by_hand(rng):
+    # y = e / (1 - 0.7 q^-1): the best prediction two steps ahead is 0.49 y(t - 2).
+    model = uq.PolynomialModel([[0.0, 0.0]], [[1.0]], 1.0, d=[1, -0.7])
+    y = lfilter([1.0], [1, -0.7], rng.standard_normal(500))
+    out = uq.validate.predicted(model, uq.Record(rng.standard_normal(500), y - y.mean(), 1.0), 2)[0]
+    assert out[20:] == pytest.approx(0.49 * (y - y.mean())[18:-2], abs=0.06)
+
+
+def test_the_clipped_sine_is_judged_clipped(seed):
+    # Figure 10 of the paper: 60 Hz, 25 V, cut at +-10 V.
+    bench = uq.bench.Hexapod(unit="ground", seed=seed)
+    volts = 25 * np.sin(2 * np.pi * 60 * np.arange(1400) / bench.rate_hz)
+    inputs = np.zeros((6, 1400))
+    inputs[1] = volts
+    record = bench.run(inputs).pick([1], [1])
+    noise = uq.signals.BandLimitedNoise(stop_hz=250, peak_v=25)
+    inputs = np.zeros((6, 4096))
+    inputs[1] = noise.generate(samples=4096, rate_hz=bench.rate_hz, seed=seed)
+    model = uq.identify.BoxJenkins(order=5).identify(bench.run(inputs).pick([1], [1])).model
+    aware = uq.validate.compare(model, record)
+    blind = uq.validate.compare(model, record, clip=False)
+    print(
+        f"\n60 Hz sine: {aware.clipped[0]} of 1400 samples clipped, fit {aware.fit_percent[0]:.1f} % with the model's "
+        f"output cut alike, {blind.fit_percent[0]:.1f} % without"
+    )
+    assert aware.clipped[0] > 0
+    assert aware.fit_percent[0] > blind.fit_percent[0]
+    assert aware.fit_percent[0] > 85
+
+
+def test_bode_agreement():
+    louder = uq.PolynomialModel([2 * MODEL.b[0]], MODEL.f, 100.0)
+    later = uq.PolynomialModel([np.concatenate([[0.0], MODEL.b[0]])], MODEL.f, 100.0)
+    assert uq.validate.bode_agreement(MODEL, louder, (1, 40)).worst_gain_db[0, 0] == pytest.approx(6.0206, abs=1e-4)
+    shift = uq.validate.bode_agreement(MODEL, later, (1, 40))
+    assert shift.worst_phase_deg[0, 0] == pytest.approx(360 * 40 / 100, abs=1e-6)
+    assert shift.worst_gain_db[0, 0] == pytest.approx(0.0, abs=1e-9)
+    f_hz = np.array([0.5, 5.0, 10.0, 45.0])
+    measured = uq.FrequencyResponse(f_hz, MODEL.frequency_response(f_hz))
+    found = uq.validate.bode_agreement(measured, louder, (1, 40))
+    assert found.f_hz.tolist() == [5.0, 10.0]
+    with pytest.raises(InputError, match=r"band must run upwards"):
+        uq.validate.bode_agreement(MODEL, louder, (40, 1))
+    with pytest.raises(InputError, match=r"no line at some"):
+        uq.validate.bode_agreement(measured, louder, f_hz=[7.0])
+
+
+def test_an_unstable_model_fits_nothing(record):
+    wild = uq.PolynomialModel(MODEL.b, [[1.0, -1.1]], 100.0)
+    assert uq.validate.compare(wild, record).fit_percent[0] == -np.inf
+    assert uq.validate.compare(wild.state_space(), record).fit_percent[0] == -np.inf

@@ -1,0 +1,82 @@
+"""Residual tests: right error rate on good models, power on poor ones."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError, RateError
+from ultraquiet.linalg import portmanteau
+
+DRAWS, SAMPLES, LAGS = 300, 1000, 20
+
+
+def spread(p_values):
+    """Largest distance of the p-values' distribution from the uniform one, in its own standard units (Kolmogorov)."""
+    p = np.sort(p_values)
+    steps = np.arange(1, p.size + 1) / p.size
+    return np.sqrt(p.size) * np.max(np.abs(p - steps + 0.5 / p.size))
+
+
+def test_p_values_of_white_residuals_are_uniform(rng):
+    white, free, colored = [], [], []
+    for _ in range(DRAWS):
+        e, u = rng.standard_normal((2, SAMPLES))
+        u = lfilter([1.0], [1.0, -0.9], u)
+        white.append(portmanteau.ljung_box(e, LAGS).p_value)
+        free.append(portmanteau.cross_correlation(e, u, LAGS).p_value)
+        red = lfilter([1.0], [1.0, -0.8], e)
+        colored.append(portmanteau.cross_correlation(red, u, LAGS, 60).p_value)
+    figures = [spread(np.array(p)) for p in (white, free, colored)]
+    print(f"\nKolmogorov distance: white {figures[0]:.2f}, free {figures[1]:.2f}, free of coloured {figures[2]:.2f}")
+    # 1.95 is passed by one uniform sample in a thousand; the coloured case rests on an estimated variance.
+    assert max(figures[:2]) < 1.95
+    assert figures[2] < 3.0
+
+
+def test_power_against_colour_and_input(rng):
+    missed = np.zeros(2)
+    for _ in range(50):
+        e, u = rng.standard_normal((2, 4096))
+        missed[0] += portmanteau.ljung_box(e + 0.25 * np.concatenate([[0], e[:-1]]), 40).p_value > 1e-3
+        missed[1] += portmanteau.cross_correlation(e + 0.2 * np.concatenate([[0, 0], u[:-2]]), u, 40).p_value > 1e-3
+    print(f"\nof 50 residuals 5 % too large, missed by whiteness {missed[0]:.0f}, by the input {missed[1]:.0f}")
+    assert np.all(missed <= 5)
+
+
+def bench_like(rng, samples=3000):
+    truth = uq.PolynomialModel([[0, 0.4, 0.2]], [[1, -1.5, 0.8]], 100.0, c=[1, 0.4], d=[1, -0.7])
+    u, e = rng.standard_normal(samples), 0.1 * rng.standard_normal(samples)
+    y = lfilter(truth.b[0], truth.f[0], u) + lfilter(truth.c, truth.d, e)
+    return truth, uq.Record(u, y, 100.0), e
+
+
+def test_the_truth_passes_and_a_wrong_model_fails(rng):
+    truth, record, e = bench_like(rng)
+    good = uq.validate.residual_test(truth, record)
+    wrong = uq.PolynomialModel(truth.b, [[1, -1.45, 0.78]], 100.0, c=truth.c, d=truth.d)
+    bad = uq.validate.residual_test(wrong, record)
+    print(f"\ntruth p {good.whiteness_p[0]:.2f}, {good.correlation_p[0, 0]:.2f}; wrong {bad.correlation_p[0, 0]:.1e}")
+    # The first samples pay for the unknown past.
+    assert good.residuals[0, 20:] == pytest.approx(e[20:], abs=0.05)
+    assert good.loss[0] == pytest.approx(np.mean(e**2), rel=0.02)
+    assert good.whiteness_p[0] > 1e-4
+    assert good.correlation_p[0, 0] > 1e-4
+    assert bad.correlation_p[0, 0] < 1e-6
+    assert np.mean(np.abs(good.autocorrelation) < good.band) > 0.7
+
+
+def test_refusals(rng):
+    truth, record, _ = bench_like(rng)
+    with pytest.raises(RateError, match=r"the model is sampled at 100 Hz but the record is sampled at 50 Hz"):
+        uq.validate.residual_test(truth, uq.Record(record.inputs, record.outputs, 50.0))
+    with pytest.raises(InputError, match=r"40 lags need at least 400 samples, the record has 100"):
+        uq.validate.residual_test(truth, record.part(0, 100))
+    with pytest.raises(InputError, match=r"model has 1 inputs and 1 outputs, the record 1 and 2"):
+        uq.validate.compare(truth, uq.Record(record.inputs, np.vstack([record.outputs] * 2), 100.0))
+    with pytest.raises(InputError, match=r"'initial' must be 'estimate' or 'rest'"):
+        uq.validate.compare(truth, record, initial="zero")
+    pair = uq.PolynomialMatrix([[truth, truth]])
+    twice = uq.Record(np.vstack([record.inputs] * 2), record.outputs, 100.0)
+    with pytest.raises(InputError, match=r"2 models, each with its own noise"):
+        uq.validate.residual_test(pair, twice)
