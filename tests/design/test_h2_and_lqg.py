@@ -10,6 +10,8 @@ from ultraquiet.design import Lqg, synthesize_h2
 from ultraquiet.values import StateSpace, SteppedController
 from ultraquiet.values.interconnect import feedback, lft
 
+PAPER = {"disturbance_at": "input", "band_hz": None, "control_weight": 1e-2}
+
 
 def test_slicot_sb10ed_discrete_h2():
     P, ny, nu, _ = slicot("SB10ED", rate_hz=1.0)
@@ -58,7 +60,10 @@ def test_no_neighbour_of_the_h2_controller_is_better(rng):
         assert h2_norm(lft(P, near)) >= best.achieved * (1 - 1e-9)
 
 
-@pytest.mark.parametrize("settings", [{}, {"band_hz": (10.0, 100.0)}, {"estimator": "predicted"}, {"recovery": 1e3}])
+@pytest.mark.parametrize(
+    "settings",
+    [{}, PAPER, PAPER | {"band_hz": (10.0, 100.0)}, PAPER | {"estimator": "predicted"}, PAPER | {"recovery": 1e3}],
+)
 def test_lqg_on_a_bench(rng, settings):
     plant = bench_like(rng, 9)
     result = Lqg(**settings).design(plant)
@@ -74,7 +79,7 @@ def test_lqg_on_a_bench(rng, settings):
 def test_lqg_law_runs_sample_by_sample_as_designed(rng):
     """u[k] = C x[k] + D y[k] in the loop gives the poles that the design states."""
     plant = bench_like(rng, 3)
-    result = Lqg().design(plant)
+    result = Lqg(**PAPER).design(plant)
     law = SteppedController(result.controller)
     x = rng.standard_normal(plant.states)
     sizes = []
@@ -89,19 +94,24 @@ def test_lqg_law_runs_sample_by_sample_as_designed(rng):
 
 def test_current_estimator_is_never_worse(rng):
     plant = bench_like(rng, 5)
-    current, predicted = (Lqg(estimator=e).design(plant).achieved for e in ("current", "predicted"))
+    current, predicted = (Lqg(**PAPER, estimator=e).design(plant).achieved for e in ("current", "predicted"))
     assert current <= predicted * (1 + 1e-9)
 
 
 def test_recovery_works_without_delay_and_is_reported_to_fail_with_it(rng):
     """A minimum-phase lag is recovered; two samples of delay keep the error up however large the factor."""
     lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
-    errors = [Lqg(recovery=q).design(lag).details["recovery"]["relative_error"].max() for q in (1.0, 1e4)]
+    errors = [Lqg(**PAPER, recovery=q).design(lag).details["recovery"]["relative_error"].max() for q in (1.0, 1e4)]
     late = bench_like(rng, 4)
-    stuck = Lqg(recovery=1e4).design(late).details["recovery"]["relative_error"].max()
+    stuck = Lqg(**PAPER, recovery=1e4).design(late).details["recovery"]["relative_error"].max()
     print(f"recovery error of a lag {errors[0]:.3f} -> {errors[1]:.4f}; with two samples of delay {stuck:.2f}")
     assert errors[1] < 0.05 < errors[0]
     assert stuck > 0.5
+
+
+def test_recovery_at_the_input_needs_its_noise_there():
+    with pytest.raises(InputError, match="recovery"):
+        Lqg(recovery=10.0)
 
 
 def test_continuous_plants_are_refused():

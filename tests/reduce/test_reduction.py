@@ -91,3 +91,18 @@ def test_norm_after_is_infinite_only_with_an_unstable_loop(designed):
     assert small.status.ok == stable
     assert np.isfinite(small.cost_after) == stable
     assert hinf_norm(feedback(plant, small.controller))[0] < np.inf or not stable
+
+
+def test_six_equal_laws_stay_equal():
+    """One law of 24 states on six struts becomes one of 8 on six struts: 48 states, quiet in every direction."""
+    plant = uq.bench.Hexapod(unit="ground").linear_model()
+    result = BandAttenuation(structure="alike").design(plant)
+    small = ClosedLoopWeighted(states=50).reduce(result.controller, plant, result.details["weights"]).controller
+    assert small.states == 48
+    np.testing.assert_array_equal(small.A[:8, :8], small.A[40:, 40:])
+    assert not np.any(small.A[:8, 8:])
+    worst = uq.design.worst_attenuation_db(plant, small, (10.0, 100.0))
+    peak_db = uq.analyse.peak_sensitivity(plant, small)[0]
+    print(f"six times 8 states: worst direction {worst:.2f} dB over 10-100 Hz, peak {peak_db:.2f} dB")
+    assert worst >= 12.0
+    assert peak_db <= 8.0

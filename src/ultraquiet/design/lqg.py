@@ -30,7 +30,9 @@ class Lqg:
         control_weight: rho, squared output units per squared volt.
         disturbance: variance of w per input (volts squared) when it enters at the plant's input, of the output
             disturbance (output units squared) when `disturbance_at` is `output`.
-        disturbance_at: `input`, as in the paper's eq. (14), or `output`.
+        disturbance_at: `output` or `input`. White noise at the input, as in the paper's section 4.2, is mostly noise at
+            the plant's resonances, and that is where the controller then works; at the output, all frequencies of the
+            band count alike.
         sensor_noise: variance of v per output. The paper calls 0.01 a covariance; it is the mean standard deviation of
             its sensors, so their variance would be 1e-4.
         band_hz: corner frequencies of the band-pass W; None weights all frequencies alike.
@@ -41,20 +43,20 @@ class Lqg:
         estimator: `current` uses y[k] for u[k], `predicted` only what came before (D of the controller is zero).
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
-    >>> result = Lqg(control_weight=0.01).design(plant)
+    >>> result = Lqg(control_weight=0.01, band_hz=None).design(plant)
     >>> result.status.ok, abs(result.gamma / result.achieved - 1) < 1e-6
     (True, True)
 
     Kwakernaak and Sivan 1972; recovery: Maciejowski 1985, doi:10.1109/TAC.1985.1103975.
     """
 
-    control_weight: float = 1e-2
+    control_weight: float = 1e-8
     disturbance: float = 1.0
-    disturbance_at: str = "input"
+    disturbance_at: str = "output"
     sensor_noise: float = 0.01
-    band_hz: tuple[float, float] | None = None
-    band_order: int = 2
-    floor: float = 0.03
+    band_hz: tuple[float, float] | None = (9.0, 108.0)
+    band_order: int = 8
+    floor: float = 0.06
     recovery: float = 1.0
     recovery_at: str = "input"
     estimator: str = "current"
@@ -64,6 +66,8 @@ class Lqg:
             positive("Lqg", name, getattr(self, name))
         for name in ("disturbance_at", "recovery_at"):
             one_of("Lqg", name, getattr(self, name), ("input", "output"))
+        if self.recovery != 1.0 and self.recovery_at == "input" and self.disturbance_at == "output":
+            raise InputError("Lqg: recovery at the input needs 'disturbance_at' to be 'input', got 'output'.")
         one_of("Lqg", "estimator", self.estimator, ("current", "predicted"))
         between("Lqg", "floor", self.floor, 0.0, 1.0)
 

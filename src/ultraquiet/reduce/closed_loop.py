@@ -11,6 +11,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.linalg import balance
+from ultraquiet.reduce import alike
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, project, renamed
 from ultraquiet.values.generalised import four_block, full, output_shaping
 from ultraquiet.values.interconnect import gain, lft
@@ -30,7 +31,8 @@ class ClosedLoopWeighted:
     that K's state leaves in the cost of the loop.
 
     Args:
-        states: states to keep; None finds the fewest that cost no more than `loss`.
+        states: states to keep, rounded down to a multiple of the copies when the controller is the same law on several
+            channels (it stays that); None finds the fewest that cost no more than `loss`.
         loss: relative growth of the closed-loop norm allowed when `states` is None.
         method: `perturbation` (gain at 0 Hz kept) or `truncation`.
 
@@ -152,11 +154,14 @@ def _output_cascade(P: StateSpace, K: StateSpace) -> StateSpace:
 def _best(P: StateSpace, K: StateSpace, pairs: Pairs, count: int, method: str) -> tuple[StateSpace, FloatArray, float]:
     """Reduce by every pair and return the controller with the smallest closed-loop norm, its Hankel values and norm."""
     tries = []
-    for Pc, Qo in pairs:
+    K, copies = alike.one_of_many(K)
+    count //= copies
+    for Pc, Qo in (tuple(alike.averaged(W, copies) for W in pair) for pair in pairs):
         for way in dict.fromkeys((method, "truncation")):
             try:
                 M, hankel = project((K.A, K.B, K.C, K.D), Pc, Qo, count, P.rate_hz is not None, way)
                 small = StateSpace(*M, rate_hz=K.rate_hz)
+                small = alike.joined(small, copies)
                 tries.append((small, hankel, hinf_norm(lft(P, small), tolerance=1e-4)[0]))
             except (np.linalg.LinAlgError, InputError, NumericalError):
                 continue
