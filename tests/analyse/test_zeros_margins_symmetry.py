@@ -5,7 +5,9 @@ import pytest
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import (
+    disk_margin,
     loop_margins,
+    mu_upper_bound,
     peak_sensitivity,
     poles,
     reciprocity_error,
@@ -113,3 +115,29 @@ def test_singular_values_fall(rng):
     s = singular_values(G, [0.0, 0.1])
     assert s.shape == (2, 2)
     assert np.all(s[0] >= s[1])
+
+
+def test_disk_margin_of_the_spinning_satellite_all_loops():
+    """alpha 0.0998 at one side, 0.0499 at both (RobustAndOptimalControl.jl, test_diskmargin.jl)."""
+    a = 10.0
+    G = StateSpace([[0, a], [-a, 0]], np.eye(2), [[1, a], [-a, 1]], np.zeros((2, 2)))
+    K = gain(-np.eye(2))
+    sides = {side: disk_margin(G, K, side) for side in ("output", "input", "both")}
+    print(f"spinning satellite: {sides}")
+    assert abs(sides["output"] - 0.0998) < 1e-4
+    assert abs(sides["input"] - 0.0998) < 1e-4
+    assert abs(sides["both"] - 0.0499) < 1e-4
+
+
+def test_mu_bound_lies_between_its_own_bounds(rng):
+    """Above every |eigenvalue| of U M with U diagonal and unitary, below the norm; a scaled matrix keeps it."""
+    for _ in range(20):
+        n = int(rng.integers(2, 7))
+        M = rng.standard_normal((n, n)) + 1j * rng.standard_normal((n, n))
+        d = np.exp(rng.uniform(-3, 3, n))
+        bound, again = (mu_upper_bound(m[:, :, None])[0] for m in (M, d[:, None] * M / d))
+        turned = np.exp(2j * np.pi * rng.uniform(size=(300, n)))
+        below = max(np.abs(np.linalg.eigvals(u[:, None] * M)).max() for u in turned)
+        assert below <= bound * (1 + 1e-6)
+        assert bound <= np.linalg.norm(M, 2) * (1 + 1e-6)
+        assert abs(again / bound - 1) < 1e-2

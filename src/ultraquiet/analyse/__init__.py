@@ -1,6 +1,7 @@
 """What can be said about a system or a loop without changing it: norms, zeros, margins, symmetry."""
 
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
+from ultraquiet.analyse.mu import disk_margin, mu_upper_bound
 from ultraquiet.analyse.norms import h2_norm, hinf_norm
 from ultraquiet.analyse.singular import singular_values
 from ultraquiet.analyse.symmetry import reciprocity_error, threefold_error
@@ -9,9 +10,11 @@ from ultraquiet.analyse.zeros import Roots, poles, roots, zeros
 __all__ = [
     "Margins",
     "Roots",
+    "disk_margin",
     "h2_norm",
     "hinf_norm",
     "loop_margins",
+    "mu_upper_bound",
     "peak_sensitivity",
     "poles",
     "reciprocity_error",

@@ -84,7 +84,7 @@ def loop_margins(
     loops = S.D.shape[0]
     if not S.is_stable():
         return Margins(*(np.zeros(loops) for _ in range(5)))
-    f = _grid(S) if f_hz is None else frequency_array("loop_margins", f_hz)
+    f = default_grid(S) if f_hz is None else frequency_array("loop_margins", f_hz)
     response = residues(S.A, S.B, S.C, S.D).at(points(f, S.rate_hz))
     rows = [_crossings(1 / response[i, i] - 1, f) for i in range(loops)]
     # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277), on the grid
@@ -123,7 +123,8 @@ def _real_axis_factors(L: ComplexArray) -> FloatArray:
     return -1 / real[real < 0]
 
 
-def _grid(S: StateSpace) -> FloatArray:
+def default_grid(S: StateSpace) -> FloatArray:
+    """Return frequencies in Hz up to Nyquist, log-spaced, with those of the poles."""
     poles = S.poles()
     if S.rate_hz is None:
         size = np.abs(poles) / (2 * np.pi)
