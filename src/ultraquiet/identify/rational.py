@@ -130,10 +130,13 @@ class Rational:
         orders = tuple(n for n in orders if n * 4 <= np.count_nonzero(seen))
         fits: dict[int, vector_fitting.Rational] = {}
         held: dict[int, float] = {}
+        slowest = float(2 * np.pi * f[0] / rate_hz)
         with task("rational fit", len(orders)) as progress:
             for n in orders:
                 start = _starting_poles(n, f, rate_hz)
-                fits[n] = vector_fitting.fit(z[seen], H[:, :, seen], weight[seen], start, self.iterations, self.zeros_at_dc)
+                fits[n] = vector_fitting.fit(
+                    z[seen], H[:, :, seen], weight[seen], start, self.iterations, self.zeros_at_dc, slowest
+                )
                 held[n] = _error(fits[n], z[~seen], H[:, :, ~seen], weight[~seen])
                 progress.advance(note=f"order {n}: {held[n]:.4f}")
         best = min(held.values())

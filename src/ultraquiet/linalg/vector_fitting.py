@@ -25,7 +25,13 @@ class Rational(NamedTuple):
 
 
 def fit(
-    z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, iterations: int, zeros_at_one: int = 0
+    z: ComplexArray,
+    H: ComplexArray,
+    weight: FloatArray,
+    poles: ComplexArray,
+    iterations: int,
+    zeros_at_one: int = 0,
+    slowest: float = 0.0,
 ) -> Rational:
     """Return the stable rational matrix of common poles nearest to samples in the weighted RMS.
 
@@ -36,11 +42,13 @@ def fit(
         poles: starting poles inside the circle, complex ones with their conjugates.
         iterations: relocations; the best of all poles met is returned.
         zeros_at_one: zeros that every channel is known to have at z = 1.
+        slowest: least |ln p| of a pole; slower ones are moved there. Samples say nothing of what lies below the lowest
+            of them, and a pole that is free to go there cancels noise now and upsets a loop later.
     """
     p = paired(poles)
     best = residues(z, H, weight, p, zeros_at_one)
     for _ in range(iterations):
-        p = relocated(z, H, weight, p, zeros_at_one)
+        p = _quickened(relocated(z, H, weight, p, zeros_at_one), slowest)
         found = residues(z, H, weight, p, zeros_at_one)
         if found.error < best.error:
             best = found
@@ -148,6 +156,16 @@ def _inside(poles: ComplexArray) -> ComplexArray:
     size = np.abs(poles)
     limit = 1 - NEAREST_TO_CIRCLE
     return np.where(size > limit, poles / np.maximum(size, limit) * limit, poles)
+
+
+def _quickened(poles: ComplexArray, slowest: float) -> ComplexArray:
+    """Return poles with |ln p| no less than `slowest`, their damping kept."""
+    s = np.log(poles)
+    size = np.abs(s)
+    slow = size < slowest
+    s = np.where(slow, s * slowest / np.where(slow, np.maximum(size, np.finfo(float).tiny), 1.0), s)
+    moved = np.exp(s)
+    return np.where(slow, np.where(poles.imag == 0, moved.real, moved), poles)
 
 
 def _sigma_states(poles: ComplexArray) -> tuple[FloatArray, FloatArray]:
