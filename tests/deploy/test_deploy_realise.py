@@ -5,7 +5,7 @@ import pytest
 from deploy_laws import RATE_HZ, block
 from scipy.linalg import block_diag
 
-from ultraquiet.deploy import generate, realisation
+from ultraquiet.deploy import generate, kernel_cycles, realisation
 from ultraquiet.deploy.blocks import block_diagonal
 from ultraquiet.deploy.choose import choose, error_of, loop_radius
 from ultraquiet.values import StateSpace
@@ -100,9 +100,10 @@ def test_block_diagonal_is_a_similarity(rng, bound):
 def test_auto_takes_the_cheapest_form_that_is_exact_enough(law_of, tmp_path):
     made = generate(law_of(24), tmp_path / "code")
     tried = made.tables["forms_tried"]
-    assert made.tables["form"] == "modal"
-    assert tried["modal"] <= 5e-3
+    print(made.tables["form"], tried)
     assert set(tried) == set(FORMS)
+    cheapest_first = sorted(FORMS, key=lambda form: kernel_cycles(form, 24, block=2))
+    assert made.tables["form"] == next(form for form in cheapest_first if tried[form] <= 5e-3)
 
 
 def test_auto_turns_to_delta_where_float32_moves_slow_poles(tmp_path):

@@ -71,7 +71,10 @@ def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None 
     Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
     the loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
     """
-    f_hz = _grid(controller)
+    poles = (
+        controller.poles() if plant is None else np.concatenate([controller.poles(), _loop_poles(plant, controller)])
+    )
+    f_hz = _grid(poles, controller.rate_hz or 0.0)
     exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
     if plant is not None:
         same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
@@ -87,21 +90,23 @@ def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None 
 
 def loop_radius(plant: StateSpace, controller: StateSpace) -> float:
     """Return the largest pole magnitude of y = G u, u = K y."""
+    return float(np.abs(_loop_poles(plant, controller)).max(initial=0.0))
+
+
+def _loop_poles(plant: StateSpace, controller: StateSpace) -> ComplexArray:
     coupling = np.linalg.inv(np.eye(plant.D.shape[0]) - plant.D @ controller.D)
     y_g, y_k = coupling @ plant.C, coupling @ plant.D @ controller.C
     u_g, u_k = controller.D @ y_g, controller.C + controller.D @ y_k
     A = np.block([[plant.A + plant.B @ u_g, plant.B @ u_k], [controller.B @ y_g, controller.A + controller.B @ y_k]])
-    return float(np.abs(np.linalg.eigvals(A)).max()) if A.size else 0.0
+    return np.linalg.eigvals(A).astype(np.complex128) if A.size else np.zeros(0, dtype=np.complex128)
 
 
-def _grid(controller: StateSpace) -> FloatArray:
+def _grid(poles: ComplexArray, rate_hz: float) -> FloatArray:
     """Return log-spaced frequencies, with every pole's own frequency and its half-power points."""
-    assert controller.rate_hz is not None
-    top = controller.rate_hz / 2
-    poles = controller.poles()
+    top = rate_hz / 2
     poles = poles[np.abs(poles) > 1e-6]  # so near z = 0 a pole is a delay, flat in gain
-    centre = np.abs(np.angle(poles)) * controller.rate_hz / (2 * np.pi)
-    half = np.abs(np.log(np.abs(poles))) * controller.rate_hz / (2 * np.pi)
+    centre = np.abs(np.angle(poles)) * rate_hz / (2 * np.pi)
+    half = np.abs(np.log(np.abs(poles))) * rate_hz / (2 * np.pi)
     marks = np.concatenate([centre, centre - half, centre + half])
     base = np.geomspace(top / 10**DECADES, top, GRID)
     return np.unique(np.concatenate([base, marks[(marks > 0) & (marks <= top)]]))
