@@ -1,5 +1,7 @@
 """H-infinity synthesis: known optima, reported against achieved, units, refusals."""
 
+import time
+
 import numpy as np
 import pytest
 from named_plants import bench_like, printed, slicot
@@ -175,3 +177,16 @@ def test_a_zero_on_the_axis_is_named():
 def test_sizes_are_checked():
     with pytest.raises(InputError, match="measurements"):
         synthesize_hinf(bbmx(), 3, 1)
+
+
+def test_198_states(rng):
+    """180 plant and 18 weight states: the norm is reported as achieved, in seconds."""
+    plant = bench_like(rng, 84)
+    on_y, on_u = (band_pass((9, 108), 10.0, 0.5, 2, 3500.0, 6), high_pass(400.0, 1e-2, 1e-1, 1, 3500.0, 6))
+    P = four_block(plant, on_y, on_u, np.eye(6), 0.1 * np.eye(6))
+    assert P.states == 198
+    start = time.process_time()
+    result = synthesize_hinf(P, 6, 6)
+    print(f"198 states: gamma {result.gamma:.5f}, {agreement(result):.1e}, {time.process_time() - start:.2f} s")
+    assert result.status.ok, result.status
+    assert agreement(result) < 1e-3

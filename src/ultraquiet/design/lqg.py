@@ -75,7 +75,8 @@ class Lqg:
         """Return the controller u = K y of a discrete plant.
 
         `gamma` is the standard deviation of the weighted cost that the two Riccati equations promise, `achieved` the H2
-        norm of the finished loop; `details["recovery"]` holds sigma(L - L_target) over frequency.
+        norm of the finished loop; `details["recovery"]` holds sigma(L - L_target) over frequency, `details["weights"]`
+        the weights of one channel.
 
         Raises:
             InputError: the plant is in continuous time.
@@ -91,7 +92,7 @@ class Lqg:
         K = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=plant.rate_hz)
         achieved = h2_norm(lft(P, K))
         promised = found.cost() if self.estimator == "current" else achieved
-        details = {"recovery": self._recovery(plant, P, K, found)}
+        details = {"recovery": self._recovery(plant, P, K, found), "weights": self.weights(plant)}
         return judged(plant, K, self, promised, achieved, found.residuals, details)
 
     def generalised(self, plant: StateSpace) -> StateSpace:
@@ -118,10 +119,15 @@ class Lqg:
             ),
             plant.rate_hz,
         )
-        if self.band_hz is None:
-            return open_loop
-        W = band_pass(self.band_hz, 1.0, self.floor, self.band_order, plant.rate_hz, channels=ny)
+        W = append(*[self.weights(plant)["performance"]] * ny)
         return series(open_loop, append(W, gain(np.eye(nu + ny), plant.rate_hz)))
+
+    def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
+        """Return the weights of one channel: `performance` W and `control` sqrt(rho)."""
+        rate = plant.rate_hz
+        one = gain(np.eye(1), rate)
+        W = one if self.band_hz is None else band_pass(self.band_hz, 1.0, self.floor, self.band_order, rate)
+        return {"performance": W, "control": gain(np.sqrt([[self.control_weight]]), rate)}
 
     def _recovery(
         self, plant: StateSpace, P: StateSpace, K: StateSpace, found: Solution
