@@ -27,6 +27,13 @@ def test_a_constant_input_is_refused(method, level, rng):
         method.identify(record)
 
 
+def test_a_steady_tone_is_refused(rng):
+    tone = np.sin(2 * np.pi * 60 * np.arange(4096) / 3500)
+    for order in (2, 5):
+        with pytest.raises(InputError, match=r"input 'input 1' holds spectral lines for about 2 parameters"):
+            uq.identify.BoxJenkins(order=order).identify(uq.Record(tone, rng.standard_normal(4096), 3500.0))
+
+
 def test_a_dead_sensor_is_refused(method, rng):
     record = uq.Record(rng.standard_normal(2000), np.zeros(2000), 100.0, sensors=["geophone 2"])
     with pytest.raises(InputError, match=r"output 'geophone 2' is constant at 0"):

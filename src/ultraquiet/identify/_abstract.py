@@ -78,6 +78,24 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
                 )
 
 
+# A tone fills six bins of a Blackman-windowed spectrum and carries two parameters; this share of the strongest bin
+# stands above the window's own side lobes.
+BINS_PER_PARAMETER = 3
+LINE_SHARE = 1e-5
+
+
+def exciting(who: str, record: Record, parameters: int) -> None:
+    """Refuse an input of so few spectral lines that other models fit it as well: a steady tone fixes two parameters."""
+    for u, wire in zip(record.inputs, record.actuators, strict=True):
+        power = np.abs(np.fft.rfft((u - u.mean()) * np.blackman(u.size))) ** 2
+        carried = int(np.count_nonzero(power > LINE_SHARE * power.max())) // BINS_PER_PARAMETER
+        if carried < parameters:
+            raise InputError(
+                f"{who}: input '{wire.name}' holds spectral lines for about {carried} parameters, the path from it has "
+                f"{parameters}; excite a band (noise, chirp, many tones) or lower the order."
+            )
+
+
 SEVERITY = ("ok", "not white", "not converged")
 
 

@@ -7,8 +7,6 @@ q^-lag (1 - q^-1)^k instead of bare shifts: at 3.5 kHz shifts of a 12 Hz mode ar
 matrix of their products would keep none (Jacobian condition 1e8, squared).
 """
 
-# ruff: noqa: SIM110 - compiled functions take plain positional arrays, and loops where numba needs them
-
 from typing import Any
 
 import numpy as np
@@ -319,10 +317,10 @@ def admissible(P, degree):
     """Return whether C, D and every F have their roots inside the unit circle."""
     if not (inside(P[ROW_C], degree[ROW_C]) and inside(P[ROW_D], degree[ROW_D])):
         return False
+    found = True
     for row in range(ROW_FIRST + 1, P.shape[0], 2):
-        if not inside(P[row], degree[row]):
-            return False
-    return True
+        found = found and inside(P[row], degree[row])
+    return found
 
 
 @compiled

@@ -8,7 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify._abstract import Result, usable, worst
+from ultraquiet.identify._abstract import Result, exciting, usable, worst
 from ultraquiet.identify.fit import Fit, Search, fit_channel
 from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.structure import Structure
@@ -87,6 +87,7 @@ class PolynomialMethod:
         structure = self.structure()
         memory = structure.delay + structure.a + structure.d
         usable(type(self).__name__, record, structure.parameters(record.inputs.shape[0]), memory)
+        exciting(type(self).__name__, record, structure.a + structure.b + structure.f)
 
     def fit(self, data: Channel, rate_hz: float) -> Fit:
         """Return the model of one output."""

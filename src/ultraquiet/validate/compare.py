@@ -13,7 +13,6 @@ from ultraquiet.linalg.prediction import fit_percent, repaired
 from ultraquiet.validate.predict import Model, predicted, simulated
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, PolynomialModel, Record
 
-
 REPAIRS = 3  # rounds in which clipped samples take the model's output before its state and constant are fitted
 
 
