@@ -56,6 +56,14 @@ def test_plant_at_another_rate(tmp_path):
         generate(gain(), tmp_path / "code", plant=gain(rate_hz=1000.0))
 
 
+def test_plant_that_closes_no_loop(tmp_path):
+    with pytest.raises(InputError, match="ill-posed"):
+        generate(gain(), tmp_path / "code", plant=gain())
+    wide = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), [[1.0, 1.0]], rate_hz=RATE_HZ)
+    with pytest.raises(InputError, match=r"a plant \(1, 2\) does not close a loop with a controller \(1, 1\)"):
+        generate(gain(), tmp_path / "code", plant=wide)
+
+
 def test_foreign_folder_is_not_replaced(tmp_path):
     (tmp_path / "code").mkdir()
     (tmp_path / "code" / "thesis.tex").write_text("years of work")

@@ -71,13 +71,13 @@ def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None 
     Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
     the loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
     """
-    poles = (
-        controller.poles() if plant is None else np.concatenate([controller.poles(), _loop_poles(plant, controller)])
-    )
+    poles = controller.poles()
+    if plant is not None:
+        same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+        poles = np.concatenate([poles, _loop_poles(plant, controller)])
     f_hz = _grid(poles, controller.rate_hz or 0.0)
     exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
     if plant is not None:
-        same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
         if loop_radius(plant, controller) < 1.0 <= loop_radius(plant, held):
             return float("inf")
         G = _points_first(plant.frequency_response(f_hz))
@@ -94,7 +94,14 @@ def loop_radius(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def _loop_poles(plant: StateSpace, controller: StateSpace) -> ComplexArray:
-    coupling = np.linalg.inv(np.eye(plant.D.shape[0]) - plant.D @ controller.D)
+    if plant.D.shape != controller.D.T.shape:
+        raise InputError(
+            f"deploy: a plant {plant.D.shape} does not close a loop with a controller {controller.D.shape}."
+        )
+    try:
+        coupling = np.linalg.inv(np.eye(plant.D.shape[0]) - plant.D @ controller.D)
+    except np.linalg.LinAlgError:
+        raise InputError("deploy: the loop with this plant is ill-posed, I - D_G D_K is singular.") from None
     y_g, y_k = coupling @ plant.C, coupling @ plant.D @ controller.C
     u_g, u_k = controller.D @ y_g, controller.C + controller.D @ y_k
     A = np.block([[plant.A + plant.B @ u_g, plant.B @ u_k], [controller.B @ y_g, controller.A + controller.B @ y_k]])
