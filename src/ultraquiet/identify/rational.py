@@ -17,10 +17,13 @@ from ultraquiet.spectra import frf
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
 
 ORDERS = tuple(range(4, 33, 2))
-# The smallest order whose held-out error is within this factor of the best is taken.
-WORTH = 1.1
+# The smallest order is taken whose held-out error exceeds the best by less than this share of the floor (root of the
+# difference of squares): spare poles have nothing to do but to ring at noise.
+WORTH = 0.3
 # Starting poles: this relative damping, from the lowest line to the highest.
 START_DAMPING = 0.1
+# A line whose noise is this share of its response is left out: it tells little, and its pole would be noise.
+HIDDEN = 0.3
 # An order that misses the held-out lines by more than this share of the response has not caught the plant.
 POOR = 0.2
 
@@ -140,7 +143,7 @@ class Rational:
                 held[n] = _error(fits[n], z[~seen], H[:, :, ~seen], weight[~seen])
                 progress.advance(note=f"order {n}: {held[n]:.4f}")
         best = min(held.values())
-        chosen = min(n for n in held if held[n] <= WORTH * best)
+        chosen = min(n for n in held if held[n] ** 2 <= best**2 + (WORTH * self.floor) ** 2)
         model = _realised(self, fits[chosen], f, rate_hz, weight, response)
         return ResponseFit(model, _verdict(held[chosen]), chosen, (fits[chosen].error, held[chosen]), held)
 
@@ -156,14 +159,14 @@ def _checked(
         )
     size = np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 1)) * max(G.shape[:2]))
     noise = np.zeros_like(size) if response.variance is None else np.mean(response.variance, axis=(0, 1))
-    keep = (size > 0) & (f > 0) & (f < rate_hz / 2)
+    noise_share = noise * max(G.shape[:2]) / np.where(size > 0, size, 1.0) ** 2
+    keep = (size > 0) & (f > 0) & (f < rate_hz / 2) & (noise_share < HIDDEN**2)
     keep[keep] = _thin(f[keep], method.most_lines)
     needed = 8 * (method.order or ORDERS[0])
     if np.count_nonzero(keep) < needed:
         raise InputError(
             f"Rational: {np.count_nonzero(keep)} usable lines are too few, order {method.order or ORDERS[0]} needs {needed}."
         )
-    noise_share = noise * max(G.shape[:2]) / np.where(size > 0, size, 1.0) ** 2
     weight = 1.0 / (np.where(size > 0, size, 1.0) * np.sqrt(method.floor**2 + noise_share))
     # The error then reads as a share of the response where noise does not matter.
     return f[keep], G[:, :, keep], weight[keep] * method.floor
