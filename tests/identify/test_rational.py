@@ -1,0 +1,121 @@
+"""Rational fits of measured responses, and the periodic responses they start from."""
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet.linalg import vector_fitting
+
+RATE_HZ = 3500.0
+
+
+def random_modal(rng, modes, nu, ny, rate_hz=RATE_HZ):
+    """A plant of modes between 5 and 1000 Hz, in blocks, responding one sample late."""
+    f = np.sort(np.exp(rng.uniform(np.log(5), np.log(1000), modes)))
+    zeta = rng.uniform(0.005, 0.05, modes)
+    poles = np.exp(2 * np.pi * f / rate_hz * (-zeta + 1j * np.sqrt(1 - zeta**2)))
+    A = np.zeros((2 * modes, 2 * modes))
+    for k, p in enumerate(poles):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+    size = np.repeat(np.sqrt(1 - np.abs(poles)), 2)
+    B, C = size[:, None] * rng.standard_normal((2 * modes, nu)), rng.standard_normal((ny, 2 * modes)) * size
+    return uq.StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz), poles
+
+
+def response(plant, f):
+    return uq.FrequencyResponse(f, plant.frequency_response(f))
+
+
+def test_an_exact_response_gives_its_poles_back(rng):
+    for _ in range(5):
+        plant, poles = random_modal(rng, 4, 2, 2)
+        f = np.unique(np.concatenate([np.geomspace(1, 1700, 400), np.abs(np.angle(poles)) * RATE_HZ / (2 * np.pi)]))
+        z = np.exp(2j * np.pi * f / RATE_HZ)
+        G = plant.frequency_response(f)
+        start = np.exp(2 * np.pi * np.geomspace(2, 1500, 4) / RATE_HZ * (-0.1 + 1j))
+        weight = 1 / np.sqrt(np.mean(np.abs(G) ** 2, axis=(0, 1)))
+        found = vector_fitting.fit(z, G, weight, np.concatenate([start, start.conj()]), 40)
+        own = np.sort_complex(np.concatenate([poles, poles.conj()]))
+        error = np.abs(np.sort_complex(found.poles) - own).max()
+        print(f"poles within {error:.1e}, error {found.error:.1e}")
+        assert found.error < 1e-6
+        assert error < 1e-6
+
+
+def test_zeros_at_one_are_kept(rng):
+    plant, _ = random_modal(rng, 3, 2, 2)
+    z = np.exp(2j * np.pi * np.geomspace(1, 1700, 200) / RATE_HZ)
+    poles = vector_fitting.paired(np.exp(rng.uniform(-0.3, -0.01, 6) + 1j * np.array([0, 0, 0.2, -0.2, 1, -1])))
+    poles = vector_fitting.paired(np.concatenate([poles[poles.imag == 0], poles[poles.imag > 0], poles[poles.imag > 0].conj()]))
+    G = plant.frequency_response(np.geomspace(1, 1700, 200))
+    R = vector_fitting.residues(z, G, np.ones(200), poles, zeros_at_one=2).residues
+    for power in (1, 2):
+        moment = np.einsum("ijk,k->ij", R, (1 - poles) ** -float(power))
+        assert np.abs(moment).max() < 1e-8 * np.einsum("ijk,k->ij", np.abs(R), np.abs(1 - poles) ** -power).max()
+
+
+def test_the_order_is_found_and_the_model_meets_the_plant(rng):
+    plant, _ = random_modal(rng, 4, 3, 3)
+    f = np.arange(1, 1700.0)
+    fit = uq.identify.Rational().identify_response(response(plant, f), RATE_HZ)
+    error = np.abs(fit.model.frequency_response(f) - plant.frequency_response(f))
+    relative = error.max() / np.abs(plant.frequency_response(f)).max()
+    print(f"order {fit.order}, {fit.model.states} states, relative error {relative:.1e}")
+    assert fit.status.ok
+    assert fit.order == 8
+    assert fit.model.is_stable()
+    assert relative < 5e-3
+
+
+def test_noise_makes_no_poles(seed, rng):
+    """The suite's plant: the order stays what the physics is worth, whatever the noise."""
+    from ultraquiet.pipeline import packaged_study
+    from ultraquiet.pipeline.models import plant as identified
+
+    bench = uq.bench.Hexapod(unit="ground", seed=seed)
+    wanted = packaged_study("suite").plant
+    records = {}
+    for name, start, stop, peak in (("lowest", 1, 12, 20), ("low", 12.5, 150, 12), ("high", 150.5, 1749, 3)):
+        signal = uq.signals.Multisine(start_hz=start, stop_hz=stop, period_samples=7000, peak_v=peak)
+        for j in range(6):
+            u = np.zeros((6, 21000))
+            u[j] = signal.generate(21000, RATE_HZ, int(rng.integers(2**31)))
+            records[f"{name}-{j + 1}"] = bench.run(u)
+    found = identified(records, wanted)
+    G, truth = found.values["plant"], bench.linear_model()
+    f = np.concatenate([np.arange(3, 130, 0.5), np.geomspace(130, 1700, 300)])
+    T = np.moveaxis(truth.frequency_response(f), 2, 0)
+    error = np.linalg.norm(np.linalg.solve(T, np.moveaxis(G.frequency_response(f), 2, 0) - T), 2, axis=(1, 2))
+    print(f"order {found.facts['order']}, {G.states} states; worst direction off by {error.max():.1%} over 3-1700 Hz")
+    assert G.is_stable()
+    assert error.max() < 0.25
+    assert np.median(error) < 0.03
+
+
+def test_periodic_response_measures_noise_beside_it(rng):
+    plant, _ = random_modal(rng, 3, 1, 1)
+    signal = uq.signals.Multisine(start_hz=10, stop_hz=1500, period_samples=3500, peak_v=10.0)
+    u = signal.generate(3500 * 12, RATE_HZ, 1)
+    noise = 0.05
+    y = plant.simulate(u[None]) + noise * rng.standard_normal((1, u.size))
+    g = uq.spectra.periodic_response([uq.Record(u, y, RATE_HZ)], 3500, settle_periods=3)
+    assert np.array_equal(g.f_hz, signal.lines_hz(RATE_HZ))
+    error = np.abs(g.values - plant.frequency_response(g.f_hz)) ** 2
+    ratio = float(np.mean(error) / np.mean(g.variance))
+    print(f"squared error over the variance told: {ratio:.2f}")
+    assert 0.8 < ratio < 1.25
+
+
+def test_refusals(rng):
+    plant, _ = random_modal(rng, 2, 1, 1)
+    f = np.arange(1, 1700.0)
+    with pytest.raises(uq.errors.InputError, match="contradict a rate of 1000 Hz"):
+        uq.identify.Rational().identify_response(response(plant, f), 1000.0)
+    with pytest.raises(uq.errors.InputError, match="too few"):
+        uq.identify.Rational(order=8).identify_response(response(plant, f[:20]), RATE_HZ)
+    silent = uq.Record(np.zeros((1, 7000)), np.zeros((1, 7000)), RATE_HZ)
+    with pytest.raises(uq.errors.InputError, match="must excite actuator 1"):
+        uq.spectra.periodic_response([silent], 3500)
+    short = uq.Record(np.ones((1, 5000)) * np.arange(5000), np.zeros((1, 5000)), RATE_HZ)
+    with pytest.raises(uq.errors.InputError, match="whole periods"):
+        uq.spectra.periodic_response([short], 3500)
