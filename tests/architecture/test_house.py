@@ -49,7 +49,9 @@ def test_layers():
 def seconds(statement: str) -> float:
     """Best of five cold starts, without the interpreter's own start."""
     script = f"import time; t = time.perf_counter(); {statement}; print(time.perf_counter() - t)"
-    runs = [subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True) for _ in range(5)]
+    runs = [
+        subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True) for _ in range(5)
+    ]
     return min(float(r.stdout) for r in runs)
 
 
@@ -71,5 +73,3 @@ def test_source_names_no_machine():
         text = path.read_text()
         assert "/work/" not in text, path
         assert "/root/" not in text, path
-
-

@@ -46,7 +46,9 @@ def test_zeros_at_one_are_kept(rng):
     plant, _ = random_modal(rng, 3, 2, 2)
     z = np.exp(2j * np.pi * np.geomspace(1, 1700, 200) / RATE_HZ)
     poles = vector_fitting.paired(np.exp(rng.uniform(-0.3, -0.01, 6) + 1j * np.array([0, 0, 0.2, -0.2, 1, -1])))
-    poles = vector_fitting.paired(np.concatenate([poles[poles.imag == 0], poles[poles.imag > 0], poles[poles.imag > 0].conj()]))
+    poles = vector_fitting.paired(
+        np.concatenate([poles[poles.imag == 0], poles[poles.imag > 0], poles[poles.imag > 0].conj()])
+    )
     G = plant.frequency_response(np.geomspace(1, 1700, 200))
     R = vector_fitting.residues(z, G, np.ones(200), poles, zeros_at_one=2).residues
     for power in (1, 2):

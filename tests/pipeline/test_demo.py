@@ -50,7 +50,10 @@ def test_every_controller_settles_on_the_bench_and_claims_what_it_achieves(demo)
 def test_one_controller_quietens_every_direction(demo):
     """At least 12 dB in the worst direction over the whole of 10-100 Hz with at most 8 dB of peak, on the bench."""
     folder, summary, _ = demo
-    reached = {n: (f["ground"]["worst_direction_band_db"], f["ground"]["peak_amplification_db"]) for n, f in summary["closed_loop"].items()}
+    reached = {
+        n: (f["ground"]["worst_direction_band_db"], f["ground"]["peak_amplification_db"])
+        for n, f in summary["closed_loop"].items()
+    }
     for name, (worst, peak) in reached.items():
         print(f"{name}: worst direction {worst:.1f} dB over 10-100 Hz, peak amplification {peak:.1f} dB")
     good = [n for n, (worst, peak) in reached.items() if worst >= FIRST_TARGET_DB and peak <= LARGEST_PEAK_DB]
@@ -102,7 +105,9 @@ def test_records_and_models_reopen(demo):
 
 def test_finished_stages_are_reused(demo):
     folder, summary, _ = demo
-    before = {p: p.stat().st_mtime_ns for room in ("models", "controllers", "stages") for p in (folder / room).iterdir()}
+    before = {
+        p: p.stat().st_mtime_ns for room in ("models", "controllers", "stages") for p in (folder / room).iterdir()
+    }
     again = walk(reload_study(folder), folder, say=lambda _: None)
     assert {p: p.stat().st_mtime_ns for p in before} == before
     assert again["closed_loop"] == json.loads(json.dumps(summary["closed_loop"]))

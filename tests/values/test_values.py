@@ -12,7 +12,9 @@ from ultraquiet._base.errors import InputError
 def random_system(rng, n=6, nu=2, ny=3, rate_hz=100.0):
     A = rng.standard_normal((n, n))
     A *= 0.95 / np.abs(np.linalg.eigvals(A)).max()
-    return uq.StateSpace(A, rng.standard_normal((n, nu)), rng.standard_normal((ny, n)), rng.standard_normal((ny, nu)), rate_hz)
+    return uq.StateSpace(
+        A, rng.standard_normal((n, nu)), rng.standard_normal((ny, n)), rng.standard_normal((ny, nu)), rate_hz
+    )
 
 
 def test_record_refuses_nan_and_names_the_sample():
@@ -69,9 +71,7 @@ def test_frequency_response_against_direct_solution(rng, rate_hz):
     f = np.linspace(0, 50, 41)
     s = 2j * np.pi * f
     z = s if rate_hz is None else np.exp(s / rate_hz)
-    plain = np.stack(
-        [system.C @ np.linalg.solve(p * np.eye(6) - system.A, system.B) + system.D for p in z], axis=2
-    )
+    plain = np.stack([system.C @ np.linalg.solve(p * np.eye(6) - system.A, system.B) + system.D for p in z], axis=2)
     error = np.abs(system.frequency_response(f) - plain).max() / np.abs(plain).max()
     print(f"frequency response against dense solves: {error:.1e}")
     assert error < 1e-10
@@ -108,7 +108,9 @@ roots_inside = st.lists(
 )
 
 
-@given(roots_inside, st.lists(st.floats(-2, 2).filter(lambda v: abs(v) > 0.05), min_size=1, max_size=6), st.integers(0, 3))
+@given(
+    roots_inside, st.lists(st.floats(-2, 2).filter(lambda v: abs(v) > 0.05), min_size=1, max_size=6), st.integers(0, 3)
+)
 def test_sections_realise_the_polynomials(pairs, b, delay):
     poles = [r * np.exp(1j * w) for r, w in pairs]
     a = np.poly([*poles, *np.conj(poles)]).real

@@ -31,7 +31,9 @@ def register(family: str, name: str) -> Callable[[Method], Method]:
 
     def enter(method: Method) -> Method:
         if not hasattr(method, FAMILIES[family]):
-            raise UnknownMethodError(f"registry: '{method.__name__}' lacks the verb '{FAMILIES[family]}' of '{family}'.")
+            raise UnknownMethodError(
+                f"registry: '{method.__name__}' lacks the verb '{FAMILIES[family]}' of '{family}'."
+            )
         holder = _table[family].get(name)
         if holder is not None and holder.__qualname__ != method.__qualname__:
             raise UnknownMethodError(f"registry: '{name}' of '{family}' is taken by {holder.__qualname__}.")

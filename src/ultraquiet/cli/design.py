@@ -12,8 +12,12 @@ from ultraquiet.cli.settings import method as make
 
 def design(
     plant: Annotated[Path, typer.Argument(help="A model or state space (HDF5), as `identify` leaves it.")],
-    method: Annotated[str, typer.Option(help="A registered method; see `ultraquiet methods design`.")] = "mixed-sensitivity",
-    out: Annotated[Path | None, typer.Option(help="Where the controller goes (HDF5); default: beside the plant.")] = None,
+    method: Annotated[
+        str, typer.Option(help="A registered method; see `ultraquiet methods design`.")
+    ] = "mixed-sensitivity",
+    out: Annotated[
+        Path | None, typer.Option(help="Where the controller goes (HDF5); default: beside the plant.")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing controller.")] = False,
     setting: Annotated[list[str] | None, typer.Option("--set", help="A setting of the method, key=value.")] = None,
 ) -> None:

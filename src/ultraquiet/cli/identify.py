@@ -15,15 +15,21 @@ HELD_OUT = 0.5
 
 def identify(
     record: Annotated[Path, typer.Argument(help="A record: HDF5, MAT, CSV or NPZ.")],
-    method: Annotated[str, typer.Option(help="A registered method; see `ultraquiet methods identify`.")] = "box-jenkins",
+    method: Annotated[
+        str, typer.Option(help="A registered method; see `ultraquiet methods identify`.")
+    ] = "box-jenkins",
     order: Annotated[int | None, typer.Option(help="Order of the model.")] = None,
     rate: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
     inputs: Annotated[str | None, typer.Option(help="Names of the inputs in the file, separated by commas.")] = None,
     outputs: Annotated[str | None, typer.Option(help="Names of the outputs in the file, separated by commas.")] = None,
-    hold_out: Annotated[float, typer.Option(help="Share of the record, at its end, kept for judging the model.")] = HELD_OUT,
+    hold_out: Annotated[
+        float, typer.Option(help="Share of the record, at its end, kept for judging the model.")
+    ] = HELD_OUT,
     out: Annotated[Path | None, typer.Option(help="Where the model goes (HDF5); default: beside the record.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing model.")] = False,
-    setting: Annotated[list[str] | None, typer.Option("--set", help="Another setting of the method, key=value.")] = None,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="Another setting of the method, key=value.")
+    ] = None,
 ) -> None:
     """Identify a model and judge it on the part of the record it has not seen."""
     from rich.console import Console
@@ -40,7 +46,9 @@ def identify(
     judged = validate.compare(result.model, data.part(cut)).fit_percent if share else np.full(len(data.sensors), np.nan)
     target = out or record.with_name(f"{record.stem}-{method}.h5")
     files.save(result.model, target, overwrite=force)
-    table = Table("output", "fit, seen", "fit, held out", "loss", title=f"{method} from {cut} samples at {data.rate_hz:g} Hz")
+    table = Table(
+        "output", "fit, seen", "fit, held out", "loss", title=f"{method} from {cut} samples at {data.rate_hz:g} Hz"
+    )
     for channel, seen, held, loss in zip(data.sensors, result.fit_percent, judged, result.loss, strict=True):
         table.add_row(channel.name, f"{seen:.2f} %", f"{held:.2f} %" if share else "-", f"{loss:.4g} {channel.unit}²")
     console = Console()

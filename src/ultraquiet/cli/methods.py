@@ -20,7 +20,9 @@ def methods(
     table = Table("family", "method", "settings", "what it does")
     for name in [family] if family else registry.FAMILIES:
         for method, kind in registry.methods(name).items():
-            table.add_row(name, method, ", ".join(_setting(f) for f in fields(kind)), (kind.__doc__ or "").split("\n")[0])
+            table.add_row(
+                name, method, ", ".join(_setting(f) for f in fields(kind)), (kind.__doc__ or "").split("\n")[0]
+            )
     Console().print(table)
 
 

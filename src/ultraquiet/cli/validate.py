@@ -31,6 +31,8 @@ def validate(
     tested = None if isinstance(held, StateSpace) else room.residual_test(held, data)
     table = Table("output", "simulated fit", "clipped", "p: white", "p: free of input", title=f"{model} on {record}")
     for i, channel in enumerate(data.sensors):
-        tests = ("-", "-") if tested is None else (f"{tested.whiteness_p[i]:.3g}", f"{tested.correlation_p[i].min():.3g}")
+        tests = (
+            ("-", "-") if tested is None else (f"{tested.whiteness_p[i]:.3g}", f"{tested.correlation_p[i].min():.3g}")
+        )
         table.add_row(channel.name, f"{found.fit_percent[i]:.2f} %", str(found.clipped[i]), *tests)
     Console().print(table)

@@ -40,7 +40,9 @@ class Method(BaseModel):
         known = [f.name for f in fields(kind)]
         for key in self.settings:
             if key not in known:
-                raise InputError(f"{family} '{self.method}': there is no setting '{key}'; known are {', '.join(known)}.")
+                raise InputError(
+                    f"{family} '{self.method}': there is no setting '{key}'; known are {', '.join(known)}."
+                )
         return kind(**self.settings)
 
 

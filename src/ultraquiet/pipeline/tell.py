@@ -14,7 +14,11 @@ if TYPE_CHECKING:
     from ultraquiet.pipeline.walk import Done
 
 # What the paper prints, beside which the study's own numbers stand; its section and figure numbers.
-PAPER_DB = {"5": ("33", "section 4.2"), "25": ("12 (abstract), 13 (text)", "section 4.2"), "100": ("none", "section 4.2")}
+PAPER_DB = {
+    "5": ("33", "section 4.2"),
+    "25": ("12 (abstract), 13 (text)", "section 4.2"),
+    "100": ("none", "section 4.2"),
+}
 SHOWN_SIGNALS = ("chirp", "noise", "prbs")
 # Strut 2 is the one whose functions the paper prints, eqs. (11) and (12).
 PAPER_STRUT = 1
@@ -97,7 +101,10 @@ def _validation(done: "Done") -> Section:
     names = done.study.identify.paper_records
     responses = [(n, SHOWN_HZ, done.identified.values[f"paper-{n}"].frequency_response(SHOWN_HZ)) for n in names]
     figures.append(paper.bode(responses, PAPER_STRUT, PAPER_STRUT, (5.0, 250.0)))
-    rows = [(name, f"{f['fit_percent']:.1f}", f"{f['clipped_samples']} of {f['samples']}") for name, f in facts["records"].items()]
+    rows = [
+        (name, f"{f['fit_percent']:.1f}", f"{f['clipped_samples']} of {f['samples']}")
+        for name, f in facts["records"].items()
+    ]
     tables = [Table("Preferred model against records (clipped like the sensors)", ("record", "fit %", "clipped"), rows)]
     against = facts.get("against_bench", {})
     if against:
@@ -118,9 +125,14 @@ def _analysis(done: "Done") -> Section:
     f = np.array(facts["f_hz"])
     bands = {name: np.array(values) for name, values in facts["singular_values"].items()}
     bands = {"design plant": bands["plant"], "the paper's structure": bands["paper"]}
-    poles = [(f"{r['frequency_hz']:.2f}", f"{r['zeta']:.4f}", "unstable" if r["outside"] else "") for r in facts["poles"]]
+    poles = [
+        (f"{r['frequency_hz']:.2f}", f"{r['zeta']:.4f}", "unstable" if r["outside"] else "") for r in facts["poles"]
+    ]
     low = [
-        (k + 1, ", ".join(f"{r['frequency_hz']:.3g}" for r in rows if r["outside"] and r["frequency_hz"] < 50) or "none")
+        (
+            k + 1,
+            ", ".join(f"{r['frequency_hz']:.3g}" for r in rows if r["outside"] and r["frequency_hz"] < 50) or "none",
+        )
         for k, rows in enumerate(facts["paper_zeros"])
     ]
     outside = [r for r in facts["transmission_zeros"] if r["outside"]]
@@ -130,7 +142,11 @@ def _analysis(done: "Done") -> Section:
         "Non-minimum-phase zeros below 50 Hz in the paper's fifth-order structure are an artefact of its order: the "
         "physics, eq. (10), has its zeros at 0 Hz.",
         f"G differs from its transpose by {np.median(facts['reciprocity_error']):.1%} in the median"
-        + ("" if facts["threefold_error"] is None else f", from threefold symmetry by {np.median(facts['threefold_error']):.1%}")
+        + (
+            ""
+            if facts["threefold_error"] is None
+            else f", from threefold symmetry by {np.median(facts['threefold_error']):.1%}"
+        )
         + f"; the weakest diagonal gain stands {np.median(facts['dominance_db']):.0f} dB above its column.",
     ]
     tables = [
@@ -161,7 +177,9 @@ def _design(done: "Done") -> Section:
             )
         if "reduction" in f:
             r = f["reduction"]
-            words.append(f"{name}: reduced from {r['from_states']} states, cost {r['cost_before']:.4g} to {r['cost_after']:.4g}.")
+            words.append(
+                f"{name}: reduced from {r['from_states']} states, cost {r['cost_before']:.4g} to {r['cost_after']:.4g}."
+            )
     columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
     return Section("Design", words, [Table("Controllers, on the design model", columns, rows)])
 
@@ -220,5 +238,3 @@ def _number(value: Any, digits: int = 4) -> str:
 
 def _yes(value: bool) -> str:
     return "yes" if value else "no"
-
-

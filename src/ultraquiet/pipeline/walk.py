@@ -120,7 +120,9 @@ def _prepare(settings: study.Study, folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(f"study: '{folder}' cannot be made ({error.strerror}); choose another with --out.") from error
+        raise StorageError(
+            f"study: '{folder}' cannot be made ({error.strerror}); choose another with --out."
+        ) from error
     if shutil.disk_usage(folder).free < NEEDED_BYTES:
         raise StorageError(f"study: '{folder}' has less than {NEEDED_BYTES >> 20} MB free; nothing was started.")
     write_bytes(folder / STUDY_FILE, settings.model_dump_json(indent=1).encode())

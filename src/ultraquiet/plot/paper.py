@@ -19,7 +19,9 @@ def test_signals(signals: Mapping[str, tuple[FloatArray, FloatArray, FloatArray,
         panels.append(Panel([Line.of(t, v, shade=k)], name, SECONDS, VOLTS, y_range=(-27, 27)))
         db = 10 * np.log10(np.maximum(psd[1:], 1e-12))
         panels.append(Panel([Line.of(f[1:], db, shade=k)], f"{name}: spectrum", HZ, "dB re V²/Hz", x_log=True))
-    caption = "Test signals at the stack, limited to ±25 V, and their one-sided power spectral densities (paper: Fig. 6)."
+    caption = (
+        "Test signals at the stack, limited to ±25 V, and their one-sided power spectral densities (paper: Fig. 6)."
+    )
     return Figure("test_signals", "Test signals", caption, panels, 2, (8.0, 1.9 * len(signals)))
 
 
@@ -27,7 +29,13 @@ def responses_to_one_strut(record: Record, actuator: int) -> Figure:
     """Fig. 7: all six sensors while one actuator is driven."""
     scale = float(np.abs(record.outputs).max()) * 1.05
     panels = [
-        Panel([Line.of(record.time_s, y, shade=0 if i == actuator else 7)], c.name, SECONDS, VOLTS, y_range=(-scale, scale))
+        Panel(
+            [Line.of(record.time_s, y, shade=0 if i == actuator else 7)],
+            c.name,
+            SECONDS,
+            VOLTS,
+            y_range=(-scale, scale),
+        )
         for i, (y, c) in enumerate(zip(record.outputs, record.sensors, strict=True))
     ]
     caption = f"Readings of all sensors to the chirp on {record.actuators[actuator].name} (paper: Fig. 7)."
@@ -95,7 +103,9 @@ def bode_grid(responses: Sequence[Response], span_hz: tuple[float, float]) -> Fi
         for i in range(ny)
         for j in range(nu)
     ]
-    names = ", ".join(f"{name} ({colour})" for (name, _, _), colour in zip(responses, ("blue", "orange", "green"), strict=False))
+    names = ", ".join(
+        f"{name} ({colour})" for (name, _, _), colour in zip(responses, ("blue", "orange", "green"), strict=False)
+    )
     caption = f"Magnitude in dB over Hz of every channel, actuator → sensor: {names}."
     return Figure("bode_grid", "The transfer matrix", caption, panels, nu, (11.0, 9.5))
 
@@ -106,19 +116,21 @@ def singular_values(f_hz: FloatArray, bands: Mapping[str, FloatArray]) -> Figure
         Panel([Line.of(f_hz, 20 * np.log10(s), shade=0) for s in values], name, HZ, "dB re V/V", x_log=True)
         for name, values in bands.items()
     ]
-    caption = "Singular values of the transfer matrix; the band is narrow where direction matters little (paper: Fig. 12)."
+    caption = (
+        "Singular values of the transfer matrix; the band is narrow where direction matters little (paper: Fig. 12)."
+    )
     return Figure("singular_values", "Singular values", caption, panels, len(panels), (8.0, 3.0))
 
 
 def closed_loop(name: str, tone_hz: float, record: Record, opened: Record) -> Figure:
     """Figs. 14 and 15: every sensor under a tone at the plant's input, loop open and closed."""
     panels = [
-        Panel(
-            [Line.of(opened.time_s, o, shade=7), Line.of(record.time_s, c, shade=0)], channel.name, SECONDS, VOLTS
-        )
+        Panel([Line.of(opened.time_s, o, shade=7), Line.of(record.time_s, c, shade=0)], channel.name, SECONDS, VOLTS)
         for channel, o, c in zip(record.sensors, opened.outputs, record.outputs, strict=True)
     ]
-    caption = f"{name}, {tone_hz:g} Hz, 1 V on all actuators: open (grey) and closed loop (blue) (paper: Figs. 14 and 15)."
+    caption = (
+        f"{name}, {tone_hz:g} Hz, 1 V on all actuators: open (grey) and closed loop (blue) (paper: Figs. 14 and 15)."
+    )
     stem = f"closed_loop_{name}_{tone_hz:g}hz".replace(" ", "_").replace("/", "-")
     return Figure(stem, f"Closed loop: {name} at {tone_hz:g} Hz", caption, panels, 3, (8.0, 3.6))
 

@@ -118,7 +118,9 @@ def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed:
     S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0)
     kept = _trusted(S, opened, scatter)
     if not kept.any():
-        raise NumericalError("measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise.")
+        raise NumericalError(
+            "measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise."
+        )
     text = f"disturbance to sensors, multisine, {MEASURED_PERIODS} periods of 1 s"
     response = FrequencyResponse(lines[kept], S[:, :, kept], estimator=text)
     return MeasuredSensitivity(response, opened[:, :, kept], closed[:, :, kept])

@@ -105,6 +105,5 @@ class Record:
     def clipped(self) -> tuple[int, ...]:
         """Return for each sensor how many samples stand at or beyond its limits."""
         return tuple(
-            int(np.count_nonzero((y <= c.low) | (y >= c.high)))
-            for y, c in zip(self.outputs, self.sensors, strict=True)
+            int(np.count_nonzero((y <= c.low) | (y >= c.high))) for y, c in zip(self.outputs, self.sensors, strict=True)
         )
