@@ -31,11 +31,18 @@ if TYPE_CHECKING:
     from ultraquiet.values import Record as Record
     from ultraquiet.values import StateSpace as StateSpace
 
-_ROOMS = (
+__all__ = [
+    "Channel",
+    "FrequencyResponse",
+    "PolynomialMatrix",
+    "PolynomialModel",
+    "Record",
+    "StateSpace",
     "analyse",
     "bench",
     "deploy",
     "design",
+    "errors",
     "experiments",
     "files",
     "identify",
@@ -46,20 +53,19 @@ _ROOMS = (
     "simulate",
     "spectra",
     "validate",
-)
-_VALUES = ("Channel", "FrequencyResponse", "PolynomialMatrix", "PolynomialModel", "Record", "StateSpace")
+]
 
-__all__ = sorted(("errors", *_ROOMS, *_VALUES))  # pyright: ignore[reportUnsupportedDunderAll]
+_VALUES = ("Channel", "FrequencyResponse", "PolynomialMatrix", "PolynomialModel", "Record", "StateSpace")
 
 
 def __getattr__(name: str) -> Any:
-    if name in _ROOMS:
-        return importlib.import_module(f"ultraquiet.{name}")
-    if name == "errors":
-        return importlib.import_module("ultraquiet._base.errors")
+    if name not in __all__:
+        raise AttributeError(f"module 'ultraquiet' has no attribute {name!r}")
     if name in _VALUES:
         return getattr(importlib.import_module("ultraquiet.values"), name)
-    raise AttributeError(f"module 'ultraquiet' has no attribute {name!r}")
+    if name == "errors":
+        return importlib.import_module("ultraquiet._base.errors")
+    return importlib.import_module(f"ultraquiet.{name}")
 
 
 def __dir__() -> list[str]:

@@ -94,7 +94,7 @@ def test_a_calm_loop_and_a_wild_one_are_told_apart(loop, rng):
 def test_refusals(loop):
     plant, law, _ = loop
     bench = wrapped(plant)
-    with pytest.raises(InputError, match="between 0.5 and 500 Hz"):
+    with pytest.raises(InputError, match=r"between 0\.5 and 500 Hz"):
         uq.simulate.attenuation(bench, law, (0.1,), duration_s=4.0)
     with pytest.raises(InputError, match="must be"):
         uq.simulate.disturb(bench, np.zeros((3, 10)))

@@ -1,7 +1,7 @@
 """Checks of arguments that produce the same sentences everywhere."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -61,10 +61,11 @@ def whole(who: str, name: str, value: Any, low: int, high: int | None = None) ->
     """Return a whole number not below `low` (and not above `high`)."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise InputError(f"{who}: '{name}' must be a whole number, got {value!r}.")
-    if value < low or (high is not None and value > high):
+    number = int(cast("int | np.integer[Any]", value))
+    if number < low or (high is not None and number > high):
         span = f"at least {low}" if high is None else f"between {low} and {high}"
-        raise InputError(f"{who}: '{name}' must be {span}, got {value}.")
-    return int(value)
+        raise InputError(f"{who}: '{name}' must be {span}, got {number}.")
+    return number
 
 
 def one_of(who: str, name: str, value: str, choices: Sequence[str]) -> str:

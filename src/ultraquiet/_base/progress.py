@@ -1,6 +1,6 @@
 """Progress of long work, told to whoever listens. Computation never prints; the command line listens with bars."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Protocol
@@ -39,8 +39,11 @@ class Task:
 
 
 @contextmanager
-def task(title: str, total: int) -> Iterator[Task]:
-    """Announce a task; use as `with task("identify", 36) as t: ... t.advance()`."""
+def task(title: str, total: int) -> Generator[Task]:
+    """Announce work of `total` steps to the listener, for the length of a block.
+
+    Used as `with task("identify", 36) as t: ... t.advance()`.
+    """
     listener = _listener.get()
     key = listener.start(title, total) if listener else 0
     try:
@@ -51,7 +54,7 @@ def task(title: str, total: int) -> Iterator[Task]:
 
 
 @contextmanager
-def listening(listener: Listener) -> Iterator[None]:
+def listening(listener: Listener) -> Generator[None]:
     """Send all progress inside the block to `listener`."""
     token = _listener.set(listener)
     try:

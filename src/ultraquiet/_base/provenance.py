@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import cache
 from importlib import metadata
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 VERSIONED = ("ultraquiet", "numpy", "scipy", "numba")
 
@@ -23,10 +24,10 @@ class Provenance:
     """
 
     made_by: str = ""
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     seed: int | None = None
     parents: tuple[str, ...] = ()
-    versions: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict[str, str])
 
     def to_json(self) -> str:
         """Return the provenance as one JSON text."""
@@ -35,8 +36,9 @@ class Provenance:
     @classmethod
     def from_json(cls, text: str) -> "Provenance":
         """Read what `to_json` wrote."""
-        held = json.loads(text)
-        return cls(**{**held, "parents": tuple(held["parents"])})
+        held: dict[str, Any] = json.loads(text)
+        held["parents"] = tuple(held["parents"])
+        return cls(**held)
 
 
 def versions() -> dict[str, str]:
@@ -55,13 +57,13 @@ def plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         return {"type": type(value).__name__, **asdict(value)}
     if isinstance(value, np.ndarray):
-        return value.tolist()
+        return cast("NDArray[Any]", value).tolist()
     if isinstance(value, np.generic):
-        return value.item()
+        return cast("np.generic[Any]", value).item()
     if isinstance(value, complex):
         return [value.real, value.imag]
     if isinstance(value, set | frozenset):
-        return sorted(value)
+        return sorted(cast("set[Any] | frozenset[Any]", value))
     return str(value)
 
 
@@ -74,8 +76,9 @@ def content_hash(*parts: Any) -> str:
     digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, np.ndarray):
-            digest.update(f"{part.dtype.str}{part.shape}".encode())
-            digest.update(np.ascontiguousarray(part).tobytes())
+            array = cast("NDArray[Any]", part)
+            digest.update(f"{array.dtype.str}{array.shape}".encode())
+            digest.update(np.ascontiguousarray(array).tobytes())
         else:
             digest.update(json.dumps(part, sort_keys=True, default=plain).encode())
         digest.update(b"\0")

@@ -1,5 +1,4 @@
-"""One table of methods. Registering a class is all it takes to appear in the command line, in study files and in
-the conformance tests.
+"""One table of methods: who registers appears in the command line, in study files and in the conformance tests.
 
 >>> from ultraquiet._base.registry import methods
 >>> "box-jenkins" in methods("identify")

@@ -52,9 +52,9 @@ class ResponseFit:
 class Rational:
     """Fit G(z) = z^(1 - delay) sum_k R_k / (z - p_k) to a frequency response, relative to its size.
 
-    The error at a line is divided by the RMS gain g(f) of the response there and by sqrt(floor^2 + (sigma/g)^2), sigma the
-    noise of the line: weak bands count as much as strong ones, noisy lines less. Every other line is held out, to choose
-    the order and to judge the fit.
+    The error at a line is divided by the RMS gain g(f) of the response there and by sqrt(floor^2 + (sigma/g)^2), sigma
+    the noise of the line: weak bands count as much as strong ones, noisy lines less. Every other line is held out, to
+    choose the order and to judge the fit.
 
     Args:
         order: number of common poles; chosen on held-out lines when None.
@@ -93,7 +93,7 @@ class Rational:
         between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
 
     def identify(self, record: Record) -> Result:
-        """Estimate the H1 response of a record and fit it; periodic records are better fitted by `identify_response`."""
+        """Estimate the H1 response of a record and fit it; fit periodic ones by `identify_response` instead."""
         usable("Rational", record, (self.order or max(ORDERS)) * (len(record.actuators) + 1), 64)
         found = self.identify_response(frf(record), record.rate_hz)
         simulated = found.model.simulate(record.inputs)
@@ -165,7 +165,8 @@ def _checked(
     needed = 8 * (method.order or ORDERS[0])
     if np.count_nonzero(keep) < needed:
         raise InputError(
-            f"Rational: {np.count_nonzero(keep)} usable lines are too few, order {method.order or ORDERS[0]} needs {needed}."
+            f"Rational: {np.count_nonzero(keep)} usable lines are too few, "
+            f"order {method.order or ORDERS[0]} needs {needed}."
         )
     weight = 1.0 / (np.where(size > 0, size, 1.0) * np.sqrt(method.floor**2 + noise_share))
     # The error then reads as a share of the response where noise does not matter.
@@ -234,12 +235,13 @@ def _block(pole: complex, residue: ComplexArray, smallest: float) -> tuple[Float
     real = pole.imag == 0
     U, s, Vh = np.linalg.svd(residue.real if real else residue)
     r = int(np.count_nonzero(s > smallest))
-    c, b = U[:, :r] * np.sqrt(s[:r]), np.sqrt(s[:r])[:, None] * Vh[:r]
+    c = np.asarray(U[:, :r] * np.sqrt(s[:r]), dtype=np.complex128)
+    b = np.asarray(np.sqrt(s[:r])[:, None] * Vh[:r], dtype=np.complex128)
     if real:
         return pole.real * np.eye(r), b.real, c.real
     rotation = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
     # The complex state x+ = p x + b u, y = 2 Re(c x), written with its real and imaginary parts.
-    A = np.kron(np.eye(r), rotation)
+    A = np.asarray(np.kron(np.eye(r), rotation), dtype=np.float64)
     B = np.stack([b.real, b.imag], axis=1).reshape(2 * r, -1) * np.sqrt(2.0)
     C = np.stack([c.real, -c.imag], axis=2).reshape(c.shape[0], 2 * r) * np.sqrt(2.0)
     return A, B, C

@@ -42,9 +42,8 @@ def grid(blocks: Sequence[Sequence[Matrices]]) -> Matrices:
     """Assemble `(ny, nu)` single-channel systems into one; the states stay channel by channel."""
     ny, nu = len(blocks), len(blocks[0])
     flat = [(i, j, blocks[i][j]) for i in range(ny) for j in range(nu)]
-    A = block_diag(*[m[0] for _, _, m in flat]) if flat else np.zeros((0, 0))
     n = sum(m[0].shape[0] for _, _, m in flat)
-    A = A.reshape(n, n)
+    A = np.asarray(block_diag(*[m[0] for _, _, m in flat]), dtype=np.float64).reshape(n, n)
     B, C, D = np.zeros((n, nu)), np.zeros((ny, n)), np.zeros((ny, nu))
     at = 0
     for i, j, (a, b, c, d) in flat:

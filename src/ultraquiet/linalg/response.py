@@ -1,5 +1,7 @@
 """Frequency and time responses of state-space matrices."""
 
+from typing import cast
+
 import numpy as np
 from scipy.linalg import schur
 
@@ -9,7 +11,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 def points(f_hz: FloatArray, rate_hz: float | None) -> ComplexArray:
     """Return s = j 2 pi f (continuous) or z = exp(j 2 pi f / rate) (discrete)."""
     s = 2j * np.pi * f_hz
-    return s if rate_hz is None else np.exp(s / rate_hz)
+    return np.asarray(s if rate_hz is None else np.exp(s / rate_hz), dtype=np.complex128)
 
 
 def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: ComplexArray) -> ComplexArray:
@@ -22,7 +24,7 @@ def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArra
     out = np.broadcast_to(D[:, :, None], (ny, nu, z.size)).astype(np.complex128)
     if n == 0 or z.size == 0:
         return out
-    T, Q = schur(A, output="complex")
+    T, Q = cast("tuple[ComplexArray, ComplexArray]", schur(A, output="complex"))
     b, c = Q.conj().T @ B, C @ Q
     block = max(1, int(1e7 / (n * nu)))  # keeps the stacked solutions below 160 MB
     for start in range(0, z.size, block):

@@ -1,7 +1,8 @@
 """Rational approximation of sampled matrix responses with common poles: vector fitting in z.
 
-H(z) = sum_k R_k / (z - p_k) is fitted to samples by turns: with the poles fixed, a scalar sigma(z) = d + sum_k c_k / (z - p_k)
-is sought such that sigma H has the poles p_k as well; its zeros are the next poles. Gustavsen & Semlyen 1999
+H(z) = sum_k R_k / (z - p_k) is fitted to samples by turns: with the poles fixed, a scalar
+sigma(z) = d + sum_k c_k / (z - p_k) is sought such that sigma H has the poles p_k as well; its zeros are the next
+poles. Gustavsen & Semlyen 1999
 (doi:10.1109/61.772353), relaxed as Gustavsen 2006 (doi:10.1109/TPWRD.2005.860281), channel by channel compressed as
 Deschrijver et al. 2008 (doi:10.1109/LMWC.2008.922585).
 """
@@ -93,10 +94,11 @@ def relocated(
     rows: list[FloatArray] = []
     for h in H.reshape(-1, nf):
         block = _real((weight * h)[:, None] * with_one)
-        rows.append(np.linalg.qr(block - common @ (common.T @ block), mode="r"))
+        private = block - common @ (common.T @ block)
+        rows.append(np.asarray(np.linalg.qr(private, mode="r"), dtype=np.float64))
     # Relaxed normalisation: the real part of sigma adds up to the number of samples.
     scale = np.linalg.norm(weight * H) / nf
-    rows.append(scale * np.append(phi.real.sum(axis=0), nf)[None])
+    rows.append(np.asarray(scale * np.append(phi.real.sum(axis=0), nf)[None], dtype=np.float64))
     stacked = np.vstack(rows)
     size = np.linalg.norm(stacked, axis=0)
     wanted = np.zeros(len(stacked))
@@ -108,7 +110,7 @@ def relocated(
 
 
 def basis(z: ComplexArray, poles: ComplexArray) -> ComplexArray:
-    """Return `(nf, n)` functions whose real combinations are the rational functions with these poles and real values."""
+    """Return `(nf, n)` functions; with real factors they make all rational functions of these poles and real values."""
     columns: list[ComplexArray] = []
     k = 0
     while k < poles.size:
@@ -164,7 +166,7 @@ def _quickened(poles: ComplexArray, slowest: float) -> ComplexArray:
     size = np.abs(s)
     slow = size < slowest
     s = np.where(slow, s * slowest / np.where(slow, np.maximum(size, np.finfo(float).tiny), 1.0), s)
-    moved = np.exp(s)
+    moved = np.asarray(np.exp(s), dtype=np.complex128)
     return np.where(slow, np.where(poles.imag == 0, moved.real, moved), poles)
 
 

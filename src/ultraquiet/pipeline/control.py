@@ -78,8 +78,8 @@ def closed(name: str, law: StateSpace, bench: Any, settings: ClosedLoop) -> Outc
 
 def as_unit(bench: Any, unit: str) -> Any:
     """Return the bench as another unit of its kind; a bench that knows no units stands for itself."""
-    if is_dataclass(bench) and any(f.name == "unit" for f in fields(bench)):
-        return replace(bench, unit=unit)  # pyright: ignore[reportCallIssue]
+    if is_dataclass(bench) and not isinstance(bench, type) and any(f.name == "unit" for f in fields(bench)):
+        return replace(bench, unit=unit)
     return bench
 
 

@@ -27,7 +27,7 @@ PAPER_STRUT = 1
 def report(done: "Done", summary: dict[str, Any]) -> Report:
     """Return the report of a finished study."""
     facts = [
-        ("bench", f"{done.study.bench.method} {done.study.bench.settings}"),
+        ("bench", ", ".join([done.study.bench.method, *(f"{k} {v}" for k, v in done.study.bench.settings.items())])),
         ("records", f"{len(done.records)}, {sum(r.duration_s for r in done.records.values()):.0f} s"),
         ("versions", ", ".join(f"{k} {v}" for k, v in versions().items())),
         ("seed", str(summary["seed"])),
@@ -59,15 +59,19 @@ def _identification(done: "Done") -> Section:
     facts = done.identified.facts
     best = facts["preferred"]
     rows = [
-        (r["structure"], r["order"], f"{r['median_fit_percent']:.1f}", f"{r['worst_fit_percent']:.1f}")
-        + (f"{r['median_loss']:.3g}", r["ok"], f"{r['seconds']:.1f}")
+        (
+            *(r["structure"], r["order"], f"{r['median_fit_percent']:.1f}", f"{r['worst_fit_percent']:.1f}"),
+            *(f"{r['median_loss']:.3g}", r["ok"], f"{r['seconds']:.1f}"),
+        )
         for r in facts["table"]
     ]
     columns = ("structure", "order", "median fit %", "worst fit %", "median loss V²", "ok", "CPU s")
     ranking = Table("All channels, judged on records no model has seen; best first", columns, rows)
     paper_rows = [
-        (name, f"{f['median_fit_percent']:.1f}", f"{f['worst_fit_percent']:.1f}", f["ok"])
-        + (_yes(f["stable"]), _yes(f["invertible"]), f"{f['seconds']:.1f}")
+        (
+            *(name, f"{f['median_fit_percent']:.1f}", f"{f['worst_fit_percent']:.1f}", f["ok"]),
+            *(_yes(f["stable"]), _yes(f["invertible"]), f"{f['seconds']:.1f}"),
+        )
         for name, f in facts["paper"].items()
     ]
     settings = done.study.identify
@@ -94,11 +98,13 @@ def _shown_models(done: "Done") -> dict[str, Any]:
 
 def _validation(done: "Done") -> Section:
     facts, figures = done.validated.facts, []
+    names = done.study.identify.paper_records
     for name, draw in (("step", paper.step_response), ("tone", paper.sine_response)):
         if f"simulated-{name}" in done.validated.values:
-            simulated = done.validated.values[f"simulated-{name}"].outputs
-            figures.append(draw(done.records[name], simulated, facts["records"][name]["channel"]))
-    names = done.study.identify.paper_records
+            held = done.validated.values[f"simulated-{name}"]
+            rows_of = dict(zip((c.name for c in held.sensors), held.outputs, strict=True))
+            shown = {key: rows_of[key] for key in (f"paper-{names[0]}", "plant")}
+            figures.append(draw(done.records[name], shown, facts["records"][name]["channel"]))
     responses = [(n, SHOWN_HZ, done.identified.values[f"paper-{n}"].frequency_response(SHOWN_HZ)) for n in names]
     figures.append(paper.bode(responses, PAPER_STRUT, PAPER_STRUT, (5.0, 250.0)))
     rows = [
@@ -204,8 +210,8 @@ def _closed_loop(done: "Done") -> Section:
     heads = [h for t in done.study.closed_loop.tones_hz for h in (f"{t:g} Hz reduction", f"{t:g} Hz paper_db")]
     columns = ("controller", "unit", *heads, "5-100 Hz rms", f"worst direction {band[0]:g}-{band[1]:g} Hz", "peak")
     text = [
-        "reduction_db = -20 log10(|y closed| / |y open|) of the worst channel; paper_db = -20 log10(|y closed| / |d|), which "
-        "counts the plant's own gain: |f22| is -13.3 dB at 25 Hz by itself.",
+        "reduction_db = -20 log10(|y closed| / |y open|) of the worst channel; paper_db = -20 log10(|y closed| / |d|), "
+        "which counts the plant's own gain: |f22| is -13.3 dB at 25 Hz by itself.",
         "The paper's simulations: " + "; ".join(f"{v[0]} dB at {k} Hz ({v[1]})" for k, v in PAPER_DB.items()) + ".",
         "The worst direction is the largest singular value of the sensitivity matrix measured on the bench.",
     ]
@@ -226,7 +232,10 @@ def _code(done: "Done") -> Section:
     keys = ("states", "form", "c31_cycles", "c31_budget", "flash_bytes", "ram_bytes", "bit_exact")
     rows = [(name, *(str(t.get(k, "-")) for k in keys)) for name, t in done.deployment.items()]
     words = [f"{name}: {t.get('verification', t['status'])}" for name, t in done.deployment.items()]
-    note = "C31 cycles come from a published model of the processor: a law fits the model, it has not run on the processor."
+    note = (
+        "C31 cycles come from a published model of the processor: "
+        "a law fits the model, it has not run on the processor."
+    )
     return Section("Code", [*words, note], [Table("Generated C99", ("controller", *keys), rows)])
 
 

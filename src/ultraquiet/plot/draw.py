@@ -7,10 +7,11 @@ from ultraquiet.plot.figure import Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.typing import RcKeyType
 
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
-STYLE: dict[str, Any] = {
+STYLE: "dict[RcKeyType, Any]" = {
     "font.size": 8.5,
     "axes.titlesize": 9,
     "axes.spines.top": False,

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,7 +67,7 @@ def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatAr
     edges = np.linspace(0, x.size, most // 2 + 1).astype(int)
     keep = [
         start + k
-        for start, stop in zip(edges[:-1], edges[1:], strict=True)
+        for start, stop in pairwise(edges)
         for k in sorted({int(np.argmin(y[start:stop])), int(np.argmax(y[start:stop]))})
     ]
     return x[keep], y[keep]

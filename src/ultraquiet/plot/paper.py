@@ -42,31 +42,27 @@ def responses_to_one_strut(record: Record, actuator: int) -> Figure:
     return Figure("responses", "Responses to one strut", caption, panels, 3, (8.0, 3.8))
 
 
-def step_response(record: Record, simulated: FloatArray, channel: int) -> Figure:
-    """Figs. 8 and 9: the step and the reading beside the model's."""
+def step_response(record: Record, simulated: Mapping[str, FloatArray], channel: int) -> Figure:
+    """Figs. 8 and 9: the step, and the reading beside what models `(n,)` say."""
     t = record.time_s
+    models = [Line.of(t, y, name, "--", k + 1) for k, (name, y) in enumerate(simulated.items())]
     panels = [
         Panel([Line.of(t, record.inputs[channel])], "command", SECONDS, VOLTS),
-        Panel(
-            [Line.of(t, record.outputs[channel], "bench"), Line.of(t, simulated[channel], "model", "--", 1)],
-            "reading and simulation",
-            SECONDS,
-            VOLTS,
-        ),
+        Panel([Line.of(t, record.outputs[channel], "bench"), *models], "reading and simulations", SECONDS, VOLTS),
     ]
     caption = "Step on one strut; the geophone answers the edges only (paper: Figs. 8 and 9)."
     return Figure("step", "Step response", caption, panels, 1, (8.0, 4.2))
 
 
-def sine_response(record: Record, simulated: FloatArray, channel: int, shown_s: float = 0.2) -> Figure:
-    """Fig. 10: a sine large enough to clip the sensor."""
+def sine_response(
+    record: Record, simulated: Mapping[str, FloatArray], channel: int, shown_s: float = 0.2
+) -> Figure:
+    """Fig. 10: a sine large enough to clip the sensor, and what linear models `(n,)` say."""
     n = int(shown_s * record.rate_hz)
     t = record.time_s[-n:]
-    lines = [
-        Line.of(t, simulated[channel, -n:], "linear model", "-", 1),
-        Line.of(t, record.outputs[channel, -n:], "bench, clipped at ±10 V", "--", 0),
-    ]
-    caption = "A 60 Hz, 25 V sine: the bench clips at ±10 V, the linear model does not (paper: Fig. 10)."
+    models = [Line.of(t, y[-n:], name, "-", k + 1) for k, (name, y) in enumerate(simulated.items())]
+    lines = [*models, Line.of(t, record.outputs[channel, -n:], "bench, clipped at ±10 V", "--", 0)]
+    caption = "A 60 Hz, 25 V sine: the bench clips at ±10 V, linear models do not (paper: Fig. 10)."
     return Figure("sine", "Response to a 60 Hz sine", caption, [Panel(lines, "", SECONDS, VOLTS)], 1, (8.0, 2.8))
 
 
@@ -78,8 +74,7 @@ def bode(responses: Sequence[Response], output: int, input_: int, span_hz: tuple
         for k, (name, f, g) in enumerate(responses)
     ]
     phase = [
-        Line.of(f, np.degrees(np.unwrap(np.angle(g[output, input_]))), "", styles[k % 5], k)
-        for k, (_, f, g) in enumerate(responses)
+        Line.of(f, _phase_deg(f, g[output, input_]), "", styles[k % 5], k) for k, (_, f, g) in enumerate(responses)
     ]
     panels = [
         Panel(magnitude, "magnitude", "", "dB re V/V", True, span_hz),
@@ -87,6 +82,13 @@ def bode(responses: Sequence[Response], output: int, input_: int, span_hz: tuple
     ]
     caption = f"Strut {input_ + 1} to sensor {output + 1}: models from different test signals (paper: Fig. 11)."
     return Figure("bode", "Frequency-domain validation", caption, panels, 1, (8.0, 4.8))
+
+
+def _phase_deg(f_hz: FloatArray, gain: ComplexArray, at_hz: float = 50.0) -> FloatArray:
+    """Return the phase unwrapped from 50 Hz both ways, where every test signal has power, so that curves can meet."""
+    phase = np.degrees(np.unwrap(np.angle(gain)))
+    k = int(np.argmin(np.abs(f_hz - at_hz)))
+    return phase - 360.0 * np.round(phase[k] / 360.0)
 
 
 def bode_grid(responses: Sequence[Response], span_hz: tuple[float, float]) -> Figure:

@@ -1,7 +1,7 @@
 """Room `report`: one self-contained HTML file.
 
-May be changed here: what a report is made of (`content.py`) and how the page looks (`html.py`, `page.html.j2`). The report
-computes nothing; the pipeline fills it.
+May be changed here: what a report is made of (`content.py`) and how the page looks (`html.py`, `page.html.j2`). The
+report computes nothing; the pipeline fills it.
 """
 
 from ultraquiet.report.content import Report, Section, Table

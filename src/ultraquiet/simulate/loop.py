@@ -35,8 +35,8 @@ def disturb(bench: Bench, disturbance: FloatArray, controller: StateSpace | Cont
 def check_stability(bench: Bench, controller: StateSpace | Controller, duration_s: float = 2.0) -> LoopCheck:
     """Close the loop on a bench at rest, give it a kick and watch whether it settles.
 
-    The kick is one volt on every actuator for ten samples; the loop must end no louder than `GROWTH_LIMIT` times what it
-    was in the second quarter, without commands at their limits.
+    The kick is one volt on every actuator for ten samples; the loop must end no louder than `GROWTH_LIMIT` times what
+    it was in the second quarter, without commands at their limits.
     """
     n = int(positive("check_stability", "duration_s", duration_s, "s") * bench.rate_hz)
     kick = np.zeros((len(bench.actuators), n))

@@ -84,9 +84,10 @@ class MeasuredSensitivity:
 def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed: int = 0) -> MeasuredSensitivity:
     """Measure S on the bench with a multisine disturbance on one actuator after the other, open and closed loop.
 
-    One-second periods; the first settles the loop, the next four are averaged. Lines: every Hz to 130 Hz, then 1 % apart.
-    The level is chosen so that the open loop uses at most 60 % of the sensors' range. Lines at which the scatter of the
-    periods would move the worst direction by more than 1.2 dB are left out: the lowest, where a geophone hears nothing.
+    One-second periods; the first settles the loop, the next four are averaged. Lines: every Hz to 130 Hz, then 1 %
+    apart. The level is chosen so that the open loop uses at most 60 % of the sensors' range. Lines at which the scatter
+    of the periods would move the worst direction by more than 1.2 dB are left out: the lowest, where a geophone hears
+    nothing.
 
     Args:
         bench: any bench with as many sensors as actuators (S must be square to be inverted).
@@ -115,7 +116,7 @@ def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed:
                 scatter[k] += variance
                 progress.advance(note=f"actuator {j + 1}")
     opened, closed = responses
-    S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0)
+    S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0).astype(np.complex128)
     kept = _trusted(S, opened, scatter)
     if not kept.any():
         raise NumericalError(
@@ -127,7 +128,7 @@ def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed:
 
 
 def _trusted(S: ComplexArray, opened: ComplexArray, scatter: FloatArray) -> np.ndarray:
-    """Return the lines `(nf,)` at which noise, S + dS = (Y closed + e) (Y open + e)^-1, leaves the worst direction be."""
+    """Return at which lines `(nf,)` noise, S + dS = (Y closed + e) (Y open + e)^-1, leaves the worst direction be."""
     worst = np.linalg.svd(np.moveaxis(S, 2, 0), compute_uv=False)[:, 0]
     weakest = np.linalg.svd(np.moveaxis(opened, 2, 0), compute_uv=False)[:, -1]
     return np.sqrt(scatter[1] + worst**2 * scatter[0]) < TRUSTED * worst * weakest
@@ -160,7 +161,7 @@ def _level(bench: Bench, wave: FloatArray) -> float:
 
 
 def _at_lines(outputs: FloatArray, wave: FloatArray, lines: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Return sensor volts per disturbance volt at the lines `(ny, nf)`, and the variance of their mean, summed `(nf,)`."""
+    """Return sensor volts per disturbance volt at the lines `(ny, nf)`; variance of their mean, summed `(nf,)`."""
     periods = outputs[:, -MEASURED_PERIODS * wave.size :].reshape(outputs.shape[0], MEASURED_PERIODS, wave.size)
     bins = np.rint(lines).astype(int)
     gains = np.fft.rfft(periods, axis=2)[:, :, bins] / np.fft.rfft(wave)[bins]

@@ -108,13 +108,14 @@ def _reduce(name: str, method: Any, seed: int) -> None:
 
 
 def _refuses(name: str, act: Callable[[], object]) -> None:
+    refusal: UltraquietError | None = None
     try:
         act()
     except UltraquietError as error:
-        assert isinstance(error, InputError), f"{name}: must refuse bad input as InputError, got {error!r}"
-        assert str(error).strip(), f"{name}: must say what is wrong"
-        return
-    raise AssertionError(f"{name}: must refuse bad input")
+        refusal = error
+    assert refusal is not None, f"{name}: must refuse bad input"
+    assert isinstance(refusal, InputError), f"{name}: must refuse bad input as InputError, got {refusal!r}"
+    assert str(refusal).strip(), f"{name}: must say what is wrong"
 
 
 _CHECKS: Mapping[str, Callable[[str, Any, int], None]] = {

@@ -57,7 +57,7 @@ def _modal(rng: np.random.Generator, f_hz: list[float], zeta: list[float], input
     A, B, C = np.zeros((n, n)), np.zeros((n, inputs)), np.zeros((outputs, n))
     for k, (f, z) in enumerate(zip(f_hz, zeta, strict=True)):
         pole = np.exp(2 * np.pi * f / RATE_HZ * (-z + 1j * np.sqrt(1 - z * z)))
-        a = np.poly([pole, pole.conjugate()]).real
+        a = np.asarray(np.poly([pole, pole.conjugate()]).real, dtype=np.float64)
         block, b, c, _ = realize.sections(np.array([0.0, 1.0, -1.0]), a)  # a velocity: zero at z = 1
         rows = slice(2 * k, 2 * k + 2)
         shape = rng.uniform(0.5, 1.5, max(inputs, outputs)) * rng.choice([-1.0, 1.0], max(inputs, outputs))

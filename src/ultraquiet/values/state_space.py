@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -76,7 +77,7 @@ class StateSpace:
         return content_hash(self.A, self.B, self.C, self.D, self.rate_hz)
 
     def frequency_response(self, f_hz: ArrayLike) -> ComplexArray:
-        """Return C (zI - A)^-1 B + D at `f_hz` (Hz), complex `(ny, nu, nf)`; z = exp(j 2 pi f / rate) or s = j 2 pi f."""
+        """Return C (zI - A)^-1 B + D at `f_hz` (Hz), `(ny, nu, nf)`; z = exp(j 2 pi f / rate), or s = j 2 pi f."""
         f = frequency_array("StateSpace.frequency_response", f_hz)
         return response.frequency_response(self.A, self.B, self.C, self.D, response.points(f, self.rate_hz))
 
@@ -101,17 +102,14 @@ class StateSpace:
 
     def to_control(self) -> Any:
         """Return a python-control `StateSpace` (needs the package `control`)."""
-        import control
-
+        control = import_module("control")
         return control.ss(self.A, self.B, self.C, self.D, 0 if self.rate_hz is None else 1.0 / self.rate_hz)
 
     @classmethod
     def from_control(cls, system: Any) -> "StateSpace":
         """Return a python-control system as a `StateSpace`; transfer functions are realised by python-control."""
         if not hasattr(system, "A"):
-            import control
-
-            system = control.ss(system)
+            system = import_module("control").ss(system)
         if system.dt is True:
             raise InputError("StateSpace.from_control: the system is discrete without a sampling time; give it a dt.")
         return cls(system.A, system.B, system.C, system.D, rate_hz=1.0 / system.dt if system.dt else None)
