@@ -56,15 +56,17 @@ def _walk(study: object, folder: Path, beside: Path | None) -> None:
 def _table(summary: dict[str, Any]) -> object:
     from rich.table import Table
 
-    heads = ("controller", "unit", "states", "5 Hz", "25 Hz", "100 Hz", "worst direction", "peak", "verdict")
-    table = Table(*heads, title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
+    table = Table(title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
+    table.add_column("controller", no_wrap=True)
+    for head in ("unit", "states", "5 Hz", "25 Hz", "100 Hz", "band", "peak"):
+        table.add_column(head, no_wrap=True, justify="left" if head == "unit" else "right")
     for name, units in summary["closed_loop"].items():
         for unit, result in units.items():
             states = str(summary["design"][name]["states"])
             if not result["stable"]:
-                table.add_row(name, unit, states, *[""] * 5, "[red]unstable")
+                table.add_row(name, unit, states, "[red]unstable")
                 continue
             tones = [result["tones"].get(f, {}).get("reduction_db") for f in ("5", "25", "100")]
             numbers = [*tones, result["worst_direction_band_db"], result["peak_amplification_db"]]
-            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in numbers), "stable")
+            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in numbers))
     return table

@@ -17,38 +17,47 @@ TRUTH_BAND_HZ = (20.0, 200.0)
 SHOWN_HZ = np.geomspace(1.0, 1700.0, 300)
 
 
-def validated(records: Mapping[str, Record], models: Mapping[str, PolynomialMatrix], bench: Any) -> Outcome:
+def validated(
+    records: Mapping[str, Record], models: Mapping[str, PolynomialMatrix], plant: StateSpace, bench: Any
+) -> Outcome:
     """Compare models with the step, the clipping sine, each other and, on a simulated bench, with its own response."""
+    every: dict[str, PolynomialMatrix | StateSpace] = {**models, "plant": plant}
+    values, facts = _against_records(records, every)
     reference = models["preferred"]
-    facts: dict[str, Any] = {"records": {}, "agreement": {}, "residuals": {}}
+    tested = [validate.residual_test(_row(reference, k), r.pick([k])) for k, r in enumerate(group(records, "judge"))]
+    facts |= {
+        "agreement": {n: _agreement(reference, m, PAPER_BAND_HZ) for n, m in models.items() if n != "preferred"},
+        "residuals": {
+            "whiteness_p_median": float(np.median([t.whiteness_p for t in tested])),
+            "correlation_p_median": float(np.median([t.correlation_p for t in tested])),
+        },
+    }
+    truth = getattr(bench, "linear_model", None)
+    if truth is not None:
+        own = truth()
+        facts["against_bench"] = {name: _agreement(own, model, TRUTH_BAND_HZ) for name, model in every.items()}
+    return Outcome(values, facts)
+
+
+def _against_records(
+    records: Mapping[str, Record], models: Mapping[str, PolynomialMatrix | StateSpace]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return simulations of the driven strut, one row a model, and how well each meets the record."""
     values: dict[str, Any] = {}
+    facts: dict[str, Any] = {}
     for name in ("step", "tone"):
         if name not in records:
             continue
         record = records[name]
         driven = int(np.argmax(np.ptp(record.inputs, axis=1)))
-        shown = validate.compare(reference, record, initial="rest", offset=False)
-        unclipped = validate.simulated(reference, record, "rest", offset=False)
-        values[f"simulated-{name}"] = Record(record.inputs, unclipped, record.rate_hz, record.actuators, record.sensors)
-        facts["records"][name] = {
-            "channel": driven,
-            "fit_percent": float(shown.fit_percent[driven]),
-            "clipped_samples": int(shown.clipped[driven]),
-            "samples": record.samples,
+        fits = {
+            key: float(validate.compare(model, record, initial="rest", offset=False).fit_percent[driven])
+            for key, model in models.items()
         }
-    for name, model in models.items():
-        if name != "preferred":
-            facts["agreement"][name] = _agreement(reference, model, PAPER_BAND_HZ)
-    tested = [validate.residual_test(_row(reference, k), r.pick([k])) for k, r in enumerate(group(records, "judge"))]
-    facts["residuals"] = {
-        "whiteness_p_median": float(np.median([t.whiteness_p for t in tested])),
-        "correlation_p_median": float(np.median([t.correlation_p for t in tested])),
-    }
-    truth = getattr(bench, "linear_model", None)
-    if truth is not None:
-        own = truth()
-        facts["against_bench"] = {name: _agreement(own, model, TRUTH_BAND_HZ) for name, model in models.items()}
-    return Outcome(values, facts)
+        rows = [validate.simulated(model, record, "rest", offset=False)[driven] for model in models.values()]
+        values[f"simulated-{name}"] = Record(record.inputs, rows, record.rate_hz, record.actuators, list(models))
+        facts[name] = {"channel": driven, "fit_percent": fits, "clipped_samples": record.clipped()[driven]}
+    return values, {"records": facts}
 
 
 def _row(model: PolynomialMatrix, column: int) -> PolynomialMatrix:

@@ -9,6 +9,7 @@ from typing import Any
 
 from ultraquiet import experiments
 from ultraquiet._base.errors import StorageError
+from ultraquiet._base.provenance import content_hash
 from ultraquiet.files import write_bytes
 from ultraquiet.pipeline import control, evidence, models, study, summary, tell
 from ultraquiet.pipeline.stage import Cache, Outcome
@@ -51,13 +52,23 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
     _prepare(settings, folder)
     bench = settings.bench.make("bench")
     listed = experiments.load(_list_of(settings, beside), bench)
-    records = experiments.run(listed, folder / "records", bench, resume=True, overwrite=True)
+    records = _recorded(listed, bench, settings, folder)
     say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
     done = _stages(settings, Cache(folder), bench, records, say)
     told = summary.summarise(done)
     write_bytes(folder / "summary.json", summary.to_json(told))
     write(tell.report(done, told), folder / "report.html")
     return told
+
+
+def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
+    """Return the records of this very list on this very bench, taking up a run that was broken off; else record anew."""
+    mark, kept = content_hash(listed.hash, _key(settings.bench)).encode(), folder / "records" / "list.key"
+    same = kept.exists() and kept.read_bytes() == mark
+    kept.parent.mkdir(exist_ok=True)
+    write_bytes(kept, mark)
+    every = [m.name for m in listed.measurements]
+    return experiments.run(listed, folder / "records", bench, resume=same, repeat=every, overwrite=not same)
 
 
 def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[str, Record], say: Say) -> Done:
@@ -74,14 +85,12 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
     system = plant.values["plant"]
     control.require_bench(bench, system)
     polynomial = {k: v for k, v in found.values.items() if isinstance(v, PolynomialMatrix)}
-    marks_and_models = [marks, settings.identify, _key(settings.bench)]
+    marks_and_models = [marks, settings.identify, _key(settings.bench), system.hash]
     validated = cache.stage(
-        "validate", "models", marks_and_models, partial(evidence.validated, records, polynomial, bench)
+        "validate", "models", marks_and_models, partial(evidence.validated, records, polynomial, system, bench)
     )
     paper = polynomial[f"paper-{settings.identify.paper_records[0]}"]
-    analysed = cache.stage(
-        "analyse", "models", [system.hash, marks_and_models], partial(evidence.analysed, system, paper)
-    )
+    analysed = cache.stage("analyse", "models", marks_and_models, partial(evidence.analysed, system, paper))
     say("validated and analysed")
     designs, loops, deployment = {}, {}, {}
     for name, wanted in settings.controllers.items():

@@ -54,9 +54,7 @@ def step_response(record: Record, simulated: Mapping[str, FloatArray], channel: 
     return Figure("step", "Step response", caption, panels, 1, (8.0, 4.2))
 
 
-def sine_response(
-    record: Record, simulated: Mapping[str, FloatArray], channel: int, shown_s: float = 0.2
-) -> Figure:
+def sine_response(record: Record, simulated: Mapping[str, FloatArray], channel: int, shown_s: float = 0.2) -> Figure:
     """Fig. 10: a sine large enough to clip the sensor, and what linear models `(n,)` say."""
     n = int(shown_s * record.rate_hz)
     t = record.time_s[-n:]

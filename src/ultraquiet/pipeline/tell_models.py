@@ -1,0 +1,192 @@
+"""What the report says of records and models."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ultraquiet.pipeline.evidence import SHOWN_HZ
+from ultraquiet.plot import Figure, paper
+from ultraquiet.report import Section, Table
+from ultraquiet.spectra import psd
+
+if TYPE_CHECKING:
+    from ultraquiet.pipeline.walk import Done
+
+SHOWN_SIGNALS = ("chirp", "noise", "prbs")
+# Strut 2 is the one whose functions the paper prints, eqs. (11) and (12).
+PAPER_STRUT = 1
+# Zeros nearer to 0 Hz than this are those at z = 1, spread by rounding: a triple root is good to its cube root.
+AT_DC_HZ = 0.1
+# Below this the paper's fifth-order zeros are compared with physics, which has none.
+LOW_HZ = 50.0
+
+
+def excitation(done: "Done") -> Section:
+    """Test signals, and the responses to one of them."""
+    shown = {}
+    for name in SHOWN_SIGNALS:
+        if f"{name}-1" in done.records:
+            r = done.records[f"{name}-1"]
+            power = psd(r.inputs[0], r.rate_hz)
+            shown[name] = (r.time_s, r.inputs[0], power.f_hz, power.values.ravel())
+    figures: list[Figure] = [paper.test_signals(shown)] if shown else []
+    if "chirp-1" in done.records:
+        figures.append(paper.responses_to_one_strut(done.records["chirp-1"], 0))
+    clipped = {name: max(r.clipped()) for name, r in done.records.items() if max(r.clipped())}
+    words = ", ".join(f"{name} ({count} samples)" for name, count in clipped.items()) or "none"
+    return Section("Excitation", [f"Records in which a sensor stood at its limits: {words}."], figures=figures)
+
+
+def identification(done: "Done") -> Section:
+    """The ranking of structures and orders, the paper's structure, the plant for design."""
+    facts, settings = done.identified.facts, done.study.identify
+    best, plant = facts["preferred"], done.plant.facts
+    sentences = [
+        f"Held-out records prefer {best['structure']} of order {best['order']}. Its channels: {best['status']}",
+        f"The plant that designs use is the whole matrix at once ({done.study.plant.method}), {plant['states']} states."
+        f" {plant['status']}",
+    ]
+    columns = ("structure", "order", "median fit %", "worst fit %", "median loss V²", "ok", "CPU s")
+    ranking = Table("All channels, judged on records no model has seen; best first", columns, _ranking(facts["table"]))
+    title = f"The paper's structure ({settings.paper_structure}, order {settings.paper_order}) from each test signal"
+    heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
+    fifth = Table(title, heads, _by_signal(facts["paper"]))
+    responses = [(name, SHOWN_HZ, m.frequency_response(SHOWN_HZ)) for name, m in _shown_models(done).items()]
+    return Section("Identification", sentences, [ranking, fifth], [paper.bode_grid(responses, (2.0, 500.0))])
+
+
+def _ranking(table: Sequence[Mapping[str, Any]]) -> list[tuple[object, ...]]:
+    return [
+        (
+            row["structure"],
+            row["order"],
+            f"{row['median_fit_percent']:.1f}",
+            f"{row['worst_fit_percent']:.1f}",
+            f"{row['median_loss']:.3g}",
+            row["ok"],
+            f"{row['seconds']:.1f}",
+        )
+        for row in table
+    ]
+
+
+def _by_signal(fits: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]]:
+    return [
+        (
+            name,
+            f"{fit['median_fit_percent']:.1f}",
+            f"{fit['worst_fit_percent']:.1f}",
+            fit["ok"],
+            "yes" if fit["stable"] else "no",
+            "yes" if fit["invertible"] else "no",
+            f"{fit['seconds']:.1f}",
+        )
+        for name, fit in fits.items()
+    ]
+
+
+def _shown_models(done: "Done") -> dict[str, Any]:
+    first = done.study.identify.paper_records[0]
+    return {
+        "design plant": done.plant.values["plant"],
+        "preferred": done.identified.values["preferred"],
+        f"order {done.study.identify.paper_order}, {first}": done.identified.values[f"paper-{first}"],
+    }
+
+
+def validation(done: "Done") -> Section:
+    """The paper's step, sine and Bode comparisons, and the bench's own response where there is one."""
+    facts = done.validated.facts
+    names = done.study.identify.paper_records
+    figures = _time_figures(done, (f"paper-{names[0]}", "plant"))
+    responses = [(n, SHOWN_HZ, done.identified.values[f"paper-{n}"].frequency_response(SHOWN_HZ)) for n in names]
+    figures.append(paper.bode(responses, PAPER_STRUT, PAPER_STRUT, (5.0, 250.0)))
+    tables = [_fits(facts["records"])] if facts["records"] else []
+    against = facts.get("against_bench", {})
+    if against:
+        rows = [(n, f"{f['diagonal_gain_db']:.2f}", f"{f['diagonal_phase_deg']:.1f}") for n, f in against.items()]
+        band = next(iter(against.values()))["band_hz"]
+        caption = f"Largest error on the diagonal against the bench's own linear response, {band[0]:g}-{band[1]:g} Hz"
+        tables.append(Table(caption, ("model", "gain dB", "phase °"), rows))
+    p = facts["residuals"]
+    sentence = (
+        f"Residuals of the preferred model on held-out records: median p-value {p['whiteness_p_median']:.2g} that they "
+        f"are white, {p['correlation_p_median']:.2g} that they are free of the input."
+    )
+    return Section("Validation", [sentence], tables, figures)
+
+
+def _time_figures(done: "Done", models: tuple[str, ...]) -> list[Figure]:
+    figures: list[Figure] = []
+    for name, draw in (("step", paper.step_response), ("tone", paper.sine_response)):
+        held = done.validated.values.get(f"simulated-{name}")
+        if held is not None:
+            rows = dict(zip((c.name for c in held.sensors), held.outputs, strict=True))
+            channel = done.validated.facts["records"][name]["channel"]
+            figures.append(draw(done.records[name], {key: rows[key] for key in models}, channel))
+    return figures
+
+
+def _fits(records: Mapping[str, Mapping[str, Any]]) -> Table:
+    models = next(iter(records.values()))["fit_percent"]
+    rows = [
+        (name, *(f"{fit:.1f}" for fit in facts["fit_percent"].values()), facts["clipped_samples"])
+        for name, facts in records.items()
+    ]
+    return Table(
+        "Simulated fit in % on the driven strut, clipped like its sensor", ("record", *models, "clipped"), rows
+    )
+
+
+def analysis(done: "Done") -> Section:
+    """Singular values, poles, zeros, symmetry."""
+    facts = done.analysed.facts
+    f = np.array(facts["f_hz"])
+    values = {name: np.array(v) for name, v in facts["singular_values"].items()}
+    bands = {"design plant": values["plant"], "the paper's structure": values["paper"]}
+    low = [(k + 1, _frequencies(rows, 0.0, LOW_HZ)) for k, rows in enumerate(facts["paper_zeros"])]
+    poles = [
+        (f"{r['frequency_hz']:.2f}", f"{r['zeta']:.4f}", "unstable" if r["outside"] else "") for r in facts["poles"]
+    ]
+    tables = [
+        Table(f"Zeros outside the unit circle below {LOW_HZ:g} Hz, paper's structure", ("strut", "Hz"), low),
+        Table("Poles of the design plant", ("Hz", "damping", ""), _merged(poles)),
+    ]
+    sentences = [_about_zeros(facts["transmission_zeros"], done.records), _about_symmetry(facts)]
+    sentences.append(
+        "Zeros outside the unit circle at a few Hz in the paper's fifth-order structure come from its order: the "
+        "physics, eq. (10), has its zeros at 0 Hz, and the design plant has none there."
+    )
+    return Section("Analysis", sentences, tables, [paper.singular_values(f, bands)])
+
+
+def _about_zeros(zeros: Sequence[Mapping[str, Any]], records: Mapping[str, Any]) -> str:
+    nyquist = next(iter(records.values())).rate_hz / 2
+    at_dc = sum(r["frequency_hz"] < AT_DC_HZ for r in zeros)
+    beyond = sum(r["outside"] and r["frequency_hz"] > nyquist for r in zeros)
+    return (
+        f"The design plant has {len(zeros)} transmission zeros (conjugates counted once): {at_dc} at 0 Hz, outside the "
+        f"unit circle between {AT_DC_HZ:g} Hz and Nyquist {_frequencies(zeros, AT_DC_HZ, nyquist)}, and {beyond} real "
+        f"ones beyond Nyquist, as sampling makes them."
+    )
+
+
+def _about_symmetry(facts: Mapping[str, Any]) -> str:
+    threefold = facts["threefold_error"]
+    turned = "" if threefold is None else f", from itself turned by 120 degrees by {np.median(threefold):.1%}"
+    return (
+        f"G differs from its transpose by {np.median(facts['reciprocity_error']):.1%} (median over frequency){turned}; "
+        f"the weakest diagonal gain stands {np.median(facts['dominance_db']):.0f} dB above the rest of its column."
+    )
+
+
+def _frequencies(rows: Sequence[Mapping[str, Any]], low_hz: float, high_hz: float) -> str:
+    found = [r["frequency_hz"] for r in rows if r["outside"] and low_hz <= r["frequency_hz"] < high_hz]
+    return ", ".join(f"{f:.3g}" for f in found) or "none"
+
+
+def _merged(rows: list[tuple[str, str, str]]) -> list[tuple[str, str, str]]:
+    """Return rows with how often each stands, in place of repetitions."""
+    counts = {row: rows.count(row) for row in dict.fromkeys(rows)}
+    return [(f, z, " ".join(filter(None, (f"x {n}" if n > 1 else "", word)))) for (f, z, word), n in counts.items()]
