@@ -100,3 +100,9 @@ def test_refusals(loop):
         uq.simulate.disturb(bench, np.zeros((3, 10)))
     with pytest.raises(RateError, match="1000 Hz"):
         uq.simulate.attenuation(bench, uq.StateSpace(law.A, law.B, law.C, law.D, 500.0))
+
+
+def test_a_law_that_runs_away_is_named_by_the_hexapod():
+    wild = uq.StateSpace(1.5 * np.eye(6), np.eye(6), np.eye(6), np.zeros((6, 6)), 3500.0)
+    with pytest.raises(InputError, match="no longer a finite number"):
+        uq.bench.Hexapod().run(np.zeros((6, 7000)), controller=wild)

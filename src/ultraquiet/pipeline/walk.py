@@ -62,7 +62,7 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
 
 
 def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
-    """Return the records of this very list on this very bench, taking up a run that was broken off; else record anew."""
+    """Return the records of this list on this bench, taking up a run that was broken off; else record anew."""
     mark, kept = content_hash(listed.hash, _key(settings.bench)).encode(), folder / "records" / "list.key"
     same = kept.exists() and kept.read_bytes() == mark
     kept.parent.mkdir(exist_ok=True)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, one_of, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
 from ultraquiet.bench._abstract import checked_controller, checked_law, checked_signals, commands
@@ -110,6 +111,12 @@ class Hexapod:
             command, y, limited = self._compiled(u, d, noise, controller)
         else:
             command, y, limited = self._stepped(u, d, noise, controller)
+        lost = np.flatnonzero(~np.isfinite(command).all(axis=0))
+        if lost.size:
+            raise InputError(
+                f"Hexapod.run: at sample {lost[0]} the controller's command was no longer a finite number; "
+                f"it is unstable by itself or with this bench."
+            )
         return self._record(command, y, limited, index)
 
     def linear_model(self) -> StateSpace:
