@@ -1,8 +1,32 @@
-"""A bench of few lines that remembers how it was used."""
+"""A bench of few lines that remembers how it was used, and the list it runs."""
 
 import numpy as np
 
+from ultraquiet import experiments
 from ultraquiet.values import Channel, Record
+
+LIST = """\
+title = "three chirps, a tone and silence"
+[[commands]]
+do = "configure"
+samples = 256
+[[commands]]
+do = "excite"
+name = "chirp"
+signal = { method = "chirp", start_hz = 5.0, stop_hz = 100.0 }
+[[commands]]
+do = "wait"
+seconds = 2.5
+[[commands]]
+do = "excite"
+name = "tone"
+actuator = 2
+samples = 100
+signal = { method = "tone", frequency_hz = 60.0, amplitude_v = 10.0 }
+[[commands]]
+do = "record"
+name = "quiet"
+"""
 
 
 class Fake:
@@ -22,3 +46,7 @@ class Fake:
         y = np.zeros((3, total.shape[1]))
         y[:, 1:] = self.gain @ total[:, :-1]
         return Record(actuation, y, self.rate_hz, self.actuators, self.sensors)
+
+
+def run(text, folder, bench, **kwargs):
+    return experiments.run(experiments.parse(text, bench, folder=folder), folder, sleep=lambda _: None, **kwargs)

@@ -1,0 +1,151 @@
+"""Full disks, kills and torn journals: what is finished stays, and nothing is lost."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from fakes import LIST, Fake, run
+
+from ultraquiet import files
+from ultraquiet._base.errors import StorageError
+from ultraquiet.experiments import journal
+
+FAKES = Path(__file__).with_name("fakes.py")
+
+
+@pytest.fixture
+def bench():
+    return Fake()
+
+
+@pytest.mark.parametrize("at", [1, 2, 3, 5, 6])
+def test_a_full_disk_keeps_what_is_finished(at, bench, tmp_path, monkeypatch):
+    """The disk is full at the n-th fsync; a measurement takes five (journal, record, folder, journal)."""
+    whole, count = os.fsync, 0
+
+    def full(handle):
+        nonlocal count
+        count += 1
+        if count >= at:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        whole(handle)
+
+    (tmp_path / "other.h5").write_bytes(b"precious")
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(StorageError, match="no space left on device") as caught:
+        run(LIST, tmp_path, bench)
+    monkeypatch.undo()
+    print(caught.value)
+    assert "\n" not in str(caught.value)
+    assert (tmp_path / "other.h5").read_bytes() == b"precious"
+    kept = sorted(p.name for p in tmp_path.glob("*.h5") if p.name != "other.h5")
+    assert not list(tmp_path.glob(".*.part"))
+    for name in kept:
+        assert files.read_record(tmp_path / name).samples == 256
+    assert len(kept) >= len(bench.calls) - 1
+
+
+SCRIPT = """\
+import sys, h5py, importlib.util as u
+from ultraquiet import experiments
+spec = u.spec_from_file_location("experiment_fakes", sys.argv[1])
+fakes = u.module_from_spec(spec)
+spec.loader.exec_module(fakes)
+folder, repeat = sys.argv[3], sys.argv[4:]
+listed = experiments.parse(open(sys.argv[2]).read(), fakes.Fake())
+print("ready", flush=True)
+experiments.run(listed, folder, resume=True, repeat=repeat, sleep=lambda _: None)
+"""
+
+
+def test_a_really_full_disk(bench, tmp_path):
+    """The system itself refuses to let a file grow beyond 20 kB: records of 256 samples fit, one of 4096 does not."""
+    (tmp_path / "list.toml").write_text(LIST + '[[commands]]\ndo = "record"\nname = "long"\nsamples = 4096\n')
+    words = [sys.executable, "-c", SCRIPT, str(FAKES), str(tmp_path / "list.toml"), str(tmp_path / "out")]
+
+    def limit():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
+
+    done = subprocess.run(words, capture_output=True, text=True, preexec_fn=limit, check=False)
+    last = done.stderr.strip().splitlines()[-1]
+    print(last)
+    assert "experiment stopped at 'long', 4 records are finished and safe" in last
+    assert sorted(p.name for p in (tmp_path / "out").glob("*.h5")) == [
+        "chirp-1.h5",
+        "chirp-2.h5",
+        "quiet.h5",
+        "tone.h5",
+    ]
+    for path in (tmp_path / "out").glob("*.h5"):
+        files.read_record(path)
+
+
+def test_too_little_space_is_told_before_anything_moves(bench, tmp_path, monkeypatch):
+    monkeypatch.setattr("shutil.disk_usage", lambda _: os.terminal_size((0, 0)) and type("U", (), {"free": 1000})())
+    with pytest.raises(StorageError, match=r"need 0\.3 MB, .* has 0\.0 MB free; nothing was executed"):
+        run(LIST, tmp_path, bench)
+    assert not bench.calls
+
+
+def kills(count, tmp_path, rng):
+    """Kill a running list `count` times; return what was begun, kept, lost and asked to be repeated."""
+    text = "".join(f'[[commands]]\ndo = "record"\nname = "m{k}"\nsamples = 3000\n' for k in range(4 * count))
+    (tmp_path / "list.toml").write_text(text)
+    out, seen, asked = tmp_path / "out", {}, Counter()
+    for _ in range(count):
+        started = journal.begun(out) if out.exists() else {}
+        torn = [name for name in started if not (out / f"{name}.h5").exists()]
+        asked.update(torn)
+        words = [sys.executable, "-c", SCRIPT, str(FAKES), str(tmp_path / "list.toml"), str(out), *torn]
+        child = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert child.stdout is not None
+        child.stdout.readline()
+        time.sleep(rng.uniform(0.0, 0.4))
+        child.kill()
+        _, complaint = child.communicate()
+        assert not complaint, complaint
+        for path in out.glob("*.h5"):
+            record = files.read_record(path)
+            assert seen.setdefault(path.name, record.provenance.to_json()) == record.provenance.to_json()
+        assert set(seen) == {p.name for p in out.glob("*.h5")}
+    events = journal.entries(out)
+    begun = [e["name"] for e in events if e["event"] == "begun"]
+    lost = [e["name"] for e in events if e["event"] == "finished" and f"{e['name']}.h5" not in seen]
+    return begun, seen, lost, asked
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(200, marks=pytest.mark.slow)])
+def test_killed_at_any_time_nothing_is_lost(count, tmp_path, rng):
+    begun, seen, lost, asked = kills(count, tmp_path, rng)
+    again = len(begun) - len(set(begun))
+    print(f"{count} kills: {len(seen)} records kept, {len(lost)} lost, {again} excitations repeated as asked")
+    assert not lost
+    # A list is resumed once after each request, and may be killed before it comes to the repetition.
+    assert all(times <= 1 + asked[name] for name, times in Counter(begun).items())
+
+
+def test_a_torn_journal_line_is_dropped_and_a_damaged_one_refused(bench, tmp_path):
+    run(LIST, tmp_path, bench)
+    path = tmp_path / journal.FILE
+    whole = path.read_bytes()
+    for cut in range(1, len(whole.splitlines(keepends=True)[-1])):
+        path.write_bytes(whole[:-cut])
+        assert len(journal.entries(tmp_path)) == 7
+    run(LIST, tmp_path, bench, resume=True)
+    assert path.read_bytes() == b"".join(whole.splitlines(keepends=True)[:-1])
+    path.write_bytes(whole[:20] + b"X" + whole[21:])
+    with pytest.raises(StorageError, match="damaged at byte 0"):
+        run(LIST, tmp_path, bench, resume=True)
+
+
+def test_two_lists_do_not_share_a_folder_at_once(bench, tmp_path):
+    with journal.opened(tmp_path), pytest.raises(StorageError, match="another process"):
+        run(LIST, tmp_path, bench)
