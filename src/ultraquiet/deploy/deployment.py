@@ -143,7 +143,7 @@ def generate(
     >>> made.tables["form"], made.tables["states"], made.tables["bit_exact"]
     ('modal', 2, None)
     """
-    folder = Path(folder)
+    folder = Path(folder).absolute()
     _check(controller, precision, name, form)
     between("deploy", "tolerance", tolerance, 0.0, 1.0)
     limits = actuator_limits(limits_v, controller.D.shape[0])

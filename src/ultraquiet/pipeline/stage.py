@@ -1,9 +1,11 @@
 """A stage and its cache: values in HDF5 files, facts in one JSON file, reused while their key is the same."""
 
+import hashlib
 import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ from ultraquiet._base.provenance import content_hash, plain, versions
 from ultraquiet.files import archive, write_bytes
 
 STAGES = "stages"
+PACKAGE = Path(__file__).parents[1]
+CODE = (".py", ".toml", ".j2")
 
 
 @dataclass(frozen=True)
@@ -37,11 +41,11 @@ class Cache:
         Args:
             name: of the stage; its facts go to `stages/NAME.json`.
             room: sub-folder of its values (`records`, `models`, ...).
-            key: everything the outcome depends on; the versions of the numerical libraries are added.
+            key: everything the outcome depends on; versions of the libraries and this package's code are added.
             compute: called when there is nothing to reuse.
             needs: something the stage wrote beside its values; when it is gone the stage is computed again.
         """
-        mark = content_hash(key, versions())
+        mark = content_hash(key, versions(), _code())
         found = self._read(name, mark) if needs is None or needs.exists() else None
         if found is not None:
             return found
@@ -77,3 +81,10 @@ class Cache:
             raise StorageError(
                 f"study: stage '{name}' could not be written under '{self.folder}' ({error}); earlier stages are kept."
             ) from error
+
+
+@cache
+def _code() -> str:
+    """Return a hash of this package's own files: a stage computed by other code is another stage."""
+    files = sorted(path for path in PACKAGE.rglob("*") if path.suffix in CODE)
+    return content_hash([(path.name, hashlib.sha256(path.read_bytes()).hexdigest()) for path in files])

@@ -1,0 +1,32 @@
+"""`git clone`, `make demo` where nothing is installed: exit 0 and in time, set-up included."""
+
+import os
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WHOLE_S, QUICK_S = 300.0, 120.0
+
+
+def measure() -> Iterator[tuple[str, str, str, bool]]:
+    for words, limit in (((), WHOLE_S), (("ARGS=--quick",), QUICK_S)):
+        with tempfile.TemporaryDirectory() as folder:
+            clone = Path(folder) / "ultraquiet"
+            subprocess.run(["git", "clone", "-q", str(ROOT), str(clone)], check=True)
+            environment = {
+                k: v for k, v in os.environ.items() if not k.startswith(("VIRTUAL_ENV", "PYTHON", "OPENBLAS"))
+            }
+            started = time.perf_counter()
+            done = subprocess.run(
+                ["make", "demo", *words], cwd=clone, env=environment, capture_output=True, check=False
+            )
+            seconds = time.perf_counter() - started
+            left = all((clone / "demo" / name).exists() for name in ("report.html", "summary.json"))
+            kept = done.returncode == 0 and left and seconds < limit
+            what = f"git clone, make demo {' '.join(words)} with {os.cpu_count()} cores"
+            yield what, f"exit {done.returncode}, {seconds:.0f} s", f"exit 0, under {limit:.0f} s", kept
+            shutil.rmtree(clone, ignore_errors=True)
