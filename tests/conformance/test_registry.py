@@ -1,11 +1,15 @@
 """Every registered method keeps its family's promises; registering it is all it takes to be checked here."""
 
+from dataclasses import dataclass, replace
+
 import pytest
 from typer.testing import CliRunner
 
 from ultraquiet._base import registry
 from ultraquiet._base.errors import UnknownMethodError
+from ultraquiet.reduce import Balanced
 from ultraquiet.testing import check
+from ultraquiet.values import StateSpace
 
 ENTRIES = [(family, name) for family in registry.FAMILIES for name in registry.methods(family)]
 NEEDS_SETTINGS = {("bench", "replay"), ("bench", "wrapped")}  # they wrap what the caller has
@@ -33,9 +37,40 @@ def test_unknown_names_are_refused_with_what_there_is():
         registry.methods("signal")
 
 
-def test_a_new_method_appears_by_registering():
-    from dataclasses import dataclass
+def keep_first(result, law, n):
+    return replace(result, controller=StateSpace(law.A[:n, :n], law.B[:n], law.C[:, :n], law.D, law.rate_hz))
 
+
+def turn_sign(result, law, n):
+    r = result.controller
+    return replace(result, controller=StateSpace(r.A, r.B, -r.C, r.D, r.rate_hz))
+
+
+def brag(result, law, n):
+    return replace(result, details={"bound": result.details["bound"] / 100})
+
+
+@pytest.mark.parametrize(
+    ("spoil", "complaint"),
+    [(keep_first, "hardly matters"), (turn_sign, "hardly matters"), (brag, "promised an error")],
+)
+def test_a_careless_reduction_is_caught(spoil, complaint, seed):
+    @registry.register("reduce", "careless-for-test")
+    @dataclass(frozen=True)
+    class Careless(Balanced):
+        """Balanced reduction, spoilt."""
+
+        def reduce(self, controller, plant=None, weights=None):
+            return spoil(super().reduce(controller, plant, weights), controller, self.states)
+
+    try:
+        with pytest.raises(AssertionError, match=complaint):
+            check("reduce", "careless-for-test", seed)
+    finally:
+        registry._table["reduce"].pop("careless-for-test")
+
+
+def test_a_new_method_appears_by_registering():
     @registry.register("signals", "silence-for-test")
     @dataclass(frozen=True)
     class Silence:
