@@ -121,7 +121,8 @@ def packaged_study(name: str) -> Study:
 
 def quick_study(study: Study) -> Study:
     """Return the study with two structures and two orders instead of a whole sweep, on its first unit alone."""
-    sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
+    fewer = {"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS, "paper_records": study.identify.paper_records[:2]}
+    sweep = study.identify.model_copy(update=fewer)
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
     return study.model_copy(update={"identify": sweep, "closed_loop": loop})
 

@@ -12,6 +12,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, project, renamed
+from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
@@ -43,11 +44,12 @@ class Balanced:
         one_of("Balanced", "method", self.method, METHODS)
 
     def reduce(self, controller: StateSpace, plant: StateSpace | None = None, weights: Any = None) -> ReductionResult:
-        """Return the reduced system; plant and weights are not looked at, which is this method's weakness.
+        """Return the reduced system; the loop does not steer it, which is this method's weakness.
 
-        `details["bound"]` is the a-priori bound on the H-infinity norm of the error.
+        With a plant the loop is looked at afterwards, and a lost one is called `unstable`. `details["bound"]` is the
+        a-priori bound on the H-infinity norm of the error.
         """
-        del plant, weights
+        del weights
         discrete = controller.rate_hz is not None
         T, inverse, count = balance.stable_first(controller.A, discrete)
         A, B, C = inverse @ controller.A @ T, inverse @ controller.B, controller.C @ T
@@ -65,5 +67,8 @@ class Balanced:
         settings = {"states": self.states, "method": self.method}
         made = Provenance("Balanced", settings, parents=(controller.hash,), versions=versions())
         small = renamed(whole_system, controller, made)
-        status = Status("ok", f"{small.states} of {controller.states} states kept; the error is at most {bound:.3g}.")
+        kept = f"{small.states} of {controller.states} states kept; the error is at most {bound:.3g}"
+        status = Status("ok", f"{kept}.")
+        if plant is not None and not sensitivity(plant, small).is_stable():
+            status = Status("unstable", f"{kept}, and the loop is lost; keep more or weigh by the loop.")
         return ReductionResult(status, small, hankel, details={"bound": bound}, provenance=made)
