@@ -13,10 +13,13 @@ FIRST_TARGET_DB, LARGEST_PEAK_DB = 12.0, 8.0
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory):
+def demo(tmp_path_factory, request):
+    """The study from a fresh seed: new test signals, new noise."""
     folder = tmp_path_factory.mktemp("demo")
     said = []
-    summary = walk(quick_study(packaged_study("suite")), folder, say=said.append)
+    study = packaged_study("suite")
+    head = study.study.model_copy(update={"seed": request.config.getoption("--seed")})
+    summary = walk(quick_study(study.model_copy(update={"study": head})), folder, say=said.append)
     return folder, summary, said
 
 

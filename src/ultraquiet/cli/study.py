@@ -5,17 +5,25 @@ from typing import Annotated, Any
 
 import typer
 
+from ultraquiet._base.constraints import whole
 from ultraquiet.cli.progress import bars
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
 
 
-def demo(out: Out = None, quick: Quick = False) -> None:
+def demo(
+    out: Out = None,
+    quick: Quick = False,
+    seed: Annotated[int | None, typer.Option(help="Where test signals and sensor noise start.")] = None,
+) -> None:
     """Run the embedded SUITE study: excite, identify, validate, design, close the loop, generate code, report."""
     from ultraquiet.pipeline import packaged_study, quick_study
 
     study = packaged_study("suite")
+    if seed is not None:
+        head = study.study.model_copy(update={"seed": whole("demo", "seed", seed, 0)})
+        study = study.model_copy(update={"study": head})
     _walk(quick_study(study) if quick else study, Path("ultraquiet-demo") if out is None else out, None)
 
 

@@ -25,7 +25,8 @@ NO_BENCH = 'there is no bench; name one in a table [bench], as in method = "hexa
 class ExperimentList:
     """A checked list: its text, the bench it names (or None) and the plan it comes to on that bench.
 
-    `steps` are measurements and pauses in order; they are empty as long as no bench is known.
+    `steps` are measurements and pauses in order; they are empty as long as no bench is known. `seed` is one given
+    instead of the list's own.
     """
 
     name: str
@@ -34,6 +35,7 @@ class ExperimentList:
     folder: Path | None
     bench: Any | None
     steps: tuple[Step, ...]
+    seed: int | None = None
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:
@@ -57,21 +59,22 @@ class ExperimentList:
 
     @property
     def hash(self) -> str:
-        """Content hash of the text."""
-        return content_hash(self.text)
+        """Content hash of the text and of a seed given instead of its own."""
+        return content_hash(self.text) if self.seed is None else content_hash(self.text, self.seed)
 
     def on(self, bench: Any) -> "ExperimentList":
         """Return the list planned for another bench; mistakes are raised as by `parse`."""
-        return parse(self.text, bench, self.name, self.folder)
+        return parse(self.text, bench, self.name, self.folder, self.seed)
 
 
-def load(path: str | os.PathLike[str], bench: Any | None = None) -> ExperimentList:
+def load(path: str | os.PathLike[str], bench: Any | None = None, seed: int | None = None) -> ExperimentList:
     """Read and check an experiment list.
 
     Args:
         path: a TOML file, or `"suite"` for the packaged list of the paper's test signals. Controllers named in it are
             sought beside it.
         bench: used instead of the list's table `[bench]`.
+        seed: where its random signals start, instead of what the list says.
 
     Raises:
         InputError: the file cannot be read, or holds mistakes; all of them are told, each with its line.
@@ -87,11 +90,15 @@ def load(path: str | os.PathLike[str], bench: Any | None = None) -> ExperimentLi
         text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"experiment list: '{path}' cannot be read ({error}).") from error
-    return parse(text, bench, str(path), place.parent)
+    return parse(text, bench, str(path), place.parent, seed)
 
 
 def parse(
-    text: str, bench: Any | None = None, name: str = "experiment list", folder: Path | None = None
+    text: str,
+    bench: Any | None = None,
+    name: str = "experiment list",
+    folder: Path | None = None,
+    seed: int | None = None,
 ) -> ExperimentList:
     """Check the text of an experiment list; arguments and errors as in `load`.
 
@@ -117,7 +124,7 @@ def parse(
     head = _head(content, mistakes)
     if bench is None and head.bench is not None:
         bench = make("bench", head.bench, ("bench",), mistakes)
-    compiler = Compiler(bench, folder, head.seed, mistakes)
+    compiler = Compiler(bench, folder, head.seed if seed is None else seed, mistakes)
     commands = content.get("commands")
     compiler.walk(commands if isinstance(commands, list) else [], ("commands",))
     if not any(isinstance(step, Measurement) for step in compiler.steps) and not len(mistakes):
@@ -128,7 +135,7 @@ def parse(
             mistakes.add((), NO_BENCH)
         raise ListError(name, mistakes.told())
     steps = () if bench is None else tuple(compiler.steps)
-    return ExperimentList(name, head.title, text, folder, bench, steps)
+    return ExperimentList(name, head.title, text, folder, bench, steps, seed)
 
 
 def _head(content: dict[str, Any], mistakes: Mistakes) -> Content:

@@ -34,8 +34,8 @@ class Method(BaseModel):
         """The settings, lists turned into tuples."""
         return {k: tuple(v) if isinstance(v, list) else v for k, v in (self.model_extra or {}).items()}
 
-    def make(self, family: str) -> Any:
-        """Return the settings object, or say which setting is wrong."""
+    def make(self, family: str, **more: Any) -> Any:
+        """Return the settings object, or say which setting is wrong; `more` are settings the table does not give."""
         kind = lookup(family, self.method)
         known = [f.name for f in fields(kind)]
         for key in self.settings:
@@ -43,14 +43,14 @@ class Method(BaseModel):
                 raise InputError(
                     f"{family} '{self.method}': there is no setting '{key}'; known are {', '.join(known)}."
                 )
-        return kind(**self.settings)
+        return kind(**more, **self.settings)
 
 
 class Head(Strict):
-    """`[study]`."""
+    """`[study]`: the seed is where test signals and sensor noise start."""
 
     title: str
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
 
 
 class Experiment(Strict):

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from ultraquiet import experiments
 from ultraquiet._base.errors import StorageError
 from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.registry import lookup
 from ultraquiet.files import write_bytes
 from ultraquiet.pipeline import control, evidence, models, study, summary, tell
 from ultraquiet.pipeline.stage import Cache, Outcome
@@ -50,8 +51,8 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
         UltraquietError: a stage refuses; those before it are kept and reused.
     """
     _prepare(settings, folder)
-    bench = settings.bench.make("bench")
-    listed = experiments.load(_list_of(settings, beside), bench)
+    bench = _bench(settings)
+    listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     records = _recorded(listed, bench, settings, folder)
     say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
     done = _stages(settings, Cache(folder), bench, records, say)
@@ -63,7 +64,7 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
 
 def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
     """Return the records of this list on this bench, taking up a run that was broken off; else record anew."""
-    mark, kept = content_hash(listed.hash, _key(settings.bench)).encode(), folder / "records" / "list.key"
+    mark, kept = content_hash(listed.hash, bench).encode(), folder / "records" / "list.key"
     same = kept.exists() and kept.read_bytes() == mark
     kept.parent.mkdir(exist_ok=True)
     write_bytes(kept, mark)
@@ -85,7 +86,7 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
     system = plant.values["plant"]
     control.require_bench(bench, system)
     polynomial = {k: v for k, v in found.values.items() if isinstance(v, PolynomialMatrix)}
-    marks_and_models = [marks, settings.identify, _key(settings.bench), system.hash]
+    marks_and_models = [marks, settings.identify, bench, system.hash]
     validated = cache.stage(
         "validate", "models", marks_and_models, partial(evidence.validated, records, polynomial, system, bench)
     )
@@ -101,7 +102,7 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
         if name not in made.values:
             continue
         law = made.values[name]
-        loop_key = [law.hash, _key(settings.bench), settings.closed_loop]
+        loop_key = [law.hash, bench, settings.closed_loop]
         loops[name] = cache.stage(
             f"loop-{name}", "loops", loop_key, partial(control.closed, name, law, bench, settings.closed_loop)
         )
@@ -112,6 +113,13 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
         ).facts
         say(f"closed and deployed {name}: {deployment[name].get('verification', deployment[name]['status'])}")
     return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment)
+
+
+def _bench(settings: study.Study) -> Any:
+    """Return the study's bench; one that draws noise starts from the study's seed unless it has its own."""
+    kind = lookup("bench", settings.bench.method)
+    draws = any(f.name == "seed" for f in fields(kind)) and "seed" not in settings.bench.settings
+    return settings.bench.make("bench", **({"seed": settings.study.seed} if draws else {}))
 
 
 def _key(method: study.Method) -> dict[str, Any]:
