@@ -1,7 +1,13 @@
 """One fixture seeds every random draw; a failure prints the seed, `--seed N` repeats it."""
 
-import numpy as np
-import pytest
+import os
+
+# Many small problems side by side: threads inside each cost more than they give. Set before NumPy loads its BLAS.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
 
 
 def pytest_addoption(parser):

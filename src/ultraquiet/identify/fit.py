@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.starts import Channel, starting_tables
 from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows, reduced
-from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg import portmanteau, prediction, realize
 from ultraquiet.values import PolynomialModel, Status
 
 # The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
@@ -26,6 +26,9 @@ PROMISING = 1.1
 # it there, 40 rounds bring 11 dB down to 3: lower the excitation instead.
 REPAIRS = 40
 SETTLED = 1e-3
+# Distance from the unit circle that a finished model's roots keep: no record is long enough to tell it from zero.
+NEAREST = 1e-6
+SETTLING_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -152,13 +155,32 @@ def _model(table: FloatArray, structure: Structure, data: Channel, rate_hz: floa
     delay = np.zeros(structure.delay)
     return PolynomialModel(
         [np.concatenate([delay, data.gain[j] * table[r, : structure.b]]) for j, r in enumerate(b_rows(nu))],
-        [reduced(table[r], structure.f) for r in f_rows(nu)],
+        [settled(reduced(table[r], structure.f)) for r in f_rows(nu)],
         rate_hz,
         reduced(table[ROW_A], structure.a),
-        reduced(table[ROW_C], structure.c),
-        reduced(table[ROW_D], structure.d),
+        settled(reduced(table[ROW_C], structure.c)),
+        settled(reduced(table[ROW_D], structure.d)),
         noise_variance=loss * data.output_size**2,
     )
+
+
+def settled(p: FloatArray) -> FloatArray:
+    """Return monic p with those roots moved inside the unit circle that stand on it or a hair outside.
+
+    The search keeps them inside by the Schur-Cohn recursion, whose rounding lets a crowded root past by a hair.
+    """
+    for step in range(SETTLING_STEPS):
+        roots = realize.roots(p)
+        size = np.abs(roots)
+        if np.all(size <= 1.0 - NEAREST / 2):
+            break
+        limit = 1.0 - NEAREST * 2.0**step
+        inside = np.where(size > limit, roots / np.maximum(size, limit) * limit, roots)
+        product = np.ones(1, dtype=np.clongdouble)
+        for root in inside:
+            product = np.convolve(product, np.array([1.0, -root], dtype=np.clongdouble))
+        p = product.real.astype(np.float64)
+    return p
 
 
 def _simulated(data: Channel, model: PolynomialModel, search: Search) -> FloatArray:

@@ -15,6 +15,7 @@ from numba import njit
 ROW_A, ROW_C, ROW_D, ROW_FIRST = 0, 1, 2, 3
 # OpenBLAS starts threads above 2^18 multiplications; blocks stay below, for the threads belong to whole fits.
 BLAS_SERIAL = 200_000
+WITHIN = 1 - 1e-6  # roots nearer to the circle are beyond the recursion's own rounding, and any record's length
 RIDGE = 1e-13  # on unit-diagonal normal matrices of nuisance columns: keeps elimination finite, moves no kept digit
 FLUSH = 1e-140  # its square is still a normal number; denormal tails of decaying responses cost 20 times the work
 INNER_TRIES = 14
@@ -47,8 +48,8 @@ def moving(x, p, count, lag, out):
 
 @compiled
 def inside(p, order):
-    """Return whether all roots of monic p (powers of q^-1) lie inside the unit circle: the Schur-Cohn recursion."""
-    a = p[: order + 1].copy()
+    """Return whether all roots of monic p (powers of q^-1) lie within WITHIN: the Schur-Cohn recursion."""
+    a = p[: order + 1] / WITHIN ** np.arange(order + 1)
     b = np.empty(order + 1)
     for m in range(order, 0, -1):
         k = a[m]

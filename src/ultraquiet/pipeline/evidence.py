@@ -54,8 +54,11 @@ def _against_records(
             key: float(validate.compare(model, record, initial="rest", offset=False).fit_percent[driven])
             for key, model in models.items()
         }
-        rows = [validate.simulated(model, record, "rest", offset=False)[driven] for model in models.values()]
-        values[f"simulated-{name}"] = Record(record.inputs, rows, record.rate_hz, record.actuators, list(models))
+        said = {key: validate.simulated(m, record, "rest", offset=False)[driven] for key, m in models.items()}
+        rows = {key: row for key, row in said.items() if np.isfinite(row).all()}  # an unstable model says nothing
+        values[f"simulated-{name}"] = Record(
+            record.inputs, list(rows.values()), record.rate_hz, record.actuators, list(rows)
+        )
         facts[name] = {"channel": driven, "fit_percent": fits, "clipped_samples": record.clipped()[driven]}
     return values, {"records": facts}
 

@@ -124,19 +124,23 @@ def _time_figures(done: "Done", models: tuple[str, ...]) -> list[Figure]:
         if held is not None:
             rows = dict(zip((c.name for c in held.sensors), held.outputs, strict=True))
             channel = done.validated.facts["records"][name]["channel"]
-            figures.append(draw(done.records[name], {key: rows[key] for key in models}, channel))
+            figures.append(draw(done.records[name], {key: rows[key] for key in models if key in rows}, channel))
     return figures
 
 
 def _fits(records: Mapping[str, Mapping[str, Any]]) -> Table:
     models = next(iter(records.values()))["fit_percent"]
     rows = [
-        (name, *(f"{fit:.1f}" for fit in facts["fit_percent"].values()), facts["clipped_samples"])
+        (name, *(_fit(fit) for fit in facts["fit_percent"].values()), facts["clipped_samples"])
         for name, facts in records.items()
     ]
     return Table(
         "Simulated fit in % on the driven strut, clipped like its sensor", ("record", *models, "clipped"), rows
     )
+
+
+def _fit(percent: float | None) -> str:
+    return "unstable" if percent is None or not np.isfinite(percent) else f"{percent:.1f}"
 
 
 def analysis(done: "Done") -> Section:

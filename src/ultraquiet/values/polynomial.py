@@ -173,4 +173,4 @@ def _at(p: FloatArray, w: ComplexArray) -> ComplexArray:
 
 
 def _inside(p: FloatArray) -> bool:
-    return bool(np.all(np.abs(np.roots(p)) < 1.0))
+    return bool(np.all(np.abs(realize.roots(p)) < 1.0))
