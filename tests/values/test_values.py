@@ -149,3 +149,25 @@ def test_printed_equations_evaluate_as_published():
             worst = max(worst, abs(20 * np.log10(abs(g)) - row[f"{name}_db"]), abs(phase) / 100)
     print(f"eqs. (11)-(12) against the reference: worst {worst:.1e} dB (or hundredths of a degree)")
     assert worst < 1.1e-3
+
+
+@pytest.mark.parametrize("rate_hz", [3500.0, 1000.0 / 3.0, 44_100.0, None])
+def test_a_rate_survives_python_control(rate_hz):
+    G = uq.StateSpace([[-0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=rate_hz)
+    assert uq.StateSpace.from_control(G.to_control()).rate_hz == rate_hz
+
+
+def test_every_model_has_a_state_space():
+    G = uq.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
+    assert G.state_space() is G
+
+
+@pytest.mark.parametrize("wrong", [[[1j]], [[1.0, 2.0], [1.0]], [["a"]]])
+def test_a_record_of_something_else_is_refused(wrong):
+    with pytest.raises(uq.errors.InputError, match="inputs"):
+        uq.Record(wrong, [[1.0]], 10.0)
+
+
+def test_a_channel_that_is_not_there_is_named():
+    with pytest.raises(uq.errors.InputError, match="no index 7"):
+        uq.Record(np.ones((2, 5)), np.ones((1, 5)), 10.0).pick([7])

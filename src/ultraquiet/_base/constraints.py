@@ -15,7 +15,10 @@ ComplexArray = NDArray[np.complex128]
 def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
     """Return `value` as a fresh finite float64 array of `ndim` dimensions, or say what is wrong with it."""
     try:
-        array = np.array(value, dtype=np.float64)
+        given = np.array(value)
+        if np.iscomplexobj(given):
+            raise TypeError("complex values")
+        array = given.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{who}: '{name}' must be a real array, got {type(value).__name__} ({error}).") from None
     if array.ndim != ndim:
@@ -29,7 +32,10 @@ def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
 
 def signal_array(who: str, name: str, value: ArrayLike) -> FloatArray:
     """Return signals as `(channel, sample)`; one dimension is one channel."""
-    array = np.asarray(value)
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise InputError(f"{who}: '{name}' must be signals of one length ({error}).") from None
     return real_array(who, name, array[np.newaxis, :] if array.ndim == 1 else array, 2)
 
 

@@ -93,6 +93,10 @@ class Record:
         """Return the named input and output channels (by index) as a record."""
         i = list(range(len(self.actuators))) if inputs is None else list(inputs)
         o = list(range(len(self.sensors))) if outputs is None else list(outputs)
+        for name, chosen, count in (("inputs", i, len(self.actuators)), ("outputs", o, len(self.sensors))):
+            beyond = [k for k in chosen if not -count <= k < count]
+            if beyond:
+                raise InputError(f"Record.pick: '{name}' has no index {beyond[0]}; the record has {count} (from 0).")
         return Record(
             self.inputs[i],
             self.outputs[o],

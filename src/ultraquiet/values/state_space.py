@@ -100,6 +100,10 @@ class StateSpace:
         start = np.zeros(self.states) if x0 is None else real_array("StateSpace.simulate", "x0", x0, 1)
         return response.simulate(self.A, self.B, self.C, self.D, u, start)
 
+    def state_space(self) -> "StateSpace":
+        """Return this system itself, so that every model answers to the same name."""
+        return self
+
     def to_control(self) -> Any:
         """Return a python-control `StateSpace` (needs the package `control`)."""
         control = import_module("control")
@@ -112,4 +116,11 @@ class StateSpace:
             system = import_module("control").ss(system)
         if system.dt is True:
             raise InputError("StateSpace.from_control: the system is discrete without a sampling time; give it a dt.")
-        return cls(system.A, system.B, system.C, system.D, rate_hz=1.0 / system.dt if system.dt else None)
+        return cls(system.A, system.B, system.C, system.D, rate_hz=_rate_of(system.dt) if system.dt else None)
+
+
+def _rate_of(step_s: float) -> float:
+    """Return the rate of a sampling time: the round number it came from, when there is one."""
+    rate_hz = 1.0 / step_s
+    near = float(f"{rate_hz:.12g}")
+    return near if 1.0 / near == step_s else rate_hz
