@@ -53,6 +53,7 @@ CULPRITS = {
     "too short": (lambda a: a | {k: a[k][:, :40] for k in ("inputs", "outputs")}, (), "samples"),
     "unknown method": (lambda a: a, ("--method", "box-jenkin"), "box-jenkins"),
     "unknown setting": (lambda a: a, ("--set", "ordr=3"), "ordr"),
+    "method as a setting": (lambda a: a, ("--set", "method=arx"), "--method"),
     "order not whole": (lambda a: a, ("--set", "order=2.5"), "order"),
 }
 
@@ -99,6 +100,27 @@ def test_identify_does_not_write_over_a_model(run, tmp_path, rng):
     assert code == 2
     assert "model.h5" in said
     assert target.read_bytes() == b"mine"
+
+
+WRONG_SETTINGS = {
+    "one corner": ("band_hz=[1]", "band_hz"),
+    "a number": ("band_hz=5", "band_hz"),
+    "words": ("band_hz=abc", "band_hz"),
+    "falling": ("band_hz=[100.0, 10.0]", "must rise"),
+    "beyond Nyquist": ("band_hz=[10.0, 2000.0]", "1750 Hz"),
+    "a tone beyond Nyquist": ("tones_hz=[1e9]", "1750 Hz"),
+}
+
+
+@pytest.mark.parametrize("culprit", WRONG_SETTINGS)
+def test_design_refuses_settings(run, tmp_path, culprit):
+    setting, named = WRONG_SETTINGS[culprit]
+    uq.files.save(uq.StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 3500.0), tmp_path / "plant.h5")
+    code, said = run("design", "plant.h5", "--method", "band-attenuation", "--set", setting, "--out", "law.h5")
+    print(said)
+    assert code == 2
+    assert named in said
+    assert not (tmp_path / "law.h5").exists()
 
 
 def test_a_controller_of_another_rate_is_refused_by_the_bench():

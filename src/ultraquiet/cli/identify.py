@@ -50,7 +50,8 @@ def identify(
         "output", "fit, seen", "fit, held out", "loss", title=f"{method} from {cut} samples at {data.rate_hz:g} Hz"
     )
     for channel, seen, held, loss in zip(data.sensors, result.fit_percent, judged, result.loss, strict=True):
-        table.add_row(channel.name, f"{seen:.2f} %", f"{held:.2f} %" if share else "-", f"{loss:.4g} {channel.unit}²")
+        unit = f" {channel.unit}²" if channel.unit else ""
+        table.add_row(channel.name, f"{seen:.2f} %", f"{held:.2f} %" if share else "-", f"{loss:.4g}{unit}")
     console = Console()
     console.print(table)
     console.print(f"{result.status}\nmodel: {target}", highlight=False, soft_wrap=True)

@@ -15,6 +15,8 @@ def method(family: str, name: str, words: Sequence[str], **given: Any) -> Any:
         key, equals, value = word.partition("=")
         if not equals:
             raise InputError(f"--set: '{word}' must read key=value.")
+        if key == "method":
+            raise InputError("--set: the method is chosen with --method.")
         settings[key.replace("-", "_")] = _value(value)
     return Method(method=name, **settings).make(family)
 

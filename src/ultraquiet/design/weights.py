@@ -45,9 +45,12 @@ def band_pass(
     [0.5, 10.0, 0.5]
     """
     who = "band_pass"
-    low, high = band_hz
-    if not 0 < low < high or (rate_hz is not None and high >= rate_hz / 2):
-        raise InputError(f"{who}: 'band_hz' must rise from above zero to below Nyquist, got {low:g} to {high:g} Hz.")
+    if np.shape(band_hz) != (2,):
+        raise InputError(f"{who}: 'band_hz' must be two frequencies in Hz, got {band_hz!r}.")
+    low, high = (positive(who, "band_hz", f, "Hz") for f in band_hz)
+    if not low < high or (rate_hz is not None and high >= rate_hz / 2):
+        below = "" if rate_hz is None else f" and end below Nyquist, {rate_hz / 2:g} Hz"
+        raise InputError(f"{who}: 'band_hz' must rise{below}, got {low:g} to {high:g} Hz.")
     half = whole(who, "order", order, 2) // 2
     if order != 2 * half:
         raise InputError(f"{who}: 'order' must be even, got {order}.")
@@ -107,6 +110,8 @@ def peak(
     who = "peak"
     positive(who, "height", height)
     positive(who, "zeta", zeta)
+    if rate_hz is not None and positive(who, "tone_hz", tone_hz, "Hz") >= rate_hz / 2:
+        raise InputError(f"{who}: 'tone_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {tone_hz:g} Hz.")
     zeros = np.roots([1.0, 2 * zeta * height, 1.0]).astype(np.complex128)
     poles = np.roots([1.0, 2 * zeta, 1.0]).astype(np.complex128)
     return _realised(zeros, poles, 1.0, positive(who, "tone_hz", tone_hz, "Hz"), rate_hz, channels)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.loop import disturb
@@ -68,10 +69,13 @@ def attenuation(
         Attenuation with rows per tone and columns per sensor, and the records of both runs of each tone.
 
     Raises:
-        InputError: a tone above the Nyquist frequency or slower than the measured half of the run.
+        InputError: no tone, one above the Nyquist frequency or slower than the measured half of the run, no amplitude.
     """
     rate, n = bench.rate_hz, int(positive("attenuation", "duration_s", duration_s, "s") * bench.rate_hz)
     lowest = 1.0 / (MEASURED_SHARE * duration_s)
+    positive("attenuation", "amplitude_v", amplitude_v, "V")
+    if np.ndim(tones_hz) != 1 or not len(tones_hz):
+        raise InputError(f"attenuation: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
     rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []
     runs: list[tuple[Record, Record]] = []
     with task("closed loop", 2 * len(tones_hz)) as progress:
