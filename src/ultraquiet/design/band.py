@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
@@ -88,6 +89,7 @@ class BandAttenuation:
         ):
             positive("BandAttenuation", name, getattr(self, name))
 
+    @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a square plant; peak, margins and poles are those with the whole plant.
 

@@ -3,6 +3,7 @@
 from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design._abstract import DesignResult, is_stable, refused
 from ultraquiet.design.h2_kernel import Problem, solve
@@ -13,6 +14,7 @@ from ultraquiet.values.status import Status
 AGREEMENT = 1e-3  # promised and achieved norm must agree this well
 
 
+@single_threaded
 def synthesize_h2(P: StateSpace, measurements: int, controls: int) -> DesignResult:
     """Return the controller that minimises the H2 norm of a closed loop.
 

@@ -8,6 +8,7 @@ from scipy.linalg import LinAlgError
 from ultraquiet._base.constraints import positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design import hinf_kernel as kernel
 from ultraquiet.design._abstract import DesignResult, is_stable, refused
@@ -34,6 +35,7 @@ class _Bracket(NamedTuple):
     probes: int
 
 
+@single_threaded
 def synthesize_hinf(
     P: StateSpace, measurements: int, controls: int, gamma: float | None = None, margin: float = 1.00003
 ) -> DesignResult:

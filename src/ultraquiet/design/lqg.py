@@ -7,6 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, between, one_of, positive
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
@@ -71,6 +72,7 @@ class Lqg:
         one_of("Lqg", "estimator", self.estimator, ("current", "predicted"))
         between("Lqg", "floor", self.floor, 0.0, 1.0)
 
+    @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a discrete plant.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
@@ -75,6 +76,7 @@ class MixedSensitivity:
         for name in ("height", "floor", "control_limit", "roll_off_hz", "disturbance", "noise", "margin"):
             positive("MixedSensitivity", name, getattr(self, name))
 
+    @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a plant, continuous or discrete.
 

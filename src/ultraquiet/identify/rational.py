@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify._abstract import Result, usable
 from ultraquiet.linalg import vector_fitting
 from ultraquiet.linalg.prediction import fit_percent
@@ -115,6 +116,7 @@ class Rational:
             {"order": found.order, "error": found.error},
         )
 
+    @single_threaded
     def identify_response(self, response: FrequencyResponse, rate_hz: float) -> ResponseFit:
         """Fit a measured response, as `spectra.frf` or `spectra.periodic_response` give it.
 

@@ -110,13 +110,16 @@ def _measured(
     }
 
 
-def deployed(name: str, law: StateSpace, bench: Any, folder: Path, settings: Deploy) -> Outcome:
-    """Generate, compile and compare the controller's code; what cannot be done is said, not raised."""
+def deployed(name: str, law: StateSpace, plant: StateSpace, bench: Any, folder: Path, settings: Deploy) -> Outcome:
+    """Generate, compile and compare the controller's code; what cannot be done is said, not raised.
+
+    Forms and rounding are judged by what they do to the loop with the identified plant.
+    """
     from ultraquiet import deploy
 
     limits = np.array([[c.low, c.high] for c in bench.actuators])
     try:
-        made = deploy.generate(law, folder / name, settings.precision, limits_v=limits)
+        made = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
         verified = made.verify()
     except UltraquietError as error:
         return Outcome({}, {"status": f"refused: {error}"})

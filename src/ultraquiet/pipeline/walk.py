@@ -107,9 +107,9 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
             f"loop-{name}", "loops", loop_key, partial(control.closed, name, law, bench, settings.closed_loop)
         )
         code = cache.folder / "code"
-        generate = partial(control.deployed, name, law, bench, code, settings.deploy)
+        generate = partial(control.deployed, name, law, system, bench, code, settings.deploy)
         deployment[name] = cache.stage(
-            f"deploy-{name}", "code", [law.hash, settings.deploy], generate, needs=code / name
+            f"deploy-{name}", "code", [law.hash, system.hash, settings.deploy], generate, needs=code / name
         ).facts
         say(f"closed and deployed {name}: {deployment[name].get('verification', deployment[name]['status'])}")
     return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment)

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.linalg import balance
 from ultraquiet.reduce import alike
@@ -55,6 +56,7 @@ class ClosedLoopWeighted:
         positive("ClosedLoopWeighted", "loss", self.loss)
         one_of("ClosedLoopWeighted", "method", self.method, METHODS)
 
+    @single_threaded
     def reduce(self, controller: StateSpace, plant: StateSpace, weights: Weights = None) -> ReductionResult:
         """Return the reduced controller with the norms of the loop before and after.
 
