@@ -59,3 +59,17 @@ def test_progress_reaches_the_listener():
     assert heard == [("work", 2), (1, "first"), "done"]
     with progress.task("nobody listens", 1) as t:
         t.advance()
+
+
+def test_solvers_hold_blas_to_one_thread_and_let_go():
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    from ultraquiet._base.threads import single_threaded
+
+    def threads():
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        assert set(single_threaded(threads)()) == {1}
+        assert threads() == before
