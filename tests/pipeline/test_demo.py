@@ -74,6 +74,19 @@ def test_one_controller_quietens_every_direction(demo):
         assert peak <= LARGEST_PEAK_DB
 
 
+def test_the_preferred_model_meets_the_bench_and_the_paper_s_stands_beside_it(demo):
+    """Of the orders tried here; `identify/test_on_the_bench.py` tries 2 to 8."""
+    folder, summary, _ = demo
+    against = summary["identification"]["against_bench"]
+    for name, facts in against.items():
+        print(f"{name}: off by {facts['diagonal_gain_db']:.2f} dB, {facts['diagonal_phase_deg']:.1f} degrees")
+    assert against["preferred"]["band_hz"] == [20.0, 200.0]
+    assert against["preferred"]["diagonal_gain_db"] <= 1.0
+    assert against["preferred"]["diagonal_phase_deg"] <= 10.0
+    page = (folder / "report.html").read_text()
+    assert f"{against['paper-chirp']['diagonal_gain_db']:.2f}" in page
+
+
 def test_code_repeats_python_bit_by_bit_where_there_is_a_compiler(demo):
     _, summary, _ = demo
     for name, tables in summary["deployment"].items():

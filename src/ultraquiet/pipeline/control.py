@@ -1,7 +1,7 @@
 """The stages that make controllers, put them on the bench and turn them into code."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass, replace
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
+from ultraquiet.pipeline.preflight import as_unit
 from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design
 from ultraquiet.values import StateSpace
@@ -74,13 +75,6 @@ def closed(name: str, law: StateSpace, bench: Any, settings: ClosedLoop) -> Outc
                 values[f"{name}-{f:g}hz"] = run
                 values[f"open-{f:g}hz"] = opened
     return Outcome(values, facts)
-
-
-def as_unit(bench: Any, unit: str) -> Any:
-    """Return the bench as another unit of its kind; a bench that knows no units stands for itself."""
-    if is_dataclass(bench) and not isinstance(bench, type) and any(f.name == "unit" for f in fields(bench)):
-        return replace(bench, unit=unit)
-    return bench
 
 
 def _measured(

@@ -1,19 +1,40 @@
 """The study file: what a study says, checked whole before anything starts."""
 
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.registry import lookup
+from ultraquiet.files import reason
+from ultraquiet.identify.prediction_error import PolynomialMethod
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
+# Names of controllers become names of files; "open" names the records of the open loop.
+FILE_NAME = re.compile(r"(?!open$)[A-Za-z0-9][A-Za-z0-9_.-]*")
+
+
+def _file_name(name: str) -> str:
+    if not FILE_NAME.fullmatch(name):
+        raise ValueError("a name is made of letters, digits, '-', '_' and '.', starts with one of the first two")
+    return name
+
+
+def _rising(band_hz: tuple[float, float]) -> tuple[float, float]:
+    if not band_hz[0] < band_hz[1]:
+        raise ValueError("the band must rise")
+    return band_hz
+
+
 Positive = Annotated[float, Field(gt=0)]
 Order = Annotated[int, Field(ge=1, le=20)]
+Name = Annotated[str, AfterValidator(_file_name)]
+Band = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
 
 
 class Strict(BaseModel):
@@ -92,7 +113,7 @@ class ClosedLoop(Strict):
     tones_hz: list[Positive] = Field(default=[5.0, 25.0, 100.0], min_length=1)
     amplitude_v: Positive = 1.0
     duration_s: Positive = 2.0
-    band_hz: tuple[Positive, Positive] = (10.0, 100.0)
+    band_hz: Band = (10.0, 100.0)
 
 
 class Deploy(Strict):
@@ -109,7 +130,7 @@ class Study(Strict):
     experiment: Experiment = Experiment()
     identify: Sweep = Sweep()
     plant: Plant
-    controllers: dict[str, Design] = Field(min_length=1)
+    controllers: dict[Name, Design] = Field(min_length=1)
     closed_loop: ClosedLoop = ClosedLoop()
     deploy: Deploy = Deploy()
 
@@ -149,7 +170,7 @@ def load_study(path: Path) -> Study:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"study: '{path}' cannot be read ({error}).") from error
+        raise InputError(f"study: '{path}' cannot be read ({reason(error)}).") from error
     return parse(text, str(path))
 
 
@@ -167,24 +188,33 @@ def parse(text: str, name: str = "study") -> Study:
         mistakes += [_sentence(e) for e in error.errors()]
     mistakes += list(_method_mistakes(content))
     if mistakes or study is None:
-        raise InputError(f"{name}: {len(mistakes)} mistakes.\n" + "\n".join(f"  - {m}" for m in mistakes))
+        raise InputError(listed(name, mistakes))
     return study
 
 
+def listed(name: str, mistakes: Sequence[str]) -> str:
+    """Return one message that tells all mistakes."""
+    count = f"{len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}"
+    return f"{name}: {count}.\n" + "\n".join(f"  - {m}" for m in mistakes)
+
+
 def _sentence(error: Any) -> str:
-    where = ".".join(str(part) for part in error["loc"])
+    where = ".".join(str(part) for part in error["loc"] if part != "[key]")
     if error["type"] == "extra_forbidden":
         return f"{where}: there is no such key."
     if error["type"] == "missing":
         return f"{where}: this key is missing."
-    return f"{where}: {error['msg'][0].lower()}{error['msg'][1:]}, got {error['input']!r}."
+    said = error["msg"].removeprefix("Value error, ")
+    return f"{where}: {said[0].lower()}{said[1:]}, got {error['input']!r}."
 
 
 def _method_mistakes(content: Mapping[str, Any]) -> Iterator[str]:
     """Name every method or setting that the registry does not know, whatever else is wrong with the file."""
     for where, family, table in _methods(content):
         try:
-            (Plant if where == "plant" else Method).model_validate(table).make(family)
+            made = (Plant if where == "plant" else Method).model_validate(table).make(family)
+            if where.startswith("identify.") and not isinstance(made, PolynomialMethod):
+                yield f"{where}: '{table['method']}' is no polynomial structure."
         except ValidationError:
             continue  # the schema has named it already
         except (UltraquietError, TypeError, ValueError) as error:
@@ -205,4 +235,6 @@ def _methods(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str
     structures = sweep.get("structures", []) if isinstance(sweep, dict) else []
     for k, name in enumerate(structures if isinstance(structures, list) else []):
         places.append((f"identify.structures.{k}", "identify", {"method": name}))
+    if isinstance(sweep, dict) and "paper_structure" in sweep:
+        places.append(("identify.paper_structure", "identify", {"method": sweep["paper_structure"]}))
     return ((where, family, table) for where, family, table in places if isinstance(table, dict))

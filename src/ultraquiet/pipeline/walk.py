@@ -11,8 +11,9 @@ from ultraquiet import experiments
 from ultraquiet._base.errors import StorageError
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import lookup
+from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes
-from ultraquiet.pipeline import control, evidence, models, study, summary, tell
+from ultraquiet.pipeline import control, evidence, models, preflight, study, summary, tell
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.report import write
 from ultraquiet.values import PolynomialMatrix, Record
@@ -50,9 +51,10 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
     Raises:
         UltraquietError: a stage refuses; those before it are kept and reused.
     """
-    _prepare(settings, folder)
     bench = _bench(settings)
     listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
+    preflight.check(settings, bench, listed)
+    _prepare(settings, folder)
     records = _recorded(listed, bench, settings, folder)
     say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
     done = _stages(settings, Cache(folder), bench, records, say)
@@ -63,13 +65,25 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
 
 
 def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
-    """Return the records of this list on this bench, taking up a run that was broken off; else record anew."""
-    mark, kept = content_hash(listed.hash, bench).encode(), folder / "records" / "list.key"
-    same = kept.exists() and kept.read_bytes() == mark
-    kept.parent.mkdir(exist_ok=True)
-    write_bytes(kept, mark)
+    """Return the records of this list on this bench, taking up a run that was broken off; else record anew.
+
+    Records say nothing of the bench's settings that a resumed run could compare, so those of another list or bench go
+    before the new key is written; records that no study left are never touched.
+    """
+    place = folder / "records"
+    mark, kept = content_hash(listed.hash, bench).encode(), place / "list.key"
     every = [m.name for m in listed.measurements]
-    return experiments.run(listed, folder / "records", bench, resume=same, repeat=every, overwrite=not same)
+    there = [name for name in every if (place / f"{name}.h5").exists()]
+    if there and not kept.exists():
+        raise StorageError(
+            f"study: '{place}' holds records that no study left ({there[0]}, ...); choose another --out."
+        )
+    place.mkdir(exist_ok=True)
+    if not (kept.exists() and kept.read_bytes() == mark):
+        for name in there:
+            (place / f"{name}.h5").unlink()
+        write_bytes(kept, mark)
+    return experiments.run(listed, place, bench, resume=True, repeat=every)
 
 
 def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[str, Record], say: Say) -> Done:
@@ -109,7 +123,11 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
         code = cache.folder / "code"
         generate = partial(control.deployed, name, law, system, bench, code, settings.deploy)
         deployment[name] = cache.stage(
-            f"deploy-{name}", "code", [law.hash, system.hash, settings.deploy], generate, needs=code / name
+            f"deploy-{name}",
+            "code",
+            [law.hash, system.hash, bench.actuators, settings.deploy, compiler()],
+            generate,
+            needs=code / name,
         ).facts
         say(f"closed and deployed {name}: {deployment[name].get('verification', deployment[name]['status'])}")
     return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment)
