@@ -157,6 +157,16 @@ def test_a_study_file_tells_all_its_mistakes(run, tmp_path):
     assert not (tmp_path / "study").exists()
 
 
+def test_ctrl_c_says_what_is_kept(run, tmp_path, monkeypatch):
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(uq.files, "load", stopped)
+    code, said = run("deploy", tmp_path / "law.h5")
+    assert code == 130
+    assert "stopped" in said
+
+
 def test_a_missing_file_is_named(run, tmp_path):
     code, said = run("run", tmp_path / "absent.toml")
     assert code == 2

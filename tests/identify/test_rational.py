@@ -121,3 +121,8 @@ def test_refusals(rng):
     short = uq.Record(np.ones((1, 5000)) * np.arange(5000), np.zeros((1, 5000)), RATE_HZ)
     with pytest.raises(uq.errors.InputError, match="whole periods"):
         uq.spectra.periodic_response([short], 3500)
+
+
+def test_more_zeros_than_poles_are_refused():
+    with pytest.raises(uq.errors.InputError, match="zeros_at_dc"):
+        uq.identify.Rational(order=2, zeros_at_dc=3)

@@ -193,3 +193,10 @@ def test_bad_settings_are_refused_in_one_sentence(make, words):
     assert words in text
     assert text.endswith(".")
     assert "\n" not in text
+
+
+@pytest.mark.parametrize("kind", [signals.BandLimitedNoise, signals.Prbs, signals.Multisine])
+@pytest.mark.parametrize("wrong", [-1, 0.5])
+def test_a_seed_is_a_whole_number(kind, wrong):
+    with pytest.raises(InputError, match="seed"):
+        kind().generate(samples=4096, rate_hz=3500.0, seed=wrong)

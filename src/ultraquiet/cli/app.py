@@ -34,6 +34,7 @@ def main() -> None:
     except UltraquietError as error:
         print(f"ultraquiet: {error}", file=sys.stderr)
         sys.exit(REFUSED)
-    except KeyboardInterrupt:
-        print("ultraquiet: stopped; finished stages and records are kept.", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+    except SystemExit as stop:
+        if stop.code == INTERRUPTED:  # what typer makes of Ctrl-C, without a word
+            print("ultraquiet: stopped; finished stages and records are kept.", file=sys.stderr)
+        raise

@@ -89,7 +89,7 @@ class Rational:
         whole("Rational", "delay", self.delay, 1)
         whole("Rational", "iterations", self.iterations, 1)
         whole("Rational", "most_lines", self.most_lines, 8)
-        whole("Rational", "zeros_at_dc", self.zeros_at_dc, 0, 8)
+        whole("Rational", "zeros_at_dc", self.zeros_at_dc, 0, min(8, (self.order or ORDERS[-1]) - 1))
         between("Rational", "floor", self.floor, 1e-6, 1.0)
         between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
 

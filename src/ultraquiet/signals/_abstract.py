@@ -45,6 +45,11 @@ def clock(who: str, samples: int, rate_hz: float) -> tuple[int, float]:
     return whole(who, "samples", samples, 1), positive(who, "rate_hz", rate_hz, "Hz")
 
 
+def draws(who: str, seed: int) -> np.random.Generator:
+    """Return the generator of a signal's random draws."""
+    return np.random.default_rng(whole(who, "seed", seed, 0))
+
+
 def below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> None:
     """Refuse a frequency that the sampling rate cannot carry."""
     if not f_hz < rate_hz / 2:

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, volts
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, volts
 
 
 @register("signals", "multisine")
@@ -68,7 +68,7 @@ class Multisine(Signal):
         n, rate = clock("Multisine", samples, rate_hz)
         k = self.harmonics(rate)
         if self.phases == "random":
-            phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, k.size)
+            phase = draws("Multisine", seed).uniform(0.0, 2.0 * np.pi, k.size)
         else:
             i = np.arange(1, k.size + 1)
             phase = -np.pi * i * (i - 1) / k.size

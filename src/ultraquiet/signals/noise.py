@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, volts
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, volts
 
 
 @register("signals", "noise")
@@ -51,7 +51,7 @@ class BandLimitedNoise(Signal):
                 f"BandLimitedNoise: {n} samples at {rate:g} Hz resolve {rate / n:g} Hz, too coarse for the band "
                 f"{self.start_hz:g} to {self.stop_hz:g} Hz; take more samples."
             )
-        draw = np.random.default_rng(seed).standard_normal((2, f.size))
+        draw = draws("BandLimitedNoise", seed).standard_normal((2, f.size))
         u = np.fft.irfft(np.where(inside, draw[0] + 1j * draw[1], 0.0), n)
         # Clipped because the division may leave the peak one rounding above peak_v.
         return np.clip(u * (self.peak_v / np.abs(u).max()), -self.peak_v, self.peak_v)

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, clock, volts
+from ultraquiet.signals._abstract import Signal, clock, draws, volts
 
 # Feedback taps of shift registers of maximal length, by number of stages: primitive polynomials over GF(2).
 # Reference: W. Stahnke, Math. Comp. 27 (1973) 977-980, doi:10.1090/S0025-5718-1973-0327722-7.
@@ -79,7 +79,7 @@ class Prbs(Signal):
         hold = self.hold_samples(rate)
         bits = -(-n // hold)
         stages = next((k for k in TAPS if 2**k - 1 >= bits), max(TAPS))
-        start = 1 + int(np.random.default_rng(seed).integers(2**stages - 1))
+        start = 1 + int(draws("Prbs", seed).integers(2**stages - 1))
         return self.level_v * (2.0 * np.repeat(sequence(stages, bits, start), hold)[:n] - 1.0)
 
 
