@@ -87,10 +87,10 @@ class MeasuredSensitivity:
 def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed: int = 0) -> MeasuredSensitivity:
     """Measure S on the bench with a multisine disturbance on one actuator after the other, open and closed loop.
 
-    One-second periods; the first settles the loop, the next four are averaged. Lines: every Hz to 130 Hz, then 1 %
-    apart. The level is chosen so that the open loop uses at most 60 % of the sensors' range. Lines at which the scatter
-    of the periods would move the worst direction by more than 1.2 dB are left out: the lowest, where a geophone hears
-    nothing.
+    Periods of four seconds; the first two settle the loop, the next three are averaged. Lines: every quarter Hz to
+    20 Hz, every Hz to 130 Hz, then 1 % apart. The level is chosen so that the open loop uses at most 60 % of the
+    sensors' range. Lines at which the scatter of the periods would move the worst direction by more than 1.2 dB are
+    left out: the lowest, where a geophone hears nothing.
 
     Args:
         bench: any bench with as many sensors as actuators (S must be square to be inverted).

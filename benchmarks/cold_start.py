@@ -1,4 +1,4 @@
-"""`git clone`, `make demo` where nothing is installed: exit 0 and in time, set-up included."""
+"""`git clone`, `make demo`, `make test` where nothing is installed: exit 0 and in time, set-up included."""
 
 import os
 import shutil
@@ -9,11 +9,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-WHOLE_S, QUICK_S = 300.0, 120.0
+# Words after `make`, seconds allowed, files left.
+RUNS = (
+    (("demo",), 300.0, ("demo/report.html", "demo/summary.json")),
+    (("demo", "ARGS=--quick"), 120.0, ("demo/report.html", "demo/summary.json")),
+    (("test",), 900.0, ()),
+)
 
 
 def measure() -> Iterator[tuple[str, str, str, bool]]:
-    for words, limit in (((), WHOLE_S), (("ARGS=--quick",), QUICK_S)):
+    for words, limit, files in RUNS:
         with tempfile.TemporaryDirectory() as folder:
             clone = Path(folder) / "ultraquiet"
             subprocess.run(["git", "clone", "-q", str(ROOT), str(clone)], check=True)
@@ -21,12 +26,10 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
                 k: v for k, v in os.environ.items() if not k.startswith(("VIRTUAL_ENV", "PYTHON", "OPENBLAS"))
             }
             started = time.perf_counter()
-            done = subprocess.run(
-                ["make", "demo", *words], cwd=clone, env=environment, capture_output=True, check=False
-            )
+            done = subprocess.run(["make", *words], cwd=clone, env=environment, capture_output=True, check=False)
             seconds = time.perf_counter() - started
-            left = all((clone / "demo" / name).exists() for name in ("report.html", "summary.json"))
+            left = all((clone / name).exists() for name in files)
             kept = done.returncode == 0 and left and seconds < limit
-            what = f"git clone, make demo {' '.join(words)} with {os.cpu_count()} cores"
+            what = f"git clone, make {' '.join(words)} with {os.cpu_count()} cores"
             yield what, f"exit {done.returncode}, {seconds:.0f} s", f"exit 0, under {limit:.0f} s", kept
             shutil.rmtree(clone, ignore_errors=True)
