@@ -121,3 +121,8 @@ def test_stein_and_lyapunov_fulfil_their_equations(rng):
 def test_stein_refuses_the_unit_circle():
     with pytest.raises(NumericalError, match="unit circle"):
         equations.stein(np.array([[1.0]]), np.array([[1.0]]))
+
+
+def test_matrices_that_overflow_are_refused():
+    with pytest.raises(NumericalError, match="overflow"):
+        equations.continuous_riccati(-np.eye(1), np.full((1, 1), np.inf), np.eye(1))

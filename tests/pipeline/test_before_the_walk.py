@@ -8,7 +8,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet import experiments, pipeline
-from ultraquiet.pipeline.walk import _recorded, walk
+from ultraquiet.pipeline.walk import _list_of, _prepare, _recorded, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()
 LIST = """
@@ -79,3 +79,11 @@ def test_records_that_no_study_left_are_not_touched(tmp_path, seed):
     with pytest.raises(uq.errors.StorageError, match=re.escape("no study left")):
         taken(bench, tmp_path)
     assert (tmp_path / "records" / "push.h5").read_bytes() == before
+
+
+def test_report_finds_the_list_that_stands_beside_the_study(tmp_path):
+    (tmp_path / "mine.toml").write_text(LIST)
+    (tmp_path / "study.toml").write_text(SUITE.replace('list = "suite"', 'list = "mine.toml"'))
+    _prepare(pipeline.load_study(tmp_path / "study.toml"), tmp_path / "out", tmp_path)
+    again = pipeline.reload_study(tmp_path / "out")
+    assert Path(_list_of(again, tmp_path / "out")) == tmp_path / "mine.toml"

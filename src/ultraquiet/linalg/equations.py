@@ -126,6 +126,8 @@ def _symplectic_scaling(A: Array, G: Array, Q: Array) -> tuple[Array, ...]:
     """
     n = A.shape[0]
     H = np.abs(np.block([[A, -G], [-Q, -A.T]]))
+    if not np.isfinite(H).all():
+        raise NumericalError(f"Riccati equation ({n} states): its matrices overflow; scale the problem.")
     np.fill_diagonal(H, 0.0)
     _, (scale, _) = matrix_balance(H, permute=False, separate=True)
     s = np.log2(scale)

@@ -54,7 +54,7 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
     bench = _bench(settings)
     listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     preflight.check(settings, bench, listed)
-    _prepare(settings, folder)
+    _prepare(settings, folder, beside)
     records = _recorded(listed, bench, settings, folder)
     say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
     done = _stages(settings, Cache(folder), bench, records, say)
@@ -147,11 +147,11 @@ def _key(method: study.Method) -> dict[str, Any]:
 
 def _list_of(settings: study.Study, beside: Path | None) -> str:
     name = settings.experiment.list
-    return name if name in PACKAGED_LISTS or beside is None else str(beside / name)
+    return name if name in PACKAGED_LISTS or beside is None else str((beside / name).resolve())
 
 
-def _prepare(settings: study.Study, folder: Path) -> None:
-    """Make the folder and leave the study in it, so that `report` finds it again."""
+def _prepare(settings: study.Study, folder: Path, beside: Path | None) -> None:
+    """Make the folder and leave the study in it, with where its list stands, so that `report` finds both again."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -160,7 +160,9 @@ def _prepare(settings: study.Study, folder: Path) -> None:
         ) from error
     if shutil.disk_usage(folder).free < NEEDED_BYTES:
         raise StorageError(f"study: '{folder}' has less than {NEEDED_BYTES >> 20} MB free; nothing was started.")
-    write_bytes(folder / STUDY_FILE, settings.model_dump_json(indent=1).encode())
+    listed = study.Experiment(list=_list_of(settings, beside))
+    kept = settings.model_copy(update={"experiment": listed})
+    write_bytes(folder / STUDY_FILE, kept.model_dump_json(indent=1).encode())
 
 
 # Records, loops and models of the packaged study take about 60 MB.
