@@ -15,7 +15,7 @@ from ultraquiet.identify.matrix import columns, in_threads
 from ultraquiet.identify.prediction_error import PolynomialMethod
 from ultraquiet.identify.starts import Channel
 from ultraquiet.linalg import prediction
-from ultraquiet.values import Record
+from ultraquiet.values import PolynomialMatrix, Record
 
 STRUCTURES = ("arx", "armax", "output-error", "box-jenkins")
 ORDERS = range(2, 8)
@@ -35,6 +35,7 @@ class Candidate:
         fit_percent, loss: the same on the fitted data.
         words: `(ny, nu)` verdicts.
         seconds: processor seconds of all channels' fits.
+        models: `(ny, nu)` the fitted models.
     """
 
     method: PolynomialMethod
@@ -44,6 +45,7 @@ class Candidate:
     loss: FloatArray
     words: np.ndarray[Any, np.dtype[np.str_]]
     seconds: float
+    models: np.ndarray[Any, np.dtype[np.object_]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +58,24 @@ class Sweep:
     candidates: tuple[Candidate, ...]
     preferred: Candidate
     rank_by: str
+
+    def by_channel(self) -> tuple[PolynomialMatrix, tuple[tuple[PolynomialMethod, ...], ...], tuple[str, ...]]:
+        """Return the matrix in which every channel has the model that its own held-out record prefers.
+
+        A structure and order for all channels alike keeps, in some of them, a search that ended badly; here such a
+        channel falls to its neighbour in order. Returned are the matrix, the settings `(ny, nu)` chosen, and the
+        verdicts of all channels, row by row.
+        """
+        ny, nu = self.preferred.held_out_loss.shape
+        chosen = [[self._for_channel(i, k) for k in range(nu)] for i in range(ny)]
+        rows = [[c.models[i, k] for k, c in enumerate(row)] for i, row in enumerate(chosen)]
+        words = tuple(str(c.words[i, k]) for i, row in enumerate(chosen) for k, c in enumerate(row))
+        return PolynomialMatrix(rows), tuple(tuple(c.method for c in row) for row in chosen), words
+
+    def _for_channel(self, i: int, k: int) -> Candidate:
+        converged = [c for c in self.candidates if c.words[i, k] != "not converged"] or list(self.candidates)
+        scores = [100.0 - c.held_out_fit[i, k] if self.rank_by == "fit" else c.held_out_loss[i, k] for c in converged]
+        return converged[_smallest_worth(converged, [float(v) for v in scores])]
 
     def table(self) -> list[dict[str, Any]]:
         """Return one plain row per candidate: structure, order, median and worst fit in percent, loss, seconds."""
@@ -158,6 +178,9 @@ def _candidate(method: PolynomialMethod, n: int, found: dict[Any, Any], shape: t
     def table(pick: Callable[[Any], Any]) -> Any:
         return np.array([[pick(found[(i, k)][n]) for k in range(shape[1])] for i in range(shape[0])])
 
+    models = np.empty(shape, dtype=np.object_)
+    for i, k in np.ndindex(*shape):
+        models[i, k] = found[(i, k)][n][0].model
     return Candidate(
         method,
         table(lambda x: x[1]),
@@ -166,6 +189,7 @@ def _candidate(method: PolynomialMethod, n: int, found: dict[Any, Any], shape: t
         table(lambda x: x[0].loss),
         table(lambda x: x[0].status.word),
         float(np.sum(table(lambda x: x[3]))),
+        models,
     )
 
 
@@ -173,14 +197,18 @@ def _ranked(candidates: list[Candidate], rank_by: str) -> Sweep:
     """Order by score, least first; prefer the smallest order of the best structure that scores nearly as well."""
     scores = [_score(c, rank_by) for c in candidates]
     order = sorted(range(len(candidates)), key=lambda k: scores[k])
-    best = order[0]
+    return Sweep(tuple(candidates[k] for k in order), candidates[_smallest_worth(candidates, scores)], rank_by)
+
+
+def _smallest_worth(candidates: Sequence[Candidate], scores: Sequence[float]) -> int:
+    """Return the index of the smallest order, of the structure that scores best, that scores nearly as well."""
+    best = int(np.argmin(scores))
     near = [
         k
-        for k in order
-        if candidates[k].method.name == candidates[best].method.name and scores[k] <= (1.0 + WORTH) * scores[best]
+        for k, c in enumerate(candidates)
+        if c.method.name == candidates[best].method.name and scores[k] <= (1.0 + WORTH) * scores[best]
     ]
-    smallest = min(near, key=lambda k: candidates[k].method.order)
-    return Sweep(tuple(candidates[k] for k in order), candidates[smallest], rank_by)
+    return min(near, key=lambda k: candidates[k].method.order)
 
 
 def _score(candidate: Candidate, rank_by: str) -> float:

@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
 from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import Plant, Sweep
-from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
 
 
 def group(records: Mapping[str, Record], name: str) -> list[Record]:
@@ -34,8 +34,10 @@ def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome:
         orders=settings.orders,
     )
     preferred = ranking.preferred.method
-    best = identify.identify_matrix(preferred, group(records, settings.records))
-    values: dict[str, Any] = {"preferred": best.model}
+    matrix, methods, words = ranking.by_channel()
+    driven = group(records, settings.records)
+    names = [record.actuators[k] for k, record in enumerate(driven)]
+    values: dict[str, Any] = {"preferred": PolynomialMatrix(matrix.rows, names, driven[0].sensors)}
     paper = lookup("identify", settings.paper_structure)(order=settings.paper_order)
     fits: dict[str, Any] = {}
     for name in settings.paper_records:
@@ -53,9 +55,13 @@ def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome:
         }
     facts = {
         "table": ranking.table(),
-        "preferred": {"structure": preferred.name, "order": preferred.order, "status": str(best.status)},
+        "preferred": {
+            "structure": preferred.name,
+            "order": preferred.order,
+            "by_channel": [[f"{m.name} {m.order}" for m in row] for row in methods],
+            "verdicts": {word: words.count(word) for word in dict.fromkeys(words)},
+        },
         "paper": fits,
-        "whiteness_p_median": float(np.nanmedian(best.whiteness_p)),
     }
     return Outcome(values, facts)
 

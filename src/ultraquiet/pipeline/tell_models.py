@@ -43,7 +43,8 @@ def identification(done: "Done") -> Section:
     facts, settings = done.identified.facts, done.study.identify
     best, plant = facts["preferred"], done.plant.facts
     sentences = [
-        f"Held-out records prefer {best['structure']} of order {best['order']}. Its channels: {best['status']}",
+        f"For all channels alike held-out records prefer {best['structure']} of order {best['order']}. The preferred "
+        f"matrix takes what each channel's own record prefers: {_counted(best)}.",
         f"The plant that designs use is the whole matrix at once ({done.study.plant.method}), {plant['states']} states."
         f" {plant['status']}",
     ]
@@ -54,6 +55,13 @@ def identification(done: "Done") -> Section:
     fifth = Table(title, heads, _by_signal(facts["paper"]))
     responses = [(name, SHOWN_HZ, m.frequency_response(SHOWN_HZ)) for name, m in _shown_models(done).items()]
     return Section("Identification", sentences, [ranking, fifth], [paper.bode_grid(responses, (2.0, 500.0))])
+
+
+def _counted(best: Mapping[str, Any]) -> str:
+    """Return how often each structure and order was chosen, and the verdicts."""
+    chosen = [name for row in best["by_channel"] for name in row]
+    counts = ", ".join(f"{chosen.count(name)} x {name}" for name in sorted(dict.fromkeys(chosen)))
+    return f"{counts}; " + ", ".join(f"{count} {word}" for word, count in best["verdicts"].items())
 
 
 def _ranking(table: Sequence[Mapping[str, Any]]) -> list[tuple[object, ...]]:
@@ -158,10 +166,7 @@ def analysis(done: "Done") -> Section:
         Table("Poles of the design plant", ("Hz", "damping", ""), _merged(poles)),
     ]
     sentences = [_about_zeros(facts["transmission_zeros"], done.records), _about_symmetry(facts)]
-    sentences.append(
-        "Zeros outside the unit circle at a few Hz in the paper's fifth-order structure come from its order: the "
-        "physics, eq. (10), has its zeros at 0 Hz, and the design plant has none there."
-    )
+    sentences.append(_about_low_zeros(facts))
     return Section("Analysis", sentences, tables, [paper.singular_values(f, bands)])
 
 
@@ -173,6 +178,15 @@ def _about_zeros(zeros: Sequence[Mapping[str, Any]], records: Mapping[str, Any])
         f"The design plant has {len(zeros)} transmission zeros (conjugates counted once): {at_dc} at 0 Hz, outside the "
         f"unit circle between {AT_DC_HZ:g} Hz and Nyquist {_frequencies(zeros, AT_DC_HZ, nyquist)}, and {beyond} real "
         f"ones beyond Nyquist, as sampling makes them."
+    )
+
+
+def _about_low_zeros(facts: Mapping[str, Any]) -> str:
+    own = _frequencies(facts["transmission_zeros"], AT_DC_HZ, LOW_HZ)
+    return (
+        f"Outside the unit circle below {LOW_HZ:g} Hz the paper's fifth-order structure has the zeros of the table, "
+        f"the design plant has: {own}. The physics, eq. (10), has its zeros at 0 Hz: what a model of order five adds "
+        f"there comes from its order."
     )
 
 
