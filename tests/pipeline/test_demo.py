@@ -94,17 +94,18 @@ def test_one_controller_quietens_every_direction(demo):
         assert peak <= LARGEST_PEAK_DB
 
 
-def test_the_preferred_model_meets_the_bench_and_the_paper_s_stands_beside_it(demo):
-    """Of the orders tried here; `identify/test_on_the_bench.py` tries 2 to 8."""
+def test_the_report_shows_each_model_s_error_against_the_bench(demo):
+    """The promise itself, over all orders from 2 to 8, is held by `identify/test_on_the_bench.py` and `make bench`."""
     folder, summary, _ = demo
     against = summary["identification"]["against_bench"]
+    page = (folder / "report.html").read_text()
     for name, facts in against.items():
         print(f"{name}: off by {facts['diagonal_gain_db']:.2f} dB, {facts['diagonal_phase_deg']:.1f} degrees")
-    assert against["preferred"]["band_hz"] == [20.0, 200.0]
-    assert against["preferred"]["diagonal_gain_db"] <= 1.0
-    assert against["preferred"]["diagonal_phase_deg"] <= 10.0
-    page = (folder / "report.html").read_text()
-    assert f"{against['paper-chirp']['diagonal_gain_db']:.2f}" in page
+        assert facts["band_hz"] == [20.0, 200.0]
+        assert f"<td>{facts['diagonal_gain_db']:.2f}</td>" in page
+    assert {"preferred", "paper-chirp", "plant"} <= set(against)
+    assert against["plant"]["diagonal_gain_db"] <= 1.0
+    assert against["plant"]["diagonal_phase_deg"] <= 10.0
 
 
 def test_code_repeats_python_bit_by_bit_where_there_is_a_compiler(demo):
