@@ -7,10 +7,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.registry import lookup
+from ultraquiet.experiments import command
 from ultraquiet.files import reason
 from ultraquiet.identify.prediction_error import PolynomialMethod
 
@@ -37,23 +38,8 @@ Name = Annotated[str, AfterValidator(_file_name)]
 Band = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
 
 
-class Strict(BaseModel):
-    """Unknown keys are mistakes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Method(BaseModel):
+class Method(command.Method):
     """A registered method by name; every other key is one of its settings."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-    method: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings, lists turned into tuples."""
-        return {k: tuple(v) if isinstance(v, list) else v for k, v in (self.model_extra or {}).items()}
 
     def make(self, family: str, **more: Any) -> Any:
         """Return the settings object, or say which setting is wrong; `more` are settings the table does not give."""
@@ -67,20 +53,20 @@ class Method(BaseModel):
         return kind(**more, **self.settings)
 
 
-class Head(Strict):
+class Head(command.Strict):
     """`[study]`: the seed is where test signals and sensor noise start."""
 
     title: str
     seed: Annotated[int, Field(ge=0)] = 0
 
 
-class Experiment(Strict):
+class Experiment(command.Strict):
     """`[experiment]`: the list to execute; "suite" is the packaged one, anything else a file beside the study."""
 
     list: str = "suite"
 
 
-class Sweep(Strict):
+class Sweep(command.Strict):
     """`[identify]`: the channel-by-channel identification and its judges; records are named by their group."""
 
     structures: list[str] = Field(default=["arx", "armax", "output-error", "box-jenkins"], min_length=1)
@@ -99,14 +85,14 @@ class Plant(Method):
     period_samples: int | None = Field(default=None, ge=2)
 
 
-class Design(Strict):
+class Design(command.Strict):
     """`[controllers.NAME]`: a design method with its settings, and what follows it."""
 
     design: Method
     reduce: Method | None = None
 
 
-class ClosedLoop(Strict):
+class ClosedLoop(command.Strict):
     """`[closed_loop]`."""
 
     units: list[str] = Field(default=["ground"], min_length=1)
@@ -116,13 +102,13 @@ class ClosedLoop(Strict):
     band_hz: Band = (10.0, 100.0)
 
 
-class Deploy(Strict):
+class Deploy(command.Strict):
     """`[deploy]`."""
 
     precision: Literal["float32", "float64"] = "float32"
 
 
-class Study(Strict):
+class Study(command.Strict):
     """A whole study file."""
 
     study: Head
