@@ -1,13 +1,21 @@
 """The one protocol of every bench, and the checks of what is sent to it."""
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray, real_array, same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
+
+
+IntArray = NDArray[np.int64]
+BLOCK_SAMPLES = 175  # 50 ms at 3.5 kHz: a killed process loses at most what one block and the disk's queue hold
+RAMP_SAMPLES = 350  # 0.1 s at 3.5 kHz: slow against the struts, short for whoever pressed the button
 
 
 @runtime_checkable
@@ -37,6 +45,63 @@ class Bench(Protocol):
         without that delay. The record holds the limited commands and the readings.
         """
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A stretch of a run as it was measured: what a bench hands over while it runs.
+
+    Args:
+        command: `(nu, m)`, actuation + K y as limited, in the sample it was formed.
+        readings: `(ny, m)`.
+        limited_commands: samples of this block in which each command met its limit, `(nu,)`.
+        limited_readings: samples of this block in which each reading met its limit, `(ny,)`.
+        overruns: frames of this block that came too late (hardware and processes).
+    """
+
+    command: FloatArray
+    readings: FloatArray
+    limited_commands: IntArray
+    limited_readings: IntArray
+    overruns: int = 0
+
+
+@runtime_checkable
+class Streaming(Protocol):
+    """A bench that hands over its readings while it runs, and can be stopped softly."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who measures: the bench's name, settings and seed."""
+        ...
+
+    def stream(
+        self,
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        *,
+        run_index: int | None = None,
+        block_samples: int = BLOCK_SAMPLES,
+        stop: Callable[[], bool] | None = None,
+        ramp_samples: int = RAMP_SAMPLES,
+    ) -> Iterator[Block]:
+        """Yield the run of `run` in blocks of `block_samples`, each as soon as it is measured.
+
+        Before each block `stop()` is asked. Once it says yes, the commands (actuation + K y) and the disturbance are
+        faded linearly to zero within `ramp_samples`, the readings of that stretch are handed over too, and the run
+        ends. A generator that is closed early brings the actuators to zero by itself.
+        """
+        ...
+
+
+def fade(samples: int, ramp_samples: int) -> FloatArray:
+    """Return the gains of a soft stop: from just below one, linearly to zero and zero from there on, `(samples,)`.
+
+    >>> fade(6, 4).tolist()
+    [0.75, 0.5, 0.25, 0.0, 0.0, 0.0]
+    """
+    return np.maximum(1.0 - np.arange(1, samples + 1) / ramp_samples, 0.0)
 
 
 def checked_signals(
