@@ -12,7 +12,6 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
 
-
 IntArray = NDArray[np.int64]
 BLOCK_SAMPLES = 175  # 50 ms at 3.5 kHz: a killed process loses at most what one block and the disk's queue hold
 RAMP_SAMPLES = 350  # 0.1 s at 3.5 kHz: slow against the struts, short for whoever pressed the button
