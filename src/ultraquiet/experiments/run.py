@@ -1,6 +1,5 @@
 """Execute a checked list on a bench: one HDF5 record per measurement, none of them ever written over unasked."""
 
-import inspect
 import os
 import shutil
 import time
@@ -10,13 +9,13 @@ from typing import Any
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.progress import task
-from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.listed import NO_BENCH, ExperimentList
+from ultraquiet.experiments.measure import Watch, measure, path_of
 from ultraquiet.experiments.mistakes import ListError
-from ultraquiet.experiments.plan import Measurement, Pause, volts
+from ultraquiet.experiments.plan import Measurement, Pause
 from ultraquiet.files import load as load_value
-from ultraquiet.files import reason, save
+from ultraquiet.files import reason
 from ultraquiet.values import Record
 
 SAMPLE_BYTES = 8  # float64, as archives hold it
@@ -95,47 +94,12 @@ def _executed(
             record = finished.get(step.name)
             if record is None:
                 log.write("begun", name=step.name, hash=step.hash)
-                record = _measured(listed, step, len(records))
-                _keep(record, place, step, len(records), overwrite)
+                record = measure(listed, step, len(records), place, overwrite, Watch()).record
                 log.write("finished", name=step.name, hash=step.hash, record=record.hash)
                 todo -= 1
             records[step.name] = record
             progress.advance(note=step.name)
     return records
-
-
-def path_of(folder: Path, name: str) -> Path:
-    """Return the file of a record."""
-    return folder / f"{name}.h5"
-
-
-def _measured(listed: ExperimentList, step: Measurement, index: int) -> Record:
-    bench = listed.bench
-    assert bench is not None
-    count, rate_hz = len(bench.actuators), bench.rate_hz
-    actuation = volts(step.drives, count, step.samples, rate_hz)
-    disturbance = volts(step.disturbances, count, step.samples, rate_hz) if step.disturbances else None
-    # A bench that numbers its draws gets the place in the list, so that a resumed list repeats none of them.
-    numbered = {"run_index": index} if "run_index" in inspect.signature(bench.run).parameters else {}
-    record: Record = bench.run(actuation, disturbance=disturbance, controller=step.controller, **numbered)
-    settings = {
-        "list": listed.title or listed.name,
-        "measurement": step.describe(),
-        "measurement_hash": step.hash,
-        "bench": {"made_by": record.provenance.made_by, **record.provenance.settings},
-    }
-    made = Provenance("experiment", settings, record.provenance.seed, (listed.hash,), versions())
-    return Record(record.inputs, record.outputs, record.rate_hz, record.actuators, record.sensors, made)
-
-
-def _keep(record: Record, place: Path, step: Measurement, index: int, overwrite: bool) -> None:
-    try:
-        save(record, path_of(place, step.name), overwrite)
-    except StorageError as error:
-        said = str(error).rstrip(".").removeprefix("files: ")
-        raise StorageError(
-            f"experiment stopped at '{step.name}', {index} records are finished and safe: {said}."
-        ) from error
 
 
 def _prepared(folder: Path) -> Path:
