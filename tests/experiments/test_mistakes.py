@@ -7,7 +7,7 @@ import pytest
 
 from ultraquiet import experiments, files
 from ultraquiet._base.errors import InputError
-from ultraquiet.experiments.lines import line_numbers, line_of
+from ultraquiet._base.lines import line_numbers, line_of
 from ultraquiet.values import Record, StateSpace
 
 BENCH = '[bench]\nmethod = "hexapod"\n'

@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.lines import Place
 from ultraquiet._base.registry import lookup
 from ultraquiet.experiments import command as c
-from ultraquiet.experiments.lines import Place
 from ultraquiet.experiments.mistakes import Mistakes
 from ultraquiet.experiments.plan import Drive, Measurement, Pause, Step
 from ultraquiet.files import load as load_value

@@ -10,10 +10,10 @@ from typing import Any
 from pydantic import ValidationError
 
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.lines import line_numbers
 from ultraquiet._base.provenance import content_hash
 from ultraquiet.experiments.command import Content
 from ultraquiet.experiments.compile import Compiler, make
-from ultraquiet.experiments.lines import line_numbers
 from ultraquiet.experiments.mistakes import ListError, Mistakes
 from ultraquiet.experiments.plan import Measurement, Pause, Step
 

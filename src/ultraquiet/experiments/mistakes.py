@@ -6,8 +6,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.lines import Place, line_of
 from ultraquiet.experiments.command import VOCABULARY
-from ultraquiet.experiments.lines import Place, line_of
 
 
 class ListError(InputError):
