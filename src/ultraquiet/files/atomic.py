@@ -29,7 +29,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, overwrite: bool = Tru
     try:
         _write_through(part, data)
         _take_name(part, target, overwrite)
-        _sync_folder(target.parent)
+        sync_folder(target.parent)
     except FileExistsError:
         raise taken(path) from None
     except OSError as error:
@@ -79,7 +79,8 @@ def _take_name(part: Path, target: Path, overwrite: bool) -> None:
         part.replace(target)
 
 
-def _sync_folder(folder: Path) -> None:
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has the names in a folder, where it can."""
     if os.name == "nt":
         return
     handle = os.open(folder, os.O_RDONLY)
