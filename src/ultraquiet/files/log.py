@@ -80,7 +80,7 @@ class LogWriter:
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "push.log"
     ...     with LogWriter(path, {"channels": ["force", "speed"]}) as log:
-    ...         log.append(np.array([[1.0, 2.0, 3.0], [0.0, 0.1, 0.2]]))
+    ...         log.append([[1.0, 2.0, 3.0], [0.0, 0.1, 0.2]])
     ...         log.close(complete=True)
     ...     read_log(path).samples
     array([[1. , 2. , 3. ],
