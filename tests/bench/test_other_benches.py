@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import InputError, RateError
-from ultraquiet.bench import Bench, Hexapod, Replay, Wrapped
+from ultraquiet.bench import Bench, Hexapod, Replay, Streaming, Wrapped
 from ultraquiet.values import Channel, Record, StateSpace
 
 
@@ -98,3 +98,88 @@ def test_bad_input_is_refused(case):
     call, kind, words = case
     with pytest.raises(kind, match=words):
         call()
+
+
+def mixed(rng):
+    """A plant with a direct part and memory, and limits that random commands meet."""
+    plant = Plant("flight")
+    names = [f"strut {i}" for i in range(6)]
+    actuators = [Channel(name, "V", -2.0, 2.0) for name in names]
+    sensors = [Channel(name, "V", -0.01, 0.01) for name in names]
+    bench = Wrapped(plant.step, plant.reset, 3500.0, actuators, sensors)
+    law = StateSpace(0.5 * np.eye(6), 0.01 * np.eye(6), np.eye(6), 0.002 * rng.normal(size=(6, 6)), rate_hz=3500.0)
+    return bench, law
+
+
+def joined(blocks):
+    blocks = list(blocks)
+    return tuple(np.concatenate([getattr(b, name) for b in blocks], axis=1) for name in ("command", "readings"))
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_stream_put_together_is_the_run_to_the_bit(rng, closed):
+    bench, law = mixed(rng)
+    law = law if closed else None
+    u, d = 2.0 * rng.normal(size=(2, 6, 101))
+    record = bench.run(u, d, law)
+    assert isinstance(bench, Streaming)
+    for size in (1, 7, 100, 101, 500):
+        blocks = list(bench.stream(u, d, law, block_samples=size))
+        assert [b.command.shape[1] for b in blocks[:-1]] == [size] * (len(blocks) - 1)
+        command, readings = joined(blocks)
+        assert np.array_equal(command, record.inputs)
+        assert np.array_equal(readings, record.outputs)
+        assert sum(b.limited_readings for b in blocks).tolist() == list(record.clipped())
+        assert sum(b.limited_commands for b in blocks).tolist() == record.provenance.settings["limited_commands"]
+    assert max(record.provenance.settings["limited_commands"]) > 0
+
+
+def test_a_soft_stop_fades_commands_and_disturbance(rng):
+    at_plant = []
+    bench = Wrapped(lambda u, d: at_plant.append([*u, *d]) or [0.0], lambda: None, 10.0, ["a"], ["b"])
+    pressed = iter([False, False, True])
+    blocks = bench.stream(
+        np.ones((1, 100)), np.full((1, 100), 2.0), block_samples=10, stop=lambda: next(pressed), ramp_samples=25
+    )
+    command, readings = joined(blocks)
+    assert command.shape == readings.shape == (1, 45)
+    assert np.allclose(command[0, 20:], 1 - np.arange(1, 26) / 25, atol=1e-15)
+    assert command[0, -1] == 0.0
+    assert np.allclose(np.array(at_plant)[20:, 1], 2 * (1 - np.arange(1, 26) / 25), atol=1e-15)
+
+
+def test_a_soft_stop_fades_a_controller_too(rng):
+    bench = Wrapped(lambda u, d: [1.0], lambda: None, 10.0, ["a"], ["b"])
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3.0]], rate_hz=10.0)
+    pressed = iter([False, True])
+    command, _ = joined(
+        bench.stream(np.zeros((1, 30)), None, law, block_samples=5, stop=lambda: next(pressed), ramp_samples=4)
+    )
+    assert command[0].tolist() == [3.0] * 5 + [2.25, 1.5, 0.75, 0.0]
+
+
+def test_what_was_measured_before_a_failure_is_handed_over(rng):
+    fails_at = int(rng.integers(1, 400))
+    count = iter(range(1000))
+
+    def step(u, d):
+        k = next(count)
+        if k == fails_at:
+            raise OSError("cable")
+        return [float(k)]
+
+    seen = []
+    stream = Wrapped(step, lambda: None, 10.0, ["a"], ["b"]).stream(np.zeros((1, 1000)), block_samples=64)
+    with pytest.raises(OSError, match="cable"):
+        seen.extend(y for block in stream for y in block.readings[0].tolist())
+    assert seen == list(range(fails_at))
+    print(f"failure at sample {fails_at}: {len(seen)} samples handed over")
+
+
+def test_bad_stream_settings_are_refused_before_anything_moves():
+    resets = []
+    bench = Wrapped(lambda u, d: [0.0], lambda: resets.append(1), 10.0, ["a"], ["b"])
+    for bad in ({"block_samples": 0}, {"ramp_samples": 0}, {"run_index": -1}):
+        with pytest.raises(InputError, match=next(iter(bad))):
+            bench.stream(np.zeros((1, 5)), **bad)
+    assert not resets

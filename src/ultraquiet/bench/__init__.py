@@ -1,8 +1,8 @@
 """Benches: anything with a rate, channels and the verb `run`, simulated, replayed or wrapped."""
 
-from ultraquiet.bench._abstract import Bench
+from ultraquiet.bench._abstract import Bench, Block, Streaming
 from ultraquiet.bench.hexapod import Hexapod
 from ultraquiet.bench.replay import Replay
 from ultraquiet.bench.wrapped import Wrapped
 
-__all__ = ["Bench", "Hexapod", "Replay", "Wrapped"]
+__all__ = ["Bench", "Block", "Hexapod", "Replay", "Streaming", "Wrapped"]

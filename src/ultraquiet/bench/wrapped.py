@@ -4,21 +4,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench._abstract import checked_controller, checked_signals, commands, limits
-from ultraquiet.values import Channel, Record
+from ultraquiet.bench.stepped import Plant, Setup, Stepped, checked_readings
+from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
 
 
 @register("bench", "wrapped")
 @dataclass(frozen=True, init=False)
-class Wrapped:
+class Wrapped(Stepped):
     """A bench around y = step(u, d), called once a sample.
 
     At sample k `step` gets the command u formed one sample before (zero at first) and the disturbance d of this sample,
@@ -63,28 +62,25 @@ class Wrapped:
         put(self, "actuators", channels("Wrapped", actuators, len(actuators), "input"))
         put(self, "sensors", channels("Wrapped", sensors, len(sensors), "output"))
 
-    def run(self, actuation: ArrayLike, disturbance: ArrayLike | None = None, controller: Any | None = None) -> Record:
-        """Return the record of one run from rest; see `Bench.run`."""
-        nu, ny = len(self.actuators), len(self.sensors)
-        u, d = checked_signals("Wrapped.run", nu, actuation, disturbance)
-        law = None if controller is None else checked_controller("Wrapped.run", controller, self.rate_hz, ny, nu)
-        low, high = limits(self.actuators)
-        command, y = np.empty_like(u), np.empty((ny, u.shape[1]))
-        self.reset()
-        held = np.zeros(nu)
-        for k in range(u.shape[1]):
-            y[:, k] = self._readings(held, d[:, k], k)
-            asked = u[:, k] if law is None else u[:, k] + commands("Wrapped.run", law.step(y[:, k]), nu, k)
-            held = np.clip(asked, low, high)
-            command[:, k] = held
-        made = Provenance("bench.wrapped", {"rate_hz": self.rate_hz})
-        return Record(command, y, self.rate_hz, self.actuators, self.sensors, made)
+    @property
+    def provenance(self) -> Provenance:
+        """Who measures; what a function does inside is not known here."""
+        return Provenance("bench.wrapped", {"rate_hz": self.rate_hz})
 
-    def _readings(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
-        given = self.step(u.copy(), d.copy())
-        y = np.asarray(given, dtype=np.float64).reshape(-1)
-        if y.size != len(self.sensors) or not np.isfinite(y).all():
-            raise InputError(
-                f"Wrapped.run: at sample {k} the plant must return {len(self.sensors)} finite readings, got {given!r}."
-            )
-        return y
+    def _setup(self) -> Setup:
+        plant = _Called(self.step, self.reset, len(self.sensors))
+        return Setup("Wrapped.run", plant, self.rate_hz, self.actuators, self.sensors)
+
+
+class _Called(Plant):
+    """Two functions as a plant."""
+
+    def __init__(self, step: Callable[[FloatArray, FloatArray], ArrayLike], reset: Callable[[], Any], ny: int) -> None:
+        self._step, self._reset, self._ny = step, reset, ny
+
+    def start(self, run_index: int) -> None:
+        self._reset()
+
+    def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
+        # Copies, so that a plant that keeps or changes its arguments cannot spoil the record.
+        return checked_readings("Wrapped.run", self._step(u.copy(), d.copy()), self._ny, k)

@@ -1,0 +1,229 @@
+"""The loop of every bench that is stepped one sample at a time: the order of events stands here and nowhere else."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import Provenance
+from ultraquiet.bench._abstract import (
+    BLOCK_SAMPLES,
+    RAMP_SAMPLES,
+    Block,
+    checked_controller,
+    checked_signals,
+    commands,
+    fade,
+    limits,
+)
+from ultraquiet.values import Channel, Controller, Record
+
+Stop = Callable[[], bool]
+
+
+class Plant:
+    """What the loop drives. A plant overrides `step`, and whatever else it can do better than here."""
+
+    def start(self, run_index: int) -> None:
+        """Return to rest; `run_index` numbers the run for plants that draw random numbers."""
+
+    def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
+        """Apply the command `u` and the disturbance `d`, both `(nu,)`, at sample `k`; return the readings `(ny,)`."""
+        raise NotImplementedError
+
+    def advance(self, u: FloatArray, d: FloatArray, k: int) -> Iterator[FloatArray]:
+        """Yield the readings of the samples from `k` on whose `u` and `d`, `(nu, m)`, are all known beforehand."""
+        for j in range(u.shape[1]):
+            yield self.step(u[:, j], d[:, j], k + j)
+
+    def overruns(self) -> int:
+        """Return how many frames came too late since this was asked last."""
+        return 0
+
+    def rest(self, error: BaseException | None) -> None:
+        """Come to rest at once: the run is over. `error` is what ended it, None when it came to its end or was closed.
+
+        Called exactly once for every `start`, before anything else happens.
+        """
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A plant between its channels; `who` opens the sentence of a refusal."""
+
+    who: str
+    plant: Plant
+    rate_hz: float
+    actuators: tuple[Channel, ...]
+    sensors: tuple[Channel, ...]
+
+
+class Stepped:
+    """What all benches around a stepped plant share: `run` is `stream`, put together."""
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who measures: the bench's name and settings."""
+        raise NotImplementedError
+
+    def _setup(self) -> Setup:
+        raise NotImplementedError
+
+    def run(
+        self,
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        run_index: int | None = None,
+    ) -> Record:
+        """Return the record of one run from rest; see `Bench.run`. `run_index` numbers it for the plant."""
+        made, setup = self.provenance, self._setup()
+        blocks = list(self.stream(actuation, disturbance, controller, run_index=run_index))
+        met = {
+            "limited_commands": np.sum([b.limited_commands for b in blocks], axis=0).tolist(),
+            "limited_readings": np.sum([b.limited_readings for b in blocks], axis=0).tolist(),
+            "overruns": sum(b.overruns for b in blocks),
+        }
+        command = np.concatenate([b.command for b in blocks], axis=1)
+        readings = np.concatenate([b.readings for b in blocks], axis=1)
+        told = Provenance(made.made_by, {**made.settings, **met}, made.seed, made.parents, made.versions)
+        return Record(command, readings, setup.rate_hz, setup.actuators, setup.sensors, told)
+
+    def stream(
+        self,
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        *,
+        run_index: int | None = None,
+        block_samples: int = BLOCK_SAMPLES,
+        stop: Stop | None = None,
+        ramp_samples: int = RAMP_SAMPLES,
+    ) -> Iterator[Block]:
+        """Yield the run of `run` in blocks as they are measured; see `Streaming.stream`.
+
+        What was measured before a failure is handed over as a shorter block; the next step of the iterator raises.
+        """
+        setup = self._setup()
+        block = whole(setup.who, "block_samples", block_samples, 1)
+        ramp = whole(setup.who, "ramp_samples", ramp_samples, 1)
+        index = 0 if run_index is None else whole(setup.who, "run_index", run_index, 0)
+        return driven(Loop.of(setup, actuation, disturbance, controller), index, block, stop, ramp)
+
+
+class Loop:
+    """One run from rest: what is to be sent, and where it stands."""
+
+    def __init__(self, setup: Setup, u: FloatArray, d: FloatArray, law: Controller | None) -> None:
+        self.setup, self.law = setup, law
+        self.low, self.high = limits(setup.actuators)
+        self.low_y, self.high_y = limits(setup.sensors)
+        self.u, self.d = u, d
+        self.gain = np.ones(u.shape[1])
+        self.held = np.zeros(len(u))
+        self.k, self.end = 0, u.shape[1]
+        self.faded = False
+
+    @classmethod
+    def of(cls, setup: Setup, actuation: ArrayLike, disturbance: ArrayLike | None, controller: Any | None) -> "Loop":
+        """Return the loop of a run after everything that goes into it was checked."""
+        nu, ny = len(setup.actuators), len(setup.sensors)
+        u, d = checked_signals(setup.who, nu, actuation, disturbance)
+        law = None if controller is None else checked_controller(setup.who, controller, setup.rate_hz, ny, nu)
+        return cls(setup, u, d, law)
+
+    def fade(self, ramp_samples: int) -> None:
+        """Let everything that is sent from here on fade to zero, and end there."""
+        self.end = min(self.end, self.k + ramp_samples)
+        self.gain[self.k :] = fade(self.gain.size - self.k, ramp_samples)
+        self.faded = True
+
+    def take(self, samples: int) -> tuple[Block | None, BaseException | None]:
+        """Run up to `samples` further samples: what was measured, and what broke them off."""
+        start, error = self.k, None
+        m = min(samples, self.end - start)
+        asked, y = np.zeros((len(self.u), m)), np.zeros((len(self.setup.sensors), m))
+        try:
+            # One by one even in open loop, so that `self.k` always says how much was measured.
+            for _ in self._open(asked, y, start) if self.law is None else self._closed(self.law, asked, y, start):
+                self.k += 1
+        except BaseException as caught:  # an interrupt, too, must bring the plant to rest before anything else
+            error = caught
+        done = self.k - start
+        return (self._block(asked[:, :done], y[:, :done]) if done else None), error
+
+    def _open(self, asked: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
+        now = slice(start, start + y.shape[1])
+        asked[:] = self.gain[now] * self.u[:, now]
+        formed = np.clip(asked, self.low[:, None], self.high[:, None])
+        applied = np.concatenate([self.held[:, None], formed[:, :-1]], axis=1)
+        readings = self.setup.plant.advance(applied, self.gain[now] * self.d[:, now], start)
+        for j in range(y.shape[1]):
+            y[:, j] = next(readings)
+            self.held = formed[:, j]
+            yield
+
+    def _closed(self, law: Controller, asked: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
+        plant, who = self.setup.plant, self.setup.who
+        for j in range(y.shape[1]):
+            k = start + j
+            y[:, j] = plant.step(self.held, self.gain[k] * self.d[:, k], k)
+            answer = commands(who, law.step(y[:, j].copy()), len(self.u), k)
+            asked[:, j] = self.gain[k] * (self.u[:, k] + answer)
+            self.held = np.clip(asked[:, j], self.low, self.high)
+            yield
+
+    def _block(self, asked: FloatArray, y: FloatArray) -> Block:
+        low, high = self.low[:, None], self.high[:, None]
+        return Block(
+            np.clip(asked, low, high),
+            y,
+            np.count_nonzero((asked < low) | (asked > high), axis=1),
+            np.count_nonzero((y <= self.low_y[:, None]) | (y >= self.high_y[:, None]), axis=1),
+            self.setup.plant.overruns(),
+        )
+
+
+def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ramp_samples: int) -> Iterator[Block]:
+    """Yield the blocks of a run; the plant is at rest before an error is raised or the generator is closed.
+
+    With `ramp_samples` of zero a stop ends the run at once: for plants that come to rest softly by themselves.
+    """
+    plant, resting = loop.setup.plant, False
+    try:
+        plant.start(run_index)
+        while loop.k < loop.end:
+            if stop is not None and not loop.faded and stop():
+                if ramp_samples == 0:
+                    break
+                loop.fade(ramp_samples)
+            block, error = loop.take(block_samples)
+            if error is not None:
+                resting = True
+                plant.rest(error)
+            if block is not None:
+                yield block
+            if error is not None:
+                raise error
+    except GeneratorExit:
+        raise
+    except BaseException as error:
+        if not resting:
+            resting = True
+            plant.rest(error)
+        raise
+    finally:
+        if not resting:
+            plant.rest(None)
+
+
+def checked_readings(who: str, given: Any, sensors: int, k: int) -> FloatArray:
+    """Return what a plant handed over at sample `k` as `(ny,)` finite numbers, or say what is wrong with it."""
+    y = np.asarray(given, dtype=np.float64).reshape(-1)
+    if y.size != sensors or not np.isfinite(y).all():
+        raise InputError(f"{who}: at sample {k} the plant must return {sensors} finite readings, got {given!r}.")
+    return y
