@@ -183,3 +183,53 @@ def test_bad_stream_settings_are_refused_before_anything_moves():
         with pytest.raises(InputError, match=next(iter(bad))):
             bench.stream(np.zeros((1, 5)), **bad)
     assert not resets
+
+
+def tape(rng):
+    actuators, sensors = [Channel("force", "N", -1.0, 1.0)], [Channel("speed", "V", -2.0, 2.0)]
+    u = rng.uniform(-1, 1, (3, 1, 50))
+    return tuple(Record(u[k], rng.normal(size=(1, 50)), 100.0, actuators, sensors) for k in (0, 1, 1, 2))
+
+
+def test_a_replay_streams_what_it_runs(rng):
+    records = tape(rng)
+    bench = Replay(records)
+    assert isinstance(bench, Streaming)
+    for size in (1, 7, 50, 99):
+        blocks = list(bench.stream(records[3].inputs, block_samples=size))
+        command, readings = joined(blocks)
+        assert np.array_equal(command, records[3].inputs)
+        assert np.array_equal(readings, records[3].outputs)
+        assert sum(b.limited_readings for b in blocks).tolist() == list(records[3].clipped())
+    pressed = iter([False, False, True])
+    command, _ = joined(bench.stream(records[0].inputs, block_samples=10, stop=lambda: next(pressed)))
+    assert np.array_equal(command, records[0].inputs[:, :20])
+    assert bench.provenance.parents == tuple(r.hash for r in records)
+
+
+def test_repetitions_are_replayed_in_their_order(rng):
+    records = tape(rng)
+    again = [Replay(records).run(records[1].inputs, run_index=k) for k in range(3)]
+    assert again[0] is again[2] is records[1]
+    assert again[1] is records[2]
+
+
+def test_what_is_asked_of_a_replay_is_limited_as_on_the_bench(rng):
+    u = rng.uniform(-3, 3, (1, 40))
+    bench = Wrapped(lambda u, d: u, lambda: None, 10.0, [Channel("force", "N", -1.0, 1.0)], ["position"])
+    record = bench.run(u)
+    assert Replay((record,)).run(u, disturbance=np.zeros((1, 40))) is record
+
+
+def test_a_replay_says_where_the_nearest_record_differs(rng):
+    records = tape(rng)
+    asked = np.array(records[3].inputs)
+    asked[0, 17] = 0.0
+    with pytest.raises(InputError, match="record 4, differs first in 'force' at sample 17, .* and 0 is asked"):
+        Replay(records).run(asked)
+    with pytest.raises(InputError, match="they are 50 samples long"):
+        Replay(records).run(asked[:, :10])
+    with pytest.raises(InputError, match="record 2 has other channels"):
+        Replay((records[0], Record([[1.0]], [[1.0]], 100.0)))
+    with pytest.raises(RateError, match="record 2"):
+        Replay((records[0], Record([[1.0]], [[1.0]], 50.0)))

@@ -31,3 +31,7 @@ class ToolError(UltraquietError, RuntimeError):
 
 class NumericalError(UltraquietError, ArithmeticError):
     """An equation has no acceptable solution; the message says which and why."""
+
+
+class BenchError(UltraquietError, RuntimeError):
+    """A bench from outside fell silent, died, answered nonsense or was stopped by an interlock while it ran."""
