@@ -21,7 +21,8 @@ from ultraquiet.files.atomic import reason, write_bytes
 from ultraquiet.files.frames import DATA, END, HEADER, RUN_BYTES, Frame
 from ultraquiet.values import Channel
 
-SYNC_S = 0.1  # what a power cut may cost; a disk syncs some hundred times a second, so this leaves it idle
+SYNC_S = 0.1  # what a power cut may cost, and one block; a disk syncs some hundred times a second, and idles so
+EARLY = 0.1  # of it: a block that comes a little early is not left for the next one to take to the disk
 FRAME_SAMPLES = 4096  # longer blocks are cut, so that a damaged byte costs one second and not the run
 
 _Path = str | os.PathLike[str]
@@ -126,7 +127,7 @@ class LogWriter:
             raise InputError(f"LogWriter.append: 'block' must have {self._channels} rows, got shape {rows.shape}.")
         for start in range(0, rows.shape[1], FRAME_SAMPLES):
             self._put(DATA, rows[:, start : start + FRAME_SAMPLES])
-        if time.monotonic() - self._synced_s >= SYNC_S:
+        if time.monotonic() - self._synced_s >= (1.0 - EARLY) * SYNC_S:
             self._sync()
 
     def close(self, complete: bool = True, reason: str = "", notes: Mapping[str, Any] | None = None) -> None:
@@ -208,4 +209,5 @@ class LogWriter:
             return
         # What ended the run is what must be told, not that its log could not be ended either.
         with contextlib.suppress(StorageError):
-            self.close(complete=False, reason=f"{type(error).__name__}: {reason(error)}")
+            words = f": {reason(error)}" if str(error) else ""
+            self.close(complete=False, reason=type(error).__name__ + words)
