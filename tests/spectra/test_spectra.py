@@ -85,19 +85,21 @@ def test_lines_without_power_are_left_out():
 
 def bad_cases():
     quiet, loud = np.zeros((1, 100)), np.ones((1, 100))
-    moving = Record(np.arange(100.0)[None], loud, RATE)
+    rising = np.arange(100.0)[None]
+    moving = Record(rising, rising, RATE)
     return [
         (lambda: psd(loud), InputError, "needs 'rate_hz'"),
         (lambda: psd(loud * np.nan, rate_hz=1.0), InputError, "NaN"),
         (lambda: psd(loud, rate_hz=1.0, segment_samples=200), InputError, "does not fit into 100 samples"),
         (lambda: psd(loud, rate_hz=1.0, overlap=1.0), InputError, "between 0 and 0.95"),
         (lambda: frf([]), InputError, "at least one record"),
-        (lambda: frf(Record(quiet, loud, RATE)), InputError, "excite inputs of its own"),
-        (lambda: frf([moving, moving]), InputError, "excite inputs of its own"),
-        (lambda: frf([moving, Record(np.arange(100.0)[None], loud, 2.0)]), RateError, "sampled at 2 Hz"),
-        (lambda: frf([moving, moving.part(0, 50)]), InputError, "equally many samples"),
+        (lambda: frf(Record(quiet, rising, RATE)), InputError, "excite at least one input"),
+        (lambda: frf(Record(rising, loud, RATE)), InputError, "output 'output 1' never moves"),
+        (lambda: psd(loud, rate_hz=1.0), InputError, "channel 'channel 1' never moves"),
+        (lambda: frf([moving, Record(rising, rising, 2.0)]), RateError, "sampled at 2 Hz"),
+        (lambda: frf([moving, Record(rising, [*rising, *rising], RATE)]), InputError, "same actuators and sensors"),
         (
-            lambda: frf(Record(np.random.default_rng(0).normal(size=(3, 100)), loud, RATE), segment_samples=60),
+            lambda: frf(Record(np.random.default_rng(0).normal(size=(3, 100)), rising, RATE), segment_samples=60),
             InputError,
             "cannot separate 3 inputs",
         ),

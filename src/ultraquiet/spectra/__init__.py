@@ -1,7 +1,42 @@
-"""Spectra of records: power spectral densities and frequency responses with their coherence."""
+"""Spectra of records: densities, frequency responses, coherence, transmissibility, bands and vibration criteria.
 
+May be changed here: how spectra are estimated. Every result says its window, averages, overlap and resolution.
+"""
+
+from ultraquiet.spectra.averaging import Averaging
+from ultraquiet.spectra.bands import BandLevels, Bands, band_levels, filtered_levels, octave_bands
+from ultraquiet.spectra.coherence import Coherence, coherence
+from ultraquiet.spectra.criteria import CRITERIA, Classification, Criterion, classify, criterion
+from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
 from ultraquiet.spectra.frf import frf
+from ultraquiet.spectra.motion import convert_response, convert_spectrum
 from ultraquiet.spectra.periodic import periodic_response
 from ultraquiet.spectra.psd import PowerSpectrum, psd
+from ultraquiet.spectra.transmissibility import Transmissibility, magnitude_error, transmissibility
 
-__all__ = ["PowerSpectrum", "frf", "periodic_response", "psd"]
+__all__ = [
+    "CRITERIA",
+    "Averaging",
+    "BandLevels",
+    "Bands",
+    "Classification",
+    "Coherence",
+    "Criterion",
+    "CrossSpectra",
+    "PowerSpectrum",
+    "Transmissibility",
+    "band_levels",
+    "classify",
+    "coherence",
+    "convert_response",
+    "convert_spectrum",
+    "criterion",
+    "cross_spectra",
+    "filtered_levels",
+    "frf",
+    "magnitude_error",
+    "octave_bands",
+    "periodic_response",
+    "psd",
+    "transmissibility",
+]

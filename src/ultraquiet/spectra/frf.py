@@ -2,119 +2,144 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
+from ultraquiet._base.constraints import FloatArray, one_of, real_array, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.spectra.psd import segments
+from ultraquiet.spectra import estimators
+from ultraquiet.spectra.averaging import segments
+from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
+from ultraquiet.spectra.excited import Group, alive_lines, excited_together, refuse_dead_outputs
 from ultraquiet.values import FrequencyResponse, Record
 
-# Below this share of the strongest line an input counts as silent: far above rounding, far below any converter's floor.
-SILENT = 1e-12
+ESTIMATORS = ("H1", "H2", "Hv")
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """What one record tells: gains and coherence `(ny, inputs, nf)`, and where its inputs carry power `(nf,)`."""
+@dataclass(frozen=True)
+class _Choice:
+    """How gains are estimated."""
 
-    f_hz: FloatArray
-    values: ComplexArray
-    coherence: FloatArray
-    alive: NDArray[np.bool_]
-    text: str
+    estimator: str
+    noise: FloatArray | None
 
 
 def frf(
-    records: Record | Sequence[Record],
+    records: Record | CrossSpectra | Sequence[Record],
     segment_samples: int | None = None,
     overlap: float = 0.5,
     window: str = "hann",
+    estimator: str = "H1",
+    detrend: str = "constant",
+    noise: Sequence[float] | None = None,
 ) -> FrequencyResponse:
-    """Return the H1 estimate G = S_yu S_uu^-1 of the inputs that move, with its coherence.
+    """Return the response of the inputs that move, with its coherence and its variance.
+
+    H1 = S_yu S_uu^-1,  H2 = S_yy S_uy^-1,  Hv by total least squares of each output.
 
     Args:
-        records: one record; or several of one bench, each exciting its own inputs, set side by side in the result.
-        segment_samples: length of a segment; by default an eighth of each record.
+        records: one record; several of one bench, of which those that excite the same inputs are averaged and the
+            others set side by side; or cross spectra, whose averaging then stands (`cross_spectra` reads blocks).
+        segment_samples: length of a segment; by default an eighth of the shortest record.
         overlap: shared part of neighbouring segments, 0 to 0.95.
         window: any window name of scipy.signal.
+        estimator: "H1" where noise sits at the outputs, "H2" where it sits on the inputs, "Hv" for both.
+        detrend: what is removed from every segment: its mean ("constant"), a line ("linear") or nothing ("none").
+        noise: for Hv, noise densities of inputs then outputs, `(nu + ny,)`, up to a factor; by default in proportion
+            to each channel's power.
 
     Returns:
-        The response `(ny, excited inputs, nf)`. Frequencies at which the inputs carry no power are left out.
+        The response `(ny, excited inputs, nf)`. Frequencies at which an input carries no power are left out.
         The coherence is the ordinary one where a record excites one input; where it excites several at once it is the
-        multiple coherence, repeated for each input. Noise at the outputs does not bias H1; noise on the inputs makes it
-        too small.
+        multiple coherence, repeated for each input. The variance is that of the complex gain, random error alone:
+        about two thirds of the truth lie within its root in magnitude, leakage and bias not counted.
 
     Raises:
-        InputError: no input moves, an input excited in two records, records of different rates or lengths, fewer
-            segments than inputs excited together.
+        InputError: no input moves, an output that never moves, inputs that move alike, records of different rates or
+            channels, fewer segments than inputs excited together, H2 of unequal numbers of inputs and outputs.
 
     >>> u = np.random.default_rng(0).standard_normal(4096)
     >>> g = frf(Record([u], [2.0 * u], rate_hz=1000.0))
     >>> bool(np.allclose(g.values, 2.0)), g.estimator[:2]
     (True, 'H1')
 
-    Reference: J. S. Bendat, A. G. Piersol, Random Data (2010), chapters 6 and 7, doi:10.1002/9781118032428.
+    Reference: J. S. Bendat, A. G. Piersol, Random Data (2010), chapters 6, 7 and 9, doi:10.1002/9781118032428.
     """
-    many = [records] if isinstance(records, Record) else list(records)
-    excited = _excited(many)
-    parts = [_columns(r, inputs, segment_samples, overlap, window) for r, inputs in zip(many, excited, strict=True)]
-    alive = np.logical_and.reduce([p.alive for p in parts])
+    one_of("frf", "estimator", estimator, ESTIMATORS)
+    many = [records] if isinstance(records, Record | CrossSpectra) else list(records)
+    nu, ny = _channels(many)
+    choice = _Choice(estimator, None if noise is None else _noise(noise, nu, ny))
+    if isinstance(many[0], CrossSpectra):
+        cross = many[0]
+        moving = [i for i, s in enumerate(cross.power[:nu]) if s.max() > 0]
+        groups = [Group(cross, tuple(moving))]
+    else:
+        recorded = [r for r in many if isinstance(r, Record)]
+        length = segments("frf", min(r.samples for r in recorded), segment_samples, overlap)[0]
+        parts = excited_together(recorded)
+        groups = [
+            Group(reduce(add, (cross_spectra(r, length, overlap, window, detrend) for r in members)), inputs)
+            for members, inputs in parts
+        ]
+    return _side_by_side(groups, choice)
+
+
+def _channels(many: Sequence[Record | CrossSpectra]) -> tuple[int, int]:
+    """Return the numbers of inputs and outputs, after checking that the records fit together."""
+    if not many:
+        raise InputError("frf: it needs at least one record, got none.")
+    first = many[0]
+    for other in many:
+        if isinstance(first, Record) and isinstance(other, Record):
+            same_rate("frf", "the first record", first.rate_hz, "another", other.rate_hz)
+        if len(other.sensors) != len(first.sensors) or len(other.actuators) != len(first.actuators):
+            raise InputError("frf: all records must have the same actuators and sensors.")
+    return len(first.actuators), len(first.sensors)
+
+
+def _noise(noise: Sequence[float], nu: int, ny: int) -> FloatArray:
+    given = real_array("frf", "noise", noise, 1)
+    if given.size != nu + ny or (given <= 0).any():
+        raise InputError(f"frf: 'noise' must be {nu + ny} densities above zero, inputs then outputs, got {given}.")
+    return given
+
+
+def _side_by_side(groups: Sequence[Group], choice: _Choice) -> FrequencyResponse:
+    """Return the columns of all groups at the lines where all their inputs carry power."""
+    refuse_dead_outputs("frf", groups)
+    alive = np.logical_and.reduce([alive_lines("frf", g.cross, g.inputs) for g in groups])
+    columns = [_columns(g, alive, choice) for g in groups]
+    first = groups[0].cross
+    kind = "coherence" if all(len(g.inputs) == 1 for g in groups) else "multiple coherence"
     return FrequencyResponse(
-        parts[0].f_hz[alive],
-        np.concatenate([p.values for p in parts], axis=1)[:, :, alive],
-        np.concatenate([p.coherence for p in parts], axis=1)[:, :, alive],
-        parts[0].text,
-        [r.actuators[i] for r, inputs in zip(many, excited, strict=True) for i in inputs],
-        many[0].sensors,
-        Provenance("spectra.frf", {"window": window, "overlap": overlap}, parents=tuple(r.hash for r in many)),
+        first.f_hz[alive],
+        np.concatenate([c[0] for c in columns], axis=1),
+        np.concatenate([c[1] for c in columns], axis=1),
+        f"{choice.estimator}, {first.averaging.text}, {kind}",
+        [first.actuators[i] for g in groups for i in g.inputs],
+        first.sensors,
+        Provenance(
+            "spectra.frf",
+            {"estimator": choice.estimator, "averaging": first.averaging.text},
+            parents=tuple(h for g in groups for h in g.cross.hashes),
+        ),
+        np.concatenate([c[2] for c in columns], axis=1),
     )
 
 
-def _excited(records: list[Record]) -> list[list[int]]:
-    """Return the inputs that move in each record, after checking that the records fit together."""
-    if not records:
-        raise InputError("frf: it needs at least one record, got none.")
-    first, taken, excited = records[0], set[int](), []
-    for record in records:
-        same_rate("frf", "the first record", first.rate_hz, "another", record.rate_hz)
-        if record.samples != first.samples or len(record.sensors) != len(first.sensors):
-            raise InputError("frf: all records must have equally many samples and sensors; cut them to one length.")
-        moving = [i for i, u in enumerate(record.inputs) if np.ptp(u) > 0]
-        if not moving or taken & set(moving):
-            raise InputError(
-                f"frf: each record must excite inputs of its own, got inputs {[i + 1 for i in moving]} after "
-                f"{[i + 1 for i in sorted(taken)]}."
-            )
-        taken |= set(moving)
-        excited.append(moving)
-    return excited
-
-
-def _columns(record: Record, inputs: list[int], segment_samples: int | None, overlap: float, window: str) -> _Columns:
-    """Return the columns of the excited inputs."""
-    from scipy.signal import csd, welch
-
-    length, shared, averages = segments("frf", record.samples, segment_samples, overlap)
-    if averages < len(inputs):
-        raise InputError(
-            f"frf: {averages} segments cannot separate {len(inputs)} inputs excited together; shorten the segments."
-        )
-    settings = {"fs": record.rate_hz, "window": window, "nperseg": length, "noverlap": shared}
-    u, y = record.inputs[inputs], record.outputs
-    f, S_uu = csd(u[:, np.newaxis], u[np.newaxis], **settings)
-    S_uu, S_uy = np.asarray(S_uu), np.asarray(csd(u[:, np.newaxis], y[np.newaxis], **settings)[1])
-    S_yy = np.asarray(welch(y, **settings)[1])
-    weakest = np.linalg.eigvalsh(np.moveaxis(S_uu, -1, 0))[:, 0]
-    alive = weakest > SILENT * weakest.max()
-    # csd conjugates its first argument: S_uy[l, i] = sum_j S_uu[l, j] G[i, j].
-    G = np.zeros((f.size, len(inputs), len(y)), dtype=np.complex128)
-    G[alive] = np.linalg.solve(np.moveaxis(S_uu, -1, 0)[alive], np.moveaxis(S_uy, -1, 0)[alive])
-    explained = np.abs(np.einsum("fli,lif->if", G, S_uy.conj()))
-    coherence = np.clip(np.divide(explained, S_yy, out=np.zeros_like(S_yy), where=S_yy > 0), 0.0, 1.0)
-    kind = "coherence" if len(inputs) == 1 else "multiple coherence"
-    text = f"H1, {averages} segments of {length} samples, window {window}, overlap {overlap:g}, {kind}"
-    shared_by_all = np.broadcast_to(coherence[:, np.newaxis], (len(y), len(inputs), f.size))
-    return _Columns(np.asarray(f, dtype=np.float64), np.transpose(G, (2, 1, 0)), shared_by_all, alive, text)
+def _columns(group: Group, alive: np.ndarray, choice: _Choice) -> tuple[np.ndarray, FloatArray, FloatArray]:
+    """Return gains, coherence and variance `(ny, inputs, nf)` of one group."""
+    nu, ny = len(group.cross.actuators), len(group.cross.sensors)
+    s = group.blocks(group.inputs, range(nu, nu + ny), alive)
+    if choice.estimator == "H1":
+        G, variance = estimators.h1(s)
+    elif choice.estimator == "H2":
+        G, variance = estimators.h2(s)
+    else:
+        kept = [*group.inputs, *range(nu, nu + ny)]
+        G, variance = estimators.hv(s, None if choice.noise is None else choice.noise[kept])
+    coherence = np.broadcast_to(estimators.multiple(s)[:, :, np.newaxis], G.shape)
+    return np.moveaxis(G, 0, -1), np.moveaxis(coherence, 0, -1), np.moveaxis(variance, 0, -1)

@@ -5,56 +5,94 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, between, frozen, positive, signal_array, whole
+from ultraquiet._base.constraints import FloatArray, between, frozen, positive, signal_array
 from ultraquiet._base.errors import InputError
-from ultraquiet.values import Record
+from ultraquiet.spectra.averaging import Averaging, averaging
+from ultraquiet.spectra.cross import Accumulator, CrossSpectra, refuse_dead
+from ultraquiet.values import Channel, Record
 
 
 @dataclass(frozen=True, eq=False)
 class PowerSpectrum:
     """One-sided power spectral density `(channel, frequency)` in squared units per Hz.
 
-    `averages` is the number of segments behind it: each value scatters by about 1 / sqrt(averages).
+    `averaging` says how it was made: each value scatters by about 1 / sqrt(averaging.independent).
     """
 
     f_hz: FloatArray
     values: FloatArray
-    averages: int
-    estimator: str
+    averaging: Averaging
+    channels: tuple[Channel, ...]
+
+    @property
+    def averages(self) -> int:
+        """Number of segments averaged."""
+        return self.averaging.averages
+
+    @property
+    def estimator(self) -> str:
+        """How the spectrum was made: window, averages, overlap, resolution."""
+        return f"Welch, {self.averaging.text}"
 
     @property
     def asd(self) -> FloatArray:
         """Amplitude spectral density, units per square root of Hz, `(channel, frequency)`."""
         return np.sqrt(self.values)
 
+    @property
+    def cumulative_rms(self) -> FloatArray:
+        """Root mean square of everything up to and including each line, `(channel, frequency)`."""
+        return np.sqrt(np.cumsum(self.values, axis=1) * self.averaging.line_hz)
+
     def rms(self, start_hz: float = 0.0, stop_hz: float = float("inf")) -> FloatArray:
         """Return the root mean square of each channel inside a band, `(channel,)`."""
         if not start_hz < stop_hz:
             raise InputError(f"PowerSpectrum.rms: the band {start_hz:g} to {stop_hz:g} Hz is empty.")
         inside = (self.f_hz >= start_hz) & (self.f_hz <= stop_hz)
-        return np.sqrt(self.values[:, inside].sum(axis=1) * (self.f_hz[1] - self.f_hz[0]))
+        return np.sqrt(self.values[:, inside].sum(axis=1) * self.averaging.line_hz)
+
+    def interval(self, level: float = 0.95) -> tuple[FloatArray, FloatArray]:
+        """Return the confidence interval of every value, two arrays `(channel, frequency)`.
+
+        nu S / chi2(1 - p/2) < true S < nu S / chi2(p/2), with nu = 2 x independent segments, and half of that at
+        0 Hz and half the rate, where the transform is real.
+
+        >>> low, high = psd(np.random.default_rng(0).standard_normal(4096), rate_hz=1000.0).interval()
+        >>> bool((low < high).all())
+        True
+
+        Reference: Bendat and Piersol 2010, section 8.5, doi:10.1002/9781118032428.
+        """
+        from scipy.stats import chi2
+
+        p = 1.0 - between("PowerSpectrum.interval", "level", level, 0.01, 0.9999)
+        nu = np.full(self.f_hz.size, 2.0 * self.averaging.independent)
+        nu[(self.f_hz == 0) | (self.f_hz >= self.averaging.rate_hz / 2 * (1 - 1e-12))] /= 2.0
+        return self.values * (nu / chi2.ppf(1 - p / 2, nu)), self.values * (nu / chi2.ppf(p / 2, nu))
 
 
 def psd(
-    signals: Record | ArrayLike,
+    signals: Record | CrossSpectra | ArrayLike,
     rate_hz: float | None = None,
     segment_samples: int | None = None,
     overlap: float = 0.5,
     window: str = "hann",
+    detrend: str = "constant",
 ) -> PowerSpectrum:
     """Return the power spectral density of a record's outputs, or of signals `(channel, sample)`.
 
-    S(f) = mean over segments of 2 |FFT(w x)|^2 / (rate sum w^2), means of the segments removed.
+    S(f) = mean over segments of 2 |FFT(w x)|^2 / (rate sum w^2)
 
     Args:
-        signals: a record, or an array together with `rate_hz`.
+        signals: a record; or an array together with `rate_hz`; or cross spectra, whose averaging then stands.
         rate_hz: samples per second; taken from a record.
         segment_samples: length of a segment; by default an eighth of the signal, which gives about 15 averages.
         overlap: shared part of neighbouring segments, 0 to 0.95.
         window: any window name of scipy.signal.
+        detrend: what is removed from every segment: its mean ("constant"), a line ("linear") or nothing ("none").
 
     Raises:
-        InputError: no rate for an array, NaN, segments longer than the signal.
+        InputError: no rate for an array, NaN, a channel that never moves, segments longer than the signal.
 
     >>> noise = np.random.default_rng(0).standard_normal(4096)
     >>> bool(abs(psd(noise, rate_hz=1000.0).rms()[0] - 1.0) < 0.1)
@@ -62,24 +100,17 @@ def psd(
 
     Reference: P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70-73, doi:10.1109/TAU.1967.1161901.
     """
-    from scipy.signal import welch
-
+    if isinstance(signals, CrossSpectra):
+        held = slice(len(signals.actuators), None)
+        return PowerSpectrum(frozen(signals.f_hz), frozen(signals.power[held]), signals.averaging, signals.sensors)
     if isinstance(signals, Record):
-        x, rate = signals.outputs, signals.rate_hz
+        x, rate, names = signals.outputs, signals.rate_hz, signals.sensors
     elif rate_hz is None:
         raise InputError("psd: an array needs 'rate_hz', in samples per second.")
     else:
         x, rate = signal_array("psd", "signals", signals), positive("psd", "rate_hz", rate_hz, "Hz")
-    length, shared, averages = segments("psd", x.shape[1], segment_samples, overlap)
-    f, values = welch(x, rate, window=window, nperseg=length, noverlap=shared, detrend="constant")
-    text = f"Welch, {averages} segments of {length} samples, window {window}, overlap {overlap:g}"
-    return PowerSpectrum(frozen(f), frozen(values), averages, text)
-
-
-def segments(who: str, samples: int, segment_samples: int | None, overlap: float) -> tuple[int, int, int]:
-    """Return length, shared samples and number of segments."""
-    length = max(8, samples // 8) if segment_samples is None else whole(who, "segment_samples", segment_samples, 8)
-    if length > samples:
-        raise InputError(f"{who}: a segment of {length} samples does not fit into {samples} samples; shorten it.")
-    shared = int(between(who, "overlap", overlap, 0.0, 0.95) * length)
-    return length, shared, 1 + (samples - length) // (length - shared)
+        names = tuple(Channel(f"channel {k + 1}", "unit") for k in range(len(x)))
+    plan = averaging("psd", x.shape[1], rate, segment_samples, overlap, window, detrend)
+    total = Accumulator(plan, auto=True)
+    total.add(refuse_dead("psd", x, names))
+    return PowerSpectrum(frozen(plan.f_hz), total.mean().real, total.plan, names)
