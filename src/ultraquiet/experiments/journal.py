@@ -16,7 +16,7 @@ from typing import Any
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files import reason
 
-FILE = "journal.log"
+FILE = "journal.txt"
 
 
 def entries(folder: Path) -> list[dict[str, Any]]:

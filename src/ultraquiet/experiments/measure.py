@@ -1,17 +1,25 @@
-"""One measurement: its signals to the bench, its blocks as they come, and the record that is left of it."""
+"""One measurement: its signals to the bench, its blocks to a log as they come, and the record that is left of it."""
 
 import inspect
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
-from ultraquiet._base.errors import StorageError
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet.bench import Block, Streaming
 from ultraquiet.experiments.listed import ExperimentList
 from ultraquiet.experiments.plan import Measurement, volts
-from ultraquiet.files import save
-from ultraquiet.values import Record
+from ultraquiet.files import LogWriter, finalise, log_header, read_log
+from ultraquiet.values import Channel, Record
+
+LOG = ".log"
 
 
 def _never() -> bool:
@@ -50,15 +58,23 @@ def path_of(folder: Path, name: str) -> Path:
     return folder / f"{name}.h5"
 
 
-def partial_path_of(folder: Path, name: str) -> Path:
-    """Return the file of what is left of a measurement that was broken off."""
-    return folder / f"{name}.partial.h5"
+def log_path_of(folder: Path, name: str) -> Path:
+    """Return the file a measurement writes to while it runs."""
+    return folder / f"{name}{LOG}"
+
+
+def partial_path_of(folder: Path, name: str, attempt: int = 1) -> Path:
+    """Return the file of what is left of a measurement that was broken off, for the n-th time."""
+    return folder / (f"{name}.partial.h5" if attempt == 1 else f"{name}.partial-{attempt}.h5")
 
 
 def measure(
     listed: ExperimentList, step: Measurement, index: int, place: Path, overwrite: bool, watch: Watch
 ) -> Measured:
     """Run one measurement of a list and leave its record in the folder `place`.
+
+    Every block stands in `NAME.log` as soon as it is measured. A process that dies leaves that file; `recover` makes
+    a record of it.
 
     Args:
         listed: the list, planned for its bench.
@@ -72,39 +88,148 @@ def measure(
         What was measured: of a whole run in `NAME.h5`, of one broken off in `NAME.partial.h5`.
 
     Raises:
-        StorageError: the record cannot be written.
+        StorageError: the record cannot be written; the blocks before are safe.
+        InputError: the bench handed over nothing, or what is no number.
     """
-    record = _recorded(listed, step, index, watch)
-    path = path_of(place, step.name)
     try:
-        save(record, path, overwrite)
+        return _Run(listed, step, index, watch).kept(place, overwrite)
     except StorageError as error:
         said = str(error).rstrip(".").removeprefix("files: ")
         raise StorageError(
             f"experiment stopped at '{step.name}', {index} records are finished and safe: {said}."
         ) from error
-    return Measured(record, path)
 
 
-def _recorded(listed: ExperimentList, step: Measurement, index: int, watch: Watch) -> Record:
-    bench = listed.bench
-    assert bench is not None
-    count, rate_hz = len(bench.actuators), bench.rate_hz
-    actuation = volts(step.drives, count, step.samples, rate_hz)
-    disturbance = volts(step.disturbances, count, step.samples, rate_hz) if step.disturbances else None
-    # A bench that numbers its draws gets the place in the list, so that a resumed list repeats none of them.
-    numbered = {"run_index": index} if "run_index" in inspect.signature(bench.run).parameters else {}
-    record: Record = bench.run(actuation, disturbance=disturbance, controller=step.controller, **numbered)
-    settings = _settings(listed, step, record, watch)
-    made = Provenance("experiment", settings, record.provenance.seed, (listed.hash,), versions())
-    return Record(record.inputs, record.outputs, record.rate_hz, record.actuators, record.sensors, made)
+def recover(place: Path) -> dict[str, Path]:
+    """Make records of the logs that a process left behind when it died; return name -> record.
+
+    A log that is complete becomes `NAME.h5`, any other `NAME.partial.h5`, whose provenance says how much there is of
+    how much, and why. A log without samples is removed.
+
+    Raises:
+        StorageError: a log is damaged in its first block, or the disk refuses; the log is still there then.
+    """
+    found: dict[str, Path] = {}
+    for path in sorted(place.glob(f"*{LOG}")):
+        log = read_log(path)
+        if log.complete:
+            found[path.stem] = path_of(place, path.stem)
+            finalise(path, found[path.stem], bool(log.header.get("overwrite")))
+        elif log.samples.shape[1]:
+            found[path.stem] = _partial(path, place)[1]
+        else:
+            path.unlink()
+    return found
 
 
-def _settings(listed: ExperimentList, step: Measurement, record: Record, watch: Watch) -> dict[str, Any]:
-    settings = {
-        "list": listed.title or listed.name,
-        "measurement": step.describe(),
-        "measurement_hash": step.hash,
-        "bench": {"made_by": record.provenance.made_by, **record.provenance.settings},
-    }
-    return settings | ({"conditions": dict(watch.conditions)} if watch.conditions else {})
+def _partial(log: Path, place: Path) -> tuple[Record, Path]:
+    """Make a partial record of a log, beside those of earlier attempts."""
+    for attempt in count(1):
+        path = partial_path_of(place, log.stem, attempt)
+        taken = os.path.lexists(path)
+        try:
+            return finalise(log, path), path
+        except StorageError:
+            # Taken by an earlier attempt; what is taken by this very record is accepted by `finalise`.
+            if not taken:
+                raise
+    raise AssertionError
+
+
+class _Run:
+    """One run of the bench, on its way to the disk."""
+
+    def __init__(self, listed: ExperimentList, step: Measurement, index: int, watch: Watch) -> None:
+        bench = listed.bench
+        assert bench is not None
+        self._bench, self._step, self._watch = bench, step, watch
+        self._stopped = False
+        self._overruns = 0
+        self._limited = {
+            "limited_commands": np.zeros(len(bench.actuators), dtype=np.int64),
+            "limited_readings": np.zeros(len(bench.sensors), dtype=np.int64),
+        }
+        streams = isinstance(bench, Streaming)
+        # A bench that numbers its draws gets the place in the list, so that a resumed list repeats none of them.
+        numbered = {"run_index": index} if streams or "run_index" in inspect.signature(bench.run).parameters else {}
+        actuation, disturbance = _signals(bench, step)
+        if isinstance(bench, Streaming):
+            self._blocks: Iterable[Block] = bench.stream(
+                actuation, disturbance, step.controller, run_index=index, stop=self._stop
+            )
+            made = bench.provenance
+        else:
+            record: Record = bench.run(actuation, disturbance=disturbance, controller=step.controller, **numbered)
+            self._blocks = (_block(record),)
+            made = record.provenance
+        settings: dict[str, Any] = {
+            "list": listed.title or listed.name,
+            "measurement": step.describe(),
+            "measurement_hash": step.hash,
+            "bench": {"made_by": made.made_by, **made.settings, **numbered},
+        }
+        settings |= {"conditions": dict(watch.conditions)} if watch.conditions else {}
+        self._made = Provenance("experiment", settings, made.seed, (listed.hash,), versions())
+
+    def kept(self, place: Path, overwrite: bool) -> Measured:
+        """Write the blocks down as they come, and make the record when the last one has come."""
+        bench, step, path = self._bench, self._step, log_path_of(place, self._step.name)
+        header = log_header(bench.actuators, bench.sensors, bench.rate_hz, step.samples, self._made)
+        with LogWriter(path, {**header, "overwrite": overwrite}) as log:
+            try:
+                for block in self._blocks:
+                    log.append(np.vstack([block.command, block.readings]))
+                    self._count(block)
+                    self._watch.block(block)
+            finally:
+                # Whatever went wrong, the actuators come to zero first; a generator does so when it is closed.
+                getattr(self._blocks, "close", lambda: None)()
+            samples = log.samples
+            why = self._incomplete(samples)
+            log.close(complete=not why, reason=why, notes=self._notes())
+        if not samples:
+            path.unlink()
+            raise InputError(f"experiment: the bench handed over no samples of '{step.name}'.")
+        if why:
+            record, kept = _partial(path, place)
+            return Measured(record, kept, True, self._overruns)
+        record = finalise(path, path_of(place, step.name), overwrite)
+        return Measured(record, path_of(place, step.name), False, self._overruns)
+
+    def _stop(self) -> bool:
+        self._stopped = self._stopped or self._watch.stop()
+        return self._stopped
+
+    def _count(self, block: Block) -> None:
+        self._limited["limited_commands"] += block.limited_commands
+        self._limited["limited_readings"] += block.limited_readings
+        self._overruns += block.overruns
+
+    def _notes(self) -> dict[str, Any]:
+        limited = {name: counts.tolist() for name, counts in self._limited.items()}
+        return {"bench": {**limited, "overruns": self._overruns}} if isinstance(self._bench, Streaming) else {}
+
+    def _incomplete(self, samples: int) -> str:
+        if self._stopped:
+            return f"it was stopped after {samples} of {self._step.samples} samples"
+        if samples != self._step.samples:
+            return f"the bench handed over {samples} of {self._step.samples} samples"
+        return ""
+
+
+def _signals(bench: Any, step: Measurement) -> tuple[FloatArray, FloatArray | None]:
+    channels, rate_hz = len(bench.actuators), bench.rate_hz
+    actuation = volts(step.drives, channels, step.samples, rate_hz)
+    disturbance = volts(step.disturbances, channels, step.samples, rate_hz) if step.disturbances else None
+    return actuation, disturbance
+
+
+def _block(record: Record) -> Block:
+    """Return the whole run of a bench that does not stream."""
+    limited = (_at_limits(record.inputs, record.actuators), _at_limits(record.outputs, record.sensors))
+    return Block(record.inputs, record.outputs, *limited)
+
+
+def _at_limits(samples: FloatArray, channels: tuple[Channel, ...]) -> Any:
+    low, high = (np.array([getattr(c, end) for c in channels])[:, None] for end in ("low", "high"))
+    return np.count_nonzero((samples <= low) | (samples >= high), axis=1)

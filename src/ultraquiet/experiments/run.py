@@ -1,25 +1,24 @@
 """Execute a checked list on a bench: one HDF5 record per measurement, none of them ever written over unasked."""
 
 import os
-import shutil
-import time
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
 
-from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet._base.progress import task
-from ultraquiet.experiments import journal
+from ultraquiet._base.progress import Task, task
+from ultraquiet.experiments import clock, journal
+from ultraquiet.experiments.folder import check_space, finished_in, prepared, refuse_repetition, sweep
 from ultraquiet.experiments.listed import NO_BENCH, ExperimentList
-from ultraquiet.experiments.measure import Watch, measure, path_of
+from ultraquiet.experiments.live import Course, Levels, Onlooker
+from ultraquiet.experiments.measure import Measured, Watch, measure, recover
 from ultraquiet.experiments.mistakes import ListError
-from ultraquiet.experiments.plan import Measurement, Pause
-from ultraquiet.files import load as load_value
-from ultraquiet.files import reason
+from ultraquiet.experiments.plan import Measurement, Pause, Thermometer
+from ultraquiet.experiments.states import ABORTED, DONE, StoppedError, states
 from ultraquiet.values import Record
 
-SAMPLE_BYTES = 8  # float64, as archives hold it
-RECORD_BYTES = 65536  # what channels, provenance and HDF5's own tables take beside the samples, generously
+
+def _never() -> bool:
+    return False
 
 
 def run(
@@ -30,7 +29,9 @@ def run(
     resume: bool = False,
     repeat: Collection[str] = (),
     overwrite: bool = False,
-    sleep: Callable[[float], None] = time.sleep,
+    sleep: Callable[[float], None] | None = None,
+    stop: Callable[[], bool] = _never,
+    onlooker: Onlooker | None = None,
 ) -> dict[str, Record]:
     r"""Execute a list in order; each measurement leaves `folder/NAME.h5` before the next one begins.
 
@@ -41,7 +42,11 @@ def run(
         resume: go on where a run was broken off: finished records of this very list are taken from the folder.
         repeat: names of measurements that were begun before, left no record, and shall be excited once more.
         overwrite: write over records that stand in the folder.
-        sleep: how to spend a pause in seconds, for benches whose time is not the wall's.
+        sleep: how to spend a pause in seconds; without it, pauses are waited for on benches in real time (see
+            `clock.real_time`) and skipped on simulated ones.
+        stop: asked before each block of samples and during pauses; once it says yes, the bench ramps to zero, what was
+            measured is kept, and nothing further begins.
+        onlooker: who is told of levels and progress.
 
     Returns:
         Name -> record, in the order of the list.
@@ -50,11 +55,14 @@ def run(
         InputError: no bench, or mistakes that show only on this bench; nothing has moved then.
         StorageError: records would be written over, an excitation would be repeated unasked, the disk is full, the
             folder is closed; finished records stay.
+        StoppedError: `stop` said yes, or the bench ended a run by itself; it says where each measurement stands.
 
     >>> import tempfile
     >>> from ultraquiet.experiments import parse
     >>> from ultraquiet.bench import Wrapped
-    >>> listed = parse('[[commands]]\ndo = "excite"\nname = "push"\nsamples = 300\nsignal = { method = "step" }')
+    >>> listed = parse(
+    ...     '[[commands]]\ndo = "excite"\nname = "push"\nsamples = 300\nsignal = { method = "step", fall_s = 0.08 }'
+    ... )
     >>> bench = Wrapped(lambda u, d: 2.0 * u, lambda: None, 3500.0, ["force"], ["speed"])
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     records = run(listed, folder, bench)
@@ -64,108 +72,131 @@ def run(
     listed = experiment_list if bench is None else experiment_list.on(bench)
     if listed.bench is None:
         raise ListError(listed.name, [(1, NO_BENCH)])
-    place = _prepared(Path(folder))
+    place = prepared(Path(folder))
     with journal.opened(place) as log:
-        finished = _finished(listed, place, resume, overwrite)
+        recover(place)
+        finished = finished_in(listed, place, resume, overwrite)
         if not overwrite:
-            _refuse_repetition(listed, place, finished, resume, repeat)
-        _sweep(place)
-        _check_space(listed, place, finished)
-        return _executed(listed, place, finished, log, overwrite, sleep)
+            refuse_repetition(listed, place, finished, resume, repeat)
+        sweep(place)
+        check_space(listed, place, finished)
+        walk = _Walk(listed, place, finished, log, overwrite, stop, onlooker or Onlooker())
+        return walk.through(sleep)
 
 
-def _executed(
-    listed: ExperimentList,
-    place: Path,
-    finished: dict[str, Record],
-    log: journal.Journal,
-    overwrite: bool,
-    sleep: Callable[[float], None],
-) -> dict[str, Record]:
-    records: dict[str, Record] = {}
-    todo = len(listed.measurements) - len(finished)
-    with task(listed.title or listed.name, len(listed.measurements)) as progress:
-        for step in listed.steps:
-            if isinstance(step, Pause):
-                # Nothing needs to come to rest when nothing further will be measured.
-                if todo:
-                    sleep(step.seconds)
-                continue
-            record = finished.get(step.name)
-            if record is None:
-                log.write("begun", name=step.name, hash=step.hash)
-                record = measure(listed, step, len(records), place, overwrite, Watch()).record
-                log.write("finished", name=step.name, hash=step.hash, record=record.hash)
-                todo -= 1
-            records[step.name] = record
-            progress.advance(note=step.name)
-    return records
+class _Walk:
+    """One execution of a list, from its first step to its last."""
 
+    def __init__(
+        self,
+        listed: ExperimentList,
+        place: Path,
+        finished: dict[str, Record],
+        log: journal.Journal,
+        overwrite: bool,
+        stop: Callable[[], bool],
+        onlooker: Onlooker,
+    ) -> None:
+        self._listed, self._place, self._finished = listed, place, finished
+        self._log, self._overwrite, self._stop, self._onlooker = log, overwrite, stop, onlooker
+        self._real = clock.real_time(listed.bench)
+        self._records: dict[str, Record] = {}
+        self._temperatures: dict[str, float] = {}
+        self._todo = [m for m in listed.measurements if m.name not in finished]
 
-def _prepared(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"experiment: the folder '{folder}' cannot be made ({reason(error)}).") from error
-    return folder
+    def through(self, sleep: Callable[[float], None] | None) -> dict[str, Record]:
+        """Execute every step that is left and return the records, those that were there before among them."""
+        listed = self._listed
+        self._course = Course(self._ahead_s(), self._real)
+        if self._todo:
+            self._announce()
+        self._onlooker.begins(self._todo, list(self._finished), self._course)
+        with task(listed.title or listed.name, len(listed.measurements)) as progress:
+            for step in listed.steps:
+                if isinstance(step, Measurement):
+                    self._record(step, progress)
+                # Nothing needs to come to rest, and no temperature to be known, when nothing more will be measured.
+                elif self._todo and isinstance(step, Pause):
+                    self._wait(step, sleep)
+                elif self._todo and isinstance(step, Thermometer):
+                    self._read(step)
+        return self._records
 
+    def _announce(self) -> None:
+        """Write down what is going to be done, so that what never began can be told from what nobody asked for."""
+        listed = self._listed
+        made = getattr(listed.bench, "provenance", None)
+        bench = {"made_by": getattr(made, "made_by", type(listed.bench).__name__), **getattr(made, "settings", {})}
+        planned = [{**m.describe(), "hash": m.hash, "comment": m.comment} for m in self._todo]
+        said = {"list": listed.title or listed.name, "list_hash": listed.hash, "bench": bench}
+        self._log.write("planned", at=clock.now(), measurements=planned, **said)
 
-def _finished(listed: ExperimentList, place: Path, resume: bool, overwrite: bool) -> dict[str, Record]:
-    """Return the records that need not be measured; refuse when others would be written over."""
-    there = [m for m in listed.measurements if os.path.lexists(path_of(place, m.name))]
-    if resume:
-        return {m.name: _same(m, path_of(place, m.name)) for m in there}
-    if there and not overwrite:
-        names = ", ".join(m.name for m in there[:5]) + (", ..." if len(there) > 5 else "")
-        raise StorageError(
-            f"experiment: '{place}' holds {len(there)} of the records already ({names}); resume, ask to overwrite, or "
-            "choose another folder."
-        )
-    return {}
+    def _ahead_s(self) -> float:
+        rate_hz = self._listed.bench.rate_hz if self._listed.bench is not None else 1.0
+        pauses = sum(step.seconds for step in self._listed.steps if isinstance(step, Pause))
+        return sum(m.samples for m in self._todo) / rate_hz + (pauses if self._real else 0.0)
 
+    def _record(self, step: Measurement, progress: Task) -> None:
+        record = self._finished.get(step.name)
+        if record is None:
+            if self._stop():
+                self._end(f"stopped as asked before '{step.name}'", True)
+            record = self._measured(step)
+            self._todo.remove(step)
+        self._records[step.name] = record
+        progress.advance(note=step.name)
 
-def _refuse_repetition(
-    listed: ExperimentList, place: Path, finished: dict[str, Record], resume: bool, repeat: Collection[str]
-) -> None:
-    """Refuse to excite again what the journal says was begun already, unless it is named."""
-    asked = {m.name for m in listed.measurements}
-    unknown = sorted(set(repeat) - asked)
-    if unknown:
-        raise InputError(f"experiment: the list has no measurement '{unknown[0]}' to repeat.")
-    again = [name for name in journal.begun(place) if name in asked - set(finished) - set(repeat)]
-    if again:
-        how = "name them in 'repeat' (--repeat)" if resume else "resume and name them in 'repeat' (--repeat)"
-        raise StorageError(
-            f"experiment: {', '.join(again)} in '{place}' was begun before and left no record; to excite again, {how}."
-        )
+    def _measured(self, step: Measurement) -> Record:
+        bench, begun = self._listed.bench, clock.now()
+        assert bench is not None
+        levels = Levels(bench.actuators, bench.sensors)
+        self._onlooker.measures(step, levels)
+        self._log.write("begun", at=begun, name=step.name, hash=step.hash)
 
+        def seen(block: Any) -> None:
+            levels.take(block)
+            self._course.advance(block.readings.shape[1] / bench.rate_hz)
+            self._onlooker.advances(step, levels)
 
-def _same(measurement: Measurement, path: Path) -> Record:
-    record = load_value(path)
-    made = record.provenance.settings.get("measurement_hash") if isinstance(record, Record) else None
-    if made != measurement.hash:
-        raise InputError(
-            f"experiment: '{path}' was not made by '{measurement.name}' as the list has it now (line "
-            f"{measurement.line}); move it away or choose another folder."
-        )
-    return record
+        watch = Watch(self._stop, seen, self._conditions(step, begun))
+        left = measure(self._listed, step, len(self._records), self._place, self._overwrite, watch)
+        self._tell(step, left, levels)
+        if left.aborted:
+            of = f"'{step.name}' after {left.record.samples} of {step.samples} samples"
+            asked = self._stop()
+            self._end(f"stopped as asked in {of}" if asked else f"the bench ended {of}", asked)
+        return left.record
 
+    def _conditions(self, step: Measurement, begun: str) -> dict[str, Any]:
+        known: dict[str, Any] = {"begun": begun}
+        if self._temperatures:
+            latest = list(self._temperatures.values())[-1]
+            known |= {"temperature_c": latest, "temperatures_c": dict(self._temperatures)}
+        return known | ({"comment": step.comment} if step.comment else {})
 
-def _sweep(place: Path) -> None:
-    # Half-written files of a process that was killed; the journal's lock says that no other is at work here.
-    for part in place.glob(".*.h5.*.part"):
-        part.unlink(missing_ok=True)
+    def _tell(self, step: Measurement, left: Measured, levels: Levels) -> None:
+        warnings = list(levels.warnings(excited=bool(step.drives)))
+        told = {"warnings": warnings, "overruns": left.overruns}
+        event = "aborted" if left.aborted else "finished"
+        self._log.write(event, at=clock.now(), name=step.name, hash=step.hash, record=left.record.hash, **told)
+        self._onlooker.ends(step, levels, ABORTED if left.aborted else DONE, warnings)
 
+    def _end(self, sentence: str, asked: bool) -> None:
+        raise StoppedError(sentence, states(self._listed.measurements, self._place), asked)
 
-def _check_space(listed: ExperimentList, place: Path, finished: dict[str, Record]) -> None:
-    bench = listed.bench
-    assert bench is not None
-    channels = len(bench.actuators) + len(bench.sensors)
-    todo = [m.samples for m in listed.measurements if m.name not in finished]
-    needed = sum(todo) * channels * SAMPLE_BYTES + len(todo) * RECORD_BYTES
-    free = shutil.disk_usage(place).free
-    if free < needed:
-        raise StorageError(
-            f"experiment: the records need {needed / 1e6:.1f} MB, '{place}' has {free / 1e6:.1f} MB free; "
-            "nothing was executed."
-        )
+    def _wait(self, step: Pause, sleep: Callable[[float], None] | None) -> None:
+        self._onlooker.waits(step.seconds, skipped=sleep is None and not self._real)
+        if sleep is not None:
+            sleep(step.seconds)
+        elif self._real:
+            clock.rest(step.seconds, self._stop)
+        if self._real:
+            self._course.advance(step.seconds)
+
+    def _read(self, step: Thermometer) -> None:
+        value = clock.temperature_c(self._listed.bench)
+        # The latest reading stands last, whatever its name.
+        self._temperatures.pop(step.name, None)
+        self._temperatures[step.name] = value
+        self._log.write("temperature", at=clock.now(), name=step.name, temperature_c=value)
+        self._onlooker.reads(step.name, value)

@@ -23,7 +23,7 @@ from ultraquiet.values import Channel
 
 SYNC_S = 0.1  # what a power cut may cost, and one block; a disk syncs some hundred times a second, and idles so
 EARLY = 0.1  # of it: a block that comes a little early is not left for the next one to take to the disk
-FRAME_SAMPLES = 4096  # longer blocks are cut, so that a damaged byte costs one second and not the run
+FRAME_SAMPLES = 1024  # longer blocks are cut, so that a disk that is full keeps what it can of one long block
 
 _Path = str | os.PathLike[str]
 
