@@ -154,7 +154,7 @@ def test_a_missing_bench_is_told_with_the_rest_and_by_run(tmp_path):
         ("commands = 3\n" + BENCH, 1, "'commands'"),
         (BENCH + '[[commands]]\ndo = "wait"\nseconds = 1\n', 1, "no command records anything"),
         ('[bench]\nmethod = "centrifuge"\n[[commands]]\ndo = "record"\nname = "a"\n', 2, "no method 'centrifuge'"),
-        ('[bench]\nmethod = "hexapod"\nunit = "lunar"\n[[commands]]\ndo = "record"\nname = "a"\n', 1, "'lunar'"),
+        ('[bench]\nmethod = "hexapod"\nunit = "lunar"\n[[commands]]\ndo = "record"\nname = "a"\n', 3, "'lunar'"),
         ('[bench]\nmethod = "wrapped"\n[[commands]]\ndo = "record"\nname = "a"\n', 1, "lacks its setting 'step'"),
         (BENCH + '[[commands]]\ndo = "controller-off"\n', 3, "no controller is on"),
         (BENCH + '[[commands]]\ndo = "set"\n"a b" = 1\n', 5, "cannot be set"),

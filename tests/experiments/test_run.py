@@ -97,13 +97,13 @@ do = "excite"
 name = "s"
 actuator = 1
 samples = 200
-signal = { method = "step", level_v = "$round", rise_s = 0.0 }
+signal = { method = "step", level_v = "$round", rise_s = 0.0, fall_s = 0.1 }
 [[commands]]
 do = "excite"
 name = "last"
 actuator = [1, 2]
 samples = 200
-signal = { method = "step", level_v = "$level", rise_s = 0.0 }
+signal = { method = "step", level_v = "$level", rise_s = 0.0, fall_s = 0.1 }
 """
     records = run(text, tmp_path, bench)
     assert list(records) == ["s-r1-r1", "s-r1-r2", "s-r2-r1", "s-r2-r2", "last"]

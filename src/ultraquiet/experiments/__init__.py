@@ -1,8 +1,30 @@
 """Experiments: a list of commands in TOML, checked whole, executed in order, one record per measurement."""
 
 from ultraquiet.experiments.catalogue import Entry, find
+from ultraquiet.experiments.clock import real_time
+from ultraquiet.experiments.dry import DryRun, DryStep, dry_run
 from ultraquiet.experiments.listed import ExperimentList, load, parse
+from ultraquiet.experiments.live import Course, Levels, Onlooker
 from ultraquiet.experiments.mistakes import ListError
 from ultraquiet.experiments.run import run
+from ultraquiet.experiments.states import State, StoppedError, states
 
-__all__ = ["Entry", "ExperimentList", "ListError", "find", "load", "parse", "run"]
+__all__ = [
+    "Course",
+    "DryRun",
+    "DryStep",
+    "Entry",
+    "ExperimentList",
+    "Levels",
+    "ListError",
+    "Onlooker",
+    "State",
+    "StoppedError",
+    "dry_run",
+    "find",
+    "load",
+    "parse",
+    "real_time",
+    "run",
+    "states",
+]

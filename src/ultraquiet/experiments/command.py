@@ -12,13 +12,18 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 def _actuator(value: Any) -> Any:
-    numbers = value if isinstance(value, list) else [value]
-    counted = bool(numbers) and all(isinstance(n, int) and not isinstance(n, bool) and n >= 1 for n in numbers)
-    if value not in ("each", "all") and not counted:
-        raise ValueError('it must be a number from 1, a list of them, "each" (one after another) or "all" (at once)')
-    if counted and len(set(numbers)) < len(numbers):
-        raise ValueError("an actuator is listed twice")
+    listed = value if isinstance(value, list) else [value]
+    if not listed or not all(_one(n) for n in listed):
+        raise ValueError(
+            'it must be a number from 1, the name of an actuator, a list of these, "each" (one after another) or '
+            '"all" (at once)'
+        )
     return value
+
+
+def _one(value: Any) -> bool:
+    counted = isinstance(value, int) and not isinstance(value, bool) and value >= 1
+    return counted or (isinstance(value, str) and bool(value.strip()))
 
 
 def _name(value: str) -> str:
@@ -32,6 +37,7 @@ Actuator = Annotated[Any, AfterValidator(_actuator)]
 Name = Annotated[str, AfterValidator(_name)]
 Samples = Annotated[int, Field(ge=1, le=MOST_SAMPLES, strict=True)]
 Seed = Annotated[int, Field(ge=0, strict=True)]
+Limit = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 # Each command is checked on its own by the compiler, so that one mistake does not hide those of its neighbours.
 Commands = Annotated[list[Any], Field(min_length=1)]
 
@@ -64,12 +70,16 @@ class Set(BaseModel):
 
 
 class Configure(Strict):
-    """`configure`: what holds for all later measurements: their length, their seed, a limit below the bench's own."""
+    """`configure`: what holds from here on: length and seed of measurements, a limit below the bench's own.
+
+    `max_duration_s` holds for the whole list: the longest time it may take on the bench, waits included.
+    """
 
     do: Literal["configure"]
     samples: Samples | None = None
     seed: Seed | None = None
-    limit_v: Annotated[float, Field(gt=0)] | None = None
+    limit_v: Limit | None = None
+    max_duration_s: Limit | None = None
 
 
 class Excite(Strict):
@@ -81,6 +91,7 @@ class Excite(Strict):
     actuator: Actuator = "each"
     samples: Samples | None = None
     seed: Seed | None = None
+    comment: str = ""
 
 
 class RecordOnly(Strict):
@@ -89,6 +100,14 @@ class RecordOnly(Strict):
     do: Literal["record"]
     name: Name
     samples: Samples | None = None
+    comment: str = ""
+
+
+class Temperature(Strict):
+    """`temperature`: read the bench's temperature; later records carry it under this name."""
+
+    do: Literal["temperature"]
+    name: Name = "bench"
 
 
 class ControllerOn(Strict):
@@ -105,11 +124,15 @@ class ControllerOff(Strict):
 
 
 class DisturbanceOn(Strict):
-    """`disturbance-on`: add a signal at the plant's input in all later measurements."""
+    """`disturbance-on`: add a signal at the plant's input in all later measurements, in place of one that is on.
+
+    `source` is another word for `actuator`, for those that are there to disturb: `source = "base proof mass"`.
+    """
 
     do: Literal["disturbance-on"]
     signal: Method
-    actuator: Actuator = "all"
+    actuator: Actuator | None = None
+    source: Actuator | None = None
     seed: Seed | None = None
 
 
@@ -120,7 +143,7 @@ class DisturbanceOff(Strict):
 
 
 class Wait(Strict):
-    """`wait`: let the bench come to rest."""
+    """`wait`: let the bench come to rest; a simulated bench is at rest at once, and is not waited for."""
 
     do: Literal["wait"]
     seconds: Annotated[float, Field(ge=0, le=86400)]
@@ -139,6 +162,7 @@ Command = Annotated[
     | Configure
     | Excite
     | RecordOnly
+    | Temperature
     | ControllerOn
     | ControllerOff
     | DisturbanceOn
@@ -163,6 +187,7 @@ VOCABULARY: Mapping[str, type[BaseModel]] = {
     "configure": Configure,
     "excite": Excite,
     "record": RecordOnly,
+    "temperature": Temperature,
     "controller-on": ControllerOn,
     "controller-off": ControllerOff,
     "disturbance-on": DisturbanceOn,

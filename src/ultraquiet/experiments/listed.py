@@ -3,6 +3,7 @@
 import os
 import re
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.lines import line_numbers
+from ultraquiet._base.lines import Place, line_numbers
 from ultraquiet._base.provenance import content_hash
 from ultraquiet.experiments.command import Content
-from ultraquiet.experiments.compile import Compiler, make
+from ultraquiet.experiments.compile import Compiler
+from ultraquiet.experiments.making import checked_bench, make_bench
 from ultraquiet.experiments.mistakes import ListError, Mistakes
-from ultraquiet.experiments.plan import Measurement, Pause, Step
+from ultraquiet.experiments.plan import Measurement, Step, duration_s
 
 PACKAGED = ("suite",)
 NO_BENCH = 'there is no bench; name one in a table [bench], as in method = "hexapod", or give one to run.'
@@ -53,9 +55,7 @@ class ExperimentList:
     @property
     def duration_s(self) -> float:
         """Time on the bench in seconds: samples and pauses, without what lies between runs."""
-        rate_hz = 1.0 if self.bench is None else self.bench.rate_hz
-        samples = sum(m.samples for m in self.measurements)
-        return samples / rate_hz + sum(step.seconds for step in self.steps if isinstance(step, Pause))
+        return 0.0 if self.bench is None else duration_s(self.steps, self.bench.rate_hz)
 
     @property
     def hash(self) -> str:
@@ -113,20 +113,19 @@ def parse(
     ... ''')
     Traceback (most recent call last):
     ultraquiet.experiments.mistakes.ListError: experiment list: one mistake; nothing was executed.
-      line 8: there is no actuator 7; the bench has 1 to 6.
+      line 8: there is no actuator 7; the bench has 1 to 6 (strut 1, strut 2, strut 3, strut 4, strut 5, strut 6).
     """
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        raise ListError(name, [(int(found[1]) if found else 1, f"this is not TOML: {error}.")]) from None
-    mistakes = Mistakes(line_numbers(text))
+    content, places = _read(text, name)
+    mistakes = Mistakes(places)
     head = _head(content, mistakes)
-    if bench is None and head.bench is not None:
-        bench = make("bench", head.bench, ("bench",), mistakes)
+    if bench is not None:
+        bench = checked_bench(bench, (), mistakes)
+    elif head.bench is not None:
+        bench = make_bench(head.bench, ("bench",), mistakes)
     compiler = Compiler(bench, folder, head.seed if seed is None else seed, mistakes)
     commands = content.get("commands")
     compiler.walk(commands if isinstance(commands, list) else [], ("commands",))
+    compiler.finish()
     if not any(isinstance(step, Measurement) for step in compiler.steps) and not len(mistakes):
         mistakes.add((), "no command records anything; it would take an 'excite' or a 'record'.")
     if len(mistakes):
@@ -136,6 +135,19 @@ def parse(
         raise ListError(name, mistakes.told())
     steps = () if bench is None else tuple(compiler.steps)
     return ExperimentList(name, head.title, text, folder, bench, steps, seed)
+
+
+def _read(text: str, name: str) -> tuple[dict[str, Any], Mapping[Place, int]]:
+    """Return the tables of a TOML text and the line of each."""
+    try:
+        return tomllib.loads(text), line_numbers(text)
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"at line (\d+)", str(error))
+        raise ListError(name, [(int(found[1]) if found else 1, f"this is not TOML: {error}.")]) from None
+    except RecursionError:
+        raise ListError(name, [(1, "its tables lie too deep inside one another.")]) from None
+    except ValueError as error:  # dates and whole numbers that Python cannot hold
+        raise ListError(name, [(1, f"this is not TOML: {error}.")]) from None
 
 
 def _head(content: dict[str, Any], mistakes: Mistakes) -> Content:

@@ -10,6 +10,25 @@ from ultraquiet._base.lines import Place, line_of
 from ultraquiet.experiments.command import VOCABULARY
 
 
+class _Undefined:
+    """Stands where a variable without a value stood: told once, and not held against anything else."""
+
+    def __repr__(self) -> str:
+        return "an undefined variable"
+
+
+UNDEFINED = _Undefined()
+
+
+def undefined_in(value: Any) -> bool:
+    """Return whether anything inside a value is undefined."""
+    if isinstance(value, Mapping):
+        return any(undefined_in(held) for held in value.values())
+    if isinstance(value, list | tuple):
+        return any(undefined_in(held) for held in value)
+    return value is UNDEFINED
+
+
 class ListError(InputError):
     """An experiment list with mistakes; `.mistakes` holds them as (line, sentence), sorted by line."""
 
@@ -38,6 +57,8 @@ class Mistakes:
     def add_refusal(self, place: Place, error: ValidationError, model: type[BaseModel] | None) -> None:
         """Note everything that pydantic refused."""
         for found in error.errors():
+            if _follows(found):
+                continue
             # The discriminator's word stands in the path but not in the text.
             inner = tuple(k for k in found["loc"] if k not in VOCABULARY)
             word = ("do",) if found["type"] == "union_tag_invalid" else ()
@@ -49,6 +70,14 @@ class Mistakes:
 
     def __len__(self) -> int:
         return len(self._held)
+
+
+def _follows(found: Any) -> bool:
+    """Return whether a refusal is but the consequence of an undefined variable, which is told already."""
+    if found["type"] in ("missing", "extra_forbidden", "union_tag_not_found"):
+        return False
+    given = found["input"]
+    return undefined_in(given["do"] if found["type"] == "union_tag_invalid" else given)
 
 
 def _sentence(found: Any, model: type[BaseModel] | None) -> str:

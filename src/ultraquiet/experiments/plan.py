@@ -1,4 +1,4 @@
-"""What a checked list comes to on a given bench: measurements and pauses, in order."""
+"""What a checked list comes to on a given bench: measurements, pauses and readings of temperature, in order."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -34,8 +34,19 @@ class Pause:
 
 
 @dataclass(frozen=True)
+class Thermometer:
+    """A reading of the bench's temperature; later records carry it under `name`."""
+
+    name: str
+    line: int
+
+
+@dataclass(frozen=True)
 class Measurement:
-    """One run of the bench that leaves one record called `name`; `group` is the name its command gave."""
+    """One run of the bench that leaves one record called `name`; `group` is the name its command gave.
+
+    The comment is for people and decides nothing: it is no part of the hash.
+    """
 
     name: str
     group: str
@@ -45,6 +56,7 @@ class Measurement:
     disturbances: tuple[Drive, ...]
     controller: StateSpace | None
     controller_file: str
+    comment: str = ""
 
     def describe(self) -> dict[str, Any]:
         """Return everything that decides this measurement, in plain types."""
@@ -64,7 +76,17 @@ class Measurement:
         return content_hash(self.describe())
 
 
-Step = Measurement | Pause
+Step = Measurement | Pause | Thermometer
+
+
+def duration_s(steps: Iterable[Step], rate_hz: float) -> float:
+    """Return the time steps take on the bench in seconds: samples and pauses, without what lies between runs."""
+    lengths = (step.samples / rate_hz if isinstance(step, Measurement) else _pause_s(step) for step in steps)
+    return float(sum(lengths))
+
+
+def _pause_s(step: Pause | Thermometer) -> float:
+    return step.seconds if isinstance(step, Pause) else 0.0
 
 
 def volts(drives: Iterable[Drive], actuators: int, samples: int, rate_hz: float) -> FloatArray:
