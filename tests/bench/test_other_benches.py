@@ -225,7 +225,7 @@ def test_a_replay_says_where_the_nearest_record_differs(rng):
     records = tape(rng)
     asked = np.array(records[3].inputs)
     asked[0, 17] = 0.0
-    with pytest.raises(InputError, match="record 4, differs first in 'force' at sample 17, .* and 0 is asked"):
+    with pytest.raises(InputError, match=r"record 4, differs first in 'force' at sample 17, .* and 0 is asked"):
         Replay(records).run(asked)
     with pytest.raises(InputError, match="they are 50 samples long"):
         Replay(records).run(asked[:, :10])

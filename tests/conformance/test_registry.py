@@ -1,6 +1,8 @@
 """Every registered method keeps its family's promises; registering it is all it takes to be checked here."""
 
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -12,12 +14,23 @@ from ultraquiet.testing import check
 from ultraquiet.values import StateSpace
 
 ENTRIES = [(family, name) for family in registry.FAMILIES for name in registry.methods(family)]
-NEEDS_SETTINGS = {("bench", "replay"), ("bench", "wrapped")}  # they wrap what the caller has
+PLANT = Path(__file__).parents[2] / "docs" / "examples" / "plant.py"
+NEEDS_SETTINGS = {  # they wrap what the caller has
+    ("bench", "wrapped"): {
+        "step": lambda u, d: 2.0 * (u + d),
+        "reset": lambda: None,
+        "rate_hz": 100.0,
+        "actuators": ["force"],
+        "sensors": ["speed"],
+    },
+    ("bench", "process"): {"command": (sys.executable, str(PLANT))},
+}
+TESTED_ELSEWHERE = {("bench", "replay")}  # a recording answers no signal but its own
 
 
-@pytest.mark.parametrize(("family", "name"), [e for e in ENTRIES if e not in NEEDS_SETTINGS])
+@pytest.mark.parametrize(("family", "name"), [e for e in ENTRIES if e not in TESTED_ELSEWHERE])
 def test_method_keeps_its_promises(family, name, seed):
-    check(family, name, seed)
+    check(family, name, seed, **NEEDS_SETTINGS.get((family, name), {}))
 
 
 @pytest.mark.parametrize("family", registry.FAMILIES)

@@ -2,7 +2,8 @@
 
 from ultraquiet.bench._abstract import Bench, Block, Streaming
 from ultraquiet.bench.hexapod import Hexapod
+from ultraquiet.bench.process import Process
 from ultraquiet.bench.replay import Replay
 from ultraquiet.bench.wrapped import Wrapped
 
-__all__ = ["Bench", "Block", "Hexapod", "Replay", "Streaming", "Wrapped"]
+__all__ = ["Bench", "Block", "Hexapod", "Process", "Replay", "Streaming", "Wrapped"]

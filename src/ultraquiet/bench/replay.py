@@ -114,7 +114,7 @@ class Replay:
         row, k = (int(i) for i in np.argwhere(inputs != asked)[0])
         return (
             f"{said}: the nearest, record {number}, differs first in '{self.actuators[row].name}' at sample {k}, "
-            f"where {inputs[row, k]:.17g} was recorded and {asked[row, k]:.17g} is asked; send the inputs of one of them."
+            f"where {inputs[row, k]:.17g} was recorded and {asked[row, k]:.17g} is asked; send the inputs of one."
         )
 
 

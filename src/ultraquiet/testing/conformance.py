@@ -18,13 +18,14 @@ FAINT_ERROR = 1e-2
 ROUNDING = 1e-6
 
 
-def check(family: str, name: str, seed: int = 0) -> None:
+def check(family: str, name: str, seed: int = 0, **settings: Any) -> None:
     """Check one registered method against what its family promises.
 
     Args:
         family: `signals`, `bench`, `identify`, `design` or `reduce`.
         name: under which it is registered.
         seed: of the problem it is tried on.
+        settings: what the method cannot do without, a bench's program for instance.
 
     Raises:
         AssertionError: a promise is broken; the message says which.
@@ -32,15 +33,15 @@ def check(family: str, name: str, seed: int = 0) -> None:
     >>> check("signals", "chirp")
     """
     kind = lookup(family, name)
-    _is_a_settings_object(kind, name)
+    _is_a_settings_object(kind, name, settings)
     assert callable(getattr(kind, FAMILIES[family], None)), f"{name}: the verb '{FAMILIES[family]}' is missing"
-    _CHECKS[family](name, kind(), seed)
+    _CHECKS[family](name, kind(**settings), seed)
 
 
-def _is_a_settings_object(kind: type[Any], name: str) -> None:
+def _is_a_settings_object(kind: type[Any], name: str, given: Mapping[str, Any]) -> None:
     assert is_dataclass(kind), f"{name}: must be a dataclass"
     assert (kind.__doc__ or "").strip(), f"{name}: must say what it does"
-    settings = kind()
+    settings = kind(**given)
     for field in fields(kind):
         try:
             setattr(settings, field.name, None)

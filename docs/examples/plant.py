@@ -1,0 +1,72 @@
+"""A plant that speaks the line protocol of docs/line-protocol.md: two sprung masses, the twin of plant.c.
+
+    python plant.py            on standard input and output
+    python plant.py 5025       on TCP port 5025, one driver after another
+
+Standard library only. Put your own plant into `reset`, `step` and HANDSHAKE.
+"""
+
+import socket
+import sys
+
+HANDSHAKE = """\
+ultraquiet-plant 1
+rate 3500
+actuator N -25 25 push 1
+actuator N -25 25 push 2
+sensor m/s -10 10 speed 1
+sensor m/s -10 10 speed 2
+ahead 64
+ready
+"""
+
+
+class Plant:
+    """Two masses on springs, coupled a little."""
+
+    def reset(self):
+        """Return to rest."""
+        self.position, self.speed = [0.0, 0.0], [0.0, 0.0]
+
+    def step(self, u, d):
+        """Return what is read now; `u` and `d` act until the next sample."""
+        h, stiffness, damping, coupling = 1.0 / 3500.0, 9.0e4, 12.0, 0.125
+        y = list(self.speed)
+        for i in range(2):
+            push = u[i] + d[i]
+            force = push - stiffness * self.position[i] - damping * self.speed[i] + coupling * y[1 - i]
+            self.speed[i] = self.speed[i] + h * force
+            self.position[i] = self.position[i] + h * self.speed[i]
+        return y
+
+
+def serve(plant, lines, out):
+    """Answer every line until the driver hangs up."""
+    for line in lines:
+        word, *rest = line.split() or [""]
+        if word == "step":
+            numbers = [float(text) for text in rest]
+            half = len(numbers) // 2
+            out.write(f"y {' '.join(map(repr, plant.step(numbers[:half], numbers[half:])))}\n")
+        elif word == "hello":
+            out.write(HANDSHAKE)
+        elif word in ("reset", "end"):
+            plant.reset()
+            out.write("ok\n")
+        else:
+            out.write(f"error unknown word {word}\n")
+        out.flush()
+    plant.reset()  # the driver has gone: hardware would be brought to rest here
+
+
+if __name__ == "__main__":
+    if len(sys.argv) == 1:
+        serve(Plant(), sys.stdin, sys.stdout)
+    else:
+        with socket.create_server(("127.0.0.1", int(sys.argv[1]))) as server:
+            while True:
+                connection, _ = server.accept()
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                # Two streams: one for both would drop the lines it has read ahead whenever it writes.
+                with connection, connection.makefile("r") as lines, connection.makefile("w", newline="\n") as out:
+                    serve(Plant(), lines, out)
