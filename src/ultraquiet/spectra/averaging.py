@@ -42,7 +42,7 @@ class Averaging:
     @property
     def f_hz(self) -> FloatArray:
         """The lines, `(segment_samples // 2 + 1,)`."""
-        return np.arange(self.segment_samples // 2 + 1) * self.line_hz
+        return np.asarray(np.arange(self.segment_samples // 2 + 1) * self.line_hz, dtype=np.float64)
 
     @property
     def line_hz(self) -> float:
