@@ -75,7 +75,8 @@ def test_three_directions_at_once_lie_within_their_confidence(rng):
         strong.append(np.median(np.abs(found.db[:, :, shown] - true_db)[true_db > 0]))
     share = np.mean(held)
     print(
-        f"{100 * share:.1f} % inside the 95 % interval, median error where it amplifies {np.median(strong):.2f} dB; {found.estimator}"
+        f"{100 * share:.1f} % inside the 95 % interval, median error where it amplifies {np.median(strong):.2f} dB; "
+        f"{found.estimator}"
     )
     assert 0.93 < share < 0.97
     assert np.median(strong) < 0.5

@@ -5,7 +5,19 @@ import sys
 import typer
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.cli import deploy, design, doctor, experiment, identify, methods, study, validate
+from ultraquiet.cli import (
+    convert,
+    deploy,
+    design,
+    doctor,
+    experiment,
+    identify,
+    inspect,
+    methods,
+    spectra,
+    study,
+    validate,
+)
 
 app = typer.Typer(
     help="From the first excitation of a vibration-isolation bench to verified controller code.",
@@ -19,8 +31,11 @@ app.command("report")(study.report)
 app.command("experiment")(experiment.experiment)
 app.command("identify")(identify.identify)
 app.command("validate")(validate.validate)
+app.command("spectra")(spectra.spectra)
 app.command("design")(design.design)
 app.command("deploy")(deploy.deploy)
+app.command("convert")(convert.convert)
+app.command("inspect")(inspect.inspect)
 app.command("methods")(methods.methods)
 app.command("doctor")(doctor.doctor)
 

@@ -1,0 +1,106 @@
+"""Spectra as figures: densities, responses, transmissibility, bands and criteria, each saying how it was averaged."""
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.plot.figure import Figure, Line, Panel
+from ultraquiet.spectra import CRITERIA, BandLevels, PowerSpectrum, Transmissibility
+from ultraquiet.spectra.criteria import UNITS_PER_METRE_PER_SECOND
+from ultraquiet.values import FrequencyResponse
+
+HZ = "frequency (Hz)"
+# What stands for zero on an axis in dB.
+FLOOR = 1e-300
+PANEL_IN = (4.0, 2.2)
+SIGNATURE_WIDTH = 58
+
+
+def density_figure(spectrum: PowerSpectrum, level: float = 0.95) -> Figure:
+    """Amplitude spectral density of each channel with its confidence interval, and the rms that adds up below."""
+    f = spectrum.f_hz > 0
+    x = spectrum.f_hz[f]
+    low, high = spectrum.interval(level)
+    sides = ((low, f"{100 * level:g} % interval"), (high, ""))
+    panels: list[Panel] = []
+    for k, channel in enumerate(spectrum.channels):
+        around = [Line.of(x, _db(side[k, f]), label, ":", 7) for side, label in sides]
+        lines = [*around, Line.of(x, _db(spectrum.values[k, f]))]
+        panels.append(Panel(lines, channel.name, HZ, f"dB re {channel.unit}/√Hz", x_log=True))
+        total = [Line.of(x, spectrum.cumulative_rms[k, f])]
+        panels.append(Panel(total, f"{channel.name}: rms up to here", HZ, channel.unit, x_log=True))
+    caption = f"Amplitude spectral densities and cumulative rms. {spectrum.estimator}."
+    return Figure("density", "Spectral densities", caption, _signed(panels, spectrum.estimator), 2, _size(panels, 2))
+
+
+def response_figure(response: FrequencyResponse) -> Figure:
+    """Gain in dB with one standard error to either side, and coherence, of each output over all inputs."""
+    x = response.f_hz
+    panels: list[Panel] = []
+    for i, sensor in enumerate(response.sensors):
+        lines: list[Line] = []
+        for j, actuator in enumerate(response.actuators):
+            lines.append(Line.of(x, _db(np.abs(response.values[i, j]) ** 2), actuator.name, shade=j))
+            if response.variance is not None and np.isfinite(response.variance[i, j]).all():
+                lines.append(Line.of(x, _db(response.variance[i, j]), style=":", shade=j))
+        panels.append(Panel(lines, f"{sensor.name} (dotted: variance)", HZ, "dB", x_log=True))
+        if response.coherence is not None:
+            named = enumerate(zip(response.coherence[i], response.actuators, strict=True))
+            shares = [Line.of(x, share, actuator.name, shade=j) for j, (share, actuator) in named]
+            panels.append(Panel(shares, "coherence", HZ, x_log=True, y_range=(0.0, 1.05)))
+    columns = 1 if response.coherence is None else 2
+    signed, size = _signed(panels, response.estimator), _size(panels, columns)
+    return Figure("response", "Frequency responses", f"{response.estimator}.", signed, columns, size)
+
+
+def transmissibility_figure(found: Transmissibility, level: float = 0.95) -> Figure:
+    """Each payload direction over each base direction in dB with its interval; then the ratio of whole powers."""
+    x = found.f_hz
+    low, high = found.interval_db(level)
+    panels: list[Panel] = []
+    for i, payload in enumerate(found.response.sensors):
+        for j, base in enumerate(found.response.actuators):
+            around = [Line.of(x, np.maximum(side[i, j], -120.0), style=":", shade=7) for side in (low, high)]
+            panels.append(
+                Panel([*around, Line.of(x, found.db[i, j])], f"{base.name} to {payload.name}", HZ, "dB", x_log=True)
+            )
+    panels.append(Panel([Line.of(x, found.overall_db)], "all directions: ratio of powers", HZ, "dB", x_log=True))
+    caption = f"Transmissibility with its {100 * level:g} % interval (dotted). {found.estimator}."
+    columns = len(found.response.actuators)
+    signed = _signed(panels, found.estimator)
+    return Figure("transmissibility", "Base to payload", caption, signed, columns, _size(panels, columns))
+
+
+def bands_figure(levels: BandLevels) -> Figure:
+    """Levels in fractional octaves; velocities stand among the vibration criteria."""
+    x = levels.bands.centre_hz
+    velocity = all(c.unit in UNITS_PER_METRE_PER_SECOND for c in levels.channels)
+    lines: list[Line] = []
+    for k, channel in enumerate(levels.channels):
+        scale = 1e6 / UNITS_PER_METRE_PER_SECOND[channel.unit] if velocity else 1.0
+        lines.append(Line.of(x, np.log10(np.maximum(scale * levels.rms[k], FLOOR)), channel.name, shade=k))
+    if velocity and levels.bands.fraction == 3:
+        for one in CRITERIA:
+            limit = 1e6 * one.limit_m_s(one.bands.centre_hz)
+            lines.append(Line.of(one.bands.centre_hz, np.log10(limit), one.name, "--", 7))
+    unit = "µm/s" if velocity else levels.channels[0].unit
+    panel = Panel(lines, "", HZ, f"log10 of rms in {unit}", x_log=True)
+    signed = _signed([panel], levels.estimator)
+    return Figure("bands", f"1/{levels.bands.fraction} octaves", f"{levels.estimator}.", signed, 1, (8.0, 4.5))
+
+
+def _db(power: FloatArray) -> FloatArray:
+    return 10.0 * np.log10(np.maximum(power, FLOOR))
+
+
+def _signed(panels: Sequence[Panel], estimator: str) -> list[Panel]:
+    """Return the panels with the averaging printed below the last, so that no picture travels without it."""
+    last = replace(panels[-1], x_label=f"{panels[-1].x_label}\n{textwrap.fill(estimator, SIGNATURE_WIDTH)}")
+    return [*panels[:-1], last]
+
+
+def _size(panels: Sequence[Panel], columns: int) -> tuple[float, float]:
+    return PANEL_IN[0] * columns, PANEL_IN[1] * -(-len(panels) // columns)
