@@ -133,7 +133,7 @@ def _transmissibility(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, 
         names = ", ".join(c.name for c in data.sensors)
         raise InputError(f"spectra: transmissibility needs '--base' and '--payload', sensors among {names}.")
     sides = [[name.strip() for name in side.split(",")] for side in (wanted.base, wanted.payload)]
-    found = room.transmissibility(data, *sides, estimator=wanted.estimator, **wanted.averaging)
+    found = room.transmissibility(data, sides[0], sides[1], estimator=wanted.estimator, **wanted.averaging)
     table = Table("payload", "base", "largest", "at", "95 % interval", title="Transmissibility")
     low, high = found.interval_db()
     for i, p in enumerate(found.response.sensors):
