@@ -1,26 +1,39 @@
-"""Files: every value to one HDF5 file and back, logs of runs, and records from CSV, MAT and NPZ."""
+"""Files: every value to one HDF5 file and back, logs of runs, and records in the formats of other programs."""
 
 from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
 from ultraquiet.files.atomic import reason, write_bytes
 from ultraquiet.files.export import export_record
 from ultraquiet.files.log import LogWriter, log_header
 from ultraquiet.files.logged import Log, finalise, read_log
+from ultraquiet.files.mapping import MappingError, load_mapping, parse_mapping
 from ultraquiet.files.read import read_record
+from ultraquiet.files.responses import export_frf, read_frf
+from ultraquiet.files.sep005 import from_sep005, to_sep005
+from ultraquiet.files.survey import Survey, survey
 
 __all__ = [
     "Log",
     "LogWriter",
+    "MappingError",
+    "Survey",
     "contents",
+    "export_frf",
     "export_record",
     "finalise",
+    "from_sep005",
     "is_archive",
     "load",
     "load_many",
+    "load_mapping",
     "log_header",
+    "parse_mapping",
+    "read_frf",
     "read_log",
     "read_record",
     "reason",
     "save",
     "save_many",
+    "survey",
+    "to_sep005",
     "write_bytes",
 ]

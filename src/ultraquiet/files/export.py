@@ -1,82 +1,49 @@
-"""Records for other programs: text columns and MATLAB files, which `read_record` reads back bit for bit."""
+"""Records for other programs; `read_record` reads them back."""
 
-import csv
-import io
 import os
+from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from ultraquiet._base.errors import InputError
+from ultraquiet.files.archive import save
 from ultraquiet.files.atomic import write_bytes
-from ultraquiet.values import Channel, Record
+from ultraquiet.files.formats import ARCHIVES, FORMATS, format_of
+from ultraquiet.files.uff import write_uff
+from ultraquiet.values import Record
 
 
-def export_record(record: Record, path: str | os.PathLike[str], overwrite: bool = True) -> Path:
-    """Write a record as `.csv` (time, inputs, outputs side by side) or `.mat` (u, y, fs, names and units).
+def export_record(record: Record, path: str | os.PathLike[str], overwrite: bool = True, text: bool = False) -> Path:
+    """Write a record for another program, whole or not at all; the suffix decides the format.
 
-    Channels, limits and provenance survive in an archive only; see `save`.
+    `.h5` is an archive and keeps everything, provenance too. `.csv` has time, inputs and outputs side by side, `.mat`
+    (version 5) u, y, fs, names and units, `.uff` and `.unv` a data set 58b a channel, `.parquet` a column a channel.
+    Every one keeps each bit of the samples, names, units, roles and the rate; limits survive in HDF5 and Parquet only.
 
     Args:
         record: what to write.
-        path: the file; its suffix decides the format.
+        path: the file.
         overwrite: False refuses a name that is taken.
+        text: universal files as data set 58, in ASCII: numbers are rounded to twelve digits.
 
     Raises:
-        InputError: another suffix.
+        InputError: another suffix, or a name or unit that the format cannot hold.
         StorageError: disk full, folder missing or closed, name taken; what was there before is untouched.
+        ToolError: Parquet without pyarrow.
 
     >>> import tempfile
     >>> from ultraquiet.files import read_record
     >>> record = Record([[1.0, 0.0]], [[0.1, 0.3]], 3500.0, ["force"], ["speed"])
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = export_record(record, Path(folder) / "run.csv")
-    ...     read_record(path, record.rate_hz, "force", "speed").outputs
-    array([[0.1, 0.3]])
+    ...     back = read_record(path)
+    >>> back.rate_hz, back.sensors[0].name, back.outputs
+    (3500.0, 'speed', array([[0.1, 0.3]]))
     """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".csv":
-        return write_bytes(path, _csv(record), overwrite)
-    if suffix == ".mat":
-        return write_bytes(path, _mat(record), overwrite)
-    raise InputError(f"export_record: '{path}' has neither of the suffixes .csv and .mat.")
-
-
-def _header(channel: Channel) -> str:
-    return f"{channel.name} [{channel.unit}]" if channel.unit else channel.name
-
-
-def _csv(record: Record) -> bytes:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    # Input and output may share a name: a strut has an actuator and a sensor.
-    names = [f"{kind} {_header(c)}" for kind, cs in (("u", record.actuators), ("y", record.sensors)) for c in cs]
-    twins = {c.name for c in record.actuators} & {c.name for c in record.sensors}
-    plain = [_header(c) for c in (*record.actuators, *record.sensors)]
-    writer.writerow(["time [s]", *(names if twins else plain)])
-    columns = np.vstack([record.time_s, record.inputs, record.outputs]).T
-    writer.writerows([[repr(v) for v in row] for row in columns.tolist()])
-    return text.getvalue().encode()
-
-
-def _mat(record: Record) -> bytes:
-    import scipy.io
-
-    held = {
-        "u": record.inputs.T,
-        "y": record.outputs.T,
-        "fs": record.rate_hz,
-        "u_names": _cells([c.name for c in record.actuators]),
-        "y_names": _cells([c.name for c in record.sensors]),
-        "u_units": _cells([c.unit for c in record.actuators]),
-        "y_units": _cells([c.unit for c in record.sensors]),
-    }
-    memory = io.BytesIO()
-    scipy.io.savemat(memory, held, do_compression=True)
-    return memory.getvalue()
-
-
-def _cells(texts: list[str]) -> np.ndarray:
-    cells = np.empty(len(texts), dtype=object)
-    cells[:] = texts
-    return cells
+    form = format_of("export_record", Path(path))
+    if Path(path).suffix.lower() in ARCHIVES:
+        return save(record, path, overwrite)
+    write = partial(write_uff, text=text) if form.write is write_uff else form.write
+    if write is None:
+        known = ", ".join(s for held in FORMATS if held.write is not None for s in held.suffixes)
+        raise InputError(f"export_record: {form.name} files are read only; write {', '.join(ARCHIVES)}, {known}.")
+    return write_bytes(path, write(record), overwrite)

@@ -1,20 +1,24 @@
-"""Tables from MATLAB files: version 5 to 7.2 by SciPy, version 7.3 by h5py."""
+"""MATLAB files: version 5 to 7.2 by SciPy, version 7.3 by h5py; written as version 5."""
 
 import io
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.errors import StorageError
+from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.table import Table, from_arrays
+from ultraquiet.values import Record
+
+MOST_BYTES = 2**31  # of one variable in version 5, whose lengths are 32 bits with a sign
 
 
 def read_mat(name: str, data: bytes) -> Table:
     """Return the numeric variables of a MAT file; fields of a structure are named `structure.field`.
 
-    Objects that only MATLAB understands (transfer functions, tables) are passed over.
+    Cells of text called `u_names` and `u_units` name the columns of `u`. Objects that only MATLAB understands (transfer
+    functions, tables) are passed over.
     """
     import scipy.io
 
@@ -26,18 +30,60 @@ def read_mat(name: str, data: bytes) -> Table:
     except Exception as error:
         # Damaged bytes surface as whatever zlib, SciPy or HDF5 stumble over first.
         raise StorageError(f"read_record: '{name}' cannot be read as a MAT file ({reason(error)}).") from error
-    return from_arrays(name, _flat(held))
+    flat = _flat(held)
+    texts = {key: words for key, value in flat.items() if (words := _words(value)) is not None}
+    arrays = {key: value for key, value in flat.items() if key not in texts}
+    return from_arrays(name, arrays, texts)
+
+
+def write_mat(record: Record) -> bytes:
+    """Return a record as variables u, y (time goes down), fs, and the names and units of their columns."""
+    import scipy.io
+
+    if max(record.inputs.nbytes, record.outputs.nbytes) >= MOST_BYTES:
+        raise InputError("export_record: a variable of a MAT file ends at 2 GiB; write .h5, which knows no such end.")
+    held = {
+        "u": record.inputs.T,
+        "y": record.outputs.T,
+        "fs": record.rate_hz,
+        "u_names": _cells([c.name for c in record.actuators]),
+        "y_names": _cells([c.name for c in record.sensors]),
+        "u_units": _cells([c.unit for c in record.actuators]),
+        "y_units": _cells([c.unit for c in record.sensors]),
+    }
+    memory = io.BytesIO()
+    scipy.io.savemat(memory, held, do_compression=True)
+    return memory.getvalue()
+
+
+def _cells(texts: Sequence[str]) -> np.ndarray:
+    cells = np.empty(len(texts), dtype=object)
+    cells[:] = texts
+    return cells
+
+
+def _words(value: Any) -> list[str] | None:
+    """Return a text, or a cell of texts, as a list; None for anything else."""
+    if isinstance(value, str):
+        return [value]
+    items = value.ravel().tolist() if isinstance(value, np.ndarray) and value.dtype.kind in "OU" else value
+    if not isinstance(items, list):
+        return None
+    # SciPy gives an empty text as an empty array.
+    words = ["" if isinstance(item, np.ndarray) and item.size == 0 else item for item in items]
+    texts = [item for item in words if isinstance(item, str)]
+    return texts if texts and len(texts) == len(words) else None
 
 
 def _flat(held: Mapping[Any, Any], before: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in held.items():
         # SciPy enters objects it cannot read under None.
-        if not isinstance(key, str) or key.startswith("__"):
+        if not isinstance(key, str) or key.startswith(("__", "#")):
             continue
         if isinstance(value, Mapping):
             flat.update(_flat(value, f"{before}{key}."))
-        elif not isinstance(value, np.ndarray) or value.dtype.kind in "fiu":
+        else:
             flat[before + key] = value
     return flat
 
@@ -46,4 +92,29 @@ def _version_73(data: bytes) -> dict[str, Any]:
     import h5py
 
     with h5py.File(io.BytesIO(data), "r") as file:
-        return {name: held[()] for name, held in file.items() if isinstance(held, h5py.Dataset)}
+        return _group(file, file)
+
+
+def _group(group: Any, file: Any) -> dict[str, Any]:
+    import h5py
+
+    found: dict[str, Any] = {}
+    for name, held in group.items():
+        if isinstance(held, h5py.Group):
+            found[name] = _group(held, file)
+        elif isinstance(held, h5py.Dataset):
+            found[name] = _variable(held, file)
+    return found
+
+
+def _variable(held: Any, file: Any) -> Any:
+    kind = held.attrs.get("MATLAB_class", b"")
+    if held.attrs.get("MATLAB_empty", 0):
+        return "" if kind == b"char" else np.zeros(0)
+    # MATLAB writes its columns as the rows of HDF5.
+    array = np.asarray(held[()]).T
+    if kind == b"char":
+        return "".join(map(chr, array.ravel().tolist()))
+    if kind == b"cell":
+        return [_variable(file[reference], file) for reference in array.ravel(order="F")]
+    return array

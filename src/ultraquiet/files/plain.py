@@ -1,24 +1,29 @@
-"""Tables from text files (CSV, TSV, columns of numbers) and from NumPy's `.npz`."""
+"""Text columns (CSV, TSV, columns of numbers) in and out."""
 
 import csv
 import io
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet.files.atomic import reason
-from ultraquiet.files.table import Column, Table, from_arrays, split_unit
+from ultraquiet.files.table import Column, Table, split_unit
+from ultraquiet.values import Channel, Record
 
 DELIMITERS = (";", "\t", ",")
+ROLES = {"u ": "input", "y ": "output"}  # how `write_text` marks its columns
 
 
 def read_text(name: str, data: bytes) -> Table:
     """Return the columns of a text file; the line before the numbers names them, with units in brackets.
 
-    Cells are parted by semicolons, tabs, commas or blanks; lines that begin with `#` are remarks, and the last of them
-    before the numbers may be the header.
+    Cells are parted by semicolons, tabs, commas or blanks; with semicolons or tabs a comma is a decimal comma. Units
+    may stand in a line of their own below the names. An empty cell counts as NaN. Lines that begin with `#` are
+    remarks, and the last of them before the numbers may be the header.
     """
     try:
         # Spreadsheets begin UTF-8 files with a byte-order mark.
@@ -30,35 +35,73 @@ def read_text(name: str, data: bytes) -> Table:
         raise InputError(f"read_record: '{name}' holds no line of numbers.")
     delimiter = _delimiter(lines[start])
     try:
-        rows = np.loadtxt(lines[start:], delimiter=delimiter, ndmin=2)
+        rows = _numbers(lines[start:], delimiter)
     except ValueError as error:
         raise InputError(f"read_record: '{name}', after line {start}: {reason(error)}.") from None
     header = _header(lines[:start], delimiter, rows.shape[1])
-    return Table(name, tuple(Column(*_named(h, values)) for h, values in zip(header, rows.T, strict=True)))
+    columns = [Column(called, values, unit) for (called, unit), values in zip(header, rows.T, strict=True)]
+    return Table(name, _with_roles(columns))
 
 
-def read_npz(name: str, data: bytes) -> Table:
-    """Return the arrays of an `.npz` file; pickled objects are not opened."""
+def write_text(record: Record) -> bytes:
+    """Return time, inputs and outputs as CSV; every float keeps all its bits, names begin with `u ` or `y `."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    # The marks tell roles on reading, and part an actuator from the sensor of the same name.
+    marked = [(mark, c) for mark, cs in zip(ROLES, (record.actuators, record.sensors), strict=True) for c in cs]
+    for _, c in marked:
+        _writable(c)
+    writer.writerow(["time [s]", *(f"{mark}{c.name} [{c.unit}]" for mark, c in marked)])
+    columns = np.vstack([record.time_s, record.inputs, record.outputs]).T
+    writer.writerows([[repr(v) for v in row] for row in columns.tolist()])
+    return text.getvalue().encode()
+
+
+def _writable(c: Channel) -> None:
+    texts = (c.name, c.unit)
+    if not c.name or any(len(t.splitlines()) > 1 or t != t.strip() for t in texts) or set(c.unit) & set("[]()"):
+        raise InputError(
+            f"export_record: the name {c.name!r} with unit {c.unit!r} cannot stand in a line of text; rename it, "
+            "without line breaks, outer blanks or brackets in the unit."
+        )
+
+
+def _with_roles(columns: Sequence[Column]) -> tuple[Column, ...]:
+    signals = [c for c in columns if c.name.lower() not in ("time", "t")]
+    if {c.name[:2] for c in signals} != set(ROLES):
+        return tuple(columns)
+    return tuple(
+        replace(c, name=c.name[2:], role=ROLES[c.name[:2]]) if any(c is s for s in signals) else c for c in columns
+    )
+
+
+def _numbers(lines: Sequence[str], delimiter: str | None) -> FloatArray:
+    if delimiter in (";", "\t"):
+        lines = [line.replace(",", ".") for line in lines]
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as held:
-            arrays = {key: held[key] for key in held.files if held[key].dtype.kind in "fiu"}
-    except Exception as error:
-        # Damaged bytes surface as whatever zipfile, zlib or NumPy stumble over first.
-        raise StorageError(f"read_record: '{name}' cannot be read as .npz ({reason(error)}).") from error
-    return from_arrays(name, arrays)
+        return np.loadtxt(lines, delimiter=delimiter, ndmin=2)
+    except ValueError:
+        if delimiter is None or not any(_has_gap(line, delimiter) for line in lines):
+            raise
+    # Slower, and needed only where cells are empty.
+    return np.loadtxt(lines, delimiter=delimiter, ndmin=2, converters=lambda cell: float(cell.strip() or "nan"))
 
 
-def _named(header: str, values: np.ndarray) -> tuple[str, np.ndarray, str]:
-    name, unit = split_unit(header)
-    return name, values, unit
+def _has_gap(line: str, delimiter: str) -> bool:
+    return bool(line.strip()) and not all(cell.strip() for cell in line.split(delimiter))
 
 
 def _is_numbers(line: str) -> bool:
-    cells = [cell for cell in _cells(line, _delimiter(line)) if cell]
+    delimiter = _delimiter(line)
+    cells = [cell for cell in _cells(line, delimiter) if cell]
+    if delimiter in (";", "\t"):
+        cells = [cell.replace(",", ".") for cell in cells]
     try:
-        return bool(cells) and all(float(cell) == float(cell) for cell in cells)
+        numbers = [float(cell) for cell in cells]
     except ValueError:
         return False
+    # A row of nothing but `nan` may still be a header.
+    return bool(np.isfinite(numbers).any())
 
 
 def _delimiter(line: str) -> str | None:
@@ -74,10 +117,19 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
 
 
-def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[str]:
-    for line in reversed([line for line in before if line.strip()]):
-        cells = _cells(line.lstrip("# \t"), delimiter)
-        if len(cells) == count and all(cells):
-            return cells
-        break
-    return [f"column {k + 1}" for k in range(count)]
+def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[tuple[str, str]]:
+    """Return name and unit of each column, from the one or two lines above the numbers."""
+    said = [_cells(line.lstrip("# \t"), delimiter) for line in before if line.strip()][-2:]
+    names = said[-1] if said else []
+    if len(said) == 2 and len(said[0]) == len(said[1]) == count and all(said[0]) and _are_units(said):
+        return [(name, unit.strip("[]()")) for name, unit in zip(*said, strict=True)]
+    if len(names) != count or not all(names):
+        return [(f"column {k + 1}", "") for k in range(count)]
+    return [split_unit(name) for name in names]
+
+
+def _are_units(said: Sequence[Sequence[str]]) -> bool:
+    # Names differ from each other and stand bare, without units of their own; units are short or absent.
+    names, units = said
+    bare = len(set(names)) == len(names) and not any(split_unit(name)[1] for name in names)
+    return bare and all(len(unit) <= 12 for unit in units)

@@ -2,55 +2,50 @@
 
 import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
-import numpy as np
-
-from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.errors import InputError
 from ultraquiet.files.archive import load_many
-from ultraquiet.files.atomic import reason
-from ultraquiet.files.matlab import read_mat
-from ultraquiet.files.plain import read_npz, read_text
-from ultraquiet.files.select import Choice, chosen, to_record
+from ultraquiet.files.assemble import assemble
+from ultraquiet.files.formats import ARCHIVES, format_of
+from ultraquiet.files.hdf5 import is_ours
+from ultraquiet.files.mapping import Mapping, load_mapping
+from ultraquiet.files.select import Choice, chosen, inputs_and_outputs
 from ultraquiet.files.table import Column, Table
-from ultraquiet.values import Channel, Record
+from ultraquiet.files.whole import whole
+from ultraquiet.values import Record
 
 _Path = str | os.PathLike[str]
 
-ARCHIVES = (".h5", ".hdf5")
-READERS: Mapping[str, Callable[[str, bytes], Table]] = MappingProxyType(
-    {
-        ".csv": read_text,
-        ".tsv": read_text,
-        ".txt": read_text,
-        ".dat": read_text,
-        ".asc": read_text,
-        ".mat": read_mat,
-        ".npz": read_npz,
-    }
-)
 
+def read_record(
+    path: _Path,
+    rate_hz: float | None = None,
+    inputs: Choice = None,
+    outputs: Choice = None,
+    mapping: _Path | Mapping | None = None,
+) -> Record:
+    r"""Read a record from a file of any format in `ultraquiet.files.formats`.
 
-def read_record(path: _Path, rate_hz: float | None = None, inputs: Choice = None, outputs: Choice = None) -> Record:
-    r"""Read a record from an archive, CSV, MAT or NPZ file.
-
-    What goes in and what comes out is taken, in this order, from `inputs` and `outputs`; from names that say so
-    (`u`, `y`, `inputs`, `output 2`, ...); from the order, when one table has just two columns. The rate is taken from
-    `rate_hz`; from a scalar called `fs`, `rate_hz`, `dt`, ...; from a column called `time` or `t` (seconds unless its
-    unit says otherwise), which must be even.
+    What goes in and what comes out is taken, in this order, from the mapping; from `inputs` and `outputs`; from what
+    the file says; from names that say so (`u`, `y`, `inputs`, `output 2`, ...); from the order, when one table has just
+    two columns. The rate is taken from `rate_hz`; from the mapping; from the file; from a scalar called `fs`, `dt`,
+    ...; from a column called `time` or `t` (seconds unless its unit says otherwise). Stamps may jitter by half a sample
+    about an even clock; more is refused. Names and units stay as the file has them.
 
     Args:
-        path: `.h5` (an archive), `.csv`, `.tsv`, `.txt`, `.dat`, `.mat` or `.npz`.
+        path: `.h5` (an archive, or datasets of another program), `.csv`, `.tsv`, `.txt`, `.dat`, `.mat` (version 5 to
+            7.3), `.npz`, `.uff` and `.unv` (58 and 58b), `.tdms`, `.parquet` or `.wav`.
         rate_hz: samples per second, when the file does not say; it overrides what the file says.
         inputs: columns by name (`"iq_refx"`, `"motor,load"`, a list) or counted from one (`"1-2"`, `"data:3-30"`).
         outputs: likewise.
+        mapping: a TOML file, or what `load_mapping` returns: columns, names, units, scales, limits, rate and cut.
 
     Raises:
-        StorageError: the file is missing or cannot be read.
-        InputError: unknown suffix, no rate, uneven time, or no telling what goes in and what comes out; the message
-            says what the file holds.
+        StorageError: the file is missing, empty, cut short, damaged, or too large for the memory.
+        InputError: unknown suffix, no rate, uneven time, NaN, channels of unequal length or rate, mistakes in the
+            mapping, or no telling what goes in and what comes out; the message says what the file holds.
+        ToolError: the format needs a package that is not installed; the message says how to install it.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -60,36 +55,66 @@ def read_record(path: _Path, rate_hz: float | None = None, inputs: Choice = None
     >>> record.rate_hz, record.sensors[1].name, record.sensors[1].unit, record.outputs.tolist()
     (2.0, 'strut 2', 'V', [[0.0, 2.0], [0.0, 3.0]])
     """
-    suffix = Path(path).suffix.lower()
-    if suffix in ARCHIVES:
-        return _archived(path, rate_hz, inputs, outputs)
-    if suffix not in READERS:
-        raise InputError(f"read_record: '{path}' has none of the suffixes {', '.join((*ARCHIVES, *READERS))}.")
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise StorageError(f"read_record: '{path}' cannot be read ({reason(error)}).") from error
-    table = READERS[suffix](Path(path).name, data)
-    return to_record(table, rate_hz, inputs, outputs, hashlib.sha256(data).hexdigest())
+    table, kept, parents = _opened(path)
+    if mapping is not None:
+        if inputs is not None or outputs is not None:
+            raise InputError("read_record: a mapping says what goes in and out; leave inputs and outputs to it.")
+        known = mapping if isinstance(mapping, Mapping) else load_mapping(mapping)
+        rate_hz = known.rate_hz if rate_hz is None else rate_hz
+    else:
+        known = None
+    if kept is not None and rate_hz not in (None, kept.rate_hz):
+        raise InputError(
+            f"read_record: '{path}' was recorded at {kept.rate_hz:g} Hz; it cannot be read at {rate_hz:g} Hz."
+        )
+    if known is not None:
+        return assemble(table, known.pick(table), rate_hz, known.crop_s, parents, {"mapping": known.text})
+    if kept is not None:
+        return kept.pick(*(_places(table, role, picked) for role, picked in (("input", inputs), ("output", outputs))))
+    return assemble(table, inputs_and_outputs(table, inputs, outputs), rate_hz, parents=parents)
 
 
-def _archived(path: _Path, rate_hz: float | None, inputs: Choice, outputs: Choice) -> Record:
+def read_table(path: _Path) -> Table:
+    """Return all columns of a file as they are, before anything is chosen; errors as in `read_record`."""
+    return _opened(path)[0]
+
+
+def _opened(path: _Path) -> tuple[Table, Record | None, tuple[str, ...]]:
+    """Return a file's table, the record when it is an archive, and the hash of where it comes from."""
+    form = format_of("read_record", Path(path))
+    data = whole(path)
+    if Path(path).suffix.lower() in ARCHIVES and is_ours(data):
+        kept = _archived(path)
+        return _as_table(Path(path).name, kept), kept, (kept.hash,)
+    return form.read(Path(path).name, data), None, (hashlib.sha256(data).hexdigest(),)
+
+
+def _archived(path: _Path) -> Record:
     records = {name: value for name, value in load_many(path).items() if isinstance(value, Record)}
     if len(records) != 1:
         held = f"{len(records)} records ({', '.join(records)})" if records else "no record"
         raise InputError(f"read_record: '{path}' holds {held}; it would take a file with one record.")
     (record,) = records.values()
-    picked = record.pick(_places(path, record.actuators, inputs), _places(path, record.sensors, outputs))
-    if rate_hz is not None and rate_hz != record.rate_hz:
-        raise InputError(
-            f"read_record: '{path}' was recorded at {record.rate_hz:g} Hz; it cannot be read at {rate_hz:g} Hz."
-        )
-    return picked
+    return record
 
 
-def _places(path: _Path, held: Sequence[Channel], choice: Choice) -> list[int] | None:
+def _as_table(name: str, record: Record) -> Table:
+    return Table(
+        name,
+        tuple(
+            Column(c.name, row, c.unit, "", role, record.rate_hz, 0.0, c.low, c.high)
+            for role, channels, rows in (
+                ("input", record.actuators, record.inputs),
+                ("output", record.sensors, record.outputs),
+            )
+            for c, row in zip(channels, rows, strict=True)
+        ),
+    )
+
+
+def _places(table: Table, role: str, choice: Choice) -> list[int] | None:
     if choice is None:
         return None
-    empty = np.zeros(0)
-    table = Table(Path(path).name, tuple(Column(c.name, empty, c.unit) for c in held))
-    return [table.columns.index(column) for column in chosen(table, choice)]
+    # Numbers count the inputs, or the outputs, of a record.
+    held = Table(table.path, tuple(c for c in table.columns if c.role == role))
+    return [next(k for k, c in enumerate(held.columns) if c is column) for column in chosen(held, choice)]

@@ -13,18 +13,31 @@ from ultraquiet._base.errors import InputError
 RATE_NAMES = ("rate_hz", "fs", "fs_hz", "sample_rate", "sampling_rate", "samplerate")
 STEP_NAMES = ("dt", "ts", "sample_time")
 TIME_NAMES = ("time", "t", "time_s", "t_s", "time_ms", "time_us")
+SPEAKING = {  # names that say themselves what a column is
+    "input": re.compile(r"(inputs?|u)[\W_]*\d*", re.IGNORECASE),
+    "output": re.compile(r"(outputs?|y)[\W_]*\d*", re.IGNORECASE),
+}
 TIME_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 JITTER = 0.5  # in samples: a stamp further from an even clock than this belongs to its neighbour
+MOST_DIGITS = 17  # that a float64 needs in decimal
 
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """One channel as found: name, unit, samples, and the variable of the file it is part of."""
+    """One channel as found: name, unit, samples, the variable of the file it is part of; and what else the file says.
+
+    `role` is `input`, `output` or empty; `rate_hz` and `start_s` are the channel's own, where a file knows them.
+    """
 
     name: str
     values: FloatArray
     unit: str = ""
     variable: str = ""
+    role: str = ""
+    rate_hz: float | None = None
+    start_s: float = 0.0
+    low: float = -float("inf")
+    high: float = float("inf")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +52,7 @@ class Table:
     @property
     def time(self) -> Column | None:
         """The column of time stamps, when one is named so."""
-        return next((c for c in self.columns if _last(c.name) in TIME_NAMES), None)
+        return next((c for c in self.columns if not c.role and _last(c.name) in TIME_NAMES), None)
 
     @property
     def signals(self) -> tuple[Column, ...]:
@@ -55,20 +68,29 @@ class Table:
         told = "the variables " + ", ".join(said) if said else "no column of numbers"
         return told + (f" (no signals: {', '.join(self.unusable)})" if self.unusable else "")
 
-    def rate_hz(self) -> float:
-        """Return the sampling rate a scalar states, or the one the time column shows."""
+    def rate_hz(self, columns: Sequence[Column] = ()) -> float:
+        """Return the rate that the given columns state, or a scalar, or the one the time column shows."""
+        rates = {c.rate_hz for c in columns} - {None}
+        if len(rates) > 1:
+            said = ", ".join(f"{c.name} ({c.rate_hz:g} Hz)" for c in columns if c.rate_hz is not None)
+            raise InputError(
+                f"read_record: channels of '{self.path}' differ in rate: {said}; choose those of one rate."
+            )
+        if rates and None not in {c.rate_hz for c in columns}:
+            return float(next(c.rate_hz for c in columns if c.rate_hz is not None))
         for name in RATE_NAMES:
             if name in self.scalars:
                 return self.scalars[name]
         for name in STEP_NAMES:
             if self.scalars.get(name):
-                return 1.0 / self.scalars[name]
+                return rate_of_step(self.scalars[name])
         if self.time is None:
             raise InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=).")
-        return _clock_hz(self.path, self.time)
+        return clock_hz(self.path, self.time)
 
 
-def _clock_hz(path: str, time: Column) -> float:
+def clock_hz(path: str, time: Column) -> float:
+    """Return the rate of a column of time stamps, which may jitter by half a sample, or say where it is not even."""
     unit = time.unit or time.name.partition("_")[2]
     if unit.lower() not in TIME_UNITS_S:
         raise InputError(f"read_record: '{path}' counts time in '{unit}', which is unknown; give --rate (rate_hz=).")
@@ -87,7 +109,31 @@ def _clock_hz(path: str, time: Column) -> float:
             f"read_record: '{path}' is not evenly sampled: sample {k} at {t[k]:g} s does not keep a clock of "
             f"{1.0 / np.median(steps):g} Hz; resample it, or give --rate (rate_hz=) if the stamps are wrong."
         )
+    return _roundest_clock(t, rate_hz)
+
+
+def _roundest_clock(t: FloatArray, rate_hz: float) -> float:
+    """Return the number of fewest digits that explains rounded stamps as well as the quotient of first and last."""
+    k = np.arange(t.size)
+    error = np.abs(t - t[0] - k / rate_hz).max() + 4 * np.spacing(np.abs(t).max())
+    for digits in range(1, MOST_DIGITS):
+        plain = float(f"{rate_hz:.{digits}g}")
+        if plain > 0 and np.abs(t - t[0] - k / plain).max() <= error:
+            return plain
     return rate_hz
+
+
+def rate_of_step(step_s: float, printed: str = ".17g") -> float:
+    """Return the rate of fewest digits whose period prints as the file gives it.
+
+    >>> rate_of_step(2.85714e-04, ".5e"), rate_of_step(1 / 3500)
+    (3500.0, 3500.0)
+    """
+    for digits in range(1, MOST_DIGITS):
+        plain = float(f"{1.0 / step_s:.{digits}g}")
+        if plain > 0 and format(1.0 / plain, printed) == format(step_s, printed):
+            return plain
+    return 1.0 / step_s
 
 
 def _last(name: str) -> str:
@@ -105,8 +151,11 @@ def split_unit(header: str) -> tuple[str, str]:
     return (found[1], found[2].strip()) if found else (header.strip(), "")
 
 
-def from_arrays(path: str, arrays: Mapping[str, Any]) -> Table:
-    """Return a table of the numeric arrays of a file; the longer side of a matrix is time."""
+def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequence[str]] | None = None) -> Table:
+    """Return a table of the numeric arrays of a file; the longer side of a matrix is time.
+
+    `texts` are the lists of words beside them: `u_names` and `u_units` name the columns of `u`.
+    """
     columns: list[Column] = []
     scalars: dict[str, float] = {}
     unusable: list[str] = []
@@ -117,15 +166,33 @@ def from_arrays(path: str, arrays: Mapping[str, Any]) -> Table:
         if array.ndim > 2 or array.size == 0:
             unusable.append(f"{name} of shape {array.shape}")
             continue
-        if array.size == 1:
+        if array.size == 1 and f"{name}_names" not in (texts or {}):
             scalars[_last(name)] = float(array.reshape(-1)[0])
             continue
-        columns.extend(_split(name, np.atleast_2d(array.astype(np.float64))))
+        columns.extend(_split(name, np.atleast_2d(array.astype(np.float64)), texts or {}))
     return Table(path, tuple(columns), scalars, tuple(unusable))
 
 
-def _split(name: str, array: FloatArray) -> Sequence[Column]:
-    rows = array.T if array.shape[0] > array.shape[1] else array
-    if rows.shape[0] == 1:
-        return [Column(name, rows[0], "", name)]
-    return [Column(f"{name}:{k + 1}", row, "", name) for k, row in enumerate(rows)]
+def _split(variable: str, array: FloatArray, texts: Mapping[str, Sequence[str]]) -> Sequence[Column]:
+    names, units = texts.get(f"{variable}_names", ()), texts.get(f"{variable}_units", ())
+    # Names say which side is channels (time goes down where both could be); without them the longer side is time.
+    upright = array.shape[1] == len(names) if len(names) in array.shape else array.shape[0] > array.shape[1]
+    rows = array.T if upright else array
+    if len(names) != len(rows):
+        names = [variable] if len(rows) == 1 else [f"{variable}:{k + 1}" for k in range(len(rows))]
+    if len(units) != len(rows):
+        units = [""] * len(rows)
+    role = role_of(variable)
+    return [Column(name, row, unit, variable, role) for name, row, unit in zip(names, rows, units, strict=True)]
+
+
+def role_of(name: str) -> str:
+    """Return `input` or `output` when the last field of a name says so (`u`, `run.inputs`, `Output 2`), or nothing."""
+    bare = name.rpartition(".")[2]
+    return next((role for role, pattern in SPEAKING.items() if pattern.fullmatch(bare)), "")
+
+
+def is_ramp(values: FloatArray) -> bool:
+    """Return whether numbers rise evenly: then they are time stamps without a name, not an excitation."""
+    steps = np.diff(values)
+    return bool(steps.size > 1 and np.all(steps > 0) and np.ptp(steps) <= 1e-3 * steps.mean())

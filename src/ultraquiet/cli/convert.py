@@ -1,0 +1,48 @@
+"""`ultraquiet convert`: a record from one format to another."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ultraquiet._base.errors import InputError
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="HDF5, CSV, MAT, NPZ, UFF, TDMS, Parquet or WAV.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="HDF5, CSV, MAT, UFF or Parquet, by its suffix.")],
+    mapping: Annotated[
+        Path | None, typer.Option(help="Channels (TOML): column, name, unit, scale, offset, limits; rate and cut.")
+    ] = None,
+    rate_hz: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
+    inputs: Annotated[str | None, typer.Option(help="The inputs in the file, separated by commas.")] = None,
+    outputs: Annotated[str | None, typer.Option(help="The outputs in the file, separated by commas.")] = None,
+    text: Annotated[bool, typer.Option("--text", help="UFF with numbers as text, twelve digits.")] = False,
+    response: Annotated[
+        bool, typer.Option("--response", help="A frequency response: UFF or NPZ to HDF5 or UFF.")
+    ] = False,
+    conjugated: Annotated[
+        bool, typer.Option("--conjugated", help="Cross spectra of the NPZ are E[u y*], not E[u* y].")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
+) -> None:
+    """Convert a record, or a frequency response; channel names, units and the rate are kept."""
+    from rich.console import Console
+
+    from ultraquiet import files
+
+    console = Console()
+    if response:
+        if mapping or rate_hz is not None or inputs or outputs:
+            raise InputError("convert: --response takes no mapping, rate, inputs or outputs.")
+        read = files.read_frf(source, conjugated)
+        files.export_frf(read, target, overwrite=force, text=text)
+        size = f"{len(read.actuators)} to {len(read.sensors)} channels at {read.f_hz.size} frequencies"
+    else:
+        record = files.read_record(source, rate_hz, inputs, outputs, mapping)
+        files.export_record(record, target, overwrite=force, text=text)
+        size = (
+            f"{len(record.actuators)} inputs and {len(record.sensors)} outputs, {record.samples} samples at "
+            f"{record.rate_hz:g} Hz"
+        )
+    console.print(f"{size}\nwritten: {target}", highlight=False, soft_wrap=True, markup=False)

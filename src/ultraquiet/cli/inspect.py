@@ -1,0 +1,43 @@
+"""`ultraquiet inspect`: what a file of measurements holds, and what is wrong with it."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def inspect(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="HDF5, CSV, MAT, NPZ, UFF, TDMS, Parquet or WAV.")],
+    rate_hz: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
+) -> None:
+    """Show channels, units, rate, duration, levels, clipped samples and gaps."""
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Column, Table
+
+    from ultraquiet import files
+
+    found = files.survey(path, rate_hz)
+    console = Console()
+    clock = "rate unknown" if found.rate_hz is None else f"{found.rate_hz:.10g} Hz"
+    length = "" if found.duration_s is None else f", {found.duration_s:g} s"
+    numbers = ("samples", "mean", "rms", "peak", "clipped", "NaN")
+    table = Table(
+        Column("channel", overflow="fold"),
+        *(Column(name, no_wrap=True) for name in ("role", "unit")),
+        *(Column(name, no_wrap=True, justify="right") for name in numbers),
+        title=escape(f"{path.name}: {found.format}, {found.size}, {clock}{length}"),
+        box=SIMPLE_HEAD,
+        padding=0,
+        pad_edge=False,
+        collapse_padding=True,
+    )
+    for c in found.channels:
+        levels = (f"{level:.4g}" for level in (c.mean, c.rms, c.peak))
+        table.add_row(
+            escape(c.name), c.role or "-", escape(c.unit), str(c.samples), *levels, str(c.clipped), str(c.missing)
+        )
+    console.print(table)
+    for note in found.notes:
+        console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)

@@ -1,0 +1,54 @@
+"""The formats: which suffix is read and written by whom. A new format is one file with a reader and a line here."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.files.hdf5 import read_hdf5
+from ultraquiet.files.matlab import read_mat, write_mat
+from ultraquiet.files.npz import read_npz
+from ultraquiet.files.parquet import read_parquet, write_parquet
+from ultraquiet.files.plain import read_text, write_text
+from ultraquiet.files.table import Table
+from ultraquiet.files.tdms import read_tdms
+from ultraquiet.files.uff import read_uff, write_uff
+from ultraquiet.files.wav import read_wav
+from ultraquiet.values import Record
+
+
+@dataclass(frozen=True)
+class Format:
+    """One format: its name, its suffixes, who reads bytes into a table and who makes bytes of a record, if anybody.
+
+    A writer is left out where the format cannot keep names, units and rate (WAV), or where writing is not this
+    package's business. HDF5 is written by `archive`.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    read: Callable[[str, bytes], Table]
+    write: Callable[[Record], bytes] | None = None
+
+
+FORMATS = (
+    Format("HDF5", (".h5", ".hdf5"), read_hdf5),
+    Format("text columns", (".csv", ".tsv", ".txt", ".dat", ".asc"), read_text, write_text),
+    Format("MATLAB", (".mat",), read_mat, write_mat),
+    Format("NumPy", (".npz",), read_npz),
+    Format("universal file", (".uff", ".unv"), read_uff, write_uff),
+    Format("TDMS", (".tdms",), read_tdms),
+    Format("Parquet", (".parquet",), read_parquet, write_parquet),
+    Format("WAV", (".wav",), read_wav),
+)
+ARCHIVES = FORMATS[0].suffixes
+
+
+def format_of(who: str, path: str | Path) -> Format:
+    """Return the format that a file's suffix names."""
+    suffix = Path(path).suffix.lower()
+    found = next((held for held in FORMATS if suffix in held.suffixes), None)
+    if found is None:
+        known = ", ".join(known for held in FORMATS for known in held.suffixes)
+        raise InputError(f"{who}: '{path}' has none of the suffixes {known}.")
+    return found

@@ -1,0 +1,72 @@
+"""Parquet tables in and out, by pyarrow (extra `lab`)."""
+
+import io
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.errors import StorageError
+from ultraquiet.files.atomic import reason
+from ultraquiet.files.extra import extra
+from ultraquiet.files.table import RATE_NAMES, Column, Table
+from ultraquiet.values import Record
+
+UNITS = ("unit", "units")
+
+
+def read_parquet(name: str, data: bytes) -> Table:
+    """Return the numeric columns of a Parquet table.
+
+    A column's metadata may say `unit`, the table's may say the rate (`rate_hz`, `fs`, ...); stamps of a calendar become
+    seconds from the first. Missing values become NaN.
+    """
+    pq, pa = extra("pyarrow.parquet", "pyarrow", "Parquet"), extra("pyarrow", "pyarrow", "Parquet")
+    try:
+        table = pq.read_table(pa.BufferReader(data), use_threads=False)
+        found = [_column(pa, table.schema.field(k), table.column(k)) for k in range(table.num_columns)]
+    except Exception as error:
+        # Damaged bytes surface as whatever Arrow or Thrift stumble over first.
+        raise StorageError(f"read_record: '{name}' cannot be read as Parquet ({reason(error)}).") from error
+    told = _texts(table.schema.metadata)
+    rates = {key: float(told[key]) for key in RATE_NAMES if key in told}
+    unusable = tuple(f"{held} ({kind})" for held, kind in found if isinstance(kind, str))
+    return Table(name, tuple(held for _, held in found if isinstance(held, Column)), rates, unusable)
+
+
+def write_parquet(record: Record) -> bytes:
+    """Return a record as a table of float64; names, units, roles, limits and rate stand in its metadata."""
+    pq, pa = extra("pyarrow.parquet", "pyarrow", "Parquet"), extra("pyarrow", "pyarrow", "Parquet")
+    fields, arrays = [], []
+    for role, channels, rows in (
+        ("input", record.actuators, record.inputs),
+        ("output", record.sensors, record.outputs),
+    ):
+        for k, (c, row) in enumerate(zip(channels, rows, strict=True)):
+            told = {"name": c.name, "unit": c.unit, "role": role, "low": repr(c.low), "high": repr(c.high)}
+            # Two columns of one name would leave other readers at a loss; the metadata keep the name as it is.
+            twin = sum(c.name == other.name for other in (*record.actuators, *record.sensors)) > 1
+            fields.append(pa.field(f"{role} {k + 1} {c.name}" if twin else c.name, pa.float64(), metadata=told))
+            arrays.append(pa.array(row))
+    memory = io.BytesIO()
+    schema = pa.schema(fields, metadata={"rate_hz": repr(float(record.rate_hz))})
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), memory)
+    return memory.getvalue()
+
+
+def _texts(metadata: Any) -> dict[str, str]:
+    return {key.decode(): value.decode() for key, value in (metadata or {}).items()}
+
+
+def _column(pa: Any, field: Any, held: Any) -> tuple[str, Column | str]:
+    told = _texts(field.metadata)
+    name: str = told.get("name") or str(field.name)
+    unit = next((told[key] for key in UNITS if key in told), "")
+    if pa.types.is_timestamp(field.type):
+        stamps = held.cast(pa.timestamp("ns")).to_numpy()
+        return name, Column(name, (stamps - stamps[0]) / np.timedelta64(1, "s"), "s")
+    if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
+        return name, str(field.type)
+    values = held.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
+    low, high = float(told.get("low", -inf)), float(told.get("high", inf))
+    return name, Column(name, values, unit, role=told.get("role", ""), low=low, high=high)

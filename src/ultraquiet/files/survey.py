@@ -1,0 +1,133 @@
+"""A look at a file before anything is made of it: channels, clock, levels, clipping and gaps."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet.files.formats import format_of
+from ultraquiet.files.read import read_table
+from ultraquiet.files.table import Column, Table
+from ultraquiet.files.whole import sized
+
+FLAT_TOP = 3  # equal samples in a row, at the highest or lowest value, that count as clipped where no limits are known
+
+
+@dataclass(frozen=True)
+class Look:
+    """One channel: `clipped` counts samples at its limits, or in flat tops where none are known; `missing` NaN."""
+
+    name: str
+    unit: str
+    role: str
+    samples: int
+    rate_hz: float | None
+    mean: float
+    rms: float
+    peak: float
+    clipped: int
+    missing: int
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a file holds; `notes` are sentences on what would stand in the way of reading it as a record."""
+
+    path: str
+    format: str
+    size_bytes: int
+    rate_hz: float | None
+    duration_s: float | None
+    channels: tuple[Look, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def size(self) -> str:
+        """The size of the file in words."""
+        return sized(self.size_bytes)
+
+
+def survey(path: str | os.PathLike[str], rate_hz: float | None = None) -> Survey:
+    r"""Look a file over without choosing inputs and outputs.
+
+    Args:
+        path: any file that `read_record` reads.
+        rate_hz: samples per second, when the file does not say.
+
+    Raises:
+        StorageError, InputError, ToolError: as in `read_record`, when the file cannot be read at all.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "run.csv"
+    ...     size = path.write_text("time [s],force [N],speed [m/s]\n0,1,0\n0.5,-1,2\n1,1,nan\n")
+    ...     found = survey(path)
+    >>> found.rate_hz, found.duration_s, [(c.name, c.unit, c.rms, c.missing) for c in found.channels]
+    (2.0, 1.5, [('force', 'N', 1.0, 0), ('speed', 'm/s', 1.4142135623730951, 1)])
+    """
+    table = read_table(path)
+    notes: list[str] = []
+    looks = tuple(_look(c) for c in table.signals)
+    rate = rate_hz if rate_hz is not None else _noted(notes, lambda: table.rate_hz(table.signals))
+    lengths = {c.samples for c in looks}
+    if len(lengths) > 1:
+        notes.append(f"the channels differ in length: {', '.join(f'{c.name} ({c.samples})' for c in looks)}.")
+    if not looks:
+        notes.append(f"no signal; it holds {table.describe()}.")
+    notes.extend(f"'{c.name}' has {c.missing} NaN or infinite values." for c in looks if c.missing)
+    notes.extend(f"'{held}' is no signal." for held in table.unusable)
+    duration_s = max(lengths) / rate if rate and lengths else None
+    size = Path(path).stat().st_size
+    form = format_of("survey", Path(path)).name
+    return Survey(str(path), form, size, rate, duration_s, _with_rate(table, looks, rate), tuple(notes))
+
+
+def _noted(notes: list[str], ask: Callable[[], float]) -> float | None:
+    try:
+        return ask()
+    except InputError as error:
+        notes.append(str(error).removeprefix("read_record: "))
+        return None
+
+
+def _with_rate(table: Table, looks: tuple[Look, ...], rate_hz: float | None) -> tuple[Look, ...]:
+    own = [c.rate_hz for c in table.signals]
+    return tuple(replace(c, rate_hz=mine or rate_hz) for c, mine in zip(looks, own, strict=True))
+
+
+def _look(c: Column) -> Look:
+    sound = c.values[np.isfinite(c.values)]
+    missing = c.values.size - sound.size
+    if not sound.size:
+        return Look(c.name, c.unit, c.role, c.values.size, c.rate_hz, np.nan, np.nan, np.nan, 0, missing)
+    return Look(
+        c.name,
+        c.unit,
+        c.role,
+        c.values.size,
+        c.rate_hz,
+        float(sound.mean()),
+        float(np.sqrt(np.mean(sound**2))),
+        float(np.abs(sound).max()),
+        _clipped(c, sound),
+        missing,
+    )
+
+
+def _clipped(c: Column, sound: FloatArray) -> int:
+    if np.isfinite(c.low) or np.isfinite(c.high):
+        return int(np.count_nonzero((sound <= c.low) | (sound >= c.high)))
+    low, high = sound.min(), sound.max()
+    # A constant channel is silent, not clipped.
+    return 0 if low == high else sum(_flat(sound == extreme) for extreme in (low, high))
+
+
+def _flat(at: np.ndarray) -> int:
+    """Return how many of the samples marked stand in runs of `FLAT_TOP` and more."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], at, [False])).astype(np.int8)))
+    runs = edges[1::2] - edges[::2]
+    return int(runs[runs >= FLAT_TOP].sum())

@@ -1,0 +1,58 @@
+"""A file's bytes, whole, unless they would not fit."""
+
+import os
+from pathlib import Path
+
+from ultraquiet._base.errors import StorageError
+from ultraquiet.files.atomic import reason
+
+# Memory that reading takes, in sizes of the file, at most: the bytes, text of them, numbers, and the record's copy.
+SWELL = 6
+
+
+def whole(path: str | os.PathLike[str]) -> bytes:
+    """Return the bytes of a file.
+
+    Raises:
+        StorageError: missing, empty, closed, or larger than the free memory takes; the sentence gives the size.
+    """
+    try:
+        size, free = Path(path).stat().st_size, free_bytes()
+        if free is not None and SWELL * size > free:
+            raise StorageError(
+                f"read_record: '{path}' has {sized(size)}; reading it takes up to {sized(SWELL * size)} of memory and "
+                f"{sized(free)} are free; cut it into parts first."
+            )
+        data = Path(path).read_bytes()
+    except OSError as error:
+        if isinstance(error, StorageError):
+            raise
+        raise StorageError(f"read_record: '{path}' cannot be read ({reason(error)}).") from error
+    if not data:
+        raise StorageError(f"read_record: '{path}' is empty.")
+    return data
+
+
+def sized(count: int) -> str:
+    """Return a number of bytes in words.
+
+    >>> sized(1500), sized(3_200_000_000)
+    ('1.5 kB', '3.2 GB')
+    """
+    size, unit = float(count), "bytes"
+    for larger in ("kB", "MB", "GB", "TB"):
+        if size < 1000:
+            break
+        size, unit = size / 1000, larger
+    return f"{size:.3g} {unit}"
+
+
+def free_bytes() -> int | None:
+    """Return the memory that is free, None where the system does not say."""
+    try:
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return int(line.split()[1]) * 1024
+    except (OSError, ValueError, IndexError):
+        pass
+    return None
