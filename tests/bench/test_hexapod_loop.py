@@ -42,9 +42,9 @@ def test_the_kernel_does_what_plain_numpy_does(unit, options, rng, seed):
     law = some_law(rng)
     u, d = 12.0 * rng.normal(size=(6, 400)), 30.0 * rng.normal(size=(6, 400))
     record = bench.run(u, d, law)
-    noise = bench._noise(400, 0)
+    noise = bench._noise(0)(400)
     command, readings, counts = plain_loop(
-        (*bench._sampled, *bench._plant[3:]), (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits
+        (*bench._sampled, *bench._plant[3:]), (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits.arrays
     )
     off = np.abs(record.outputs - readings.T).max()
     print(f"{unit} {options}: readings differ by {off:.1e} V")

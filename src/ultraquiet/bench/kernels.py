@@ -5,17 +5,6 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def read(C, x, noise, limit, step, y):
-    """Fill y with the readings C x + noise, clipped to +-limit and rounded to multiples of step (0: not rounded)."""
-    for i in range(y.size):
-        value = noise[i]
-        for j in range(x.size):
-            value += C[i, j] * x[j]
-        value = min(max(value, -limit), limit)
-        y[i] = step * np.rint(value / step) if step > 0.0 else value
-
-
-@njit(cache=True, nogil=True, fastmath=False)
 def add_product(At, x, out):
     """Add A x to out; At is A transposed, so that the inner loop runs along memory."""
     for j in range(x.size):
@@ -25,20 +14,33 @@ def add_product(At, x, out):
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def clip(values, limit, into, counts):
-    """Put values limited to +-limit into `into`, counting those limited."""
+def read(Ct, x, noise, limits, step, y):
+    """Fill y with the readings C x + noise, clipped to +-limits and rounded to multiples of step (0: not rounded)."""
+    y[:] = noise
+    add_product(Ct, x, y)
+    for i in range(y.size):
+        value = min(max(y[i], -limits[i]), limits[i])
+        y[i] = step * np.rint(value / step) if step > 0.0 else value
+
+
+@njit(cache=True, nogil=True, fastmath=False)
+def clip(values, limits, into, counts):
+    """Put values limited to +-limits into `into`, counting those limited."""
     for i in range(values.size):
-        if values[i] > limit or values[i] < -limit:
+        if values[i] > limits[i] or values[i] < -limits[i]:
             counts[i] += 1
-        into[i] = min(max(values[i], -limit), limit)
+        into[i] = min(max(values[i], -limits[i]), limits[i])
 
 
 @njit(cache=True, nogil=True, fastmath=False)
 def slip(thresholds, weights, anchors, values):
-    """Send values through plays: each anchor is dragged along once its value is a threshold away."""
+    """Send the leading values through plays: each anchor is dragged along once its value is a threshold away.
+
+    Values beyond the rows of `anchors` belong to actuators without hysteresis and pass unchanged.
+    """
     if weights.size == 0:
         return
-    for i in range(values.size):
+    for i in range(anchors.shape[0]):
         total = 0.0
         for j in range(weights.size):
             anchors[i, j] = min(max(anchors[i, j], values[i] - thresholds[j]), values[i] + thresholds[j])
@@ -47,33 +49,37 @@ def slip(thresholds, weights, anchors, values):
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def move(plant, x, anchors, held, disturbance, stack_limit, stack, work, counts):
-    """Advance the plant one sample under the held command plus the disturbance, the stack limited to +-stack_limit."""
+def move(plant, state, disturbance, limits, driven, work, counts):
+    """Advance the plant one sample under the held command plus the disturbance, limited to +-limits."""
     At, Bt, _, thresholds, weights = plant
+    x, held, anchors = state
     for i in range(held.size):
-        stack[i] = held[i] + disturbance[i]
-    clip(stack, stack_limit, stack, counts)
-    slip(thresholds, weights, anchors, stack)
+        driven[i] = held[i] + disturbance[i]
+    clip(driven, limits, driven, counts)
+    slip(thresholds, weights, anchors, driven)
     work[:] = 0.0
     add_product(At, x, work)
-    add_product(Bt, stack, work)
+    add_product(Bt, driven, work)
     x[:] = work
 
 
 @njit(cache=True, nogil=True, fastmath=False)
-def loop(plant, law, actuation, disturbance, noise, limits, command, outputs, limited):
-    """Run all samples; signals are `(n, channels)`, matrices transposed but for the plant's C.
+def loop(plant, law, signals, limits, state, xk, results):
+    """Run on from `state` and the law's state `xk`, both left where the samples end.
 
-    plant = (At, Bt, C, thresholds and weights of the plays), law = (At, Bt, Ct, Dt),
-    limits = (command, stack, reading, step of the converter).
+    Signals and results are `(samples, channels)`, matrices transposed. plant = (At, Bt, Ct, thresholds and weights of
+    the plays), law = (At, Bt, Ct, Dt), signals = (actuation, disturbance, noise, gain of whatever is sent),
+    limits = (commands, actuators, readings, step of the converter), state = (x, held commands, anchors of the plays),
+    results = (commands, readings, counts of limited commands and actuators), all of them filled here.
     """
     Kat, Kbt, Kct, Kdt = law
-    n, nu = actuation.shape
-    x, work = np.zeros(plant[0].shape[0]), np.zeros(plant[0].shape[0])
-    anchors = np.zeros((nu, plant[4].size))
-    xk, workk = np.zeros(Kat.shape[0]), np.zeros(Kat.shape[0])
-    asked, held, stack = np.zeros(nu), np.zeros(nu), np.zeros(nu)
-    for k in range(n):
+    actuation, disturbance, noise, gain = signals
+    command, outputs, limited = results
+    nu = actuation.shape[1]
+    x, held, _ = state
+    work, workk = np.empty_like(x), np.empty_like(xk)
+    asked, driven, pushed = np.empty(nu), np.empty(nu), np.empty(nu)
+    for k in range(actuation.shape[0]):
         read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
         asked[:] = actuation[k]
         add_product(Kct, xk, asked)
@@ -82,6 +88,9 @@ def loop(plant, law, actuation, disturbance, noise, limits, command, outputs, li
         add_product(Kat, xk, workk)
         add_product(Kbt, outputs[k], workk)
         xk[:] = workk
-        move(plant, x, anchors, held, disturbance[k], limits[1], stack, work, limited[1])
+        for i in range(nu):
+            asked[i] *= gain[k]
+            pushed[i] = gain[k] * disturbance[k, i]
+        move(plant, state, pushed, limits[1], driven, work, limited[1])
         clip(asked, limits[0], held, limited[0])
         command[k] = held

@@ -1,5 +1,6 @@
 """The hexapod as a bench: two units and a rigid floor, sampled at 3.5 kHz."""
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -8,14 +9,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, one_of, whole
-from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench._abstract import checked_controller, checked_law, checked_signals, commands
+from ultraquiet.bench._abstract import (
+    BLOCK_SAMPLES,
+    RAMP_SAMPLES,
+    Block,
+    checked_controller,
+    checked_law,
+    checked_signals,
+)
 from ultraquiet.bench.hexapod.assemble import Mechanics, assemble
 from ultraquiet.bench.hexapod.chain import Chain, chain, sampled_response
 from ultraquiet.bench.hexapod.hysteresis import none, typical
 from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS, Electronics, Geometry, Strut
+from ultraquiet.bench.hexapod.simulation import Law, Limits, Linear, Matrices, Simulation, Stepped, turned
 from ultraquiet.values import Channel, Record, StateSpace
 
 _NAMES = tuple(f"strut {i + 1}" for i in range(STRUTS))
@@ -76,14 +84,14 @@ class Hexapod:
     @property
     def actuators(self) -> tuple[Channel, ...]:
         """Commands of the six stacks about their bias, in volts."""
-        limit = self._limits[0]
-        return tuple(Channel(name, "V", -limit, limit) for name in _NAMES)
+        limits = self._limits.command_v
+        return tuple(Channel(n, "V", -v, v) for n, v in zip(_NAMES, limits.tolist(), strict=True))
 
     @property
     def sensors(self) -> tuple[Channel, ...]:
         """Readings of the six strut geophones, in volts."""
-        limit = self._limits[2]
-        return tuple(Channel(name, "V", -limit, limit) for name in _NAMES)
+        limits = self._limits.reading_v
+        return tuple(Channel(n, "V", -v, v) for n, v in zip(_NAMES, limits.tolist(), strict=True))
 
     def run(
         self,
@@ -104,20 +112,51 @@ class Hexapod:
             Inputs: actuation + K y as limited, in the sample it was formed; outputs: the readings. The provenance
             counts the samples in which a command, a stack or a reading met its limit.
         """
-        u, d = checked_signals("Hexapod.run", STRUTS, actuation, disturbance)
-        index = self._next_run() if run_index is None else whole("Hexapod.run", "run_index", run_index, 0)
-        noise = self._noise(u.shape[1], index)
-        if controller is None or isinstance(controller, StateSpace):
-            command, y, limited = self._compiled(u, d, noise, controller)
-        else:
-            command, y, limited = self._stepped(u, d, noise, controller)
-        lost = np.flatnonzero(~np.isfinite(command).all(axis=0))
-        if lost.size:
-            raise InputError(
-                f"Hexapod.run: at sample {lost[0]} the controller's command was no longer a finite number; "
-                f"it is unstable by itself or with this bench."
-            )
-        return self._record(command, y, limited, index)
+        index = self._numbered(run_index)
+        run = self._simulation(actuation, disturbance, controller, index)
+        (block,) = run.blocks(run.samples, None, RAMP_SAMPLES)
+        made = self.provenance
+        told = {
+            "run_index": index,
+            "limited_commands": block.limited_commands.tolist(),
+            "limited_stacks": run.limited_actuators[:STRUTS].tolist(),
+            "limited_readings": block.limited_readings.tolist(),
+        }
+        made = Provenance(made.made_by, {**made.settings, **told}, made.seed)
+        return Record(block.command, block.readings, RATE_HZ, self.actuators, self.sensors, made)
+
+    def stream(
+        self,
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        *,
+        run_index: int | None = None,
+        block_samples: int = BLOCK_SAMPLES,
+        stop: Callable[[], bool] | None = None,
+        ramp_samples: int = RAMP_SAMPLES,
+    ) -> Iterator[Block]:
+        """Yield the run of `run` in blocks, bit for bit; see `Streaming.stream`.
+
+        What was measured before a controller failed is handed over as a shorter block; the next step raises.
+        """
+        block = whole("Hexapod.stream", "block_samples", block_samples, 1)
+        ramp = whole("Hexapod.stream", "ramp_samples", ramp_samples, 1)
+        index = self._numbered(run_index)
+        return self._simulation(actuation, disturbance, controller, index).blocks(block, stop, ramp)
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who measures: the settings, as far as `linear` leaves them in force, and the seed."""
+        settings = {
+            "unit": self.unit,
+            "noise": self.noise and not self.linear,
+            "adc_bits": self.adc_bits,
+            "quantise": self.quantise and not self.linear,
+            "saturate": self.saturate and not self.linear,
+            "hysteresis": self.hysteresis and not self.linear,
+        }
+        return Provenance("bench.hexapod", settings, self.seed)
 
     def linear_model(self) -> StateSpace:
         """Return the linear truth from command to reading, computing delay included: for judging, not for design."""
@@ -155,88 +194,55 @@ class Hexapod:
         return self.continuous.sampled(RATE_HZ)
 
     @cached_property
-    def _plant(self) -> tuple[FloatArray, ...]:
+    def _plant(self) -> Matrices:
         """The plant as the kernels take it."""
         A, B, C = self._sampled
         plays = typical() if self.hysteresis and not self.linear else none()
-        return _turned(A), _turned(B), np.array(C), plays.thresholds_v, plays.weights
+        return turned(A), turned(B), turned(C), plays.thresholds_v, plays.weights
 
     @cached_property
-    def _limits(self) -> tuple[float, float, float, float]:
-        """Limits of command, stack and reading in volts, and the step of the converter (0: none)."""
+    def _limits(self) -> Limits:
+        """Where commands, stacks and readings saturate."""
         e = self.electronics
         # The converter is used symmetrically: of its 2^bits codes the lowest stays unused, so both ends are +-10 V.
         step = e.reading_limit_v / (2 ** (self.adc_bits - 1) - 1) if self.quantise and not self.linear else 0.0
+        each = np.ones(STRUTS)
         if self.linear or not self.saturate:
-            return np.inf, np.inf, np.inf, step
-        return e.command_limit_v, e.stack_high_v - e.bias_v, e.reading_limit_v, step
+            return Limits(np.inf * each, np.inf * each, np.inf * each, step)
+        return Limits(e.command_limit_v * each, (e.stack_high_v - e.bias_v) * each, e.reading_limit_v * each, step)
 
     @cached_property
     def _runs(self) -> list[int]:
         """Number of runs so far: the one thing that changes, kept out of the settings."""
         return [0]
 
-    def _next_run(self) -> int:
+    def _numbered(self, run_index: int | None) -> int:
+        if run_index is not None:
+            return whole("Hexapod.run", "run_index", run_index, 0)
         self._runs[0] += 1
         return self._runs[0] - 1
 
-    def _noise(self, samples: int, index: int) -> FloatArray:
+    def _simulation(
+        self, actuation: ArrayLike, disturbance: ArrayLike | None, controller: Any | None, index: int
+    ) -> Simulation:
+        u, d = checked_signals("Hexapod.run", STRUTS, actuation, disturbance)
+        law = self._law(controller)
+        return Simulation(lambda _: (self._plant, u.shape[1]), law, self._limits, u, d, self._noise(index), STRUTS)
+
+    def _law(self, controller: Any | None) -> Law:
+        if controller is None:
+            return Linear(_silent(), STRUTS, STRUTS)
+        if isinstance(controller, StateSpace):
+            checked_law("Hexapod.run", controller, RATE_HZ, STRUTS, STRUTS)
+            return Linear(controller, STRUTS, STRUTS)
+        return Stepped(checked_controller("Hexapod.run", controller, RATE_HZ, STRUTS, STRUTS), STRUTS, STRUTS)
+
+    def _noise(self, index: int) -> Callable[[int], FloatArray]:
+        """Return what draws the noise of a run, `(samples, 6)` at a time."""
         if self.linear or not self.noise:
-            return np.zeros((samples, STRUTS))
+            return lambda samples: np.zeros((samples, STRUTS))
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
-        return self.electronics.noise_v * rng.standard_normal((samples, STRUTS))
-
-    def _compiled(
-        self, u: FloatArray, d: FloatArray, noise: FloatArray, law: StateSpace | None
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        from ultraquiet.bench import kernels
-
-        if law is None:
-            law = _silent()
-        checked_law("Hexapod.run", law, RATE_HZ, STRUTS, STRUTS)
-        command, y = np.empty((u.shape[1], STRUTS)), np.empty((u.shape[1], STRUTS))
-        limited = np.zeros((2, STRUTS))
-        inside = (_turned(law.A), _turned(law.B), _turned(law.C), _turned(law.D))
-        kernels.loop(self._plant, inside, _turned(u), _turned(d), noise, self._limits, command, y, limited)
-        return _turned(command), _turned(y), limited
-
-    def _stepped(
-        self, u: FloatArray, d: FloatArray, noise: FloatArray, controller: Any
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        from ultraquiet.bench import kernels
-
-        law = checked_controller("Hexapod.run", controller, RATE_HZ, STRUTS, STRUTS)
-        plant = self._plant
-        u, d = _turned(u), _turned(d)
-        command, y = np.empty_like(u), np.empty_like(u)
-        limited = np.zeros((2, STRUTS))
-        x, work = np.zeros(len(plant[0])), np.zeros(len(plant[0]))
-        anchors = np.zeros((STRUTS, plant[4].size))
-        held, stack = np.zeros(STRUTS), np.zeros(STRUTS)
-        command_limit, stack_limit, reading_limit, step = self._limits
-        for k in range(len(u)):
-            kernels.read(plant[2], x, noise[k], reading_limit, step, y[k])
-            asked = u[k] + commands("Hexapod.run", law.step(y[k].copy()), STRUTS, k)
-            kernels.move(plant, x, anchors, held, d[k], stack_limit, stack, work, limited[1])
-            kernels.clip(asked, command_limit, held, limited[0])
-            command[k] = held
-        return _turned(command), _turned(y), limited
-
-    def _record(self, command: FloatArray, y: FloatArray, limited: FloatArray, index: int) -> Record:
-        settings = {
-            "unit": self.unit,
-            "noise": self.noise and not self.linear,
-            "adc_bits": self.adc_bits,
-            "quantise": self.quantise and not self.linear,
-            "saturate": self.saturate and not self.linear,
-            "hysteresis": self.hysteresis and not self.linear,
-            "run_index": index,
-            "limited_commands": [int(v) for v in limited[0]],
-            "limited_stacks": [int(v) for v in limited[1]],
-            "limited_readings": [int(v) for v in np.count_nonzero(np.abs(y) >= self._limits[2], axis=1)],
-        }
-        made = Provenance("bench.hexapod", settings, self.seed)
-        return Record(command, y, RATE_HZ, self.actuators, self.sensors, made)
+        return lambda samples: self.electronics.noise_v * rng.standard_normal((samples, STRUTS))
 
 
 def _silent() -> StateSpace:
@@ -244,8 +250,3 @@ def _silent() -> StateSpace:
     return StateSpace(
         np.zeros((0, 0)), np.zeros((0, STRUTS)), np.zeros((STRUTS, 0)), np.zeros((STRUTS, STRUTS)), RATE_HZ
     )
-
-
-def _turned(matrix: FloatArray) -> FloatArray:
-    """Return the transpose, contiguous and writable as the kernels expect."""
-    return np.array(matrix.T, order="C")
