@@ -1,8 +1,9 @@
 """Experiments: a list of commands in TOML, checked whole, executed in order, one record per measurement."""
 
-from ultraquiet.experiments.catalogue import Entry, find
+from ultraquiet.experiments.catalogue import find, rebuild, search
 from ultraquiet.experiments.clock import real_time
 from ultraquiet.experiments.dry import DryRun, DryStep, dry_run
+from ultraquiet.experiments.entry import Entry
 from ultraquiet.experiments.listed import ExperimentList, load, parse
 from ultraquiet.experiments.live import Course, Levels, Onlooker
 from ultraquiet.experiments.mistakes import ListError
@@ -25,6 +26,8 @@ __all__ = [
     "load",
     "parse",
     "real_time",
+    "rebuild",
     "run",
+    "search",
     "states",
 ]

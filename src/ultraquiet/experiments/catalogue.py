@@ -1,49 +1,34 @@
-"""The catalogue of a folder tree of records: what was measured, how, and in which file; SQLite, made from the records.
+"""The catalogue of a folder tree of records: what was measured, how, and in which file; SQLite, made from the files.
 
-The records are the truth: the catalogue is brought up to date whenever it is asked, and may be deleted at any time.
+Records and journals are the truth: the catalogue is brought up to date whenever it is asked, and may be deleted or
+damaged at any time. Several processes may ask at once; where none can be kept, on a read-only folder for instance, it
+is made in memory.
 """
 
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from dataclasses import astuple, dataclass, fields
+from contextlib import closing, contextmanager, suppress
+from dataclasses import astuple, fields
+from datetime import UTC, datetime
 from pathlib import Path
 
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.files import load_many, reason
-from ultraquiet.values import Record
+from ultraquiet.experiments import journal
+from ultraquiet.experiments.entry import RUNNING, Entry, of_file, of_journal
+from ultraquiet.experiments.states import ABORTED, DONE, NOT_STARTED
+from ultraquiet.files import reason
 
 FILE = "catalogue.sqlite"
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One record: its file below the folder, and what a person would look for.
-
-    `signal` and `actuators` (counted from one, with commas) are empty for a record without excitation, `made_by` names
-    what made a record that no list made; `clipped` counts readings at the limits of their sensors.
-    """
-
-    file: str
-    name: str
-    made_by: str
-    list: str
-    signal: str
-    actuators: str
-    disturbance: str
-    controller: str
-    rate_hz: float
-    samples: int
-    clipped: int
-    hash: str
-
+STATUSES = (DONE, ABORTED, NOT_STARTED, RUNNING)
+LAYOUT = 2  # of the tables; a catalogue of another layout is made anew
+PATIENCE_S = 30.0  # how long to wait for another process that is writing
 
 _COLUMNS = tuple(field.name for field in fields(Entry))
 
 
 def find(folder: str | os.PathLike[str], **criteria: str | float) -> tuple[Entry, ...]:
-    """Return the records below a folder that meet all criteria, by file name.
+    """Return the runs below a folder that meet all criteria, by file name.
 
     Args:
         folder: where to look; records in folders inside it count too.
@@ -51,10 +36,11 @@ def find(folder: str | os.PathLike[str], **criteria: str | float) -> tuple[Entry
 
     Raises:
         InputError: a criterion that is no field of an entry.
-        StorageError: the folder or its catalogue cannot be read or written.
+        StorageError: the folder cannot be read.
 
     >>> import tempfile
     >>> from ultraquiet.files import save
+    >>> from ultraquiet.values import Record
     >>> with tempfile.TemporaryDirectory() as place:
     ...     path = save(Record([[1.0, 0.0]], [[0.1, 0.3]], rate_hz=3500.0), Path(place) / "push.h5")
     ...     [(entry.name, entry.samples) for entry in find(place, rate_hz=3500.0)]
@@ -63,27 +49,131 @@ def find(folder: str | os.PathLike[str], **criteria: str | float) -> tuple[Entry
     unknown = [key for key in criteria if key not in _COLUMNS]
     if unknown:
         raise InputError(f"catalogue: records are not known by '{unknown[0]}', only by {', '.join(_COLUMNS)}.")
+    asked = " AND ".join(["1", *(f'"{key}" = ?' for key in criteria)])
+    return _answer(folder, f"{asked} ORDER BY file, folder, name", tuple(criteria.values()))
+
+
+def search(
+    folder: str | os.PathLike[str], what: str = "", bench: str = "", since: str = "", status: str = "", list: str = ""
+) -> tuple[Entry, ...]:
+    """Return the runs below a folder in which all that is given is found, oldest first.
+
+    Args:
+        folder: where to look; folders inside it count too.
+        what: a part of the run's name, signal, disturbance, controller, comment or file, in any case.
+        bench: a part of the bench's name or settings.
+        since: a date or time in ISO 8601, local unless it says otherwise; only runs that began then or later.
+        status: DONE, ABORTED, NOT STARTED or RUNNING, in any case; hyphens stand for blanks.
+        list: a part of the list's title, or the beginning of its hash.
+
+    Raises:
+        InputError: a time or status that is none.
+        StorageError: the folder cannot be read.
+    """
+    conditions, values = ["1"], []
+    for words, columns in (
+        (what, ("name", "signal", "disturbance", "controller", "comment", "file")),
+        (bench, ("bench", "bench_settings")),
+        (list, ("list",)),
+    ):
+        if words:
+            anywhere = " OR ".join(f'instr(lower("{column}"), lower(?))' for column in columns)
+            hashed = " OR list_hash LIKE ? || '%'" if columns == ("list",) else ""
+            conditions.append(f"({anywhere}{hashed})")
+            values += [words] * (len(columns) + bool(hashed))
+    if since:
+        conditions.append('"when" >= ?')
+        values.append(_utc(since))
+    if status:
+        conditions.append("status = ?")
+        values.append(_status(status))
+    return _answer(folder, " AND ".join(conditions) + ' ORDER BY "when" = \'\', "when", file, name', tuple(values))
+
+
+def rebuild(folder: str | os.PathLike[str]) -> int:
+    """Make the catalogue of a folder anew from its files and return how many runs it knows."""
+    _remove(Path(folder))
+    return len(find(folder))
+
+
+def _utc(since: str) -> str:
+    try:
+        return datetime.fromisoformat(since).astimezone(UTC).isoformat(timespec="milliseconds")
+    except (ValueError, OverflowError, OSError):
+        raise InputError(
+            f"catalogue: '{since}' is no time; write a date, as in 2026-03-31, or 2026-03-31T14:00."
+        ) from None
+
+
+def _status(status: str) -> str:
+    meant = status.upper().replace("-", " ").replace("_", " ")
+    if meant not in STATUSES:
+        raise InputError(f"catalogue: there is no status '{status}', only {', '.join(STATUSES)}.")
+    return meant
+
+
+def _answer(folder: str | os.PathLike[str], condition: str, values: tuple[str | float, ...]) -> tuple[Entry, ...]:
     place = Path(folder)
     if not place.is_dir():
         raise StorageError(f"catalogue: '{folder}' is no folder.")
-    asked = " AND ".join(["1", *(f'"{key}" = ?' for key in criteria)])
-    with _opened(place) as base:
+    try:
+        return _from(place / FILE, place, condition, values)
+    except sqlite3.OperationalError:
+        # A folder that may not be written, a full disk, a file system without locks: the answer needs none of them.
+        return _from(":memory:", place, condition, values)
+    except sqlite3.DatabaseError:
+        # It is damaged, and nothing is lost with it.
+        _remove(place)
+        try:
+            return _from(place / FILE, place, condition, values)
+        except sqlite3.DatabaseError:
+            return _from(":memory:", place, condition, values)
+
+
+def _from(path: Path | str, place: Path, condition: str, values: tuple[str | float, ...]) -> tuple[Entry, ...]:
+    with _opened(path) as base:
         _update(base, place)
-        rows = base.execute(f"SELECT {_quoted()} FROM records WHERE {asked} ORDER BY file", tuple(criteria.values()))
+        rows = base.execute(f"SELECT {_quoted()} FROM runs WHERE {condition}", values)
         return tuple(Entry(*row) for row in rows)
 
 
+def _remove(place: Path) -> None:
+    for ending in ("", "-wal", "-shm", "-journal"):
+        try:
+            (place / (FILE + ending)).unlink(missing_ok=True)
+        except OSError as error:
+            raise StorageError(f"catalogue: '{place / FILE}' cannot be removed ({reason(error)}).") from error
+
+
 @contextmanager
-def _opened(place: Path) -> Iterator[sqlite3.Connection]:
-    path = place / FILE
+def _opened(path: Path | str) -> Iterator[sqlite3.Connection]:
+    with closing(sqlite3.connect(path, timeout=PATIENCE_S, isolation_level=None)) as base:
+        if base.execute("PRAGMA journal_mode").fetchone()[0] == "delete":
+            # Whoever reads need not wait for whoever writes; a file system that cannot do so keeps its own way.
+            with suppress(sqlite3.OperationalError):
+                base.execute("PRAGMA journal_mode = WAL")
+        with _writing(base):
+            if base.execute("PRAGMA user_version").fetchone()[0] != LAYOUT:
+                for table in ("runs", "others", "records"):
+                    base.execute(f"DROP TABLE IF EXISTS {table}")
+                base.execute(f"CREATE TABLE runs ({_quoted()}, stamp)")
+                # A file that is no record is remembered too, or it would be opened again and again.
+                base.execute("CREATE TABLE others (file PRIMARY KEY, stamp)")
+                base.execute(f"PRAGMA user_version = {LAYOUT}")
+        yield base
+
+
+@contextmanager
+def _writing(base: sqlite3.Connection) -> Iterator[None]:
+    """Hold the catalogue for one process from its first look to its last change."""
+    base.execute("BEGIN IMMEDIATE")
     try:
-        with closing(sqlite3.connect(path)) as base, base:
-            base.execute(f"CREATE TABLE IF NOT EXISTS records ({_quoted()}, stamp, PRIMARY KEY (file))")
-            # A file that is no record is remembered too, or it would be opened again and again.
-            base.execute("CREATE TABLE IF NOT EXISTS others (file PRIMARY KEY, stamp)")
-            yield base
-    except sqlite3.Error as error:
-        raise StorageError(f"catalogue: '{path}' fails ({reason(error)}); it may be deleted, records stay.") from error
+        yield
+        base.execute("COMMIT")
+    except BaseException:
+        with suppress(sqlite3.Error):
+            base.execute("ROLLBACK")
+        raise
 
 
 def _quoted() -> str:
@@ -92,48 +182,34 @@ def _quoted() -> str:
 
 def _update(base: sqlite3.Connection, place: Path) -> None:
     """Enter what is new or changed, drop what is gone."""
-    there = {path.relative_to(place).as_posix(): _stamp(path) for path in place.rglob("*.h5") if path.is_file()}
-    known = dict(base.execute("SELECT file, stamp FROM records UNION SELECT file, stamp FROM others"))
-    for file in known.keys() - {f for f, stamp in there.items() if known.get(f) == stamp}:
-        base.execute("DELETE FROM records WHERE file = ?", (file,))
-        base.execute("DELETE FROM others WHERE file = ?", (file,))
-    for file, stamp in there.items():
-        if known.get(file) != stamp:
-            entry = _entry(place, file)
+    stamps = {path.relative_to(place).as_posix(): _stamp(path) for path in place.rglob("*.h5") if path.is_file()}
+    there = {file: stamp for file, stamp in stamps.items() if stamp}
+    known = dict(base.execute("SELECT file, stamp FROM runs WHERE stamp != '' UNION SELECT file, stamp FROM others"))
+    # Files are read before the catalogue is held: another process may do the same work, and none waits for it.
+    fresh = {file: of_file(place, file) for file, stamp in there.items() if known.get(file) != stamp}
+    with _writing(base):
+        for file in (known.keys() - there.keys()) | fresh.keys():
+            base.execute("DELETE FROM runs WHERE file = ?", (file,))
+            base.execute("DELETE FROM others WHERE file = ?", (file,))
+        for file, entry in fresh.items():
             if entry is None:
-                base.execute("INSERT INTO others VALUES (?, ?)", (file, stamp))
+                base.execute("INSERT INTO others VALUES (?, ?)", (file, there[file]))
             else:
-                marks = ", ".join("?" * (len(_COLUMNS) + 1))
-                base.execute(f"INSERT INTO records VALUES ({marks})", (*astuple(entry), stamp))
+                _insert(base, entry, there[file])
+        base.execute("DELETE FROM runs WHERE stamp = ''")
+        filed = [Entry(*row) for row in base.execute(f"SELECT {_quoted()} FROM runs")]
+        for path in place.rglob(journal.FILE):
+            for entry in of_journal(place, path, filed):
+                _insert(base, entry, "")
+
+
+def _insert(base: sqlite3.Connection, entry: Entry, stamp: str) -> None:
+    base.execute(f"INSERT INTO runs VALUES ({', '.join('?' * (len(_COLUMNS) + 1))})", (*astuple(entry), stamp))
 
 
 def _stamp(path: Path) -> str:
-    status = path.stat()
-    return f"{status.st_size} {status.st_mtime_ns} {status.st_ino}"
-
-
-def _entry(place: Path, file: str) -> Entry | None:
-    """Return the entry of a file, or None when it holds no single record."""
     try:
-        held = list(load_many(place / file).values())
-    except StorageError:
-        return None
-    if len(held) != 1 or not isinstance(held[0], Record):
-        return None
-    record, made = held[0], held[0].provenance
-    measured = made.settings.get("measurement", {})
-    drives = measured.get("excitation", [])
-    return Entry(
-        file,
-        measured.get("name", Path(file).stem),
-        made.made_by,
-        made.settings.get("list", ""),
-        ",".join(sorted({d["method"] for d in drives})),
-        ",".join(str(d["actuator"]) for d in drives),
-        ",".join(sorted({d["method"] for d in measured.get("disturbance", [])})),
-        measured.get("controller", ""),
-        record.rate_hz,
-        record.samples,
-        sum(record.clipped()),
-        record.hash,
-    )
+        status = path.stat()
+    except OSError:
+        return ""  # gone since the folder was read
+    return f"{status.st_size} {status.st_mtime_ns} {status.st_ino}"

@@ -40,6 +40,21 @@ def begun(folder: Path) -> dict[str, str]:
     return {e["name"]: e["hash"] for e in entries(folder) if e["event"] == "begun"}
 
 
+def busy(folder: Path) -> bool:
+    """Return whether a process is executing a list into a folder now."""
+    try:
+        handle = os.open(folder / FILE, os.O_RDWR)
+    except OSError:
+        return False
+    try:
+        _lock(folder / FILE, handle)
+    except StorageError:
+        return True
+    finally:
+        os.close(handle)
+    return False
+
+
 class Journal:
     """An open journal; use `opened`."""
 

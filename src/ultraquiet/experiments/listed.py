@@ -13,13 +13,15 @@ from pydantic import ValidationError
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import Place, line_numbers
 from ultraquiet._base.provenance import content_hash
+from ultraquiet.bench import Process
 from ultraquiet.experiments.command import Content
 from ultraquiet.experiments.compile import Compiler
-from ultraquiet.experiments.making import checked_bench, make_bench
+from ultraquiet.experiments.making import checked_bench, make
 from ultraquiet.experiments.mistakes import ListError, Mistakes
 from ultraquiet.experiments.plan import Measurement, Step, duration_s
 
 PACKAGED = ("suite",)
+STARTED_WHEN_ASKED = (Process,)
 NO_BENCH = 'there is no bench; name one in a table [bench], as in method = "hexapod", or give one to run.'
 
 
@@ -118,14 +120,20 @@ def parse(
     content, places = _read(text, name)
     mistakes = Mistakes(places)
     head = _head(content, mistakes)
+    given = bench is not None
+    if bench is None and head.bench is not None:
+        bench = make("bench", head.bench, ("bench",), mistakes)
+    found = content.get("commands")
+    commands: list[Any] = found if isinstance(found, list) else []
+    first = head.seed if seed is None else seed
+    if isinstance(bench, STARTED_WHEN_ASKED):
+        # Its channels cost the start of a program: not for a list that is wrong by itself.
+        _compiled(commands, Compiler(None, folder, first, mistakes))
+        if len(mistakes):
+            raise ListError(name, mistakes.told())
     if bench is not None:
-        bench = checked_bench(bench, (), mistakes)
-    elif head.bench is not None:
-        bench = make_bench(head.bench, ("bench",), mistakes)
-    compiler = Compiler(bench, folder, head.seed if seed is None else seed, mistakes)
-    commands = content.get("commands")
-    compiler.walk(commands if isinstance(commands, list) else [], ("commands",))
-    compiler.finish()
+        bench = checked_bench(bench, () if given else ("bench",), mistakes)
+    compiler = _compiled(commands, Compiler(bench, folder, first, mistakes))
     if not any(isinstance(step, Measurement) for step in compiler.steps) and not len(mistakes):
         mistakes.add((), "no command records anything; it would take an 'excite' or a 'record'.")
     if len(mistakes):
@@ -135,6 +143,12 @@ def parse(
         raise ListError(name, mistakes.told())
     steps = () if bench is None else tuple(compiler.steps)
     return ExperimentList(name, head.title, text, folder, bench, steps, seed)
+
+
+def _compiled(commands: list[Any], compiler: Compiler) -> Compiler:
+    compiler.walk(commands, ("commands",))
+    compiler.finish()
+    return compiler
 
 
 def _read(text: str, name: str) -> tuple[dict[str, Any], Mapping[Place, int]]:

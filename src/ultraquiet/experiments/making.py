@@ -48,17 +48,6 @@ def _built(kind: type[Any], settings: dict[str, Any], place: Place, mistakes: Mi
     return None
 
 
-def make_bench(method: c.Method, place: Place, mistakes: Mistakes) -> Any | None:
-    """Return the bench of a list, or None; one that does not know its own channels is no bench."""
-    before = len(mistakes)
-    bench = make("bench", method, place, mistakes)
-    if bench is None:
-        if len(mistakes) == before:
-            mistakes.add(place, f"bench '{method.method}' cannot be made from these settings.")
-        return None
-    return checked_bench(bench, place, mistakes)
-
-
 def checked_bench(bench: Any, place: Place, mistakes: Mistakes) -> Any | None:
     """Return a bench whose rate and channels can be asked for, or None with a mistake noted."""
     try:

@@ -128,7 +128,8 @@ class _Walk:
         made = getattr(listed.bench, "provenance", None)
         bench = {"made_by": getattr(made, "made_by", type(listed.bench).__name__), **getattr(made, "settings", {})}
         planned = [{**m.describe(), "hash": m.hash, "comment": m.comment} for m in self._todo]
-        said = {"list": listed.title or listed.name, "list_hash": listed.hash, "bench": bench}
+        rate_hz = getattr(listed.bench, "rate_hz", 0.0)
+        said = {"list": listed.title or listed.name, "list_hash": listed.hash, "bench": bench, "rate_hz": rate_hz}
         self._log.write("planned", at=clock.now(), measurements=planned, **said)
 
     def _ahead_s(self) -> float:
