@@ -178,7 +178,7 @@ class _Run:
         with LogWriter(path, {**header, "overwrite": overwrite}) as log:
             try:
                 for block in self._blocks:
-                    log.append(np.vstack([block.command, block.readings]))
+                    log.append(np.vstack([block.command, self._readings(block, log.samples)]))
                     self._count(block)
                     self._watch.block(block)
             finally:
@@ -199,6 +199,14 @@ class _Run:
     def _stop(self) -> bool:
         self._stopped = self._stopped or self._watch.stop()
         return self._stopped
+
+    def _readings(self, block: Block, before: int) -> FloatArray:
+        if not np.isfinite(block.readings).all():
+            raise InputError(
+                f"experiment stopped at '{self._step.name}': after sample {before} the bench handed over readings that "
+                "are no finite numbers; what was measured before is kept."
+            )
+        return block.readings
 
     def _count(self, block: Block) -> None:
         self._limited["limited_commands"] += block.limited_commands

@@ -209,5 +209,5 @@ class LogWriter:
             return
         # What ended the run is what must be told, not that its log could not be ended either.
         with contextlib.suppress(StorageError):
-            words = f": {reason(error)}" if str(error) else ""
-            self.close(complete=False, reason=type(error).__name__ + words)
+            words = " ".join(str(error).split())[:500]
+            self.close(complete=False, reason=f"{type(error).__name__}: {words}" if words else type(error).__name__)
