@@ -35,3 +35,14 @@ class NumericalError(UltraquietError, ArithmeticError):
 
 class BenchError(UltraquietError, RuntimeError):
     """A bench from outside fell silent, died, answered nonsense or was stopped by an interlock while it ran."""
+
+
+class InterlockError(BenchError):
+    """An interlock has ended a run: which one, at which sample, on what value."""
+
+    def __init__(self, sentence: str, interlock: str, sample: int, value: float) -> None:
+        super().__init__(sentence)
+        self.interlock, self.sample, self.value = interlock, sample, value
+
+    def __reduce__(self) -> tuple[type["InterlockError"], tuple[str, str, int, float]]:
+        return InterlockError, (str(self), self.interlock, self.sample, self.value)

@@ -112,7 +112,12 @@ class Stepped:
         block = whole(setup.who, "block_samples", block_samples, 1)
         ramp = whole(setup.who, "ramp_samples", ramp_samples, 1)
         index = 0 if run_index is None else whole(setup.who, "run_index", run_index, 0)
-        return driven(Loop.of(setup, actuation, disturbance, controller), index, block, stop, ramp)
+        return driven(self._loop(setup, actuation, disturbance, controller), index, block, stop, ramp)
+
+    def _loop(
+        self, setup: Setup, actuation: ArrayLike, disturbance: ArrayLike | None, controller: Any | None
+    ) -> "Loop":
+        return Loop.of(setup, actuation, disturbance, controller)
 
 
 class Loop:
@@ -189,17 +194,12 @@ class Loop:
 
 
 def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ramp_samples: int) -> Iterator[Block]:
-    """Yield the blocks of a run; the plant is at rest before an error is raised or the generator is closed.
-
-    With `ramp_samples` of zero a stop ends the run at once: for plants that come to rest softly by themselves.
-    """
+    """Yield the blocks of a run; the plant is at rest before an error is raised or the generator is closed."""
     plant, resting = loop.setup.plant, False
     try:
         plant.start(run_index)
         while loop.k < loop.end:
             if stop is not None and not loop.faded and stop():
-                if ramp_samples == 0:
-                    break
                 loop.fade(ramp_samples)
             block, error = loop.take(block_samples)
             if error is not None:

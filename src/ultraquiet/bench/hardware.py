@@ -1,0 +1,242 @@
+"""Somebody's real bench: two callbacks between interlocks."""
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, positive
+from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet._base.provenance import Provenance
+from ultraquiet.bench.interlocks import Guard, Interlocks
+from ultraquiet.bench.pacing import Pacer
+from ultraquiet.bench.stepped import Loop, Plant, Setup, Stepped
+from ultraquiet.values import Channel
+from ultraquiet.values.channel import channels
+
+PATIENCE = 20  # how often a write that fails is tried again on the way to zero
+
+
+@dataclass(frozen=True, init=False)
+class Hardware(Stepped):
+    """A bench of hardware, driven by `write` and `read` once a frame.
+
+    At frame k it waits for its time, writes the command formed in the frame before plus the disturbance of this one,
+    and reads. What is known to trip an interlock is refused before anything moves. However a run ends (its end, a
+    stop, an interlock, an error, Ctrl-C, an iterator that is closed), the actuators are led from the last value
+    written to zero within the slew limit, and zeros are written at the very end.
+
+    A stop through `stream(stop=...)` takes the same way down with the controller off, and records it; differs from
+    other benches, which fade the controller's command: a straight line is the one way that keeps any slew limit.
+
+    It is not registered, since a list cannot hold callbacks: hand it over, `uq.experiments.run(listed, folder, bench)`.
+
+    Args:
+        write: takes `(nu,)` volts, puts them out at once.
+        read: returns the readings `(ny,)`, volts.
+        rate_hz: frames per second.
+        actuators, sensors: channels or names; actuators need finite limits here or in `interlocks`.
+        interlocks: what ends a run; see `Interlocks`.
+        wait: returns when the next frame begins, and how many have been missed (None: none); by default this machine's
+            clock (`time.perf_counter`).
+
+    Raises:
+        InputError: actuators without limits, a signal that is known to trip an interlock.
+        InterlockError: an interlock tripped; it names which, the sample and the value.
+        BenchError: `write`, `read` or `wait` failed or returned nonsense.
+
+    >>> volts = [0.0]
+    >>> bench = Hardware(
+    ...     write=lambda u: volts.append(float(u[0])),
+    ...     read=lambda: [volts[-1]],
+    ...     rate_hz=1000.0,
+    ...     actuators=[Channel("push", "V", -10.0, 10.0)],
+    ...     sensors=["speed"],
+    ...     interlocks=Interlocks(slew_v_per_s=2000.0, ramp_s=0.002),
+    ... )
+    >>> bench.run([[1.0, 2.0, 3.0]]).outputs.tolist(), volts[-3:]
+    ([[0.0, 1.0, 2.0]], [1.0, 0.0, 0.0])
+    """
+
+    write: Callable[[FloatArray], Any]
+    read: Callable[[], ArrayLike]
+    rate_hz: float
+    actuators: tuple[Channel, ...]
+    sensors: tuple[Channel, ...]
+    interlocks: Interlocks
+    wait: Callable[[], int | None] | None
+    _running: threading.Lock = field(repr=False, compare=False)
+
+    def __init__(
+        self,
+        write: Callable[[FloatArray], Any],
+        read: Callable[[], ArrayLike],
+        rate_hz: float,
+        actuators: Sequence[Channel | str],
+        sensors: Sequence[Channel | str],
+        interlocks: Interlocks | None = None,
+        wait: Callable[[], int | None] | None = None,
+    ) -> None:
+        for name, given in (("write", write), ("read", read), ("wait", wait)):
+            if not callable(given) and not (name == "wait" and given is None):
+                raise InputError(f"Hardware: '{name}' must be a function, got {type(given).__name__}.")
+        put = object.__setattr__
+        put(self, "write", write)
+        put(self, "read", read)
+        put(self, "wait", wait)
+        put(self, "rate_hz", positive("Hardware", "rate_hz", rate_hz, "Hz"))
+        put(self, "actuators", channels("Hardware", actuators, len(actuators), "input"))
+        put(self, "sensors", channels("Hardware", sensors, len(sensors), "output"))
+        put(self, "interlocks", interlocks or Interlocks())
+        put(self, "_running", threading.Lock())
+        self._guard()  # refuses limits that do not fit the channels
+
+    @property
+    def provenance(self) -> Provenance:
+        """Who measures, and between which limits."""
+        held = {name: value for name, value in vars(self.interlocks).items() if name != "stop"}
+        return Provenance("bench.hardware", {"rate_hz": self.rate_hz, "interlocks": held})
+
+    def _guard(self) -> Guard:
+        return Guard(self.interlocks, self.rate_hz, self.actuators, self.sensors)
+
+    def _setup(self) -> Setup:
+        return Setup("Hardware.run", _Rig(self, self._guard()), self.rate_hz, self.actuators, self.sensors)
+
+    def _loop(self, setup: Setup, actuation: ArrayLike, disturbance: ArrayLike | None, controller: Any | None) -> Loop:
+        loop = _Descending.of(setup, actuation, disturbance, controller)
+        guard = self._guard()
+        formed = np.clip(loop.u, loop.low[:, None], loop.high[:, None])
+        guard.foresee(np.concatenate([np.zeros((len(formed), 1)), formed[:, :-1]], axis=1) + loop.d)
+        return loop
+
+
+class _Descending(Loop):
+    """A run that is stopped by a straight line to zero, from what is sent at that moment."""
+
+    def fade(self, ramp_samples: int) -> None:
+        rig = self.setup.plant
+        assert isinstance(rig, _Rig)
+        sent = self.held + self.d[:, self.k]
+        samples = rig.guard.ramp_samples(sent, ramp_samples)
+        self.end = min(self.end, self.k + samples)
+        left = 1.0 - np.arange(1, self.end - self.k + 1) / samples
+        self.u[:, self.k : self.end] = sent[:, None] * left
+        self.d[:, self.k + 1 :] = 0.0
+        self.law, self.faded = None, True
+
+
+class _Rig(Plant):
+    """The callbacks during one run."""
+
+    def __init__(self, bench: Hardware, guard: Guard) -> None:
+        self._bench, self.guard = bench, guard
+        self._wait = bench.wait or Pacer(bench.rate_hz).wait
+        self._last = np.zeros(len(bench.actuators))
+        self._late, self._mine, self._doubtful = 0, False, False
+        self._began = self._before = 0.0
+
+    def start(self, run_index: int) -> None:
+        if not self._bench._running.acquire(blocking=False):
+            raise BenchError("Hardware: another run is going on; finish or close that one first.")
+        self._mine = True
+        self._began = self._before = time.perf_counter()
+        self._write(self._last, 0)
+
+    def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
+        self._frame(k)
+        value = u + d
+        self.guard.out(value, self._last, k)
+        self._write(value, k)
+        y = self._read(k)
+        self.guard.back(y, k)
+        return y
+
+    def overruns(self) -> int:
+        late, self._late = self._late, 0
+        return late
+
+    def rest(self, error: BaseException | None) -> None:
+        if not self._mine:
+            return
+        try:
+            interrupt, failure = self._descend()
+        finally:
+            self._mine = False
+            self._bench._running.release()
+        if failure is not None:
+            what = "" if error is None else f"{str(error).rstrip('.') or type(error).__name__}; and "
+            raise BenchError(
+                f"{what}Hardware: the actuators could not be brought to zero, 'write' failed {PATIENCE} times "
+                f"({_said(failure)}); they may still hold {np.round(self._last, 6).tolist()}, switch them off by hand."
+            ) from error
+        if interrupt is not None and error is None:
+            raise interrupt
+
+    def _descend(self) -> tuple[BaseException | None, Exception | None]:
+        """Lead the actuators to zero, whatever happens meanwhile; return an interrupt and a failure that stayed."""
+        bench = self._bench
+        samples = self.guard.ramp_samples(self._last, int(np.ceil(bench.interlocks.ramp_s * bench.rate_hz)))
+        step = np.abs(self._last) / samples
+        interrupt: BaseException | None = None
+        failures: list[Exception] = []
+        done = False
+        while not done and len(failures) < PATIENCE:
+            try:
+                done = not self._last.any()  # zeros are written once more at the end
+                self._idle()
+                nearer = self._last - np.copysign(np.minimum(step, np.abs(self._last)), self._last)
+                if self._doubtful:  # a write that failed may have come through: from there, too, one step back at most
+                    nearer, done = self._last, False
+                bench.write(nearer.copy())
+                self._last, self._doubtful = nearer, False
+            except Exception as error:
+                failures.append(error)
+                done = False
+            except BaseException as error:  # Ctrl-C a second time must not keep the actuators where they are
+                interrupt, done = error, False
+        return interrupt, None if done else failures[-1]
+
+    def _idle(self) -> None:
+        try:
+            self._wait()
+        except Exception:
+            # Whatever paced the run is broken: this machine's clock leads the way down.
+            self._wait = Pacer(self._bench.rate_hz).wait
+
+    def _frame(self, k: int) -> None:
+        try:
+            late = int(self._wait() or 0)
+        except Exception as error:
+            raise BenchError(f"Hardware: at sample {k} 'wait' failed ({_said(error)}).") from error
+        now = time.perf_counter()
+        self._late += late
+        elapsed_s, self._before = now - self._before, now
+        self.guard.frame(late, elapsed_s, now - self._began, k)
+
+    def _write(self, value: FloatArray, k: int) -> None:
+        self._doubtful = True
+        try:
+            self._bench.write(value.copy())
+        except Exception as error:
+            raise BenchError(f"Hardware: at sample {k} 'write' failed ({_said(error)}).") from error
+        self._last, self._doubtful = value.copy(), False
+
+    def _read(self, k: int) -> FloatArray:
+        try:
+            given = self._bench.read()
+            y = np.array(given, dtype=np.float64).reshape(-1)
+        except Exception as error:
+            raise BenchError(f"Hardware: at sample {k} 'read' failed ({_said(error)}).") from error
+        expected = len(self._bench.sensors)
+        if y.size != expected or not np.isfinite(y).all():
+            raise BenchError(f"Hardware: at sample {k} 'read' must return {expected} finite numbers, got {given!r}.")
+        return y
+
+
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
