@@ -14,6 +14,7 @@ from ultraquiet.cli import (
     identify,
     inspect,
     methods,
+    records,
     spectra,
     study,
     validate,
@@ -29,6 +30,7 @@ app.command("demo")(study.demo)
 app.command("run")(study.run)
 app.command("report")(study.report)
 app.command("experiment")(experiment.experiment)
+app.command("records")(records.records)
 app.command("identify")(identify.identify)
 app.command("validate")(validate.validate)
 app.command("spectra")(spectra.spectra)
@@ -39,7 +41,7 @@ app.command("inspect")(inspect.inspect)
 app.command("methods")(methods.methods)
 app.command("doctor")(doctor.doctor)
 
-REFUSED, INTERRUPTED = 2, 130
+REFUSED, INTERRUPTED = 2, experiment.INTERRUPTED
 
 
 def main() -> None:

@@ -1,11 +1,18 @@
 """`ultraquiet experiment`: an experiment list on a bench."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ultraquiet.cli.progress import bars
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ultraquiet.experiments import DryRun, DryStep, State
+    from ultraquiet.experiments.dry import Sent
+
+INTERRUPTED = 130  # what a shell says of a process that was ended by Ctrl-C
 
 
 def experiment(
@@ -16,19 +23,90 @@ def experiment(
         list[str] | None, typer.Option(help="A measurement that was begun, left no record, and may be excited again.")
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Write over records that are there.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the list and say how long it takes.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the list and show what it would do.")] = False,
 ) -> None:
-    """Check an experiment list whole, then execute it in order; finished records are never written over unasked."""
+    """Check an experiment list whole, then execute it in order; finished records are never written over unasked.
+
+    Ctrl-C brings the bench to zero, keeps what was measured, and says where each measurement stands (exit code 130).
+    """
     from rich.console import Console
 
     from ultraquiet import experiments
+    from ultraquiet._base.errors import UltraquietError
+    from ultraquiet.cli.halt import halting
+    from ultraquiet.cli.watch import watching
 
     listed = experiments.load(commands)
-    told = Console()
+    told = Console(highlight=False)
     if dry_run:
-        told.print(f"{len(listed.measurements)} records, {listed.duration_s:.1f} s on the bench", highlight=False)
+        _tell(told, experiments.dry_run(listed))
         return
     folder = out or Path(commands.stem)
-    with bars():
-        records = experiments.run(listed, folder, resume=resume, repeat=repeat or (), overwrite=overwrite)
-    told.print(f"{len(records)} records in {folder}", highlight=False, soft_wrap=True)
+    try:
+        with halting() as halt, watching(halt.asked) as onlooker:
+            records = experiments.run(
+                listed,
+                folder,
+                resume=resume,
+                repeat=repeat or (),
+                overwrite=overwrite,
+                stop=halt.asked,
+                onlooker=onlooker,
+            )
+    except UltraquietError as error:
+        left = experiments.states(listed.measurements, folder)
+        if any(state.status != "NOT STARTED" for state in left):
+            told.print(_states(left))
+        if isinstance(error, experiments.StoppedError) and error.asked:
+            raise typer.Exit(INTERRUPTED) from error
+        raise
+    warned = f", {onlooker.warned} warnings" if onlooker.warned else ""
+    told.print(f"{len(records)} records in {folder}{warned}", soft_wrap=True)
+
+
+def _states(states: Sequence["State"]) -> "Table":
+    from rich.table import Table
+
+    colours = {"DONE": "green", "ABORTED": "red", "NOT STARTED": "dim"}
+    table = Table("measurement", "state", "file")
+    for state in states:
+        table.add_row(state.name, f"[{colours[state.status]}]{state.status}", state.file)
+    return table
+
+
+def _tell(console: object, planned: "DryRun") -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    assert isinstance(console, Console)
+    table = Table("line", "begins", "lasts", "step", "excitation", "disturbance", "controller", title="nothing moves")
+    for step in planned.steps:
+        table.add_row(
+            str(step.line),
+            f"{step.begins_s:.2f} s",
+            f"{step.lasts_s:.2f} s",
+            f"{step.do} {step.name}".strip(),
+            _sent(step.excitation),
+            _sent(step.disturbance),
+            _controller(step),
+        )
+    console.print(table)
+    count = sum(step.samples > 0 for step in planned.steps)
+    kind = "in real time" if planned.real_time else "simulated: waits are skipped, the rest takes what it takes"
+    waits = f", {planned.waits_s:.1f} s of them waits" if planned.waits_s else ""
+    disk = f"at most {planned.disk_bytes / 1e6:.1f} MB on the disk"
+    console.print(f"{count} records, {planned.duration_s:.1f} s on the bench{waits} ({kind}), {disk}", soft_wrap=True)
+
+
+def _controller(step: "DryStep") -> str:
+    return (step.controller or "off") if step.samples else ""
+
+
+def _sent(signals: Sequence["Sent"]) -> str:
+    """Return one line a signal; signals alike but for their channel share it."""
+    lines: dict[str, list[str]] = {}
+    for s in signals:
+        low, high = s.band_hz
+        said = f"{s.what}, peak {s.peak:.3g} {s.unit}, RMS {s.rms:.2g} {s.unit}, {low:.4g}-{high:.4g} Hz"
+        lines.setdefault(said, []).append(s.actuator)
+    return "\n".join(f"{', '.join(channels)}: {said}" for said, channels in lines.items())
