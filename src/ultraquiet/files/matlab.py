@@ -43,13 +43,14 @@ def write_mat(record: Record) -> bytes:
     if max(record.inputs.nbytes, record.outputs.nbytes) >= MOST_BYTES:
         raise InputError("export_record: a variable of a MAT file ends at 2 GiB; write .h5, which knows no such end.")
     held = {
-        "u": record.inputs.T,
-        "y": record.outputs.T,
         "fs": record.rate_hz,
         "u_names": _cells([c.name for c in record.actuators]),
         "y_names": _cells([c.name for c in record.sensors]),
         "u_units": _cells([c.unit for c in record.actuators]),
         "y_units": _cells([c.unit for c in record.sensors]),
+        # Last, so that a file cut short between two variables lacks signals, not names alone.
+        "u": record.inputs.T,
+        "y": record.outputs.T,
     }
     memory = io.BytesIO()
     scipy.io.savemat(memory, held, do_compression=True)

@@ -78,6 +78,8 @@ def export_frf(
         return save(response, path, overwrite)
     if suffix not in (".uff", ".unv"):
         raise InputError(f"export_frf: '{path}' has none of the suffixes .h5, .hdf5, .uff, .unv.")
+    if response.f_hz.size < 2:
+        raise InputError("export_frf: a universal file takes two frequencies or more, got one; write .h5.")
     parts: list[tuple[int, np.ndarray]] = [(RESPONSE_FUNCTION, response.values)]
     if response.coherence is not None:
         parts.append((COHERENCE, response.coherence))
@@ -99,9 +101,7 @@ def _element(response: FrequencyResponse, kind: int, held: np.ndarray, i: int, j
         raise InputError(f"export_frf: the name '{name}' holds '{BETWEEN}', which parts response and reference.")
     f = response.f_hz
     return {
-        **common(
-            kind, name, y.unit if kind == RESPONSE_FUNCTION else "", held[i, j], f if f.size > 1 else f.repeat(2), text
-        ),
+        **common(kind, name, y.unit if kind == RESPONSE_FUNCTION else "", held[i, j], f, text),
         "rsp_node": i + 1,
         "ref_node": j + 1,
         "id2": response.estimator[:80].strip() or "NONE",
@@ -111,8 +111,6 @@ def _element(response: FrequencyResponse, kind: int, held: np.ndarray, i: int, j
 
 
 def _is_even(f: np.ndarray) -> bool:
-    if f.size < 2:
-        return False
     start, step = (float(f"{value:.5e}") for value in (f[0], f[1] - f[0]))
     return bool(step > 0 and np.abs(start + step * np.arange(f.size) - f).max() <= EVEN * step)
 

@@ -102,7 +102,8 @@ def clock_hz(path: str, time: Column) -> float:
     # A lost sample is a long step; a slow drift shows against the clock of the whole record only.
     gap = np.abs(steps / np.median(steps) - 1.0) > JITTER
     drift = np.abs((t - t[0]) * rate_hz - np.arange(t.size)) > JITTER
-    uneven = gap | drift[1:]
+    # Against the clock of a whole record with a gap nothing is even; the gap itself is what to name.
+    uneven = gap if gap.any() else drift[1:]
     if uneven.any():
         k = int(np.argmax(uneven)) + 1
         raise InputError(

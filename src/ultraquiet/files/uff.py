@@ -7,6 +7,7 @@ rate, and the binary form, which keeps every bit, is what is written unless text
 
 import re
 import tempfile
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,9 @@ def uff_bytes(sets: Sequence[dict[str, Any]]) -> bytes:
     import pyuff
 
     parts: list[bytes] = []
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        # pyuff leaves the last handle on a binary set to the garbage collector.
+        warnings.simplefilter("ignore", ResourceWarning)
         # One file a set: pyuff reads the whole file again after every set it adds, and loses the head of a binary one
         # that it writes over another.
         for k, held in enumerate(sets):

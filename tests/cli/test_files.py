@@ -1,0 +1,104 @@
+"""`convert` and `inspect`, as a user calls them."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ultraquiet import files
+from ultraquiet.cli.app import main
+from ultraquiet.values import Channel, Record
+
+DATA = Path(__file__).parents[1] / "data"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "110")
+
+    def command(*words):
+        monkeypatch.setattr(sys, "argv", ["ultraquiet", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        printed = capsys.readouterr()
+        return stop.value.code or 0, printed.out, printed.err
+
+    return command
+
+
+def test_convert_with_a_mapping(run, tmp_path):
+    (tmp_path / "map.toml").write_text(
+        'rate_hz = 2048\n[[inputs]]\ncolumn = "1-2"\nunit = "V"\n'
+        '[[outputs]]\ncolumn = 3\nname = "radial"\nunit = "µm"\n'
+    )
+    source = DATA / "daisy" / "CD_player_arm.dat"
+    code, said, _ = run("convert", source, "arm.uff", "--mapping", "map.toml")
+    print(said)
+    assert code == 0
+    assert "2 inputs and 1 outputs, 2048 samples at 2048 Hz" in said
+    record = files.read_record(tmp_path / "arm.uff")
+    assert record.sensors == (Channel("radial", "µm"),)
+    assert np.array_equal(record.outputs[0], np.loadtxt(source)[:, 2])
+    code, _, told = run("convert", source, "arm.uff", "--mapping", "map.toml")
+    assert code == 2
+    assert "exists already" in told
+    assert run("convert", "arm.uff", "arm.csv", "--force")[0] == 0
+    assert files.read_record(tmp_path / "arm.csv").hash == record.hash
+
+
+def test_convert_refuses(run, tmp_path):
+    source = DATA / "daisy" / "CD_player_arm.dat"
+    (tmp_path / "map.toml").write_text('crop_s = 3\n[[inputs]]\ncolumn = "1"\n[[outputs]]\nname = "x"\n')
+    code, _, told = run("convert", source, "arm.mat", "--mapping", "map.toml")
+    print(told)
+    assert code == 2
+    assert "2 mistakes" in told
+    for line in ("line 1: 'crop_s'", "line 4: 'column' is missing"):
+        assert line in told
+    code, _, told = run("convert", source, "arm.mat", "--inputs", "1-2", "--outputs", "3-4")
+    assert (code, "states no sampling rate" in told) == (2, True)
+    code, _, told = run("convert", source, "arm.wav", "--inputs", "1-2", "--outputs", "3-4", "--rate-hz", "2048")
+    assert (code, "read only" in told) == (2, True)
+    assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
+
+
+def test_convert_a_response(run, tmp_path):
+    source = DATA / "kagra" / "BS_TML_exc_20200730a_frf.npz"
+    code, said, _ = run("convert", source, "bs.uff", "--response", "--conjugated")
+    assert (code, "1 to 12 channels at 1281 frequencies" in said) == (0, True)
+    assert files.read_frf(tmp_path / "bs.uff").coherence is not None
+
+
+def test_inspect(run, tmp_path, rng):
+    y = np.clip(3 * rng.standard_normal((2, 1000)), -4, 4)
+    record = Record(
+        rng.standard_normal((1, 1000)), y, 3500.0, ["drive"], [Channel("limited", "V", -4, 4), Channel("x")]
+    )
+    clipped = int(np.count_nonzero(np.abs(y[0]) >= 4))
+    files.save(record, tmp_path / "run.h5")
+    code, said, _ = run("inspect", "run.h5")
+    print(said)
+    assert code == 0
+    assert f"{clipped}" in next(line for line in said.splitlines() if "limited" in line).split()
+    assert "3500 Hz, 0.285714 s" in said
+    text = "time,u,y\n" + "".join(
+        f"{k * 0.01 + (0.3 if k > 4 else 0)},{k},{'nan' if k == 2 else k}\n" for k in range(9)
+    )
+    (tmp_path / "gap.csv").write_text(text)
+    code, said, _ = run("inspect", "gap.csv")
+    print(said)
+    assert "note: 'y' has 1 NaN" in said
+    assert "is not evenly sampled: sample 5" in said
+    (tmp_path / "no.wav").write_bytes(b"RIFF")
+    assert run("inspect", "no.wav")[0] == 2
+
+
+def test_inspect_finds_flat_tops_without_limits(tmp_path):
+    """A sine beyond its converter: as many samples as lie above its limit."""
+    sine = np.sin(2 * np.pi * 0.01 * np.arange(1000))
+    np.savez(tmp_path / "a.npz", u=np.clip(sine, -0.8, 0.8), y=sine, fs=100.0)
+    looks = {c.name: c for c in files.survey(tmp_path / "a.npz").channels}
+    assert looks["u"].clipped == np.count_nonzero(np.abs(sine) >= 0.8)
+    assert looks["y"].clipped == 0
