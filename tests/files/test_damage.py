@@ -2,6 +2,8 @@
 
 import errno
 import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -165,7 +167,7 @@ def test_a_missing_extra_is_told(good, monkeypatch):
         known.touch()
         known.write_bytes(b"x")
         with pytest.raises(
-            ToolError, match=rf"'{package}', which is not installed; install it with: pip install 'ultra"
+            ToolError, match=rf"'{package}', which is not installed; install it with: pip install {package}"
         ):
             read(known, **choice)
 
@@ -228,3 +230,11 @@ def refused_whole(path):
     with pytest.raises(UltraquietError) as caught:
         read(path, inputs="1", outputs="2")
     return str(caught.value)
+
+
+def test_no_reader_is_loaded_before_it_reads():
+    """`import ultraquiet.files` loads none of the libraries that read for it."""
+    heavy = ("pyuff", "nptdms", "pyarrow", "h5py", "scipy.io", "scipy.signal", "numba", "matplotlib")
+    script = f"import sys, ultraquiet.files; print([m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,5 +1,7 @@
 """Mappings: what they do to channels, and all their mistakes at once with their lines."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -130,3 +132,10 @@ def test_mappings_that_cannot_be_read(tmp_path):
         load_mapping(tmp_path / "absent.toml")
     with pytest.raises(MappingError, match="line 2: this is not TOML"):
         parse_mapping("rate_hz = 1\nx = = 2\n")
+
+
+def test_the_mapping_of_the_documentation():
+    text = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="utf-8")
+    mapping = parse_mapping(text.partition("```toml\n")[2].partition("```")[0])
+    assert (mapping.rate_hz, mapping.crop_s) == (2500.0, (0.5, 4.5))
+    assert [one.name for one in mapping.inputs] == ["motor current"]

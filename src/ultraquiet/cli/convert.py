@@ -14,7 +14,9 @@ def convert(
     mapping: Annotated[
         Path | None, typer.Option(help="Channels (TOML): column, name, unit, scale, offset, limits; rate and cut.")
     ] = None,
-    rate_hz: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate-hz", "--rate", help="Samples per second, when the file does not say.")
+    ] = None,
     inputs: Annotated[str | None, typer.Option(help="The inputs in the file, separated by commas.")] = None,
     outputs: Annotated[str | None, typer.Option(help="The outputs in the file, separated by commas.")] = None,
     text: Annotated[bool, typer.Option("--text", help="UFF with numbers as text, twelve digits.")] = False,

@@ -9,8 +9,12 @@ from rich.table import Table
 
 from ultraquiet._base.provenance import versions
 
-PYTHON_PARTS = ("numpy", "scipy", "numba", "h5py", "pydantic", "typer", "rich", "jinja2", "matplotlib")
-OPTIONAL_PARTS = (("control", "python-control conversion", "pip install control"),)
+PYTHON_PARTS = ("numpy", "scipy", "numba", "h5py", "pydantic", "typer", "rich", "jinja2", "matplotlib", "pyuff")
+OPTIONAL_PARTS = (
+    ("npTDMS", "TDMS files", "pip install npTDMS"),
+    ("pyarrow", "Parquet files", "pip install pyarrow"),
+    ("control", "python-control conversion", "pip install control"),
+)
 TOOLS = (
     ("cc", "compiles and verifies generated controllers", "apt-get install gcc libc6-dev"),
     ("arm-none-eabi-gcc", "cross-compiles for Cortex-M", "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi"),

@@ -14,7 +14,7 @@ HELD_OUT = 0.5
 
 
 def identify(
-    record: Annotated[Path, typer.Argument(help="A record: HDF5, MAT, CSV or NPZ.")],
+    record: Annotated[Path, typer.Argument(help="A record, of any format that `convert` reads.")],
     method: Annotated[
         str, typer.Option(help="A registered method; see `ultraquiet methods identify`.")
     ] = "box-jenkins",
@@ -22,6 +22,9 @@ def identify(
     rate: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
     inputs: Annotated[str | None, typer.Option(help="Names of the inputs in the file, separated by commas.")] = None,
     outputs: Annotated[str | None, typer.Option(help="Names of the outputs in the file, separated by commas.")] = None,
+    mapping: Annotated[
+        Path | None, typer.Option(help="Channels of the file (TOML), instead of --inputs and --outputs.")
+    ] = None,
     hold_out: Annotated[
         float, typer.Option(help="Share of the record, at its end, kept for judging the model.")
     ] = HELD_OUT,
@@ -38,7 +41,7 @@ def identify(
     from ultraquiet import files, validate
 
     share = between("identify", "hold-out", hold_out, 0.0, 0.9)
-    data = files.read_record(record, rate, _names(inputs), _names(outputs))
+    data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping)
     settings = make("identify", method, setting or (), order=order)
     cut = data.samples - int(share * data.samples)
     with bars():

@@ -8,7 +8,9 @@ import typer
 
 def inspect(
     path: Annotated[Path, typer.Argument(metavar="FILE", help="HDF5, CSV, MAT, NPZ, UFF, TDMS, Parquet or WAV.")],
-    rate_hz: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
+    rate_hz: Annotated[
+        float | None, typer.Option("--rate-hz", "--rate", help="Samples per second, when the file does not say.")
+    ] = None,
 ) -> None:
     """Show channels, units, rate, duration, levels, clipped samples and gaps."""
     from rich.box import SIMPLE_HEAD

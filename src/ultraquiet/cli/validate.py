@@ -10,10 +10,13 @@ from ultraquiet._base.errors import InputError
 
 def validate(
     model: Annotated[Path, typer.Argument(help="A model (HDF5), as `identify` leaves it.")],
-    record: Annotated[Path, typer.Argument(help="A record: HDF5, MAT, CSV or NPZ.")],
+    record: Annotated[Path, typer.Argument(help="A record, of any format that `convert` reads.")],
     rate: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
     inputs: Annotated[str | None, typer.Option(help="The inputs in the file, separated by commas.")] = None,
     outputs: Annotated[str | None, typer.Option(help="The outputs in the file, separated by commas.")] = None,
+    mapping: Annotated[
+        Path | None, typer.Option(help="Channels of the file (TOML), instead of --inputs and --outputs.")
+    ] = None,
 ) -> None:
     """Simulate a model with a record's inputs and test what it leaves unexplained."""
     from rich.console import Console
@@ -26,7 +29,7 @@ def validate(
     held = files.load(model)
     if not isinstance(held, PolynomialMatrix | PolynomialModel | StateSpace):
         raise InputError(f"validate: '{model}' holds a {type(held).__name__}, not a model.")
-    data = files.read_record(record, rate, inputs, outputs)
+    data = files.read_record(record, rate, inputs, outputs, mapping)
     found = room.compare(held, data)
     tested = None if isinstance(held, StateSpace) else room.residual_test(held, data)
     table = Table("output", "simulated fit", "clipped", "p: white", "p: free of input", title=f"{model} on {record}")

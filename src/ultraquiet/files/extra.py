@@ -13,5 +13,5 @@ def extra(module: str, package: str, kind: str) -> Any:
     except ImportError:
         raise ToolError(
             f"files: {kind} files need the package '{package}', which is not installed; "
-            "install it with: pip install 'ultraquiet[lab]'"
+            f"install it with: pip install {package}"
         ) from None
