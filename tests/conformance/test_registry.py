@@ -25,7 +25,8 @@ NEEDS_SETTINGS = {  # they wrap what the caller has
     },
     ("bench", "process"): {"command": (sys.executable, str(PLANT))},
 }
-TESTED_ELSEWHERE = {("bench", "replay")}  # a recording answers no signal but its own
+# A recording answers no signal but its own; an FMU must be built first, by tests/bench/test_fmu_bench.py.
+TESTED_ELSEWHERE = {("bench", "replay"), ("bench", "fmu")}
 
 
 @pytest.mark.parametrize(("family", "name"), [e for e in ENTRIES if e not in TESTED_ELSEWHERE])
