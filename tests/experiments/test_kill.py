@@ -87,6 +87,8 @@ def test_killed_while_it_streams(count, kill, tmp_path, rng):
     )
     print(f"by the clock, delays of the scheduler included, worst {max(late) / 3.5:.0f} ms: {histogram(late)}")
     assert max(losses) <= LOSS
+    # By the clock a machine that is busy with other work adds its delays; nine of ten must not need that excuse.
+    assert np.quantile(late, 0.9) <= LOSS
     # The campaign struck running streams, not processes that had not begun.
     assert sum(n > 0 for n in kept) > count / 2
 
@@ -151,48 +153,73 @@ def seen(folder, names):
     return found
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(200, marks=pytest.mark.slow)])
-def test_a_list_killed_while_it_runs(count, kill, tmp_path, rng):
-    """A list on a bench in real time, killed and resumed again and again: whole records, partial ones, no third."""
-    folder, diary = tmp_path / "out", tmp_path / "diary.txt"
-    names = [f"m{k}" for k in range(4 * count)]
-    text = "".join(f'[[commands]]\ndo = "record"\nname = "{n}"\nsamples = 600\n' for n in names)
-    job = {"work": "execute", "text": text, "path": str(folder), "diary": str(diary)}
-    losses, repeats, done, excited = [], Counter(), set(), 0
-    for _ in range(count):
-        torn = begun_but_not_whole(text, folder)
+class Siege:
+    """A list on a bench in real time, killed and resumed again and again in one folder."""
+
+    kills, samples = 30, 600
+
+    def __init__(self, folder, kill, rng):
+        self.kill, self.rng = kill, rng
+        self.folder, self.diary = folder / "out", folder / "diary.txt"
+        self.names = [f"m{k}" for k in range(4 * self.kills)]
+        command = '[[commands]]\ndo = "record"\nname = "{}"\nsamples = {}\n'
+        self.text = "".join(command.format(name, self.samples) for name in self.names)
+        self.losses, self.repeats, self.done, self.lines = [], Counter(), set(), []
+
+    def strike(self):
+        """Resume the list, with leave to repeat what was torn; kill it; look at all that is left."""
+        torn = begun_but_not_whole(self.text, self.folder)
         # Unless it is named, nothing that was begun is excited again.
         if torn:
             with pytest.raises(StorageError, match="was begun before and left no record"):
-                experiments.run(mortal.listed(text, np.zeros(4), str(diary)), folder, resume=True)
-        repeats.update(torn)
-        (fate,) = kill([{**job, "repeat": torn, "after": rng.uniform(0.0, 0.6)}], 1)
+                experiments.run(mortal.listed(self.text, np.zeros(4), str(self.diary)), self.folder, resume=True)
+        self.repeats.update(torn)
+        job = {"work": "execute", "text": self.text, "path": str(self.folder), "diary": str(self.diary)}
+        (fate,) = self.kill([{**job, "repeat": torn, "after": self.rng.uniform(0.0, 0.6)}], 1)
         assert fate["code"] == -9
-        found = seen(folder, names)
-        for name in done:
-            assert found[name][2], "a finished record is gone"
-        done = {name for name, (_, _, record) in found.items() if record}
-        assert all(record[0].shape[1] == 600 for _, _, record in found.values() if record)
-        lines = diary.read_text().split() if diary.exists() else []
-        if len(lines) > excited:
-            excited, name = len(lines), names[int(lines[-1])]
-            logs, _, record = found[name]
-            losses.append(min(fate["told"], 600) - (record or logs or [np.zeros((3, 0))])[0].shape[1])
-    recover(folder)
-    found, times = seen(folder, names), Counter(lines)
-    partial = [f for name in names for f in found[name][1]]
+        found = seen(self.folder, self.names)
+        assert all(found[name][2] for name in self.done), "a finished record is gone"
+        self.done = {name for name, (_, _, record) in found.items() if record}
+        assert all(found[name][2][0].shape[1] == self.samples for name in self.done)
+        before, self.lines = len(self.lines), self.diary.read_text().split() if self.diary.exists() else []
+        if len(self.lines) > before:
+            logs, _, record = found[self.names[int(self.lines[-1])]]
+            kept = (record or logs or [np.zeros((3, 0))])[0].shape[1]
+            self.losses.append(min(fate["told"], self.samples) - kept)
+
+    def lift(self):
+        """Recover what the last kill left; return the number of partial records."""
+        recover(self.folder)
+        found, times = seen(self.folder, self.names), Counter(self.lines)
+        assert self.done >= {e["name"] for e in journal.entries(self.folder) if e["event"] == "finished"}
+        assert not list(self.folder.glob("*.log"))
+        assert all(times[str(k)] <= 1 + self.repeats[name] for k, name in enumerate(self.names)), "excited unasked"
+        for path in self.folder.glob("*.partial*.h5"):
+            said = files.load(path).provenance.settings["partial"]
+            assert (said["samples"], said["of"]) == (files.load(path).samples, self.samples)
+            assert "killed" in said["reason"] or "cut short" in said["reason"]
+        return sum(len(partial) for _, partial, _ in found.values())
+
+
+@pytest.mark.parametrize("sieges", [1, pytest.param(6, marks=pytest.mark.slow)])
+def test_a_list_killed_while_it_runs(sieges, kill, tmp_path, rng):
+    """Whole records and partial ones, no third; nothing is excited unasked, and at most 0.1 s is lost."""
+    losses, whole, partial = [], 0, 0
+    for number in range(sieges):
+        (tmp_path / str(number)).mkdir()
+        siege = Siege(tmp_path / str(number), kill, rng)
+        for _ in range(siege.kills):
+            siege.strike()
+        partial += siege.lift()
+        whole += len(siege.done)
+        losses += siege.losses
     print(
-        f"{count} kills of a list: {len(done)} whole records, {len(partial)} partial ones, {len(losses)} kills inside "
-        f"a measurement; worst loss {max(losses)} samples ({max(losses) / 3.5:.0f} ms): {histogram(losses)}"
+        f"{sieges * Siege.kills} kills of a list: {whole} whole records, {partial} partial ones, {len(losses)} kills "
+        f"after an excitation; worst loss {max(losses)} samples ({max(losses) / 3.5:.0f} ms): {histogram(losses)}"
     )
     assert max(losses) <= LOSS
-    assert done >= {e["name"] for e in journal.entries(folder) if e["event"] == "finished"}
-    assert not list(folder.glob("*.log"))
-    assert all(times[str(k)] <= 1 + repeats[name] for k, name in enumerate(names)), "excited unasked"
-    for path in folder.glob("*.partial*.h5"):
-        said = files.load(path).provenance.settings["partial"]
-        assert (said["samples"], said["of"]) == (files.load(path).samples, 600)
-        assert "killed" in said["reason"] or "cut short" in said["reason"]
+    assert whole > 0
+    assert partial > 0
 
 
 def begun_but_not_whole(text, folder):

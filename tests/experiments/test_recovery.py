@@ -10,7 +10,7 @@ from fakes import Fake
 from ultraquiet import experiments, files
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.bench import Block
+from ultraquiet.bench import Block, Hexapod
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.measure import Watch, measure, recover
 from ultraquiet.files.frames import DATA, MAGIC
@@ -75,6 +75,15 @@ def test_a_streamed_record_is_that_of_a_run(tmp_path):
     counted = {"limited_commands": [10, 0], "limited_readings": [0, 20, 0], "overruns": 10}
     assert made.settings["bench"] == {"made_by": "streamer", "colour": "red", "run_index": 1, **counted}
     assert files.load(tmp_path / "b" / "push.h5").provenance.to_json() == made.to_json()
+
+
+def test_the_hexapod_streams_into_its_log(tmp_path):
+    text = "seed = 3\n" + LIST
+    bench = Hexapod(hysteresis=True)
+    record = experiments.run(experiments.parse(text, bench), tmp_path)["push"]
+    assert np.array_equal(record.outputs, bench.run(record.inputs, run_index=1).outputs)
+    assert record.provenance.settings["bench"]["run_index"] == 1
+    assert names(tmp_path) == ["first.h5", "push.h5"]
 
 
 def test_stopped_softly_it_keeps_what_was_measured(tmp_path):
