@@ -5,9 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.errors import StorageError
 from ultraquiet.files.archive import FORMAT, MAGIC, SEAL
-from ultraquiet.files.atomic import reason
 from ultraquiet.files.table import RATE_NAMES, STEP_NAMES, Table, from_arrays
 
 SHA256_DIGITS = 64
@@ -56,14 +54,10 @@ def read_hdf5(name: str, data: bytes) -> Table:
         elif h5py.check_string_dtype(held.dtype) is not None:
             texts[place] = _words(held.asstr()[()])
 
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            arrays.update(_told("", file))
-            file.visititems(visit)
-            return from_arrays(name, arrays, texts)
-    except Exception as error:
-        # Damaged bytes surface as whatever HDF5 stumbles over first.
-        raise StorageError(f"read_record: '{name}' cannot be read as HDF5 ({reason(error)}).") from error
+    with h5py.File(io.BytesIO(data), "r") as file:
+        arrays.update(_told("", file))
+        file.visititems(visit)
+        return from_arrays(name, arrays, texts)
 
 
 def _told(place: str, held: Any) -> dict[str, Any]:

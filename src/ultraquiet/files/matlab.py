@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.files.atomic import reason
+from ultraquiet._base.errors import InputError
 from ultraquiet.files.table import Table, from_arrays
 from ultraquiet.values import Record
 
@@ -23,13 +22,9 @@ def read_mat(name: str, data: bytes) -> Table:
     import scipy.io
 
     try:
-        try:
-            held = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
-        except NotImplementedError:
-            held = _version_73(data)
-    except Exception as error:
-        # Damaged bytes surface as whatever zlib, SciPy or HDF5 stumble over first.
-        raise StorageError(f"read_record: '{name}' cannot be read as a MAT file ({reason(error)}).") from error
+        held = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    except NotImplementedError:
+        held = _version_73(data)
     flat = _flat(held)
     texts = {key: words for key, value in flat.items() if (words := _words(value)) is not None}
     arrays = {key: value for key, value in flat.items() if key not in texts}

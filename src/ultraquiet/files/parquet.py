@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.errors import StorageError
-from ultraquiet.files.atomic import reason
 from ultraquiet.files.extra import extra
 from ultraquiet.files.table import RATE_NAMES, Column, Table
 from ultraquiet.values import Record
@@ -22,12 +20,8 @@ def read_parquet(name: str, data: bytes) -> Table:
     seconds from the first. Missing values become NaN.
     """
     pq, pa = extra("pyarrow.parquet", "pyarrow", "Parquet"), extra("pyarrow", "pyarrow", "Parquet")
-    try:
-        table = pq.read_table(pa.BufferReader(data), use_threads=False)
-        found = [_column(pa, table.schema.field(k), table.column(k)) for k in range(table.num_columns)]
-    except Exception as error:
-        # Damaged bytes surface as whatever Arrow or Thrift stumble over first.
-        raise StorageError(f"read_record: '{name}' cannot be read as Parquet ({reason(error)}).") from error
+    table = pq.read_table(pa.BufferReader(data), use_threads=False)
+    found = [_column(pa, table.schema.field(k), table.column(k)) for k in range(table.num_columns)]
     told = _texts(table.schema.metadata)
     rates = {key: float(told[key]) for key in RATE_NAMES if key in told}
     unusable = tuple(f"{held} ({kind})" for held, kind in found if isinstance(kind, str))

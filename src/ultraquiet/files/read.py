@@ -12,7 +12,7 @@ from ultraquiet.files.hdf5 import is_ours
 from ultraquiet.files.mapping import Mapping, load_mapping
 from ultraquiet.files.select import Choice, chosen, inputs_and_outputs
 from ultraquiet.files.table import Column, Table
-from ultraquiet.files.whole import whole
+from ultraquiet.files.whole import understanding, whole
 from ultraquiet.values import Record
 
 _Path = str | os.PathLike[str]
@@ -86,7 +86,8 @@ def _opened(path: _Path) -> tuple[Table, Record | None, tuple[str, ...]]:
     if Path(path).suffix.lower() in ARCHIVES and is_ours(data):
         kept = _archived(path)
         return _as_table(Path(path).name, kept), kept, (kept.hash,)
-    return form.read(Path(path).name, data), None, (hashlib.sha256(data).hexdigest(),)
+    with understanding(Path(path).name, form.name):
+        return form.read(Path(path).name, data), None, (hashlib.sha256(data).hexdigest(),)
 
 
 def _archived(path: _Path) -> Record:

@@ -12,9 +12,10 @@ from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files.archive import load_many, save
 from ultraquiet.files.atomic import write_bytes
+from ultraquiet.files.formats import format_of
 from ultraquiet.files.npz import npz_arrays
 from ultraquiet.files.uff import COHERENCE, RESPONSE_FUNCTION, common, response_name, uff_bytes, uff_sets
-from ultraquiet.files.whole import whole
+from ultraquiet.files.whole import understanding, whole
 from ultraquiet.values import Channel, FrequencyResponse
 
 AXIS_NAMES = ("f", "f_hz", "freq", "frequency", "frequencies")
@@ -53,9 +54,10 @@ def read_frf(path: str | os.PathLike[str], conjugated: bool = False) -> Frequenc
     data = whole(path)
     settings = {"file": Path(path).name, "conjugated": conjugated}
     made = Provenance("read_frf", settings, parents=(hashlib.sha256(data).hexdigest(),), versions=versions())
-    if suffix == ".npz":
-        return _of_arrays(Path(path).name, npz_arrays(Path(path).name, data), conjugated, made)
-    return _of_sets(Path(path).name, uff_sets(Path(path).name, data), made)
+    with understanding(Path(path).name, format_of("read_frf", Path(path)).name):
+        if suffix == ".npz":
+            return _of_arrays(Path(path).name, npz_arrays(data), conjugated, made)
+        return _of_sets(Path(path).name, uff_sets(Path(path).name, data), made)
 
 
 def export_frf(

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import StorageError
-from ultraquiet.files.atomic import reason
 from ultraquiet.files.extra import extra
 from ultraquiet.files.table import Column, Table, rate_of_step
 
@@ -21,16 +20,11 @@ def read_tdms(name: str, data: bytes) -> Table:
     A name that two groups share is written `group/channel`.
     """
     nptdms = extra("nptdms", "npTDMS", "TDMS")
-    try:
-        file = nptdms.TdmsFile.read(io.BytesIO(data))
-        torn = file.file_status.incomplete_final_segment
-        channels = [channel for group in file.groups() for channel in group.channels()]
-        values = [np.asarray(channel[:]) for channel in channels]
-    except Exception as error:
-        # Damaged bytes surface as whatever struct, NumPy or npTDMS stumble over first.
-        raise StorageError(f"read_record: '{name}' cannot be read as TDMS ({reason(error)}).") from error
-    if torn:
+    file = nptdms.TdmsFile.read(io.BytesIO(data))
+    if file.file_status.incomplete_final_segment:
         raise StorageError(f"read_record: '{name}' was cut short: its last segment is incomplete.")
+    channels = [channel for group in file.groups() for channel in group.channels()]
+    values = [np.asarray(channel[:]) for channel in channels]
     names = Counter(channel.name for channel in channels)
     origin = min((t for c in channels if (t := c.properties.get("wf_start_time")) is not None), default=None)
     held: list[Column] = []

@@ -16,7 +16,6 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.files.atomic import reason
 from ultraquiet.files.table import Column, Table, clock_hz, rate_of_step
 from ultraquiet.values import Record
 
@@ -72,15 +71,9 @@ def uff_sets(name: str, data: bytes) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "held.uff"
         path.write_bytes(data)
-        try:
-            file = pyuff.UFF(str(path))
-            numbers = [k for k, kind in enumerate(file.get_set_types()) if kind == 58]
-            sets: list[dict[str, Any]] = [file.read_sets(k) for k in numbers]  # type: ignore[assignment]
-        except Exception as error:
-            # pyuff raises bare exceptions.
-            raise StorageError(
-                f"read_record: '{name}' cannot be read as a universal file ({reason(error)})."
-            ) from error
+        file = pyuff.UFF(str(path))
+        numbers = [k for k, kind in enumerate(file.get_set_types()) if kind == 58]
+        sets: list[dict[str, Any]] = [file.read_sets(k) for k in numbers]  # type: ignore[assignment]
     for k, held in zip(numbers, sets, strict=True):
         if len(held["data"]) != held["num_pts"]:
             raise StorageError(

@@ -5,8 +5,6 @@ import warnings
 
 import numpy as np
 
-from ultraquiet._base.errors import StorageError
-from ultraquiet.files.atomic import reason
 from ultraquiet.files.table import Column, Table
 
 FULL_SCALE = "FS"  # the unit of samples that are parts of full scale
@@ -21,15 +19,11 @@ def read_wav(name: str, data: bytes) -> Table:
     """
     from scipy.io import wavfile
 
-    try:
-        with warnings.catch_warnings():
-            # What is said of foreign chunks is of no concern; of an early end it is.
-            warnings.filterwarnings("ignore", "Chunk", wavfile.WavFileWarning)
-            warnings.filterwarnings("error", "Reached EOF|Incomplete", wavfile.WavFileWarning)
-            rate_hz, samples = wavfile.read(io.BytesIO(data))
-    except Exception as error:
-        # Damaged bytes surface as whatever struct, NumPy or SciPy stumble over first.
-        raise StorageError(f"read_record: '{name}' cannot be read as WAV ({reason(error)}).") from error
+    with warnings.catch_warnings():
+        # What is said of foreign chunks is of no concern; of an early end it is.
+        warnings.filterwarnings("ignore", "Chunk", wavfile.WavFileWarning)
+        warnings.filterwarnings("error", "Reached EOF|Incomplete", wavfile.WavFileWarning)
+        rate_hz, samples = wavfile.read(io.BytesIO(data))
     rows = np.atleast_2d(samples.T)
     unit = "" if rows.dtype.kind == "f" else FULL_SCALE
     values = _scaled(rows)

@@ -1,9 +1,11 @@
-"""A file's bytes, whole, unless they would not fit."""
+"""A file's bytes: whole, unless they would not fit, and understood, or refused in one sentence."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from ultraquiet._base.errors import StorageError
+from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet.files.atomic import reason
 
 # Memory that reading takes, in sizes of the file, at most: the bytes, text of them, numbers, and the record's copy.
@@ -31,6 +33,17 @@ def whole(path: str | os.PathLike[str]) -> bytes:
     if not data:
         raise StorageError(f"read_record: '{path}' is empty.")
     return data
+
+
+@contextmanager
+def understanding(name: str, kind: str) -> Iterator[None]:
+    """Turn whatever a library stumbles over first in damaged or foreign bytes into one sentence."""
+    try:
+        yield
+    except UltraquietError:
+        raise
+    except Exception as error:
+        raise StorageError(f"read_record: '{name}' cannot be read as {kind} ({reason(error)}).") from error
 
 
 def sized(count: int) -> str:
