@@ -1,9 +1,9 @@
 """Logs give back every bit they took; any damage is noticed, and nothing is ever read that was not written."""
 
-import json
 import math
 import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -397,7 +397,14 @@ def test_rate_and_cost_of_appending(tmp_path, rng, monkeypatch):
     assert synced > needed
 
 
-def test_headers_are_json(blocks, tmp_path):
-    """Any program may read the description of a run without this package."""
-    data = written(tmp_path / "a.log", blocks).read_bytes()
-    assert json.loads(bytes(frame_at(data, 0).payload)) == header()
+def test_the_reader_of_the_documentation_needs_no_package(blocks, rng, tmp_path):
+    text = (Path(__file__).parents[2] / "docs" / "log-format.md").read_text()
+    scope = {}
+    exec(text.split("```python\n")[1].split("```")[0], scope)
+    path = written(tmp_path / "a.log", blocks)
+    data = path.read_bytes()
+    for cut in (len(data), *rng.integers(len(frames(data)[0]) + len(frames(data)[1]), len(data), 20)):
+        path.write_bytes(data[:cut])
+        told, samples = scope["read"](path)
+        assert told == header()
+        assert np.array_equal(samples, read_log(path).samples)
