@@ -1,5 +1,8 @@
 """Real hardware: whatever goes wrong, the actuators come down to zero without a jump, and the error says why."""
 
+import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -85,7 +88,7 @@ def test_a_run_is_that_of_the_same_plant_wrapped(rng):
     plant, lab = Plant(), Lab()
     plant.reset()
     inside = Wrapped(plant.step, plant.reset, RATE_HZ, ACTUATORS, SENSORS)
-    law = StateSpace([[0.5]], 0.01 * rng.normal(size=(1, 3)), rng.normal(size=(2, 1)), np.zeros((2, 3)), RATE_HZ)
+    law = StateSpace([[0.5]], 1e-3 * rng.normal(size=(1, 3)), rng.normal(size=(2, 1)), np.zeros((2, 3)), RATE_HZ)
     u, d = smooth(rng, 200, 0.4), smooth(rng, 200, 0.4)
     for controller in (None, law):
         lab.answer = lambda k, applied: plant.step(applied, np.zeros(2))
@@ -370,6 +373,45 @@ def test_the_pacer_keeps_time_and_counts_what_it_misses():
     assert took >= (n - 1) / 500.0
     time.sleep(0.011)
     assert pacer.wait() >= 5
+
+
+DRIVER = """
+import sys, time
+import numpy as np
+from ultraquiet.bench import Hardware, Interlocks
+from ultraquiet.values import Channel
+
+out = open(sys.argv[1], "w", buffering=1)
+bench = Hardware(
+    lambda u: out.write(f"{float(u[0])!r}\\n"), lambda: [0.0], 1000.0, [Channel("push", "V", -10.0, 10.0)], ["speed"],
+    Interlocks(slew_v_per_s=100.0, frame_s=30.0), None,
+)
+u = 5.0 * np.sin(0.01 * np.arange(100_000))[None]
+for block in bench.stream(u):
+    print(len(block.readings[0]), flush=True)
+    time.sleep(float(sys.argv[2]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+@pytest.mark.parametrize("busy_s", [0.0, 0.2])  # caught inside the loop, or while its blocks are being stored
+def test_a_program_that_is_ended_from_outside_comes_down_softly(number, busy_s, tmp_path, rng):
+    log = tmp_path / "written"
+    driver = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, str(log), str(busy_s)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
+    with driver:
+        driver.stdout.readline()
+        time.sleep(rng.uniform(0.0, 0.3))
+        driver.send_signal(number)
+        driver.stdout.read()
+    sent = np.array([0.0, *(float(line) for line in log.read_text().splitlines())])
+    assert driver.returncode in (128 + number, -number)
+    assert sent[-1] == 0.0
+    assert len(sent) > 175
+    jump = np.abs(np.diff(sent)).max()
+    print(f"signal {number.name} after {len(sent)} writes: largest jump {jump:.4g} V of 0.1 V")
+    assert 0.0 < jump <= 0.1 * (1 + 1e-9)
 
 
 @settings(max_examples=200, deadline=None)

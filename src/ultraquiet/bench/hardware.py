@@ -15,6 +15,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench.interlocks import Guard, Interlocks
 from ultraquiet.bench.pacing import Pacer
 from ultraquiet.bench.stepped import Loop, Plant, Setup, Stepped
+from ultraquiet.bench.termination import Termination
 from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
 
@@ -27,8 +28,8 @@ class Hardware(Stepped):
 
     At frame k it waits for its time, writes the command formed in the frame before plus the disturbance of this one,
     and reads. What is known to trip an interlock is refused before anything moves. However a run ends (its end, a
-    stop, an interlock, an error, Ctrl-C, an iterator that is closed), the actuators are led from the last value
-    written to zero within the slew limit, and zeros are written at the very end.
+    stop, an interlock, an error, Ctrl-C, SIGTERM, an iterator that is closed), the actuators are led from the last
+    value written to zero within the slew limit, and zeros are written at the very end. See docs/hardware.md.
 
     A stop through `stream(stop=...)` takes the same way down with the controller off, and records it; differs from
     other benches, which fade the controller's command: a straight line is the one way that keeps any slew limit.
@@ -139,11 +140,13 @@ class _Rig(Plant):
         self._last = np.zeros(len(bench.actuators))
         self._late, self._mine, self._doubtful = 0, False, False
         self._began = self._before = 0.0
+        self._termination = Termination()
 
     def start(self, run_index: int) -> None:
         if not self._bench._running.acquire(blocking=False):
             raise BenchError("Hardware: another run is going on; finish or close that one first.")
         self._mine = True
+        self._termination.hold()
         self._began = self._before = time.perf_counter()
         self._write(self._last, 0)
 
@@ -167,6 +170,7 @@ class _Rig(Plant):
             interrupt, failure = self._descend()
         finally:
             self._mine = False
+            self._termination.release()
             self._bench._running.release()
         if failure is not None:
             what = "" if error is None else f"{str(error).rstrip('.') or type(error).__name__}; and "
