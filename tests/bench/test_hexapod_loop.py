@@ -13,6 +13,7 @@ from ultraquiet import StateSpace, signals
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet._base.registry import methods
 from ultraquiet.bench import Bench, Hexapod
+from ultraquiet.bench.hexapod.drift import REFERENCE_C
 from ultraquiet.values import SteppedController
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -42,10 +43,9 @@ def test_the_kernel_does_what_plain_numpy_does(unit, options, rng, seed):
     law = some_law(rng)
     u, d = 12.0 * rng.normal(size=(6, 400)), 30.0 * rng.normal(size=(6, 400))
     record = bench.run(u, d, law)
-    noise = bench._noise(0)(400)
-    command, readings, counts = plain_loop(
-        (*bench._sampled, *bench._plant[3:]), (law.A, law.B, law.C, law.D), u.T, d.T, noise, bench._limits.arrays
-    )
+    plant = (*bench.model.sampled, *bench._matrices(REFERENCE_C)[3:])
+    inside = law.A, law.B, law.C, law.D
+    command, readings, counts = plain_loop(plant, inside, u.T, d.T, bench._noise(0)(400), bench._limits.arrays)
     off = np.abs(record.outputs - readings.T).max()
     print(f"{unit} {options}: readings differ by {off:.1e} V")
     # Rounding hides the differences of 1e-13 V, unless one straddles a threshold: about once in 1e7 tests.

@@ -1,96 +1,13 @@
 """One run of the simulated loop: where plant and controller stand, carried from block to block."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.bench._abstract import Block, IntArray, commands, fade
-from ultraquiet.values import Controller, StateSpace
-
-Matrices = tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """Limits in volts of commands and actuators `(nu,)` and of readings `(ny,)`; the converter's step (0: none)."""
-
-    command_v: FloatArray
-    actuator_v: FloatArray
-    reading_v: FloatArray
-    step_v: float
-
-    @property
-    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-        """The limits as the kernels take them."""
-        return self.command_v, self.actuator_v, self.reading_v, self.step_v
-
-
-class Law(Protocol):
-    """What closes the loop."""
-
-    def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
-        """Run the loop on over all samples of `signals`; see `kernels.loop`."""
-        ...
-
-
-class Linear:
-    """A linear law, compiled together with the plant; it may read and drive the leading channels only."""
-
-    def __init__(self, law: StateSpace, sensors: int, actuators: int) -> None:
-        (nu, ny), n = law.D.shape, law.states
-        B, C, D = np.zeros((n, sensors)), np.zeros((actuators, n)), np.zeros((actuators, sensors))
-        B[:, :ny], C[:nu], D[:nu, :ny] = law.B, law.C, law.D
-        self._law = turned(law.A), turned(B), turned(C), turned(D)
-        self._x = np.zeros(n)
-
-    def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
-        """Run the loop on over all samples of `signals`."""
-        from ultraquiet.bench import kernels
-
-        kernels.loop(plant, self._law, signals, limits.arrays, state, self._x, results)
-        lost = np.flatnonzero(~np.isfinite(results[0]).all(axis=1))
-        if lost.size:
-            raise _LostError(int(lost[0]))
-
-
-class Stepped:
-    """A controller of Python, asked sample by sample; it may read and drive the leading channels only."""
-
-    def __init__(self, law: Controller, readings: int, answers: int) -> None:
-        self._law, self._ny, self._nu, self._k = law, readings, answers, 0
-
-    def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
-        """Run the loop on over all samples of `signals`."""
-        from ultraquiet.bench import kernels
-
-        u, d, noise, gain = signals
-        command, y, limited = results
-        held = state[1]
-        work, driven = np.empty_like(state[0]), np.empty_like(held)
-        for k in range(len(u)):
-            kernels.read(plant[2], state[0], noise[k], limits.reading_v, limits.step_v, y[k])
-            try:
-                answer = commands("Hexapod.run", self._law.step(y[k, : self._ny].copy()), self._nu, self._k)
-            except BaseException as error:  # an interrupt, too, leaves the samples before it to be handed over
-                raise _LostError(k, error) from error
-            asked = u[k].copy()
-            asked[: self._nu] += answer
-            kernels.move(plant, state, gain[k] * d[k], limits.actuator_v, driven, work, limited[1])
-            kernels.clip(gain[k] * asked, limits.command_v, held, limited[0])
-            command[k] = held
-            self._k += 1
-
-
-class _LostError(Exception):
-    """The controller failed at a sample of the block, counted from its start."""
-
-    def __init__(self, sample: int, error: BaseException | None = None) -> None:
-        super().__init__(sample)
-        self.sample, self.error = sample, error
+from ultraquiet.bench._abstract import Block, IntArray, fade
+from ultraquiet.bench.hexapod.laws import WHO, Law, Limits, LostError, Matrices, turned
 
 
 class Simulation:
@@ -142,11 +59,11 @@ class Simulation:
                 yield block
             if lost is not None:
                 raise lost.error or InputError(
-                    f"Hexapod.run: at sample {self._k} the controller's command was no longer a finite number; "
+                    f"{WHO}: at sample {self._k} the controller's command was no longer a finite number; "
                     f"it is unstable by itself or with this bench."
                 )
 
-    def _take(self, samples: int) -> tuple[Block | None, _LostError | None]:
+    def _take(self, samples: int) -> tuple[Block | None, LostError | None]:
         """Run on by `samples`: what was measured, and what broke it off."""
         nu, ny, done, lost = self._u.shape[1], len(self._limits.reading_v), 0, None
         command, y, limited = np.empty((samples, nu)), np.empty((samples, ny)), np.zeros((2, nu))
@@ -157,7 +74,7 @@ class Simulation:
             try:
                 self._law.advance(plant, signals, self._limits, self._state, (command[part], y[part], limited))
                 taken = now.stop - now.start
-            except _LostError as caught:
+            except LostError as caught:
                 lost, taken = caught, caught.sample
             done += taken
             self._k += taken
@@ -167,8 +84,3 @@ class Simulation:
     def _block(self, command: FloatArray, y: FloatArray, limited: FloatArray) -> Block:
         met = np.count_nonzero(np.abs(y) >= self._limits.reading_v, axis=0)
         return Block(turned(command), turned(y), limited.astype(np.int64), met)
-
-
-def turned(matrix: FloatArray) -> FloatArray:
-    """Return the transpose, contiguous and writable as the kernels expect."""
-    return np.array(matrix.T, order="C")

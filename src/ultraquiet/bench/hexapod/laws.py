@@ -1,0 +1,125 @@
+"""What closes the simulated loop: a linear law compiled with the plant, or a controller asked sample by sample."""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.bench._abstract import checked_controller, checked_law, commands
+from ultraquiet.values import Controller, StateSpace
+
+WHO = "Hexapod.run"
+Matrices = tuple[FloatArray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Limits in volts of commands and actuators `(nu,)` and of readings `(ny,)`; the converter's step (0: none)."""
+
+    command_v: FloatArray
+    actuator_v: FloatArray
+    reading_v: FloatArray
+    step_v: float
+
+    @property
+    def arrays(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """The limits as the kernels take them."""
+        return self.command_v, self.actuator_v, self.reading_v, self.step_v
+
+
+class Law(Protocol):
+    """What closes the loop."""
+
+    def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
+        """Run the loop on over all samples of `signals`; see `kernels.loop`."""
+        ...
+
+
+class Linear:
+    """A linear law, compiled together with the plant; it may read and drive the leading channels only."""
+
+    def __init__(self, law: StateSpace, sensors: int, actuators: int) -> None:
+        (nu, ny), n = law.D.shape, law.states
+        B, C, D = np.zeros((n, sensors)), np.zeros((actuators, n)), np.zeros((actuators, sensors))
+        B[:, :ny], C[:nu], D[:nu, :ny] = law.B, law.C, law.D
+        self._law = turned(law.A), turned(B), turned(C), turned(D)
+        self._x = np.zeros(n)
+
+    def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
+        """Run the loop on over all samples of `signals`."""
+        from ultraquiet.bench import kernels
+
+        kernels.loop(plant, self._law, signals, limits.arrays, state, self._x, results)
+        lost = np.flatnonzero(~np.isfinite(results[0]).all(axis=1))
+        if lost.size:
+            raise LostError(int(lost[0]))
+
+
+class Stepped:
+    """A controller of Python, asked sample by sample; it may read and drive the leading channels only."""
+
+    def __init__(self, law: Controller, readings: int, answers: int) -> None:
+        self._law, self._ny, self._nu, self._k = law, readings, answers, 0
+
+    def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
+        """Run the loop on over all samples of `signals`."""
+        from ultraquiet.bench import kernels
+
+        u, d, noise, gain = signals
+        command, y, limited = results
+        held = state[1]
+        work, driven = np.empty_like(state[0]), np.empty_like(held)
+        for k in range(len(u)):
+            kernels.read(plant[2], state[0], noise[k], limits.reading_v, limits.step_v, y[k])
+            try:
+                answer = commands(WHO, self._law.step(y[k, : self._ny].copy()), self._nu, self._k)
+            except BaseException as error:  # an interrupt, too, leaves the samples before it to be handed over
+                raise LostError(k, error) from error
+            asked = u[k].copy()
+            asked[: self._nu] += answer
+            kernels.move(plant, state, gain[k] * d[k], limits.actuator_v, driven, work, limited[1])
+            kernels.clip(gain[k] * asked, limits.command_v, held, limited[0])
+            command[k] = held
+            self._k += 1
+
+
+class LostError(Exception):
+    """The controller failed at a sample of the block, counted from its start."""
+
+    def __init__(self, sample: int, error: BaseException | None = None) -> None:
+        super().__init__(sample)
+        self.sample, self.error = sample, error
+
+
+def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float, leading: int) -> Law:
+    """Return the law of a loop with `actuators` and `sensors`, checked; None never acts.
+
+    A controller takes and gives all channels, or the first `leading` of either only: one made for the struts may stay
+    when further instruments are read. How many channels a stepped one has is told by its `law`, a `StateSpace` or the
+    like; without, it has all.
+    """
+    if controller is None:
+        return Linear(_silent(rate_hz), sensors, actuators)
+    law = controller if isinstance(controller, StateSpace) else _linear_part(controller)
+    given = getattr(getattr(law, "D", None), "shape", None)
+    nu, ny = (leading, leading) if given == (leading, leading) else (actuators, sensors)
+    if isinstance(controller, StateSpace):
+        checked_law(WHO, controller, rate_hz, ny, nu)
+        return Linear(controller, sensors, actuators)
+    return Stepped(checked_controller(WHO, controller, rate_hz, ny, nu), ny, nu)
+
+
+def _linear_part(controller: Any) -> Any:
+    """Return the law that a stepped controller runs, as this package's own hold it."""
+    return getattr(controller, "law", getattr(getattr(controller, "library", None), "law", None))
+
+
+def _silent(rate_hz: float) -> StateSpace:
+    """Return the law that never acts, so that open loop needs no kernel of its own."""
+    return StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.zeros((1, 1)), rate_hz)
+
+
+def turned(matrix: FloatArray) -> FloatArray:
+    """Return the transpose, contiguous and writable as the kernels expect."""
+    return np.array(matrix.T, order="C")

@@ -1,0 +1,64 @@
+"""Everything one hexapod is made of: six struts that need not be alike, two bodies, and what is fixed to them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.bench.hexapod.geometry import Joints, joints
+from ultraquiet.bench.hexapod.monitors import AXES, BODIES, PROOF_MASSES, ProofMass
+from ultraquiet.bench.hexapod.parameters import BASES, PAYLOAD, STRUTS, Base, Body, Electronics, Geometry, Strut
+
+INSTRUMENTS = ("struts", "all")
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The parts of one bench.
+
+    Args:
+        base: what the struts stand on.
+        payload: what they carry, platform included.
+        at: the joints of the struts.
+        height_m: from the plane of the base's joints to that of the platform's.
+        struts: the six struts.
+        lines: amplifier and conditioning of each strut; with all instruments, that of the axes of the base's and the
+            payload's geophone after them (of the same make: assumed).
+        proof_masses: those of base and payload; none when they are held fast.
+    """
+
+    base: Base
+    payload: Body
+    at: Joints
+    height_m: float
+    struts: tuple[Strut, ...]
+    lines: tuple[Electronics, ...]
+    proof_masses: tuple[ProofMass, ...]
+
+    @property
+    def triaxial(self) -> bool:
+        """Whether the geophones of base and payload are read."""
+        return len(self.lines) > STRUTS
+
+    @property
+    def amplifiers_hz(self) -> FloatArray:
+        """Corner of each actuator's drive in Hz, `(nu,)`."""
+        stacks = [line.amplifier_hz for line in self.lines[:STRUTS]]
+        return np.array(stacks + [p.drive_hz for p in self.proof_masses])
+
+    def per_strut(self, name: str) -> FloatArray:
+        """Return one number of `Strut` for each strut, `(6,)`."""
+        return np.array([getattr(strut, name) for strut in self.struts])
+
+    def per_line(self, name: str) -> FloatArray:
+        """Return one number of `Electronics` for each sensor, `(ny,)`."""
+        return np.array([getattr(line, name) for line in self.lines])
+
+
+def nominal(unit: str, instruments: str) -> Parts:
+    """Return the parts of a unit, as drawn."""
+    every = instruments == "all"
+    lines = (Electronics(),) * (STRUTS + (len(BODIES) * len(AXES) if every else 0))
+    proof_masses = PROOF_MASSES if every else ()
+    geometry = Geometry()
+    return Parts(BASES[unit], PAYLOAD, joints(geometry), geometry.height_m, (Strut(),) * STRUTS, lines, proof_masses)
