@@ -125,17 +125,16 @@ def test_the_diagonal_meets_eq_12_within_1_5_db():
     assert np.abs(off).max() < 1.5
 
 
-def test_the_coupling_meets_eq_11_within_5_db_rms():
-    """In the mean it does, not everywhere: eq. (11) shows no yaw mode near 113 Hz and levels off above it."""
+def test_the_coupling_meets_eq_11_within_5_db():
+    """Everywhere from 25 to 250 Hz: no yaw mode to be seen near 113 Hz, level above it."""
     f_hz = np.geomspace(25.0, 250.0, 200)
     off = db(Hexapod(unit="flight").linear_response(f_hz)[0, 1] / printed("f21")(f_hz))
-    rms, low = np.sqrt(np.mean(off**2)), np.abs(off[f_hz < 50]).max()
+    worst = np.abs(off).argmax()
     print(
-        f"|f21| against eq. (11), 25-250 Hz: {rms:.2f} dB rms, {np.abs(off).max():.1f} dB at most "
-        f"(at {f_hz[np.abs(off).argmax()]:.0f} Hz), {low:.1f} dB at most below 50 Hz"
+        f"|f21| against eq. (11), 25-250 Hz: {np.abs(off[worst]):.2f} dB at most (at {f_hz[worst]:.0f} Hz), "
+        f"{np.sqrt(np.mean(off**2)):.2f} dB rms"
     )
-    assert rms < 5.0
-    assert low < 5.0
+    assert np.abs(off).max() < 5.0
 
 
 def test_printed_equations_evaluate_to_the_reference():
@@ -169,8 +168,8 @@ def test_below_12_hz_the_geophone_loses_40_db_per_decade():
     f_hz = np.array([0.5, 2.0])
     bench = Hexapod(unit="rigid")
     # There a volt moves the geophone by a constant, so its speed rises with f. Taken before sampling: at
-    # 0.5 Hz the images of the spectrum take off a quarter, for sampling moves two of the three zeros at DC to 0.27 Hz.
-    per_speed = np.abs(continuous_response(bench.model.mechanics, bench.model.parts, f_hz)[0, 0]) / f_hz
+    # 0.5 Hz the images of the spectrum weigh as much, for sampling moves two of the three zeros at DC to about 0.6 Hz.
+    per_speed = np.abs(continuous_response(bench.mechanics, bench.electronics, f_hz)[0, 0]) / f_hz
     slope = 20 * np.log10(per_speed[1] / per_speed[0]) / np.log10(4.0)
     print(f"{slope:.2f} dB per decade")
     assert slope == pytest.approx(40.0, abs=1.0)
@@ -191,7 +190,7 @@ def test_the_step_response_shows_the_edges_only(unit):
 
 @pytest.mark.parametrize("unit", ["flight", "rigid"])
 def test_sampling_keeps_one_zero_at_dc_and_adds_one_outside_the_circle(unit):
-    """Eq. (10) has three zeros at s = 0; held and sampled, two of them become a pair near 0.27 Hz inside the circle.
+    """Eq. (10) has three zeros at s = 0; held and sampled, two of them become a pair near 0.6 Hz inside the circle.
 
     The only zero outside is real and negative, as every sampled chain with so much roll-off has one: the paper's
     "1787 Hz", z = -1.92. Zeros at 1.1 and 3.3 Hz outside the circle, as eq. (12) prints, the bench does not have.
@@ -206,7 +205,7 @@ def test_sampling_keeps_one_zero_at_dc_and_adds_one_outside_the_circle(unit):
     print(f"{unit}: slow zeros at {slow_hz} Hz, outside the circle {outside}")
     assert slow_hz.size == 3
     assert slow_hz[0] < 1e-3
-    assert slow_hz[1:] == pytest.approx(0.27, abs=0.03)
+    assert slow_hz[1:] == pytest.approx(0.58, abs=0.04)
     assert outside.size == 1
     assert outside[0].real < -1.5
 
@@ -223,7 +222,7 @@ def test_geometry_is_the_fitted_one():
 
 def test_the_loss_factor_holds_over_its_band():
     strut = Strut()
-    k = stage(strut.stage_stiffness_n_per_m, strut.stage_loss).stiffness(np.geomspace(*LOSS_BAND_HZ, 200))[0]
+    k = stage(strut.stage_stiffness_n_per_m, strut.stage_loss).stiffness(np.geomspace(*LOSS_BAND_HZ, 200))
     loss = k.imag / k.real
     print(f"loss factor {loss.min():.4f} to {loss.max():.4f}, storage {k.real.min():.3g} to {k.real.max():.3g} N/m")
     assert loss == pytest.approx(strut.stage_loss, rel=0.05)
