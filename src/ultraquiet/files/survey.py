@@ -102,6 +102,8 @@ def _with_rate(table: Table, looks: tuple[Look, ...], rate_hz: float | None) -> 
 def _look(c: Column) -> Look:
     sound = c.values[np.isfinite(c.values)]
     missing = c.values.size - sound.size
+    with np.errstate(over="ignore"):  # the rms of absurd numbers is infinite, which says it
+        rms = float(np.sqrt(np.mean(sound**2))) if sound.size else np.nan
     if not sound.size:
         return Look(c.name, c.unit, c.role, c.values.size, c.rate_hz, np.nan, np.nan, np.nan, 0, missing)
     return Look(
@@ -111,7 +113,7 @@ def _look(c: Column) -> Look:
         c.values.size,
         c.rate_hz,
         float(sound.mean()),
-        float(np.sqrt(np.mean(sound**2))),
+        rms,
         float(np.abs(sound).max()),
         _clipped(c, sound),
         missing,

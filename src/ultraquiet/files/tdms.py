@@ -1,7 +1,10 @@
 """TDMS, the files of LabVIEW, by npTDMS (extra `lab`)."""
 
 import io
+import logging
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -20,7 +23,8 @@ def read_tdms(name: str, data: bytes) -> Table:
     A name that two groups share is written `group/channel`.
     """
     nptdms = extra("nptdms", "npTDMS", "TDMS")
-    file = nptdms.TdmsFile.read(io.BytesIO(data))
+    with _quiet():
+        file = nptdms.TdmsFile.read(io.BytesIO(data))
     if file.file_status.incomplete_final_segment:
         raise StorageError(f"read_record: '{name}' was cut short: its last segment is incomplete.")
     channels = [channel for group in file.groups() for channel in group.channels()]
@@ -36,6 +40,18 @@ def read_tdms(name: str, data: bytes) -> Table:
         else:
             unusable.append(f"{called} of shape {samples.shape}")
     return Table(name, tuple(held), {}, tuple(unusable))
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Hold back what npTDMS prints about odd bytes: what matters of it is told in a sentence, or refused."""
+    manager = extra("nptdms.log", "npTDMS", "TDMS").log_manager
+    level = manager.log_level
+    manager.set_level(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        manager.set_level(level)
 
 
 def _column(name: str, samples: np.ndarray, told: Any, origin: Any) -> Column:
