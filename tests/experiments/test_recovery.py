@@ -202,6 +202,22 @@ def test_a_log_of_nothing_leaves_nothing(tmp_path):
     assert names(tmp_path) == []
 
 
+def test_files_of_others_are_left_alone_and_a_ruined_log_is_told(tmp_path):
+    (tmp_path / "notes.log").write_text("temperature was high today")
+    with pytest.raises(RuntimeError):
+        run(tmp_path, Streamer(5, RuntimeError("cable")))
+    log, bench = tmp_path / "push.log", Streamer()
+    whole = log.read_bytes()
+    log.write_bytes(b"X" + whole[1:])
+    with pytest.raises(StorageError, match=r"push.log' has no sound header: .* move it out of the folder") as caught:
+        run(tmp_path, bench, resume=True, repeat=["push"])
+    print(caught.value)
+    assert not bench.calls
+    log.write_bytes(whole)
+    run(tmp_path, bench, resume=True, repeat=["push"])
+    assert names(tmp_path) == ["first.h5", "notes.log", "push.h5", "push.partial.h5"]
+
+
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO], ids=errno.errorcode.get)
 def test_a_full_disk_keeps_every_block_before(error, tmp_path, monkeypatch):
     bench, whole, blocks = Streamer(), os.write, 0

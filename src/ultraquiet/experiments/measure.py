@@ -14,12 +14,11 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.bench import Block, Streaming
+from ultraquiet.experiments import journal
 from ultraquiet.experiments.listed import ExperimentList
 from ultraquiet.experiments.plan import Measurement, volts
 from ultraquiet.files import LogWriter, finalise, log_header, read_log
 from ultraquiet.values import Channel, Record
-
-LOG = ".log"
 
 
 def _never() -> bool:
@@ -60,7 +59,7 @@ def path_of(folder: Path, name: str) -> Path:
 
 def log_path_of(folder: Path, name: str) -> Path:
     """Return the file a measurement writes to while it runs."""
-    return folder / f"{name}{LOG}"
+    return folder / f"{name}.log"
 
 
 def partial_path_of(folder: Path, name: str, attempt: int = 1) -> Path:
@@ -107,11 +106,18 @@ def recover(place: Path) -> dict[str, Path]:
     how much, and why. A log without samples is removed.
 
     Raises:
-        StorageError: a log is damaged in its first block, or the disk refuses; the log is still there then.
+        StorageError: the header of a log is damaged, or the disk refuses; the log is still there then.
     """
     found: dict[str, Path] = {}
-    for path in sorted(place.glob(f"*{LOG}")):
-        log = read_log(path)
+    # Only logs of measurements that were begun here: others' files may have that suffix too.
+    for path in (log_path_of(place, name) for name in journal.begun(place)):
+        if not path.exists():
+            continue
+        try:
+            log = read_log(path)
+        except StorageError as error:
+            said = str(error).rstrip(".")
+            raise StorageError(f"{said}; move it out of the folder to go on, nothing was executed.") from error
         if log.complete:
             found[path.stem] = path_of(place, path.stem)
             finalise(path, found[path.stem], bool(log.header.get("overwrite")))
