@@ -169,7 +169,7 @@ def test_below_12_hz_the_geophone_loses_40_db_per_decade():
     bench = Hexapod(unit="rigid")
     # There a volt moves the geophone by a constant, so its speed rises with f. Taken before sampling: at
     # 0.5 Hz the images of the spectrum weigh as much, for sampling moves two of the three zeros at DC to about 0.6 Hz.
-    per_speed = np.abs(continuous_response(bench.mechanics, bench.electronics, f_hz)[0, 0]) / f_hz
+    per_speed = np.abs(continuous_response(bench.model.mechanics, bench.model.parts, f_hz)[0, 0]) / f_hz
     slope = 20 * np.log10(per_speed[1] / per_speed[0]) / np.log10(4.0)
     print(f"{slope:.2f} dB per decade")
     assert slope == pytest.approx(40.0, abs=1.0)
@@ -222,7 +222,7 @@ def test_geometry_is_the_fitted_one():
 
 def test_the_loss_factor_holds_over_its_band():
     strut = Strut()
-    k = stage(strut.stage_stiffness_n_per_m, strut.stage_loss).stiffness(np.geomspace(*LOSS_BAND_HZ, 200))
+    k = stage(strut.stage_stiffness_n_per_m, strut.stage_loss).stiffness(np.geomspace(*LOSS_BAND_HZ, 200))[0]
     loss = k.imag / k.real
     print(f"loss factor {loss.min():.4f} to {loss.max():.4f}, storage {k.real.min():.3g} to {k.real.max():.3g} N/m")
     assert loss == pytest.approx(strut.stage_loss, rel=0.05)

@@ -58,11 +58,12 @@ class Electronics:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body: mass, principal inertias about its centre of mass, height of that centre over its joints."""
+    """A rigid body: mass, principal inertias about its centre of mass, that centre over and beside its joints."""
 
     mass_kg: float
     inertia_kg_m2: tuple[float, float, float]
     centre_m: float
+    aside_m: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

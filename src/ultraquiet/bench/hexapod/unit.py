@@ -8,56 +8,64 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, one_of, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, one_of, whole
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench._abstract import (
-    BLOCK_SAMPLES,
-    RAMP_SAMPLES,
-    Block,
-    checked_controller,
-    checked_law,
-    checked_signals,
-)
-from ultraquiet.bench.hexapod.assemble import Mechanics, assemble
-from ultraquiet.bench.hexapod.chain import Chain, chain, sampled_response
+from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, checked_signals
+from ultraquiet.bench.hexapod.chain import Chain
+from ultraquiet.bench.hexapod.drift import REFERENCE_C, RENEWED_EVERY_S, RUN_EVERY_S, weather
 from ultraquiet.bench.hexapod.hysteresis import none, typical
-from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS, Electronics, Geometry, Strut
-from ultraquiet.bench.hexapod.simulation import Law, Limits, Linear, Matrices, Simulation, Stepped, turned
+from ultraquiet.bench.hexapod.laws import Limits, Matrices, closing, turned
+from ultraquiet.bench.hexapod.model import Model, built
+from ultraquiet.bench.hexapod.monitors import AXES, BODIES
+from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS, Electronics
+from ultraquiet.bench.hexapod.parts import INSTRUMENTS
+from ultraquiet.bench.hexapod.simulation import Simulation
 from ultraquiet.values import Channel, Record, StateSpace
 
-_NAMES = tuple(f"strut {i + 1}" for i in range(STRUTS))
+_STRUTS = tuple(f"strut {i + 1}" for i in range(STRUTS))
+_PROOF_MASSES = tuple(f"{body} proof mass" for body in BODIES)
+_GEOPHONES = tuple(f"{body} {axis}" for body in BODIES for axis in AXES)
+MOST_SPREAD = 5.0  # times the tolerances: beyond, a draw may have no stiffness or mass left
+MOST_DRIFT = 10.0  # times the stated temperatures: beyond, the stages would stiffen by half
 
 
 @register("bench", "hexapod")
 @dataclass(frozen=True)
 class Hexapod:
-    """SUITE's hexapod, simulated: six piezo commands in volts, six geophone readings in volts.
+    """SUITE's hexapod, simulated: piezo commands in volts, geophone readings in volts.
 
-    M q'' + C q' + K q = E_p' K_p d V; amplifier, viscoelastic stages, geophones and anti-alias filter included, held
-    and sampled exactly at 3.5 kHz. The stacks take command[k-1] + disturbance[k], limited to -15..150 V, bias included.
+    M q'' + C q' + K q = E_p' K_p d V + F; amplifiers, viscoelastic stages, geophones and anti-alias filters included,
+    held and sampled exactly at 3.5 kHz. Actuators take command[k-1] + disturbance[k], limited: stacks to -15..150 V,
+    bias included.
 
     Args:
         unit: "ground" (150 kg base on 6 Hz mounts), "flight" (52 kg base, floating) or "rigid" (immovable floor).
-        seed: where the noise starts; each run of one bench draws its own, by its number.
+        seed: where noise and drift start; each run of one bench draws its own, by its number.
         noise: 10 mV of white noise on each reading.
         adc_bits: resolution of the readings over +-10 V.
         quantise: round the readings to the converter's steps.
-        saturate: limit commands (+-25 V), stacks (-15..150 V) and readings (+-10 V).
+        saturate: limit commands (+-25 V, proof masses +-10 V), stacks (-15..150 V) and readings (+-10 V).
         hysteresis: let the stacks lag by plays, a loop 5 to 8 % wide at +-25 V; gain one at 15 V.
-        linear: shorthand for no noise, no rounding, no limits and no hysteresis.
+        linear: shorthand for no noise, no rounding, no limits, no hysteresis and no drift.
+        instruments: "struts" (6 actuators, 6 sensors; proof masses held fast) or "all": 8 actuators, proof masses of
+            base and payload last, and 12 sensors, x, y and z of the base's and the payload's geophone last. On a rigid
+            floor those of the base are there, but move nothing and read nothing but noise.
+        spread: how far this unit differs from the drawing; 1 draws all numbers within the tolerances of `spread.py`.
+        unit_seed: which unit is drawn.
+        drift: how far the temperature moves within and between runs; 1 takes the cycles of `drift.py`. A run starts
+            each minute of the bench's clock.
 
     Raises:
         InputError: an unknown unit; signals of the wrong shape or with NaN; a controller of other dimensions.
         RateError: a controller made for another rate.
 
-    What is left out, and where it would go: proof-mass actuators and tri-axial geophones, as further columns and rows
-    of `assemble.Mechanics`, and struts that differ from one another, as vectors in `parameters.Strut`.
-
     >>> bench = Hexapod(unit="ground", seed=0)
     >>> record = bench.run(np.zeros((6, 100)))
     >>> record.outputs.shape, record.sensors[0].name
     ((6, 100), 'strut 1')
+    >>> [c.name for c in Hexapod(instruments="all").actuators[-2:]]
+    ['base proof mass', 'payload proof mass']
 
     Reference: sections 2 and 3.2 of the paper.
     """
@@ -70,11 +78,19 @@ class Hexapod:
     saturate: bool = True
     hysteresis: bool = False
     linear: bool = False
+    instruments: str = "struts"
+    spread: float = 0.0
+    unit_seed: int = 0
+    drift: float = 0.0
 
     def __post_init__(self) -> None:
         one_of("Hexapod", "unit", self.unit, tuple(BASES))
+        one_of("Hexapod", "instruments", self.instruments, INSTRUMENTS)
         whole("Hexapod", "seed", self.seed, 0)
+        whole("Hexapod", "unit_seed", self.unit_seed, 0)
         whole("Hexapod", "adc_bits", self.adc_bits, 4, 32)
+        between("Hexapod", "spread", self.spread, 0.0, MOST_SPREAD)
+        between("Hexapod", "drift", self.drift, 0.0, MOST_DRIFT)
 
     @property
     def rate_hz(self) -> float:
@@ -83,15 +99,18 @@ class Hexapod:
 
     @property
     def actuators(self) -> tuple[Channel, ...]:
-        """Commands of the six stacks about their bias, in volts."""
-        limits = self._limits.command_v
-        return tuple(Channel(n, "V", -v, v) for n, v in zip(_NAMES, limits.tolist(), strict=True))
+        """Commands in volts: those of the six stacks about their bias, then those of the proof masses."""
+        return _channels(_STRUTS + _PROOF_MASSES, self._limits.command_v)
 
     @property
     def sensors(self) -> tuple[Channel, ...]:
-        """Readings of the six strut geophones, in volts."""
-        limits = self._limits.reading_v
-        return tuple(Channel(n, "V", -v, v) for n, v in zip(_NAMES, limits.tolist(), strict=True))
+        """Readings in volts: the six strut geophones, then the axes of base and payload."""
+        return _channels(_STRUTS + _GEOPHONES, self._limits.reading_v)
+
+    @property
+    def temperature_c(self) -> float:
+        """What the bench's thermometer says now, after the last block of the last run, in degrees Celsius."""
+        return self._weather(self._clock[1])
 
     def run(
         self,
@@ -103,10 +122,11 @@ class Hexapod:
         """Start at rest, send `actuation`, return the record.
 
         Args:
-            actuation: `(6, n)` volts.
-            disturbance: `(6, n)` volts, added at the stacks without the computing delay.
-            controller: a `StateSpace` or an object with `step(y)` and `reset()`; u = K y, its sign inside.
-            run_index: which draw of the noise to take; the number of runs so far when absent.
+            actuation: `(6, n)` volts, `(8, n)` with all instruments.
+            disturbance: likewise, added at the actuators without the computing delay.
+            controller: a `StateSpace` or an object with `step(y)` and `reset()`; u = K y, its sign inside. With all
+                instruments it may still be one from six readings of the struts to their six commands.
+            run_index: which draw of the noise, and minute of drift, to take; the number of runs so far when absent.
 
         Returns:
             Inputs: actuation + K y as limited, in the sample it was formed; outputs: the readings. The provenance
@@ -155,98 +175,106 @@ class Hexapod:
             "quantise": self.quantise and not self.linear,
             "saturate": self.saturate and not self.linear,
             "hysteresis": self.hysteresis and not self.linear,
+            "instruments": self.instruments,
+            "spread": self.spread,
+            "unit_seed": self.unit_seed,
+            "drift": 0.0 if self.linear else self.drift,
         }
         return Provenance("bench.hexapod", settings, self.seed)
 
-    def linear_model(self) -> StateSpace:
+    def linear_model(self, temperature_c: float = REFERENCE_C) -> StateSpace:
         """Return the linear truth from command to reading, computing delay included: for judging, not for design."""
-        A, B, C = self._sampled
-        n = len(A)
-        Ad = np.block([[A, B], [np.zeros((STRUTS, n + STRUTS))]])
-        Bd = np.vstack([np.zeros((n, STRUTS)), np.eye(STRUTS)])
-        Cd = np.hstack([C, np.zeros((STRUTS, STRUTS))])
-        made = Provenance("bench.hexapod.linear_model", {"unit": self.unit})
-        return StateSpace(Ad, Bd, Cd, np.zeros((STRUTS, STRUTS)), RATE_HZ, self.actuators, self.sensors, made)
+        A, B, C = self.model.sampled_at(temperature_c)
+        (n, nu), ny = B.shape, len(C)
+        Ad = np.block([[A, B], [np.zeros((nu, n + nu))]])
+        Bd = np.vstack([np.zeros((n, nu)), np.eye(nu)])
+        Cd = np.hstack([C, np.zeros((ny, nu))])
+        made = Provenance("bench.hexapod.linear_model", {**self.provenance.settings, "temperature_c": temperature_c})
+        return StateSpace(Ad, Bd, Cd, np.zeros((ny, nu)), RATE_HZ, self.actuators, self.sensors, made)
 
-    def linear_response(self, f_hz: ArrayLike) -> ComplexArray:
-        """Return the truth at `f_hz` (Hz), `(6, 6, nf)`, by another route: complex stiffnesses, hold and images."""
+    def linear_response(self, f_hz: ArrayLike, temperature_c: float = REFERENCE_C) -> ComplexArray:
+        """Return the truth at `f_hz` (Hz), `(ny, nu, nf)`, by another route: complex stiffnesses, hold and images."""
         f = frequency_array("Hexapod.linear_response", f_hz)
-        delay = np.exp(-2j * np.pi * f / RATE_HZ)
-        return sampled_response(self.mechanics, self.electronics, f) * delay
+        return self.model.response(f, temperature_c) * np.exp(-2j * np.pi * f / RATE_HZ)
 
     @property
-    def electronics(self) -> Electronics:
-        """Amplifier, conditioning and converters."""
-        return Electronics()
+    def model(self) -> Model:
+        """The unit's parts, put together; benches of the same unit share it."""
+        return built(self.unit, self.instruments, float(self.spread), self.unit_seed)
 
-    @cached_property
-    def mechanics(self) -> Mechanics:
-        """Bodies, struts and mounts."""
-        return assemble(BASES[self.unit], Geometry(), Strut())
-
-    @cached_property
+    @property
     def continuous(self) -> Chain:
-        """The linear chain in continuous time, stack command to sensor volts."""
-        return chain(self.mechanics, self.electronics)
+        """The linear chain in continuous time, command to sensor volts."""
+        return self.model.continuous
 
-    @cached_property
-    def _sampled(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return self.continuous.sampled(RATE_HZ)
-
-    @cached_property
-    def _plant(self) -> Matrices:
-        """The plant as the kernels take it."""
-        A, B, C = self._sampled
+    def _matrices(self, temperature_c: float) -> Matrices:
+        """Return the plant as the kernels take it."""
+        A, B, C = self.model.sampled_at(temperature_c)
         plays = typical() if self.hysteresis and not self.linear else none()
         return turned(A), turned(B), turned(C), plays.thresholds_v, plays.weights
 
     @cached_property
     def _limits(self) -> Limits:
-        """Where commands, stacks and readings saturate."""
-        e = self.electronics
+        """Where commands, actuators and readings saturate."""
+        e, parts = Electronics(), self.model.parts
         # The converter is used symmetrically: of its 2^bits codes the lowest stays unused, so both ends are +-10 V.
         step = e.reading_limit_v / (2 ** (self.adc_bits - 1) - 1) if self.quantise and not self.linear else 0.0
-        each = np.ones(STRUTS)
+        proof_masses = [p.limit_v for p in parts.proof_masses]
+        command = np.array([e.command_limit_v] * STRUTS + proof_masses)
+        actuator = np.array([e.stack_high_v - e.bias_v] * STRUTS + proof_masses)
+        reading = np.full(len(parts.lines), e.reading_limit_v)
         if self.linear or not self.saturate:
-            return Limits(np.inf * each, np.inf * each, np.inf * each, step)
-        return Limits(e.command_limit_v * each, (e.stack_high_v - e.bias_v) * each, e.reading_limit_v * each, step)
+            return Limits(np.inf * command, np.inf * actuator, np.inf * reading, step)
+        return Limits(command, actuator, reading, step)
 
     @cached_property
-    def _runs(self) -> list[int]:
-        """Number of runs so far: the one thing that changes, kept out of the settings."""
-        return [0]
+    def _clock(self) -> list[float]:
+        """Number of runs so far and seconds on the bench's clock: what changes, kept out of the settings."""
+        return [0, 0.0]
+
+    @property
+    def _weather(self) -> Callable[[float], float]:
+        return weather(self.unit, self.seed, 0.0 if self.linear else self.drift)
 
     def _numbered(self, run_index: int | None) -> int:
         if run_index is not None:
             return whole("Hexapod.run", "run_index", run_index, 0)
-        self._runs[0] += 1
-        return self._runs[0] - 1
+        self._clock[0] += 1
+        return int(self._clock[0]) - 1
 
     def _simulation(
         self, actuation: ArrayLike, disturbance: ArrayLike | None, controller: Any | None, index: int
     ) -> Simulation:
-        u, d = checked_signals("Hexapod.run", STRUTS, actuation, disturbance)
-        law = self._law(controller)
-        return Simulation(lambda _: (self._plant, u.shape[1]), law, self._limits, u, d, self._noise(index), STRUTS)
+        nu, ny = len(self._limits.command_v), len(self._limits.reading_v)
+        u, d = checked_signals("Hexapod.run", nu, actuation, disturbance)
+        law = closing(controller, nu, ny, RATE_HZ, STRUTS)
+        return Simulation(self._plants(index), law, self._limits, u, d, self._noise(index), STRUTS)
 
-    def _law(self, controller: Any | None) -> Law:
-        if controller is None:
-            return Linear(_silent(), STRUTS, STRUTS)
-        if isinstance(controller, StateSpace):
-            checked_law("Hexapod.run", controller, RATE_HZ, STRUTS, STRUTS)
-            return Linear(controller, STRUTS, STRUTS)
-        return Stepped(checked_controller("Hexapod.run", controller, RATE_HZ, STRUTS, STRUTS), STRUTS, STRUTS)
+    def _plants(self, index: int) -> Callable[[int], tuple[Matrices, int]]:
+        """Return what gives the plant at a sample of a run, and for how many samples it holds."""
+        every, celsius = round(RENEWED_EVERY_S * RATE_HZ), self._weather
+        held: dict[int, Matrices] = {}
+
+        def at(sample: int) -> tuple[Matrices, int]:
+            second = sample // every
+            self._clock[1] = RUN_EVERY_S * index + sample / RATE_HZ
+            if second not in held:
+                held.clear()
+                held[second] = self._matrices(celsius(RUN_EVERY_S * index + RENEWED_EVERY_S * second))
+            return held[second], every * (second + 1) - sample
+
+        return at
 
     def _noise(self, index: int) -> Callable[[int], FloatArray]:
-        """Return what draws the noise of a run, `(samples, 6)` at a time."""
+        """Return what draws the noise of a run, `(samples, ny)` at a time; the struts' is the same in every setting."""
+        ny = len(self._limits.reading_v)
         if self.linear or not self.noise:
-            return lambda samples: np.zeros((samples, STRUTS))
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index,)))
-        return lambda samples: self.electronics.noise_v * rng.standard_normal((samples, STRUTS))
+            return lambda samples: np.zeros((samples, ny))
+        keys = [((index,), STRUTS), ((index, 1), ny - STRUTS)]
+        draws = [(np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=k)), n) for k, n in keys]
+        sigma = Electronics().noise_v
+        return lambda samples: sigma * np.hstack([rng.standard_normal((samples, n)) for rng, n in draws])
 
 
-def _silent() -> StateSpace:
-    """Return the law that never acts, so that open loop needs no kernel of its own."""
-    return StateSpace(
-        np.zeros((0, 0)), np.zeros((0, STRUTS)), np.zeros((STRUTS, 0)), np.zeros((STRUTS, STRUTS)), RATE_HZ
-    )
+def _channels(names: tuple[str, ...], limits_v: FloatArray) -> tuple[Channel, ...]:
+    return tuple(Channel(name, "V", -v, v) for name, v in zip(names, limits_v.tolist(), strict=False))
