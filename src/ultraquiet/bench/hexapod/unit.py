@@ -1,6 +1,6 @@
 """The hexapod as a bench: two units and a rigid floor, sampled at 3.5 kHz."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,6 +12,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, freq
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
 from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, checked_signals
+from ultraquiet.bench.hexapod.campaign import campaign
 from ultraquiet.bench.hexapod.chain import Chain
 from ultraquiet.bench.hexapod.drift import REFERENCE_C, RENEWED_EVERY_S, RUN_EVERY_S, weather
 from ultraquiet.bench.hexapod.hysteresis import none, typical
@@ -164,6 +165,29 @@ class Hexapod:
         ramp = whole("Hexapod.stream", "ramp_samples", ramp_samples, 1)
         index = self._numbered(run_index)
         return self._simulation(actuation, disturbance, controller, index).blocks(block, stop, ramp)
+
+    def campaign(
+        self,
+        seeds: Sequence[int],
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        own_units: bool = False,
+    ) -> tuple[Record, ...]:
+        """Return one record per seed, each bit for bit the first run of this bench with that seed, on all processors.
+
+        Args:
+            seeds: where noise and drift of each run start.
+            actuation: as in `run`, the same for all.
+            disturbance: likewise.
+            controller: likewise.
+            own_units: draw each run's unit, too, by its seed; needs a spread.
+
+        >>> first, second = Hexapod().campaign(range(2), np.zeros((6, 100)))
+        >>> bool((second.outputs == Hexapod(seed=1).run(np.zeros((6, 100))).outputs).all())
+        True
+        """
+        return campaign(self, seeds, actuation, disturbance, controller, own_units)
 
     @property
     def provenance(self) -> Provenance:
