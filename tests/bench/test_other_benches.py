@@ -12,7 +12,9 @@ class Plant:
     """The hexapod's linear truth without its computing delay, as an outsider would code it."""
 
     def __init__(self, unit):
-        self.A, self.B, self.C = Hexapod(unit=unit)._sampled
+        model = Hexapod(unit=unit, linear=True).linear_model()
+        n = model.states - 6  # the last six states hold the commands for a sample
+        self.A, self.B, self.C = model.A[:n, :n], model.A[:n, n:], model.C[:, :n]
         self.resets = 0
 
     def reset(self):
