@@ -297,3 +297,32 @@ def alive(pid):
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
         return False
+
+
+def test_a_list_names_a_process_and_numbers_its_runs(tmp_path):
+    from ultraquiet import experiments
+
+    plant = tmp_path / "plant.py"
+    plant.write_text(
+        fake("pass", 0)[2]
+        .replace("    else:\n", '    elif word == "reset":\n        run = float(rest[0]); print("ok")\n    else:\n')
+        .replace("2 * (float(rest[0])", "run + 2 * (float(rest[0])")
+    )
+    listed = experiments.parse(
+        f"""
+        bench = {{ method = "process", command = ["{sys.executable}", "{plant}"] }}
+        [[commands]]
+        do = "excite"
+        name = "push"
+        samples = 300
+        signal = {{ method = "step", level_v = 3.0 }}
+        [[commands]]
+        do = "record"
+        name = "quiet"
+        samples = 20
+        """
+    )
+    records = experiments.run(listed, tmp_path / "records")
+    assert records["push-1"].outputs.max() == 6.0
+    assert np.array_equal(records["quiet"].outputs, np.ones((1, 20)))
+    listed.bench.close()
