@@ -18,6 +18,14 @@ BAR_CELLS = 20
 LOUD = 0.9  # of the range: where clipping is near
 
 
+class Steady(Console):
+    """A console that falls silent when nobody reads any more; that is no reason to stop a bench."""
+
+    def on_broken_pipe(self) -> None:
+        """Say nothing further; rich itself would end the program."""
+        self.quiet = True
+
+
 class Watcher(Onlooker):
     """Keeps what every display shows: which measurement, how many of how many, how long still."""
 
@@ -54,8 +62,7 @@ class Watcher(Onlooker):
 
     def say(self, line: str, style: str = "") -> None:
         """Leave a line that stays."""
-        # Whoever read along may be gone (a closed terminal, a pipe into `head`); that is no reason to stop a bench.
-        with suppress(OSError):
+        with suppress(OSError):  # a terminal that was closed
             self.console.print(Text(line, style), soft_wrap=True)
 
     @property
@@ -137,7 +144,7 @@ def loudness(levels: Levels) -> str:
     """Return the loudest sensor and the counts in one line."""
     loudest = int(levels.peak.argmax())
     sensor, share = levels.sensors[loudest], levels.share[loudest]
-    of_range = f" ({100 * share:.0f} % of range)" if share else ""
+    of_range = f" ({100 * share:.3g} % of range)" if share else ""
     level = f"{sensor.name}: RMS {levels.rms[loudest]:.3g} {sensor.unit}, peak {levels.peak[loudest]:.3g}{of_range}"
     return f"{levels.samples} samples, {level}, clipped {levels.clipped.sum()}, late {levels.overruns}"
 
@@ -145,7 +152,7 @@ def loudness(levels: Levels) -> str:
 @contextmanager
 def watching(asked: Callable[[], bool]) -> Iterator[Watcher]:
     """Show a running list on stderr for the length of a block."""
-    console = Console(stderr=True, highlight=False)
+    console = Steady(stderr=True, highlight=False)
     if not console.is_terminal:
         yield Lines(console, asked)
         return
