@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.bench.hexapod import equations as eq
 from ultraquiet.bench.hexapod.sensors import Geophone, strut_voltage
 from ultraquiet.bench.hexapod.strut import Stack
 
@@ -60,6 +61,39 @@ def test_geophone_reads_velocity_above_and_jerk_below_its_suspension():
     assert abs(value(g.voltage(), high) / high) == pytest.approx(100.0, rel=1e-3)
     jerk = 100.0 / (2 * np.pi * 12.0) ** 2
     assert abs(value(g.voltage(), low) / low**3) == pytest.approx(jerk, rel=1e-3)
+
+
+def test_the_motion_of_eq_10_obeys_eqs_2_to_8_one_by_one(stack, geophone):
+    """The phasors that (4) and (9) give, put into every equation they were derived from."""
+    s = 2j * np.pi * np.array([1.0, 30.0, 700.0, 1500.0, 9000.0])
+    V_in = np.full(s.size, 25.0 + 0j)
+    x = value(stack.displacement(), s) * V_in
+    V_out = value(strut_voltage(stack, geophone), s) * V_in
+    z = V_out / (geophone.K * s)
+    F_t = eq.stack_force(s**2 * x, s * x, x, stack.m_p, stack.b_p, stack.k_p)  # (7), no outer force
+    V_t = F_t / stack.n
+    q = eq.charge(x, V_t, stack.n, stack.C)
+    V_RC = eq.circuit_voltage(s * q, q, stack.R_M, stack.C_M)
+    pairs = {
+        "(2)": (eq.coil_force(s**2 * z, s * z, z, geophone.m_g, geophone.b_g, geophone.k_g), -geophone.m_g * s**2 * x),
+        "(3)": (eq.coil_voltage(s * z, geophone.K), V_out),
+        "(5)": (eq.input_voltage(V_RC, V_t), V_in),
+        "(6)": (q, stack.n * x + stack.C * V_t),
+        "(8)": (eq.transformer_force(V_t, stack.n), F_t),
+    }
+    for name, (left, right) in pairs.items():
+        off = np.abs(left - right).max() / np.abs(right).max()
+        print(f"eq. {name} holds to {off:.1e}")
+        assert off < 1e-9
+
+
+def test_the_series_circuit_of_eq_9_depends_on_rate():
+    """The paper calls its hysteresis rate-independent; the circuit's loss angle is not."""
+    stack = Stack(0.062, 11.7, 5.5e6, 8.0, 1.8e-6, 6e-6, 100.0)
+    lag = -np.degrees(np.angle(value(stack.displacement(), 2j * np.pi * np.array([1.0, 50.0]))))
+    print(f"lag of X behind V_in: {lag[0]:.3f} degrees at 1 Hz, {lag[1]:.2f} at 50 Hz")
+    assert lag[1] == pytest.approx(50.0 * lag[0], rel=0.05)
+    assert lag[1] > 1.0
 
 
 def test_parameters_must_be_positive():

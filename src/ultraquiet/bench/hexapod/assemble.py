@@ -116,7 +116,7 @@ def _stacks(parts: Parts) -> tuple[FloatArray, FloatArray]:
     K_p = np.linalg.inv(np.diag(1.0 / k + foot) - np.outer(twist, twist))
     resonance = 1.0 / np.sqrt((1.0 / k + foot) * parts.per_strut("moving_mass_kg"))
     share = np.sqrt(2.0 * parts.per_strut("stack_damping") / resonance)
-    return K_p, share[:, np.newaxis] * K_p * share
+    return np.asarray(K_p, np.float64), np.asarray(share[:, np.newaxis] * K_p * share, np.float64)
 
 
 def _mounts(parts: Parts, total: int) -> tuple[FloatArray, FloatArray]:

@@ -15,6 +15,7 @@ from ultraquiet.bench.hexapod.parts import Parts
 # trade for such parts, not SUITE's own; the paper states none.
 STRUT_SHARES = {
     "stack_stiffness_n_per_m": 0.05,  # assumed; data sheets of stacks say 20 % of the whole, a matched set is closer
+    "foot_m_per_n": 0.10,  # assumed
     "moving_mass_kg": 0.02,  # assumed: machined parts, glue and cable
     "stack_damping": 0.30,  # assumed
     "free_stroke_m_per_v": 0.10,  # data sheets of stacks: 10 to 20 %

@@ -41,7 +41,7 @@ class Hexapod:
     bias included.
 
     Args:
-        unit: "ground" (150 kg base on 6 Hz mounts), "flight" (52 kg base, floating) or "rigid" (immovable floor).
+        unit: "ground" (150 kg base on 6 Hz mounts), "flight" (65 kg base, floating) or "rigid" (immovable floor).
         seed: where noise and drift start; each run of one bench draws its own, by its number.
         noise: 10 mV of white noise on each reading.
         adc_bits: resolution of the readings over +-10 V.
