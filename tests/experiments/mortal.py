@@ -69,8 +69,8 @@ def rush(job, told):
 
 
 def finalise(job, told):
-    del told
     files.finalise(job["path"], job["path"].removesuffix("log") + "h5")
+    told[3] = time.monotonic()
 
 
 @dataclass
@@ -93,7 +93,7 @@ class Paced:
         os.write(handle, f"{run_index}\n".encode())
         os.close(handle)
         samples, none = actuation.shape[1], np.zeros(3, dtype=np.int64)
-        self.told[0], self.told[2] = 0, run_index + 1
+        self.told[0] = 0
         for handed in paced(self.told) if self.pace else range(BLOCK, samples + BLOCK, BLOCK):
             if handed % BLOCK == 0 or handed >= samples:
                 part = slice((handed - 1) // BLOCK * BLOCK, min(handed, samples))
@@ -129,17 +129,18 @@ def born(job, told):
         os._exit(code)
 
 
-def fate(job, pid, told):
+def fate(job, pid, born_s, told):
     """Kill a process and say what it had told."""
     os.kill(pid, signal.SIGKILL)
     died = time.monotonic()
     _, status = os.waitpid(pid, 0)
+    took = told[3] - born_s if told[3] else None
     due = int((died - told[1]) * RATE_HZ) if told[1] else 0
     return {
         **job,
         "told": int(told[0]),
         "due": due,
-        "run_told": int(told[2]),
+        "took": took,
         "code": os.waitstatus_to_exitcode(status),
     }
 
@@ -151,11 +152,12 @@ def campaign(jobs, width):
     while waiting or alive:
         while waiting and len(alive) < width:
             k, job = waiting.pop(0)
-            alive.append((time.monotonic() + job["after"], k, born(job, memory[k])))
+            born_s = time.monotonic()
+            alive.append((born_s + job["after"], k, born(job, memory[k]), born_s))
         alive.sort()
-        at, k, pid = alive.pop(0)
+        at, k, pid, born_s = alive.pop(0)
         time.sleep(max(at - time.monotonic(), 0.0))
-        fates.append(fate(jobs[k], pid, memory[k]))
+        fates.append(fate(jobs[k], pid, born_s, memory[k]))
     return fates
 
 
@@ -169,7 +171,7 @@ def warm():
     with files.LogWriter(place / "one.log", header()) as log:
         log.append(counter(0, 0, BLOCK))
         log.close()
-    finalise({"path": str(place / "one.log")}, None)
+    finalise({"path": str(place / "one.log")}, told)
 
 
 if __name__ == "__main__":

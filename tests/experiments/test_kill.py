@@ -111,15 +111,19 @@ def test_killed_while_it_writes(block, kill, tmp_path, rng):
 @pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.slow)])
 def test_killed_while_it_finalises(count, kill, tmp_path, rng):
     """At every instant there is the log, or the record, or both; asked again, it ends with the record alone."""
-    whole, jobs, states = mortal.counter(3, 0, 4096), [], Counter()
-    for run in range(count):
-        path = tmp_path / str(run) / "a.log"
+    whole, states = mortal.counter(3, 0, 4096), Counter()
+
+    def job(name, after):
+        path = tmp_path / str(name) / "a.log"
         path.parent.mkdir()
         with files.LogWriter(path, mortal.header(4096)) as log:
             log.append(whole)
             log.close(complete=True)
-        jobs.append({"work": "finalise", "path": str(path), "after": rng.uniform(0.0, 0.03)})
-    for fate in kill(jobs, 1):
+        return {"work": "finalise", "path": str(path), "after": after}
+
+    # How long it takes here and now, from birth to end: kills are to strike all through it.
+    takes_s = min(fate["took"] for fate in kill([job(f"whole-{k}", 2.0) for k in range(5)], 5) if fate["took"])
+    for fate in kill([job(run, rng.uniform(0.0, 1.2 * takes_s)) for run in range(count)], 1):
         path, made = Path(fate["path"]), Path(fate["path"]).with_suffix(".h5")
         states[(path.exists(), made.exists())] += 1
         assert path.exists() or made.exists()
@@ -130,8 +134,8 @@ def test_killed_while_it_finalises(count, kill, tmp_path, rng):
         assert files.load(made).hash == record.hash
         assert not path.exists()
     print(
-        f"{count} kills: {states[True, False]} before the record, {states[True, True]} between record and removal of "
-        f"the log, {states[False, True]} after; each ended with one whole record"
+        f"{count} kills within {1200 * takes_s:.0f} ms: {states[True, False]} before the record, {states[True, True]} "
+        f"between record and removal of the log, {states[False, True]} after; each ended with one whole record"
     )
     assert states[True, False] > 0
 
