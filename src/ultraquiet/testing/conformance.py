@@ -1,13 +1,15 @@
 """What every registered method must do. A failure is an AssertionError that names the method and the promise."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import FrozenInstanceError, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.registry import FAMILIES, lookup
+from ultraquiet.bench import Block, Streaming
 from ultraquiet.testing import problems
 from ultraquiet.values import Record, StateSpace, Status
 
@@ -72,6 +74,15 @@ def _bench(name: str, bench: Any, seed: int) -> None:
     assert bench.run(u, disturbance=u, controller=law).samples == 50, f"{name}: must run with a controller"
     _refuses(name, lambda: bench.run(np.full((nu, 50), np.nan)))
     _refuses(name, lambda: bench.run(np.zeros((nu + 1, 50))))
+    if isinstance(bench, Streaming):
+        short, whole = (_readings(bench.stream(u, run_index=0, block_samples=m)) for m in (7, 50))
+        assert np.array_equal(short, whole), f"{name}: must stream the same readings whatever the length of its blocks"
+        stopped = _readings(bench.stream(u, block_samples=7, stop=lambda: True, ramp_samples=9))
+        assert stopped.shape[1] == 9, f"{name}: must end a run that is stopped after 'ramp_samples'"
+
+
+def _readings(blocks: Iterable[Block]) -> FloatArray:
+    return np.concatenate([block.readings for block in blocks], axis=1)
 
 
 def _identify(name: str, method: Any, seed: int) -> None:
