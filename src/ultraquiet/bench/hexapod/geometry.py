@@ -50,3 +50,21 @@ def jacobian(points: FloatArray, directions: FloatArray, centre: FloatArray) -> 
 
 def _circle(radius: float, angle: FloatArray, height: float) -> FloatArray:
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.full(STRUTS, height)])
+
+
+def decoupling() -> FloatArray:
+    """Return the constant orthonormal T that takes a symmetric hexapod apart, `(6, 6)`.
+
+    T' G T = diag(g_1, g_2, H, H) at every frequency: two scalar loops (all struts alike; neighbours opposed) and one
+    2 x 2 loop used twice (sway and rock to either side). T comes from the symmetry alone, threefold and mirror; it
+    does not depend on lengths, masses or frequency. Where units differ from the drawing it holds as far as they do.
+
+    >>> T = decoupling()
+    >>> bool(np.allclose(T.T @ T, np.eye(6)))
+    True
+    """
+    alike, opposed = np.array([1.0, 1.0]) / np.sqrt(2.0), np.array([-1.0, 1.0]) / np.sqrt(2.0)
+    one = np.ones(3) / np.sqrt(3.0)
+    x, y = np.array([2.0, -1.0, -1.0]) / np.sqrt(6.0), np.array([0.0, 1.0, -1.0]) / np.sqrt(2.0)
+    pairs = ((one, alike), (one, opposed), (x, alike), (y, opposed), (y, alike), (-x, opposed))
+    return np.column_stack([np.kron(around, within) for around, within in pairs])
