@@ -16,7 +16,7 @@ HZ = "frequency (Hz)"
 # What stands for zero on an axis in dB.
 FLOOR = 1e-300
 PANEL_IN = (4.0, 2.2)
-SIGNATURE_WIDTH = 58
+SIGNATURE_WIDTH = 48
 
 
 def density_figure(spectrum: PowerSpectrum, level: float = 0.95) -> Figure:
@@ -83,9 +83,9 @@ def bands_figure(levels: BandLevels) -> Figure:
         scale = 1e6 / UNITS_PER_METRE_PER_SECOND[channel.unit] if velocity else 1.0
         lines.append(Line.of(x, np.log10(np.maximum(scale * levels.rms[k], FLOOR)), channel.name, shade=k))
     if velocity and levels.bands.fraction == 3:
-        for one in CRITERIA:
+        for k, one in enumerate(CRITERIA):
             limit = 1e6 * one.limit_m_s(one.bands.centre_hz)
-            lines.append(Line.of(one.bands.centre_hz, np.log10(limit), one.name, "--", 7))
+            lines.append(Line.of(one.bands.centre_hz, np.log10(limit), one.name, "--", len(levels.channels) + k))
     unit = "µm/s" if velocity else levels.channels[0].unit
     panel = Panel(lines, "", HZ, f"log10 of rms in {unit}", x_log=True)
     signed = _signed([panel], levels.estimator)
