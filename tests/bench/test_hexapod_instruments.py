@@ -196,3 +196,30 @@ def test_other_sizes_are_refused(ny, nu, rng):
         Hexapod(instruments="all").run(np.zeros((8, 10)), controller=law_of(rng, ny, nu))
     with pytest.raises(InputError, match=r"shape \(8, samples\)"):
         Hexapod(instruments="all").run(np.zeros((6, 10)))
+
+
+class Counting:
+    """Says nothing of its size, so it gets everything."""
+
+    def reset(self):
+        self.seen = set()
+
+    def step(self, y):
+        self.seen.add(y.size)
+        return np.zeros(8)
+
+
+def test_a_stepped_controller_of_unknown_size_gets_all_channels():
+    law = Counting()
+    Hexapod(instruments="all").run(np.zeros((8, 5)), controller=law)
+    assert law.seen == {12}
+
+
+def test_limits_of_proof_masses_are_met_and_counted():
+    u, d = np.zeros((8, 30)), np.zeros((8, 30))
+    u[6, 3:5] = 12.0
+    d[7, 9] = -11.0
+    told = Hexapod(instruments="all", noise=False).run(u, d).provenance.settings
+    assert told["limited_commands"] == [0] * 6 + [2, 0]
+    assert told["limited_proof_masses"] == [0, 1]
+    assert told["limited_stacks"] == [0] * 6

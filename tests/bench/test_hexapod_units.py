@@ -120,6 +120,7 @@ def test_the_thermometer_follows_the_runs(seed):
     told = weather("flight", seed, 1.0)
     assert bench.temperature_c == told(0.0)
     bench.run(quiet, run_index=3)
+    assert bench.run(quiet, run_index=3).provenance.settings["temperature_c"] == told(180.0)
     assert told(180.0) != bench.temperature_c == pytest.approx(told(182.0), abs=0.01)
     assert Hexapod(unit="flight", seed=seed).temperature_c == REFERENCE_C
     assert Hexapod(unit="flight", seed=seed, drift=1.0, linear=True).temperature_c == REFERENCE_C
@@ -182,7 +183,7 @@ def test_a_campaign_is_its_single_runs_bit_for_bit(kind, own_units, rng, seed):
     law = law_of(rng)
     law = {"open": None, "linear": law, "stepped": SteppedController(law)}[kind]
     u, d = 10.0 * rng.normal(size=(6, 400)), rng.normal(size=(6, 400))
-    seeds = [seed, 5, 17, seed, 3]
+    seeds = [seed, seed + 5, seed + 17, seed, seed + 3]
     bench = Hexapod(unit="flight", hysteresis=True, spread=0.5, drift=1.0)
     records = bench.campaign(seeds, u, d, law, own_units=own_units)
     for each, record in zip(seeds, records, strict=True):

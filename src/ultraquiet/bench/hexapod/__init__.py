@@ -10,6 +10,12 @@ Facts that the simulated bench brings out, each measured and printed by a test o
 * One real zero near z = -2.3 comes from sampling: the like of the paper's "1787 Hz" (z = -1.92). The bench has no zeros
   outside the circle at 1 or 3 Hz.
 * The struts resonate near 1.55 kHz with a gain of 13 V/V, below half the sampling rate: a controller must roll off.
+* The symmetric hexapod falls apart into two scalar loops and one 2 x 2 used twice, by a constant orthonormal transform
+  (`geometry.decoupling`), to 1e-11. Proof masses off the axis break this by less than half a per cent of |G|, a unit
+  within its tolerances by about a tenth.
+* The series resistor and capacitor of eq. (9) lag by 0.15 degrees at 1 Hz and 7.4 at 50 Hz: linear, not the
+  rate-independent hysteresis the text names. The bench's plays give closed, congruent loops, 5.4 % wide at +-25 V.
+* On a rigid floor proof mass and geophones of the base are there, but move nothing and read nothing but noise.
 * A stage with a loss factor of 0.167 cannot have a constant stiffness: it grows by a quarter from 20 to 120 Hz.
 """
 

@@ -18,15 +18,12 @@ from ultraquiet.bench.hexapod.drift import REFERENCE_C, RENEWED_EVERY_S, RUN_EVE
 from ultraquiet.bench.hexapod.hysteresis import none, typical
 from ultraquiet.bench.hexapod.laws import Limits, Matrices, closing, turned
 from ultraquiet.bench.hexapod.model import Model, built
-from ultraquiet.bench.hexapod.monitors import AXES, BODIES
-from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS, Electronics
+from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS
 from ultraquiet.bench.hexapod.parts import INSTRUMENTS
 from ultraquiet.bench.hexapod.simulation import Simulation
+from ultraquiet.bench.hexapod.wiring import ACTUATORS, SENSORS, channels, limits, noise
 from ultraquiet.values import Channel, Record, StateSpace
 
-_STRUTS = tuple(f"strut {i + 1}" for i in range(STRUTS))
-_PROOF_MASSES = tuple(f"{body} proof mass" for body in BODIES)
-_GEOPHONES = tuple(f"{body} {axis}" for body in BODIES for axis in AXES)
 MOST_SPREAD = 5.0  # times the tolerances: beyond, a draw may have no stiffness or mass left
 MOST_DRIFT = 10.0  # times the stated temperatures: beyond, the stages would stiffen by half
 
@@ -101,12 +98,12 @@ class Hexapod:
     @property
     def actuators(self) -> tuple[Channel, ...]:
         """Commands in volts: those of the six stacks about their bias, then those of the proof masses."""
-        return _channels(_STRUTS + _PROOF_MASSES, self._limits.command_v)
+        return channels(ACTUATORS, self._limits.command_v)
 
     @property
     def sensors(self) -> tuple[Channel, ...]:
         """Readings in volts: the six strut geophones, then the axes of base and payload."""
-        return _channels(_STRUTS + _GEOPHONES, self._limits.reading_v)
+        return channels(SENSORS, self._limits.reading_v)
 
     @property
     def temperature_c(self) -> float:
@@ -131,7 +128,8 @@ class Hexapod:
 
         Returns:
             Inputs: actuation + K y as limited, in the sample it was formed; outputs: the readings. The provenance
-            counts the samples in which a command, a stack or a reading met its limit.
+            counts the samples in which a command, a stack, a proof mass or a reading met its limit, and tells the
+            temperature at the start.
         """
         index = self._numbered(run_index)
         run = self._simulation(actuation, disturbance, controller, index)
@@ -139,8 +137,10 @@ class Hexapod:
         made = self.provenance
         told = {
             "run_index": index,
+            "temperature_c": self._weather(RUN_EVERY_S * index),
             "limited_commands": block.limited_commands.tolist(),
             "limited_stacks": run.limited_actuators[:STRUTS].tolist(),
+            "limited_proof_masses": run.limited_actuators[STRUTS:].tolist(),
             "limited_readings": block.limited_readings.tolist(),
         }
         made = Provenance(made.made_by, {**made.settings, **told}, made.seed)
@@ -239,17 +239,9 @@ class Hexapod:
 
     @cached_property
     def _limits(self) -> Limits:
-        """Where commands, actuators and readings saturate."""
-        e, parts = Electronics(), self.model.parts
-        # The converter is used symmetrically: of its 2^bits codes the lowest stays unused, so both ends are +-10 V.
-        step = e.reading_limit_v / (2 ** (self.adc_bits - 1) - 1) if self.quantise and not self.linear else 0.0
-        proof_masses = [p.limit_v for p in parts.proof_masses]
-        command = np.array([e.command_limit_v] * STRUTS + proof_masses)
-        actuator = np.array([e.stack_high_v - e.bias_v] * STRUTS + proof_masses)
-        reading = np.full(len(parts.lines), e.reading_limit_v)
-        if self.linear or not self.saturate:
-            return Limits(np.inf * command, np.inf * actuator, np.inf * reading, step)
-        return Limits(command, actuator, reading, step)
+        """Where commands, actuators and readings saturate, and how readings are rounded."""
+        bits = self.adc_bits if self.quantise and not self.linear else None
+        return limits(self.model.parts, bits, self.saturate and not self.linear)
 
     @cached_property
     def _clock(self) -> list[float]:
@@ -290,15 +282,8 @@ class Hexapod:
         return at
 
     def _noise(self, index: int) -> Callable[[int], FloatArray]:
-        """Return what draws the noise of a run, `(samples, ny)` at a time; the struts' is the same in every setting."""
+        """Return what draws the noise of a run, `(samples, ny)` at a time."""
         ny = len(self._limits.reading_v)
         if self.linear or not self.noise:
             return lambda samples: np.zeros((samples, ny))
-        keys = [((index,), STRUTS), ((index, 1), ny - STRUTS)]
-        draws = [(np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=k)), n) for k, n in keys]
-        sigma = Electronics().noise_v
-        return lambda samples: sigma * np.hstack([rng.standard_normal((samples, n)) for rng, n in draws])
-
-
-def _channels(names: tuple[str, ...], limits_v: FloatArray) -> tuple[Channel, ...]:
-    return tuple(Channel(name, "V", -v, v) for name, v in zip(names, limits_v.tolist(), strict=False))
+        return noise(self.seed, index, ny)
