@@ -13,6 +13,7 @@ from ultraquiet import StateSpace, signals
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet._base.registry import methods
 from ultraquiet.bench import Bench, Hexapod
+from ultraquiet.bench._abstract import fade
 from ultraquiet.bench.hexapod.drift import REFERENCE_C
 from ultraquiet.values import SteppedController
 
@@ -53,6 +54,28 @@ def test_the_kernel_does_what_plain_numpy_does(unit, options, rng, seed):
     assert np.abs(record.inputs - command.T).max() < 1e-9
     assert record.provenance.settings["limited_commands"] == counts[0].tolist()
     assert record.provenance.settings["limited_stacks"] == counts[1].tolist()
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_the_kernel_does_what_plain_numpy_does_with_all_instruments_and_a_fade(unit, rng, seed):
+    bench = Hexapod(unit=unit, seed=seed, instruments="all", hysteresis=True)
+    A = np.diag(rng.uniform(-0.9, 0.9, 5))
+    B, C = 1e-2 * rng.normal(size=(5, 12)), 1e-2 * rng.normal(size=(8, 5))
+    law = StateSpace(A, B, C, 1e-3 * rng.normal(size=(8, 12)), rate_hz=RATE)
+    u, d = 12.0 * rng.normal(size=(8, 300)), 30.0 * rng.normal(size=(8, 300))
+    asked = iter([False, True])
+    blocks = list(
+        bench.stream(u, d, law, run_index=0, block_samples=100, stop=lambda: next(asked, True), ramp_samples=150)
+    )
+    gain = np.r_[np.ones(100), fade(150, 150)]
+    plant = (*bench.model.sampled, *bench._matrices(REFERENCE_C)[3:])
+    inside = law.A, law.B, law.C, law.D
+    plain = plain_loop(plant, inside, u.T[:250], d.T[:250], bench._noise(0)(250), bench._limits.arrays, gain)
+    off = np.abs(np.hstack([b.readings for b in blocks]) - plain[1].T).max()
+    print(f"{unit}: readings differ by {off:.1e} V")
+    assert off < 1e-9
+    assert np.abs(np.hstack([b.command for b in blocks]) - plain[0].T).max() < 1e-9
+    assert sum(b.limited_commands for b in blocks).tolist() == plain[2][0].tolist()
 
 
 def test_a_stepped_controller_gives_the_record_of_the_compiled_one(rng, seed):
