@@ -103,7 +103,7 @@ class BandAttenuation:
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
         part = plant if self.structure == "full" else common_mode(plant)
-        settings = self if self.peak_db is None else replace(self, height=_height_for_peak(self, part, self.peak_db))
+        settings = self if self.peak_db is None else replace(self, height=_height_for_peak(self, part, plant, self.peak_db))
         found = settings.synthesis(part)
         law = found.controller
         if law is not None and part.D.shape != plant.D.shape:
@@ -171,13 +171,17 @@ def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tup
     return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
 
 
-def _height_for_peak(settings: BandAttenuation, plant: StateSpace, peak_db: float) -> float:
-    """Return the height at which the peak of S is `peak_db`, by bisection of its logarithm."""
+def _height_for_peak(settings: BandAttenuation, part: StateSpace, plant: StateSpace, peak_db: float) -> float:
+    """Return the height at which the peak of the whole plant's S is `peak_db`, by bisection of its logarithm.
+
+    Controllers are designed for `part`: the plant itself, or the function that its channels share.
+    """
+    copies = plant.D.shape[0] // part.D.shape[0]
     low, high = np.log(HEIGHTS)
     for _ in range(HEIGHT_STEPS):
         middle = (low + high) / 2
         trial = replace(settings, height=float(np.exp(middle)), peak_db=None)
-        found = trial.synthesis(plant)
-        over = found.controller is None or peak_sensitivity(plant, found.controller)[0] > peak_db
+        law = trial.synthesis(part).controller
+        over = law is None or peak_sensitivity(plant, append(*[law] * copies))[0] > peak_db
         low, high = (low, middle) if over else (middle, high)
     return float(np.exp(low))
