@@ -20,6 +20,9 @@ class Multisine(Signal):
         period_samples: length of one period.
         peak_v: the largest absolute value in volts.
         odd: excite odd harmonics only, so that even distortion shows on the even lines.
+        detection_group: of every so many neighbouring harmonics one is left out, at random, so that odd distortion
+            shows there; 0 leaves none out. Four is usual.
+        detection_seed: which ones are left out; keep it for all realisations of one measurement.
         phases: "random" (uniform, drawn from the seed) or "schroeder" (low crest factor, the seed has no influence).
 
     Raises:
@@ -39,12 +42,17 @@ class Multisine(Signal):
     peak_v: float = 25.0
     odd: bool = False
     phases: str = "random"
+    detection_group: int = 0
+    detection_seed: int = 0
 
     def __post_init__(self) -> None:
         band("Multisine", self.start_hz, self.stop_hz)
         whole("Multisine", "period_samples", self.period_samples, 2)
         positive("Multisine", "peak_v", volts("Multisine", "peak_v", self.peak_v), "V")
         one_of("Multisine", "phases", self.phases, ("random", "schroeder"))
+        if self.detection_group:
+            whole("Multisine", "detection_group", self.detection_group, 2)
+        whole("Multisine", "detection_seed", self.detection_seed, 0)
 
     def harmonics(self, rate_hz: float = 3500.0) -> np.ndarray:
         """Return the numbers of the excited harmonics of rate / period_samples."""
@@ -57,7 +65,14 @@ class Multisine(Signal):
                 f"Multisine: no harmonic of {rate_hz / self.period_samples:g} Hz lies in the band {self.start_hz:g} to "
                 f"{self.stop_hz:g} Hz; lengthen the period."
             )
-        return k[keep]
+        return self._without_detection(k[keep])
+
+    def _without_detection(self, k: np.ndarray) -> np.ndarray:
+        if not self.detection_group:
+            return k
+        groups = k.size // self.detection_group
+        drawn = draws("Multisine", self.detection_seed).integers(self.detection_group, size=groups)
+        return np.delete(k, drawn + self.detection_group * np.arange(groups))
 
     def lines_hz(self, rate_hz: float = 3500.0) -> FloatArray:
         """Return the excited frequencies in Hz."""
