@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ultraquiet import StateSpace
+from ultraquiet import StateSpace, signals
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Hexapod
 from ultraquiet.bench.hexapod.monitors import TILT_DEG, triaxial_axes
@@ -129,7 +129,7 @@ def test_a_floating_hexapod_keeps_its_momentum():
 def test_the_proof_mass_pushes_with_2_n_above_its_suspension():
     """On the rigid floor, above the suspension, the payload is a free mass: velocity = F / (m w) along z, with 10 V."""
     bench = Hexapod(unit="rigid", instruments="all")
-    p, line = bench.model.parts.proof_masses[1], bench.model.parts.lines[0]
+    p, line = bench.model.parts.proof_masses[1], bench.model.parts.lines[-1]
     f_hz = np.array([700.0, 900.0])
     w = 2 * np.pi * f_hz
     v = bench.model.mechanics.displacement(f_hz)[9:12, 7] * w  # per volt, modulus of the speed
@@ -173,6 +173,17 @@ def test_laws_of_the_struts_and_of_all_channels_run(ny, nu, hysteresis, rng, see
     formed = u + np.pad(answers, ((0, 8 - nu), (0, 0)))
     limits = np.array([[c.high] for c in bench.actuators])
     assert fast.inputs == pytest.approx(np.clip(formed, -limits, limits), abs=1e-9)
+
+
+@pytest.mark.parametrize("unit", UNITS)
+def test_a_chirp_of_25_v_stays_in_the_range_of_the_geophones_on_the_bodies(unit):
+    bench = Hexapod(unit=unit, instruments="all", noise=False)
+    chirp = signals.Chirp(start_hz=5.0, stop_hz=100.0, start_v=25.0, stop_v=5.0).generate(7000, RATE)
+    u = np.zeros((8, 7000))
+    u[1] = chirp
+    peak = np.abs(bench.run(u).outputs).max(axis=1)
+    print(f"{unit}: strut 2 {peak[1]:.1f} V, base {peak[6:9].max():.2f} V, payload {peak[9:].max():.2f} V")
+    assert peak[6:].max() < 10.0
 
 
 def test_plays_act_on_stacks_only(rng):

@@ -10,6 +10,9 @@ from ultraquiet._base.constraints import FloatArray
 BODIES = ("base", "payload")
 AXES = ("x", "y", "z")
 TILT_DEG = 5.0  # section 2.1: the inclination of both tri-axial geophones to +Z
+# Assumed; half of the struts' conditioning, so that a chirp of 25 V through one strut, which shakes the payload at its
+# modes, stays within the converter's range.
+TRIAXIAL_GAIN = 50.0
 TILT_AZIMUTH_DEG = 30.0  # assumed: towards which side they lean, no plane of symmetry
 
 

@@ -1,12 +1,12 @@
 """Everything one hexapod is made of: six struts that need not be alike, two bodies, and what is fixed to them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench.hexapod.geometry import Joints, joints
-from ultraquiet.bench.hexapod.monitors import AXES, BODIES, PROOF_MASSES, ProofMass
+from ultraquiet.bench.hexapod.monitors import AXES, BODIES, PROOF_MASSES, TRIAXIAL_GAIN, ProofMass
 from ultraquiet.bench.hexapod.parameters import BASES, PAYLOAD, STRUTS, Base, Body, Electronics, Geometry, Strut
 
 INSTRUMENTS = ("struts", "all")
@@ -23,7 +23,7 @@ class Parts:
         height_m: from the plane of the base's joints to that of the platform's.
         struts: the six struts.
         lines: amplifier and conditioning of each strut; with all instruments, that of the axes of the base's and the
-            payload's geophone after them (of the same make: assumed).
+            payload's geophone after them (the same geophones: assumed).
         proof_masses: those of base and payload; none when they are held fast.
     """
 
@@ -58,7 +58,9 @@ class Parts:
 def nominal(unit: str, instruments: str) -> Parts:
     """Return the parts of a unit, as drawn."""
     every = instruments == "all"
-    lines = (Electronics(),) * (STRUTS + (len(BODIES) * len(AXES) if every else 0))
+    lines = (Electronics(),) * STRUTS
+    if every:
+        lines += (replace(Electronics(), gain=TRIAXIAL_GAIN),) * (len(BODIES) * len(AXES))
     proof_masses = PROOF_MASSES if every else ()
     geometry = Geometry()
     return Parts(BASES[unit], PAYLOAD, joints(geometry), geometry.height_m, (Strut(),) * STRUTS, lines, proof_masses)
