@@ -5,10 +5,13 @@ May be changed here: how spectra are estimated. Every result says its window, av
 
 from ultraquiet.spectra.averaging import Averaging
 from ultraquiet.spectra.bands import BandLevels, Bands, band_levels, filtered_levels, octave_bands
+from ultraquiet.spectra.best_linear import BestLinear, best_linear
 from ultraquiet.spectra.coherence import Coherence, coherence
 from ultraquiet.spectra.criteria import CRITERIA, Classification, Criterion, classify, criterion
 from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
+from ultraquiet.spectra.detection import Detection
 from ultraquiet.spectra.frf import frf
+from ultraquiet.spectra.local_polynomial import LocalPolynomial, local_polynomial
 from ultraquiet.spectra.motion import convert_response, convert_spectrum
 from ultraquiet.spectra.periodic import periodic_response
 from ultraquiet.spectra.psd import PowerSpectrum, psd
@@ -19,13 +22,17 @@ __all__ = [
     "Averaging",
     "BandLevels",
     "Bands",
+    "BestLinear",
     "Classification",
     "Coherence",
     "Criterion",
     "CrossSpectra",
+    "Detection",
+    "LocalPolynomial",
     "PowerSpectrum",
     "Transmissibility",
     "band_levels",
+    "best_linear",
     "classify",
     "coherence",
     "convert_response",
@@ -34,6 +41,7 @@ __all__ = [
     "cross_spectra",
     "filtered_levels",
     "frf",
+    "local_polynomial",
     "magnitude_error",
     "octave_bands",
     "periodic_response",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ultraquiet._base.constraints import same_rate, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import FrequencyResponse, Record
@@ -12,6 +12,9 @@ from ultraquiet.values import FrequencyResponse, Record
 # A line counts as excited when it stands this far above the median line of the input's spectrum, or above this share
 # of the strongest: commands are exact, so the lines that are not meant hold rounding alone.
 EXCITED_SHARE = 1e-6
+# Periods of an excitation that repeats differ by measurement noise and feedback; those of one that does not, or of a
+# wrong length, differ by more than they agree.
+REPEATS = 0.5
 
 
 def periodic_response(records: Sequence[Record], period_samples: int, settle_periods: int = 1) -> FrequencyResponse:
@@ -62,17 +65,42 @@ def _one(k: int, record: Record, count: int, period: int, settle: int) -> tuple[
     moving = [j for j, u in enumerate(record.inputs) if np.ptp(u) > 0]
     if len(moving) != 1 or (len(record.actuators) == count and moving[0] != k):
         raise InputError(f"periodic_response: record {k + 1} must excite actuator {k + 1} alone.")
-    periods = record.samples // period - whole("periodic_response", "settle_periods", settle, 0)
+    U, Y = steady_periods("periodic_response", f"record {k + 1}", record, period, settle)
+    periods, u = U.shape[1], U[moving[0]]
+    level = np.abs(u.mean(axis=0))
+    alive = excited_lines(level[np.newaxis])
+    safe = np.where(alive, u.mean(axis=0), 1.0)
+    return alive, Y.mean(axis=1) / safe, Y.var(axis=1, ddof=1) / periods / np.abs(safe) ** 2
+
+
+def steady_periods(who: str, name: str, record: Record, period: int, settle: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return the spectra of inputs `(nu, periods, nf)` and outputs `(ny, periods, nf)`, period by period.
+
+    Refuses fewer than two periods, and inputs that do not repeat.
+    """
+    periods = record.samples // period - whole(who, "settle_periods", settle, 0)
     if periods < 2:
         raise InputError(
-            f"periodic_response: record {k + 1} leaves {periods} whole periods of {period} samples; "
+            f"{who}: {name} leaves {periods} whole periods of {period} samples; "
             f"two are needed to tell noise from response."
         )
     kept = slice(settle * period, (settle + periods) * period)
-    U = np.fft.rfft(record.inputs[moving[0], kept].reshape(periods, period), axis=1)
+    U = np.fft.rfft(record.inputs[:, kept].reshape(-1, periods, period), axis=2)
     Y = np.fft.rfft(record.outputs[:, kept].reshape(-1, periods, period), axis=2)
-    level = np.abs(U.mean(axis=0))
-    alive = level > EXCITED_SHARE * level[1:].max()
+    for u, wire in zip(U[:, :, 1:], record.actuators, strict=True):
+        mean = u.mean(axis=0)
+        apart = np.sqrt(np.mean(np.abs(u - mean) ** 2, axis=0).sum())
+        if apart > REPEATS * np.linalg.norm(mean):
+            raise InputError(
+                f"{who}: input '{wire.name}' of {name} does not repeat after {period} samples "
+                f"(its periods differ by {100 * apart / max(np.linalg.norm(mean), apart):.0f} %); "
+                f"give the period of the excitation, or use local_polynomial for other signals."
+            )
+    return U, Y
+
+
+def excited_lines(levels: FloatArray) -> np.ndarray:
+    """Return the lines `(nf,)` at which any of the input levels `(nu, nf)` stands out; never 0 Hz."""
+    alive = np.any(levels > EXCITED_SHARE * levels[:, 1:].max(axis=1, keepdims=True), axis=0)
     alive[0] = False
-    safe = np.where(alive, U.mean(axis=0), 1.0)
-    return alive, Y.mean(axis=1) / safe, Y.var(axis=1, ddof=1) / periods / np.abs(safe) ** 2
+    return alive
