@@ -79,7 +79,7 @@ class Bank:
         total = size + self.ny * self.direct
         N, r = np.zeros((total, total)), np.zeros(total)
         for i in range(self.ny):
-            T = _rotation(c[i])
+            T = rotation(c[i])
             SS = _left(T, _left(T, self.G[:size, :size], m, inputs).T, m, inputs)
             SW = _left(T, self.G[:size, self._direct_rows()], m, inputs)
             rows = slice(size + i * self.direct, size + (i + 1) * self.direct)
@@ -94,14 +94,8 @@ class Bank:
 
     def fit_c(self, modes: Modes) -> Modes:
         """Return c, D and constant that fit best with the given inputs b; each output by itself."""
-        m, inputs = self.poles.size, self.nu + 1
-        X = np.zeros((2 * m + self.direct, self.modes + self.direct))
-        for k in range(m):
-            for j in range(inputs):
-                at, b = 2 * (k * inputs + j), modes.b[k, j]
-                X[2 * k, at : at + 2] = b.real, -b.imag  # real part of the mode's state
-                X[2 * k + 1, at : at + 2] = -b.imag, -b.real  # minus its imaginary part
-        X[2 * m :, self.modes :] = np.eye(self.direct)
+        m = self.poles.size
+        X = state_map(modes.b, 0, self.direct)
         inner = self.modes + self.direct
         N = X @ self.G[:inner, :inner] @ X.T
         found = solve(N, X @ self.G[:inner, inner:])
@@ -131,7 +125,23 @@ class Bank:
         return np.maximum(out, 0.0) / self.n
 
 
-def _rotation(c: ComplexArray) -> FloatArray:
+def state_map(b: ComplexArray, extra: int, direct: int) -> FloatArray:
+    """Return the matrix from a bank's rows to Re x_k, -Im x_k of each mode's state x_k = sum_j b_kj s_kj.
+
+    Each mode has `extra` rows pairs after its inputs that do not enter; `direct` rows follow the modes, unchanged.
+    """
+    m, inputs = b.shape
+    high = 2 * (inputs + extra)
+    X = np.zeros((2 * m + direct, m * high + direct))
+    for k in range(m):
+        at = slice(k * high, k * high + 2 * inputs)
+        X[2 * k, at] = np.stack([b[k].real, -b[k].imag], axis=1).ravel()
+        X[2 * k + 1, at] = np.stack([-b[k].imag, -b[k].real], axis=1).ravel()
+    X[2 * m :, m * high :] = np.eye(direct)
+    return X
+
+
+def rotation(c: ComplexArray) -> FloatArray:
     """Return for each mode the 2 x 2 matrix from (Re s, Im s) to the factors of (Re b, Im b) in Re(c b s)."""
     return np.stack([np.stack([c.real, -c.imag], axis=1), np.stack([-c.imag, -c.real], axis=1)], axis=1)
 

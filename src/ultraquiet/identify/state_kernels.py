@@ -58,3 +58,61 @@ def modal_gram(poles, u, tail):
         block[first:, : stop - start] = tail[:, start:stop]
         out += np.dot(block, block.T)
     return out
+
+
+@compiled
+def sensitivity_gram(poles, b, c, direct, u, tail, y):
+    """Return the products of all that a modal model depends on, and of its errors, in one pass by blocks.
+
+    The model is y_i = Re(sum_k c_ik x_k) + sum_d direct_id tail_d + e_i, x_k = sum_j b_kj s_kj, s_kj = u_j / (1 - p_k
+    q^-1). The rows are, for each mode, Re, Im of s_k1, ..., s_kJ and of r_k = q^-1 x_k / (1 - p_k q^-1), the derivative
+    of x_k by p_k; then `tail`; then e.
+    """
+    inputs, n = u.shape
+    ny, modes = c.shape
+    high = 2 * (inputs + 1)
+    first = modes * high
+    errors = first + tail.shape[0]
+    width = errors + ny
+    out = np.zeros((width, width))
+    size = min(n, MODAL_BLOCK)
+    block = np.zeros((width, size))
+    real, imaginary = np.ascontiguousarray(c.real), np.ascontiguousarray(c.imag)
+    x, ix = np.zeros((modes, size)), np.zeros((modes, size))
+    state = np.zeros((modes, inputs), np.complex128)
+    slope = np.zeros(modes, np.complex128)
+    last = np.zeros(modes, np.complex128)
+    for start in range(0, n, size):
+        length = min(n, start + size) - start
+        block[:, length:] = 0.0
+        for k in range(modes):
+            p = poles[k]
+            x[k], ix[k] = 0.0, 0.0
+            for j in range(inputs):
+                at = k * high + 2 * j
+                s, gain = state[k, j], b[k, j]
+                for t in range(length):
+                    s = p * s + u[j, start + t]
+                    if abs(s.real) + abs(s.imag) < FLUSH:
+                        s = 0.0 + 0.0j
+                    block[at, t] = s.real
+                    block[at + 1, t] = s.imag
+                    x[k, t] += gain.real * s.real - gain.imag * s.imag
+                    ix[k, t] += gain.real * s.imag + gain.imag * s.real
+                state[k, j] = s
+            at = k * high + 2 * inputs
+            r, before = slope[k], last[k]
+            for t in range(length):
+                r = p * r + before
+                if abs(r.real) + abs(r.imag) < FLUSH:
+                    r = 0.0 + 0.0j
+                before = complex(x[k, t], ix[k, t])
+                block[at, t] = r.real
+                block[at + 1, t] = r.imag
+            slope[k], last[k] = r, before
+        block[first:errors, :length] = tail[:, start : start + length]
+        said = np.dot(real, x) - np.dot(imaginary, ix)
+        known = np.dot(direct, block[first:errors])
+        block[errors:, :length] = y[:, start : start + length] - said[:, :length] - known[:, :length]
+        out += np.dot(block, block.T)
+    return out
