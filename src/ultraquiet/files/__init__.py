@@ -2,6 +2,7 @@
 
 from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
 from ultraquiet.files.atomic import reason, write_bytes
+from ultraquiet.files.chunks import LongRecord, LongWriter
 from ultraquiet.files.export import export_record
 from ultraquiet.files.log import LogWriter, log_header
 from ultraquiet.files.logged import Log, finalise, read_log
@@ -14,6 +15,8 @@ from ultraquiet.files.survey import Survey, survey
 __all__ = [
     "Log",
     "LogWriter",
+    "LongRecord",
+    "LongWriter",
     "MappingError",
     "Survey",
     "contents",
