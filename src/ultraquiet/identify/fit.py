@@ -87,7 +87,7 @@ def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: fl
     simulated = np.clip(_simulated(data, model, search), data.low, data.high)
     return Fit(
         model,
-        _verdict(best.state, best.iterations, evidence),
+        verdict(best.state, best.iterations, evidence),
         prediction.fit_percent(data.recorded, simulated),
         model.noise_variance,
         _covariance(best.normal, best.loss, structure, data.gain),
@@ -190,7 +190,8 @@ def _simulated(data: Channel, model: PolynomialModel, search: Search) -> FloatAr
     return prediction.simulate(u, y, model.b, f, estimate=search.estimate, offset=search.offset)
 
 
-def _verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Status:
+def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Status:
+    """Return what a search's end and the p-values of its residual say."""
     white, free = evidence
     if state != CONVERGED:
         why = "no admissible step lowers the loss" if state == STUCK else f"{iterations} steps were not enough"
