@@ -29,8 +29,12 @@ def autocorrelation(e: FloatArray, lags: int) -> FloatArray:
 
 def ljung_box(e: FloatArray, lags: int, parameters: int = 0) -> Evidence:
     """Return the test that e is white: Q = n (n + 2) sum_k r_k^2 / (n - k), chi-squared with lags - parameters."""
-    n = e.size
-    r = autocorrelation(e, lags)
+    return ljung_box_of(autocorrelation(e, lags), e.size, parameters)
+
+
+def ljung_box_of(r: FloatArray, n: int, parameters: int = 0) -> Evidence:
+    """Return the same test from the autocorrelation r_1, r_2, ... of n samples."""
+    lags = r.size
     statistic = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
     return _chi_squared(statistic, max(1, lags - parameters))
 
@@ -41,13 +45,17 @@ def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: in
     Under the hypothesis r has covariance R sum_k r_e(k) ... / n when e is coloured; `residual_lags` of e's correlation
     are then taken into account (0: e is taken as white).
     """
-    n = e.size
     e = e - e.mean()
     u = u - u.mean()
-    padded = np.concatenate([np.zeros(lags), u])
-    covariance = _lagged(u, u, lags + residual_lags) / n
-    r = np.array([e @ padded[lags - k : lags - k + n] for k in range(lags + 1)]) / n
-    color = _lagged(e, e, residual_lags) / n
+    n = e.size
+    return cross_correlation_of(
+        _lagged(e, u, lags) / n, _lagged(u, u, lags + residual_lags) / n, _lagged(e, e, residual_lags) / n, n
+    )
+
+
+def cross_correlation_of(r: FloatArray, covariance: FloatArray, color: FloatArray, n: int) -> Evidence:
+    """Return the same test from means over n samples: e(t) u(t - k), u(t) u(t - k) and e(t) e(t - k), k from zero."""
+    lags, residual_lags = r.size - 1, color.size - 1
     index = np.abs(np.arange(lags + 1)[:, None] - np.arange(lags + 1)[None, :])
     P = color[0] * covariance[index]
     for k in range(1, residual_lags + 1):
