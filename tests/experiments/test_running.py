@@ -75,10 +75,12 @@ def test_warnings_of_a_bench_with_a_bad_day():
     channels = experiments.parse(LIST, Fake()).bench.actuators
     levels = experiments.Levels(channels, channels)
     levels.take(Block(np.zeros((2, 4)), np.full((2, 4), 0.2), np.array([0, 3]), np.array([0, 0]), overruns=2))
-    levels.take(Block(np.zeros((2, 4)), np.full((2, 4), -0.1), np.array([1, 0]), np.array([0, 0]), overruns=1))
+    stacks = {"limited_stacks": np.array([0, 3]), "limited_proof_masses": np.array([0])}
+    levels.take(Block(np.zeros((2, 4)), np.full((2, 4), -0.1), np.array([1, 0]), np.array([0, 0]), 1, stacks))
     told = list(levels.warnings(excited=True))
     assert told == [
         "commands met their limits: a in 1, b in 3 of 8 samples",
+        "stacks met their limits: 2 in 3 of 8 samples",
         "3 frames came too late",
         "the level is low: the loudest reading, 'a', uses 0.8 % of its range",
     ]

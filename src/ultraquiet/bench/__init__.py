@@ -1,6 +1,6 @@
 """Benches: anything with a rate, channels and the verb `run`, simulated, replayed or wrapped."""
 
-from ultraquiet.bench._abstract import Bench, Block, Streaming
+from ultraquiet.bench._abstract import Bench, Block, Streaming, Tally
 from ultraquiet.bench.fmu import Fmu
 from ultraquiet.bench.hardware import Hardware
 from ultraquiet.bench.hexapod import Hexapod
@@ -9,4 +9,16 @@ from ultraquiet.bench.process import Process
 from ultraquiet.bench.replay import Replay
 from ultraquiet.bench.wrapped import Wrapped
 
-__all__ = ["Bench", "Block", "Fmu", "Hardware", "Hexapod", "Interlocks", "Process", "Replay", "Streaming", "Wrapped"]
+__all__ = [
+    "Bench",
+    "Block",
+    "Fmu",
+    "Hardware",
+    "Hexapod",
+    "Interlocks",
+    "Process",
+    "Replay",
+    "Streaming",
+    "Tally",
+    "Wrapped",
+]

@@ -1,7 +1,7 @@
 """The one protocol of every bench, and the checks of what is sent to it."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -56,6 +56,7 @@ class Block:
         limited_commands: samples of this block in which each command met its limit, `(nu,)`.
         limited_readings: samples of this block in which each reading met its limit, `(ny,)`.
         overruns: frames of this block that came too late (hardware and processes).
+        further: what else met its limit in this block, `limited_...` -> samples of each, for benches that know more.
     """
 
     command: FloatArray
@@ -63,6 +64,36 @@ class Block:
     limited_commands: IntArray
     limited_readings: IntArray
     overruns: int = 0
+    further: Mapping[str, IntArray] = field(default_factory=dict[str, IntArray])
+
+
+class Tally:
+    """What met its limit in a run so far, and how many frames came too late.
+
+    >>> tally = Tally()
+    >>> for _ in range(2):
+    ...     tally.take(Block(np.zeros((1, 5)), np.zeros((1, 5)), np.array([3]), np.array([0])))
+    >>> tally.told()
+    {'limited_commands': [6], 'limited_readings': [0], 'overruns': 0}
+    """
+
+    def __init__(self) -> None:
+        self._counts: dict[str, Any] = {}
+
+    def take(self, block: Block) -> None:
+        """Count one block."""
+        limited = {"limited_commands": block.limited_commands, "limited_readings": block.limited_readings}
+        for name, count in {**limited, **block.further, "overruns": block.overruns}.items():
+            self._counts[name] = self._counts.get(name, 0) + count
+
+    @property
+    def overruns(self) -> int:
+        """Frames that came too late."""
+        return int(self._counts.get("overruns", 0))
+
+    def told(self) -> dict[str, Any]:
+        """Return the counts as a provenance holds them."""
+        return {name: np.asarray(count).tolist() for name, count in self._counts.items()}
 
 
 @runtime_checkable

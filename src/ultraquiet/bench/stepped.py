@@ -14,6 +14,7 @@ from ultraquiet.bench._abstract import (
     BLOCK_SAMPLES,
     RAMP_SAMPLES,
     Block,
+    Tally,
     checked_controller,
     checked_signals,
     commands,
@@ -83,14 +84,12 @@ class Stepped:
         """Return the record of one run from rest; see `Bench.run`. `run_index` numbers it for the plant."""
         made, setup = self.provenance, self._setup()
         blocks = list(self.stream(actuation, disturbance, controller, run_index=run_index))
-        met = {
-            "limited_commands": np.sum([b.limited_commands for b in blocks], axis=0).tolist(),
-            "limited_readings": np.sum([b.limited_readings for b in blocks], axis=0).tolist(),
-            "overruns": sum(b.overruns for b in blocks),
-        }
+        met = Tally()
+        for block in blocks:
+            met.take(block)
         command = np.concatenate([b.command for b in blocks], axis=1)
         readings = np.concatenate([b.readings for b in blocks], axis=1)
-        told = Provenance(made.made_by, {**made.settings, **met}, made.seed, made.parents, made.versions)
+        told = Provenance(made.made_by, {**made.settings, **met.told()}, made.seed, made.parents, made.versions)
         return Record(command, readings, setup.rate_hz, setup.actuators, setup.sensors, told)
 
     def stream(

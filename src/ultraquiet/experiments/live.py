@@ -30,6 +30,7 @@ class Levels:
         self.overruns = 0
         self.clipped = np.zeros(len(self.sensors), dtype=np.int64)
         self.limited = np.zeros(len(self.actuators), dtype=np.int64)
+        self.further: dict[str, Any] = {}
         self.peak: FloatArray = np.zeros(len(self.sensors))
         self.share: FloatArray = np.zeros(len(self.sensors))
         self.last_rms: FloatArray = np.zeros(len(self.sensors))
@@ -43,7 +44,7 @@ class Levels:
         if not y.shape[1]:
             return
         least, most = y.min(axis=1), y.max(axis=1)
-        self.peak = np.maximum(self.peak, np.maximum(most, -least))
+        self.peak = np.maximum(self.peak, np.abs(y).max(axis=1))
         self.share = np.maximum(self.share, np.maximum(_part(most, self._high), _part(least, self._low)))
         squares = np.square(y).sum(axis=1)
         self.last_rms = np.sqrt(squares / y.shape[1])
@@ -52,6 +53,8 @@ class Levels:
         self.clipped += block.limited_readings
         self.limited += block.limited_commands
         self.overruns += int(block.overruns)
+        for name, counts in block.further.items():
+            self.further[name] = self.further.get(name, 0) + counts
 
     @property
     def rms(self) -> FloatArray:
@@ -64,6 +67,11 @@ class Levels:
             yield f"readings clipped: {_counted(self.sensors, self.clipped)} of {self.samples} samples"
         if self.limited.any():
             yield f"commands met their limits: {_counted(self.actuators, self.limited)} of {self.samples} samples"
+        for name, counts in self.further.items():
+            if counts.any():
+                said = ", ".join(f"{k} in {n}" for k, n in enumerate(counts, start=1) if n)
+                what = name.removeprefix("limited_").replace("_", " ")
+                yield f"{what} met their limits: {said} of {self.samples} samples"
         if self.overruns:
             yield f"{self.overruns} frames came too late"
         ranged = np.isfinite(self._low) & np.isfinite(self._high)

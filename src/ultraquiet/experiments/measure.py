@@ -13,7 +13,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance, versions
-from ultraquiet.bench import Block, Streaming
+from ultraquiet.bench import Block, Streaming, Tally
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.listed import ExperimentList
 from ultraquiet.experiments.plan import Measurement, volts
@@ -150,11 +150,7 @@ class _Run:
         assert bench is not None
         self._bench, self._step, self._watch = bench, step, watch
         self._stopped = False
-        self._overruns = 0
-        self._limited = {
-            "limited_commands": np.zeros(len(bench.actuators), dtype=np.int64),
-            "limited_readings": np.zeros(len(bench.sensors), dtype=np.int64),
-        }
+        self._met = Tally()
         streams = isinstance(bench, Streaming)
         # A bench that numbers its draws gets the place in the list, so that a resumed list repeats none of them.
         numbered = {"run_index": index} if streams or "run_index" in inspect.signature(bench.run).parameters else {}
@@ -185,7 +181,7 @@ class _Run:
             try:
                 for block in self._blocks:
                     log.append(np.vstack([block.command, self._readings(block, log.samples)]))
-                    self._count(block)
+                    self._met.take(block)
                     self._watch.block(block)
             finally:
                 # Whatever went wrong, the actuators come to zero first; a generator does so when it is closed.
@@ -198,9 +194,9 @@ class _Run:
             raise InputError(f"experiment: the bench handed over no samples of '{step.name}'.")
         if why:
             record, kept = _partial(path, place)
-            return Measured(record, kept, True, self._overruns)
+            return Measured(record, kept, True, self._met.overruns)
         record = finalise(path, path_of(place, step.name), overwrite)
-        return Measured(record, path_of(place, step.name), False, self._overruns)
+        return Measured(record, path_of(place, step.name), False, self._met.overruns)
 
     def _stop(self) -> bool:
         self._stopped = self._stopped or self._watch.stop()
@@ -214,14 +210,8 @@ class _Run:
             )
         return block.readings
 
-    def _count(self, block: Block) -> None:
-        self._limited["limited_commands"] += block.limited_commands
-        self._limited["limited_readings"] += block.limited_readings
-        self._overruns += block.overruns
-
     def _notes(self) -> dict[str, Any]:
-        limited = {name: counts.tolist() for name, counts in self._limited.items()}
-        return {"bench": {**limited, "overruns": self._overruns}} if isinstance(self._bench, Streaming) else {}
+        return {"bench": self._met.told()} if isinstance(self._bench, Streaming) else {}
 
     def _incomplete(self, samples: int) -> str:
         if self._stopped:

@@ -39,7 +39,6 @@ class Simulation:
         nu = self._u.shape[1]
         self._state = np.zeros(len(plant[0])), np.zeros(nu), np.zeros((plays_on, plant[4].size))
         self._k, self._end = 0, len(self._u)
-        self.limited_actuators: IntArray = np.zeros(nu, dtype=np.int64)
 
     @property
     def samples(self) -> int:
@@ -78,9 +77,10 @@ class Simulation:
                 lost, taken = caught, caught.sample
             done += taken
             self._k += taken
-        self.limited_actuators += limited[1].astype(np.int64)
-        return (self._block(command[:done], y[:done], limited[0]) if done else None), lost
+        return (self._block(command[:done], y[:done], limited.astype(np.int64)) if done else None), lost
 
-    def _block(self, command: FloatArray, y: FloatArray, limited: FloatArray) -> Block:
+    def _block(self, command: FloatArray, y: FloatArray, limited: IntArray) -> Block:
         met = np.count_nonzero(np.abs(y) >= self._limits.reading_v, axis=0)
-        return Block(turned(command), turned(y), limited.astype(np.int64), met)
+        stacks = len(self._state[2])
+        further = {"limited_stacks": limited[1, :stacks], "limited_proof_masses": limited[1, stacks:]}
+        return Block(turned(command), turned(y), limited[0], met, further=further)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, one_of, whole
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, checked_signals
+from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, Tally, checked_signals
 from ultraquiet.bench.hexapod.campaign import campaign
 from ultraquiet.bench.hexapod.chain import Chain
 from ultraquiet.bench.hexapod.drift import REFERENCE_C, RENEWED_EVERY_S, RUN_EVERY_S, weather
@@ -135,14 +135,9 @@ class Hexapod:
         run = self._simulation(actuation, disturbance, controller, index)
         (block,) = run.blocks(run.samples, None, RAMP_SAMPLES)
         made = self.provenance
-        told = {
-            "run_index": index,
-            "temperature_c": self._weather(RUN_EVERY_S * index),
-            "limited_commands": block.limited_commands.tolist(),
-            "limited_stacks": run.limited_actuators[:STRUTS].tolist(),
-            "limited_proof_masses": run.limited_actuators[STRUTS:].tolist(),
-            "limited_readings": block.limited_readings.tolist(),
-        }
+        met = Tally()
+        met.take(block)
+        told = {"run_index": index, "temperature_c": self._weather(RUN_EVERY_S * index), **met.told()}
         made = Provenance(made.made_by, {**made.settings, **told}, made.seed)
         return Record(block.command, block.readings, RATE_HZ, self.actuators, self.sensors, made)
 
