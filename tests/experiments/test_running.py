@@ -84,7 +84,7 @@ def test_warnings_of_a_bench_with_a_bad_day():
         "3 frames came too late",
         "the level is low: the loudest reading, 'a', uses 0.8 % of its range",
     ]
-    assert len(list(levels.warnings(excited=False))) == 2
+    assert len(list(levels.warnings(excited=False))) == 3
 
 
 def test_a_stop_between_measurements_leaves_the_rest_for_later(tmp_path):
