@@ -90,7 +90,7 @@ def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: fl
         verdict(best.state, best.iterations, evidence),
         prediction.fit_percent(data.recorded, simulated),
         model.noise_variance,
-        _covariance(best.normal, best.loss, structure, data.gain),
+        covariance(best.normal, best.loss, structure, data.gain),
         whiteness_p=evidence[0],
         correlation_p=evidence[1],
         iterations=best.iterations,
@@ -206,7 +206,7 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
     return Status("ok", f"Converged; the residual is white (p = {white:.2f}) and free of the input (p = {free:.2f}).")
 
 
-def _covariance(normal: FloatArray, loss: float, structure: Structure, gain: FloatArray) -> FloatArray:
+def covariance(normal: FloatArray, loss: float, structure: Structure, gain: FloatArray) -> FloatArray:
     """Return loss (J'J)^-1 in coefficients of q^-k, output and input in their units."""
     p = normal.shape[0] - 1
     to_shift = np.zeros((p, p))
