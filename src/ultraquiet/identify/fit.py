@@ -72,23 +72,30 @@ class Fit:
 
 def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: float) -> Fit:
     """Return the model of one output, clipped readings repaired by the model itself until it no longer moves."""
-    best, tried = _best(data, structure, search)
-    model = _model(best.table, structure, data, rate_hz, best.loss)
+    best, tried = best_of_starts(data, structure, search)
+    model = modelled(best.table, structure, data, rate_hz, best.loss)
     for _ in range(REPAIRS if search.repair and data.clipped else 0):
-        mended = data.repaired(_simulated(data, model, search))
+        mended = data.repaired(simulated(data, model, search))
         moved = float(np.linalg.norm(mended.y - data.y) / np.linalg.norm(mended.y))
         data = mended
         if moved < SETTLED:
             break
-        again = _search(data, structure, search, best.table, search.max_iterations)
+        again = run_search(data, structure, search, best.table, search.max_iterations)
         best = replace(again, iterations=best.iterations + again.iterations)
-        model = _model(best.table, structure, data, rate_hz, best.loss)
+        model = modelled(best.table, structure, data, rate_hz, best.loss)
+    return finished(data, structure, search, model, best, tried)
+
+
+def finished(
+    data: Channel, structure: Structure, search: Search, model: PolynomialModel, best: "Found", tried: int
+) -> Fit:
+    """Return a model with its evidence: residual tests, fit, covariance."""
     evidence = residual_tests(best.residual, data.u, structure)
-    simulated = np.clip(_simulated(data, model, search), data.low, data.high)
+    output = np.clip(simulated(data, model, search), data.low, data.high)
     return Fit(
         model,
         verdict(best.state, best.iterations, evidence),
-        prediction.fit_percent(data.recorded, simulated),
+        prediction.fit_percent(data.recorded, output),
         model.noise_variance,
         covariance(best.normal, best.loss, structure, data.gain),
         whiteness_p=evidence[0],
@@ -99,7 +106,7 @@ def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: fl
     )
 
 
-def _best(data: Channel, structure: Structure, search: Search) -> "tuple[Found, int]":
+def best_of_starts(data: Channel, structure: Structure, search: Search) -> "tuple[Found, int]":
     """Search from the first start to its end, from the others as long as they promise more; the lowest loss wins.
 
     A residual that passes the tests ends the search: no other minimum can be better by more than chance.
@@ -108,9 +115,9 @@ def _best(data: Channel, structure: Structure, search: Search) -> "tuple[Found, 
     for table in starting_tables(data, structure, search.horizons):
         tried += 1
         steps = search.max_iterations if best is None else min(TRIAL_STEPS, search.max_iterations)
-        found = _search(data, structure, search, table, steps)
+        found = run_search(data, structure, search, table, steps)
         if best is not None and found.state != CONVERGED and found.loss < PROMISING * best.loss:
-            more = _search(data, structure, search, found.table, search.max_iterations - found.iterations)
+            more = run_search(data, structure, search, found.table, search.max_iterations - found.iterations)
             found = replace(more, iterations=found.iterations + more.iterations)
         if best is None or found.loss < best.loss:
             best = found
@@ -120,10 +127,14 @@ def _best(data: Channel, structure: Structure, search: Search) -> "tuple[Found, 
     return best, tried
 
 
-def _search(data: Channel, structure: Structure, search: Search, table: FloatArray, steps: int) -> "Found":
+def run_search(
+    data: Channel, structure: Structure, search: Search, table: FloatArray, steps: int, *, noise_only: bool = False
+) -> "Found":
+    """Search from a table; with `noise_only` the plant is held and C and D alone move."""
     from ultraquiet.identify import kernels
 
     nu = data.u.shape[0]
+    plant = [] if noise_only else [ROW_A, *b_rows(nu), *f_rows(nu)]
     return Found(
         *kernels.search(
             data.u,
@@ -131,7 +142,7 @@ def _search(data: Channel, structure: Structure, search: Search, table: FloatArr
             table,
             structure.degree(nu),
             structure.lag(nu),
-            free_rows(nu, [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D]),
+            free_rows(nu, [*plant, ROW_C, ROW_D]),
             structure.states(nu, search.estimate, search.offset),
             steps,
             TOLERANCE,
@@ -149,7 +160,7 @@ def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[
     return white, 1.0 - (1.0 - least) ** u.shape[0]
 
 
-def _model(table: FloatArray, structure: Structure, data: Channel, rate_hz: float, loss: float) -> PolynomialModel:
+def modelled(table: FloatArray, structure: Structure, data: Channel, rate_hz: float, loss: float) -> PolynomialModel:
     """Return the table's model in the units of the record."""
     nu = data.u.shape[0]
     delay = np.zeros(structure.delay)
@@ -183,7 +194,8 @@ def settled(p: FloatArray) -> FloatArray:
     return p
 
 
-def _simulated(data: Channel, model: PolynomialModel, search: Search) -> FloatArray:
+def simulated(data: Channel, model: PolynomialModel, search: Search) -> FloatArray:
+    """Return the model's simulated output in output units, its past and a constant fitted."""
     y = data.y * data.output_size
     u = data.u * data.input_size[:, None]
     f = [model.denominator(j) for j in range(u.shape[0])]

@@ -8,8 +8,10 @@ import numpy as np
 from ultraquiet._base.constraints import one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet.files import LongRecord
 from ultraquiet.identify._abstract import Result, exciting, usable, worst
 from ultraquiet.identify.fit import Fit, Search, fit_channel
+from ultraquiet.identify.focus import FOCUSES, fit_focused
 from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.structure import Structure
 from ultraquiet.values import PolynomialMatrix, Record
@@ -70,12 +72,18 @@ class PolynomialMethod:
         """Return the numbers of coefficients."""
         raise NotImplementedError
 
-    def identify(self, record: Record) -> Result:
+    def identify(self, record: Record | LongRecord) -> Result:
         """Return one model per output of the record, driven by all its inputs.
+
+        A `files.LongRecord` is read from its file in blocks, one pass an iteration; see `identify_long`.
 
         Raises:
             InputError: too few samples for the order, a constant input or output.
         """
+        if isinstance(record, LongRecord):
+            from ultraquiet.identify.streaming import identify_long
+
+            return identify_long(self, record)
         self.check(record)
         fits = [self.fit(Channel.of(record, i), record.rate_hz) for i in range(len(record.sensors))]
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
@@ -91,8 +99,10 @@ class PolynomialMethod:
 
     def fit(self, data: Channel, rate_hz: float) -> Fit:
         """Return the model of one output."""
-        search = Search(self.horizons, self.initial == "estimate", self.offset, self.max_iterations, self.repair)
-        return fit_channel(data, self.structure(), search, rate_hz)
+        return fit_channel(data, self.structure(), self._search(), rate_hz)
+
+    def _search(self) -> Search:
+        return Search(self.horizons, self.initial == "estimate", self.offset, self.max_iterations, self.repair)
 
     def _b(self) -> int:
         return self.order if self.b_order is None else self.b_order
@@ -182,6 +192,9 @@ class BoxJenkins(PolynomialMethod):
     """y = B/F u + C/D e: plant and noise share nothing. The structure the paper settled on, at order five.
 
     `c_order`, `d_order`, `f_order` are the numbers of coefficients of C, D and F (the order when absent).
+    `focus` is "prediction" (the one-step error alone), "simulation" (B and F by the simulated error, C and D by the
+    one-step error of what remains; `covariance` is then NaN) or "auto": simulation for those outputs whose residual is
+    not white and whose simulated fit gains by it, as happens on records of plants that no such model holds.
 
     Reference: section 3.2 of the paper; Ljung, System Identification, 2nd ed., section 4.2 and 10.3.
     """
@@ -191,6 +204,15 @@ class BoxJenkins(PolynomialMethod):
     c_order: int | None = None
     d_order: int | None = None
     f_order: int | None = None
+    focus: str = "auto"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        one_of("BoxJenkins", "focus", self.focus, FOCUSES)
+
+    def fit(self, data: Channel, rate_hz: float) -> Fit:
+        """Return the model of one output, for the wanted focus."""
+        return fit_focused(data, self.structure(), self._search(), rate_hz, self.focus)
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
