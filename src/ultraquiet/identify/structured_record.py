@@ -1,0 +1,106 @@
+"""A structured model of a record: clipped readings mended, the misfit judged in time."""
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.identify._abstract import Result, worst
+from ultraquiet.linalg import portmanteau
+from ultraquiet.linalg.prediction import fit_percent, repaired
+from ultraquiet.values import Record, StateSpace, Status
+
+REPAIRS = 12
+SETTLED = 1e-3
+TEST_LAGS = 40
+RESIDUAL_LAGS = 200
+SIGNIFICANCE = 1e-3
+
+
+@single_threaded
+def fitted_to_record(method: Any, record: Record, fit: Callable[[Record, FloatArray], Any]) -> Result:
+    """Fit a record whose readings may be clipped, and say what the model is worth.
+
+    Args:
+        method: settings, with `name` and `repair`.
+        record: of the channels wanted.
+        fit: from a record and outputs in place of its own to a value with `model` and `status`.
+    """
+    low, high = (np.array([[getattr(c, k)] for c in record.sensors]) for k in ("low", "high"))
+    clipped = (record.outputs <= low) | (record.outputs >= high)
+    y = record.outputs
+    found = fit(record, y)
+    simulated = played(found.model, record, y, clipped)
+    for _ in range(REPAIRS if method.repair and clipped.any() else 0):
+        mended = np.array([repaired(*row) for row in zip(record.outputs, simulated, low, high, strict=True)])
+        moved = np.linalg.norm(mended - y) / np.linalg.norm(mended)
+        y = mended
+        found = fit(record, y)
+        simulated = played(found.model, record, y, clipped)
+        if moved < SETTLED:
+            break
+    return _result(method, record, found, np.clip(simulated, low, high), int(clipped.sum()))
+
+
+def played(model: StateSpace, record: Record, y: FloatArray, clipped: np.ndarray) -> FloatArray:
+    """Return the model's outputs `(ny, n)`, its past before the first sample and a constant fitted where not clipped.
+
+    The response to the inputs as if they were periodic, and free decays of all poles for what is wrong with that.
+    """
+    n = record.samples
+    f = np.fft.rfftfreq(n, 1.0 / record.rate_hz)
+    G = model.frequency_response(f)
+    forced = np.fft.irfft(np.einsum("ijf,jf->if", G, np.fft.rfft(record.inputs, axis=1)), n, axis=1)
+    poles = model.poles()
+    poles = np.unique(np.round(poles[(poles.imag >= 0) & (np.abs(poles) > 1e-6)], 12))
+    decays = np.exp(np.log(poles)[:, None] * np.arange(n))
+    late = np.eye(model.states - np.count_nonzero(np.abs(model.poles()) > 1e-6), n)
+    columns = np.vstack([decays.real, decays.imag[poles.imag > 0], late, np.ones((1, n))]).T
+    columns /= np.linalg.norm(columns, axis=0)
+    out = np.empty_like(y)
+    for i, row in enumerate(y):
+        seen = ~clipped[i]
+        x = np.linalg.lstsq(columns[seen], (row - forced[i])[seen], rcond=1e-10)[0]
+        out[i] = forced[i] + columns @ x
+    return out
+
+
+def _result(method: Any, record: Record, found: Any, simulated: FloatArray, clipped: int) -> Result:
+    error = record.outputs - simulated
+    lags, memory = (min(k, record.samples // 10) for k in (TEST_LAGS, RESIDUAL_LAGS))
+    free = np.array([_free_of_inputs(e, record.inputs, lags, memory) for e in error])
+    statuses = [_verdict(found.status, p) for p in free]
+    made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
+    return Result(
+        found.model,
+        worst(statuses),
+        np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
+        np.mean(error**2, axis=1),
+        np.broadcast_to(found.covariance, (len(error), *found.covariance.shape)),
+        np.array([portmanteau.ljung_box(e, lags).p_value for e in error]),
+        free,
+        np.full(len(error), found.iterations),
+        tuple(statuses),
+        made,
+        {"fit": found, "repaired": clipped if method.repair else 0},
+    )
+
+
+def _free_of_inputs(e: FloatArray, u: FloatArray, lags: int, memory: int) -> float:
+    moving = [x for x in u if np.ptp(x) > 0.0]
+    least = min(portmanteau.cross_correlation(e, x, lags, memory).p_value for x in moving)
+    return 1.0 - (1.0 - least) ** len(moving)
+
+
+def _verdict(found: Status, p: float) -> Status:
+    if found.ok and p < SIGNIFICANCE:
+        return Status(
+            "not white",
+            f"The simulated error still holds something of the inputs (p = {p:.1e}): the structure leaves part of the "
+            f"record unexplained. {found.sentence}",
+        )
+    return found
