@@ -8,6 +8,7 @@ from ultraquiet.identify.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.rational import Rational, ResponseFit
+from ultraquiet.identify.structured import Structured, StructuredFit
 from ultraquiet.identify.subspace import Subspace
 
 __all__ = [
@@ -21,6 +22,8 @@ __all__ = [
     "Rational",
     "ResponseFit",
     "Result",
+    "Structured",
+    "StructuredFit",
     "Subspace",
     "Sweep",
     "identify_matrix",
