@@ -4,6 +4,7 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 """
 
 from ultraquiet.identify._abstract import Identification, Result
+from ultraquiet.identify.joint import identify_joint
 from ultraquiet.identify.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
@@ -26,6 +27,7 @@ __all__ = [
     "StructuredFit",
     "Subspace",
     "Sweep",
+    "identify_joint",
     "identify_matrix",
     "sweep",
 ]

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
@@ -30,7 +31,8 @@ class MatrixResult:
         status: the worst verdict of all channels, and how many share it.
         statuses: `(ny, nu)` verdicts.
         fit_percent, loss: `(ny, nu)` as in `Result`.
-        covariance: `(ny, nu, p, p)` of the coefficients in the order b, f, c, d (a first for ARX and ARMAX).
+        covariance: `(ny, nu, p, p)` of the coefficients in the order b, f, c, d (a first for ARX and ARMAX), NaN
+            beyond the p of a channel whose orders are smaller.
         whiteness_p, correlation_p: `(ny, nu)` p-values.
         iterations: `(ny, nu)`.
     """
@@ -51,13 +53,20 @@ class MatrixResult:
         return self.model.state_space()
 
 
-def identify_matrix(method: PolynomialMethod, records: Sequence[Record], workers: int | None = None) -> MatrixResult:
+def identify_matrix(
+    method: PolynomialMethod,
+    records: Sequence[Record | Sequence[Record]],
+    workers: int | None = None,
+    share: str | Sequence[str] | ArrayLike | None = None,
+) -> MatrixResult:
     """Identify every channel of a transfer matrix from one record per actuator, as section 3.4 of the paper.
 
     Args:
         method: settings of a polynomial structure, `BoxJenkins(order=5)` for instance.
         records: record k excites actuator k alone; each has all `nu` inputs (or only the excited one) and `ny` outputs.
+            Several records of one actuator, as a list in place k, go into one fit.
         workers: threads; as many as processors when absent.
+        share: what the channels have in common, "threefold" or "poles" for instance; see `identify_joint`.
 
     Returns:
         The `(ny, nu)` models; the models of a row each carry their own noise.
@@ -74,7 +83,12 @@ def identify_matrix(method: PolynomialMethod, records: Sequence[Record], workers
     >>> result.model.frequency_response([0.0]).real.round(1)
     array([[[1.5]]])
     """
-    picked = columns(method, records)
+    single = [record for record in records if isinstance(record, Record)]
+    if share is not None or method.informed or len(single) < len(records):
+        from ultraquiet.identify.joint import identify_tied_matrix
+
+        return identify_tied_matrix(method, records, share, workers)
+    picked = columns(method, single)
     channels = [(i, k) for k in range(len(picked)) for i in range(len(picked[0].sensors))]
 
     def one(place: tuple[int, int]) -> Fit:
@@ -83,17 +97,15 @@ def identify_matrix(method: PolynomialMethod, records: Sequence[Record], workers
 
     found = in_threads(f"identify {method.name}", one, channels, workers)
     grid = [[found[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]
-    made = Provenance(
-        method.name, asdict(method), parents=tuple(record.hash for record in records), versions=versions()
-    )
-    return _assemble(grid, picked, made)
+    made = Provenance(method.name, asdict(method), parents=tuple(record.hash for record in single), versions=versions())
+    return assemble(grid, picked, made)
 
 
 def columns(method: PolynomialMethod, records: Sequence[Record]) -> list[Record]:
     """Return each record with its excited input alone, after checking that they form one matrix."""
     if not records:
         raise InputError("identify_matrix: no records were given; one per actuator is needed.")
-    picked = [_excited(k, record, len(records)) for k, record in enumerate(records)]
+    picked = [excited(k, record, len(records)) for k, record in enumerate(records)]
     for k, record in enumerate(picked):
         same_rate("identify_matrix", "record 1", picked[0].rate_hz, f"record {k + 1}", record.rate_hz)
         if len(record.sensors) != len(picked[0].sensors):
@@ -105,7 +117,8 @@ def columns(method: PolynomialMethod, records: Sequence[Record]) -> list[Record]
     return picked
 
 
-def _excited(k: int, record: Record, count: int) -> Record:
+def excited(k: int, record: Record, count: int) -> Record:
+    """Return the record of actuator k with its input alone, after checking that no other of the `count` moves."""
     if len(record.actuators) == 1:
         return record
     if len(record.actuators) != count:
@@ -138,12 +151,19 @@ def in_threads(title: str, work: Callable[[Any], T], items: Sequence[Any], worke
     return out
 
 
-def _assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> MatrixResult:
+def assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> MatrixResult:
+    """Put the fits of all channels into one result."""
     models: list[list[PolynomialModel]] = [[f.model for f in row] for row in grid]
     model = PolynomialMatrix(models, [r.actuators[0] for r in picked], picked[0].sensors, made)
 
     def table(name: str) -> Any:
         return np.array([[getattr(f, name) for f in row] for row in grid])
+
+    size = max(f.covariance.shape[0] for row in grid for f in row)
+    covariance = np.full((len(grid), len(grid[0]), size, size), np.nan)
+    for i, row in enumerate(grid):
+        for k, f in enumerate(row):
+            covariance[i, k, : f.covariance.shape[0], : f.covariance.shape[0]] = f.covariance
 
     return MatrixResult(
         model,
@@ -151,7 +171,7 @@ def _assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> 
         tuple(tuple(f.status for f in row) for row in grid),
         table("fit_percent"),
         table("loss"),
-        table("covariance"),
+        covariance,
         table("whiteness_p"),
         table("correlation_p"),
         table("iterations"),

@@ -1,17 +1,20 @@
 """Polynomial models by minimising the one-step prediction error: ARX, ARMAX, output error, Box-Jenkins."""
 
-from dataclasses import asdict, dataclass
-from typing import ClassVar
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ultraquiet._base.constraints import one_of, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify._abstract import Result, exciting, usable, worst
 from ultraquiet.identify.fit import Fit, Search, fit_channel
 from ultraquiet.identify.focus import FOCUSES, fit_focused
+from ultraquiet.identify.layout import Layout, check_known, each, laid_out
 from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.structure import Structure
 from ultraquiet.values import PolynomialMatrix, Record
@@ -32,8 +35,8 @@ class PolynomialMethod:
 
     Args:
         order: number of free coefficients of every polynomial.
-        delay: samples from an input to its first effect (1: no direct feedthrough).
-        b_order: number of coefficients of B when it differs from `order`.
+        delay: samples from an input to its first effect (1: no direct feedthrough), one for all inputs or one for each.
+        b_order: number of coefficients of B when it differs from `order`; likewise.
         horizons: block rows of the subspace models that the search starts from, the most trusted first. A longer one
             sees slower modes, a shorter one is steadier.
         initial: "estimate" fits the past before the first sample, "rest" takes it as zero. Zero inflates the loss 2 to
@@ -43,47 +46,83 @@ class PolynomialMethod:
         repair: whether readings at a sensor's limits (`Channel.low`, `Channel.high`) are taken for what they are: the
             truth lies further out. They are replaced by the model's own output, in rounds. `details["repaired"]` counts
             them; `fit_percent` is then judged on the model's output cut at the same limits.
+        zeros_at_dc: known zeros at z = 1, B = (1 - q^-1)^k B': a geophone does not see what stands still. They count
+            among the coefficients of B.
+        known_poles: poles in z that every denominator is known to have, in conjugate pairs.
+        fixed: whole polynomials that are known, {"c": [1.0, -0.9]} for instance, by the letters a, b, c, d, f.
     """
 
     name: ClassVar[str]
 
     order: int = 5
-    delay: int = 1
-    b_order: int | None = None
+    delay: int | Sequence[int] = 1
+    b_order: int | Sequence[int] | None = None
     horizons: tuple[int, ...] = HORIZONS
     initial: str = "estimate"
     offset: bool = True
     max_iterations: int = 100
     repair: bool = True
+    zeros_at_dc: int = 0
+    known_poles: Sequence[complex] = ()
+    fixed: Mapping[str, Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
         who = type(self).__name__
         whole(who, "order", self.order, 1, HIGHEST_ORDER)
-        whole(who, "delay", self.delay, 0, LONGEST_DELAY)
+        for delay in each(self.delay):
+            whole(who, "delay", delay, 0, LONGEST_DELAY)
         for name in ("b_order", "c_order", "d_order", "f_order"):
-            if getattr(self, name, None) is not None:
-                whole(who, name, getattr(self, name), 1 if name == "b_order" else 0, HIGHEST_ORDER)
+            for value in each(getattr(self, name, None)):
+                whole(who, name, value, 1 if name == "b_order" else 0, HIGHEST_ORDER)
         for rows in self.horizons:
             whole(who, "horizons", rows, 2)
         one_of(who, "initial", self.initial, ("estimate", "rest"))
         whole(who, "max_iterations", self.max_iterations, 1)
+        check_known(self)
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
         raise NotImplementedError
 
-    def identify(self, record: Record | LongRecord) -> Result:
+    @property
+    def informed(self) -> bool:
+        """Whether inputs differ in order or delay, or parts of the polynomials are known."""
+        settings = (self.delay, self.b_order, getattr(self, "f_order", None))
+        return bool(
+            any(isinstance(s, Sequence) for s in settings) or self.zeros_at_dc or len(self.known_poles) or self.fixed
+        )
+
+    def layout(self, inputs: int) -> Layout:
+        """Return what is free and what is known of the polynomials of an output with so many inputs."""
+        return laid_out(self, inputs)
+
+    def for_input(self, j: int) -> Self:
+        """Return the settings for input j alone."""
+        given: dict[str, Any] = {name: getattr(self, name, None) for name in ("delay", "b_order", "f_order")}
+        return replace(self, **{name: v[j] for name, v in given.items() if isinstance(v, Sequence)})
+
+    def identify(self, record: Record | LongRecord | Sequence[Record]) -> Result:
         """Return one model per output of the record, driven by all its inputs.
 
+        Several records of one plant go into one fit, each with its own past and constant; see `identify_joint`.
         A `files.LongRecord` is read from its file in blocks, one pass an iteration; see `identify_long`.
 
         Raises:
             InputError: too few samples for the order, a constant input or output.
         """
         if isinstance(record, LongRecord):
+            if self.informed:
+                raise InputError(
+                    f"{type(self).__name__}: known parts and settings per input need the record in memory; read it "
+                    f"with its method `part`, or leave them out."
+                )
             from ultraquiet.identify.streaming import identify_long
 
             return identify_long(self, record)
+        if not isinstance(record, Record):
+            from ultraquiet.identify.joint import identify_joint
+
+            return identify_joint(self, record)
         self.check(record)
         fits = [self.fit(Channel.of(record, i), record.rate_hz) for i in range(len(record.sensors))]
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
@@ -99,13 +138,21 @@ class PolynomialMethod:
 
     def fit(self, data: Channel, rate_hz: float) -> Fit:
         """Return the model of one output."""
-        return fit_channel(data, self.structure(), self._search(), rate_hz)
+        if self.informed:
+            from ultraquiet.identify.joint import fit_alone
 
-    def _search(self) -> Search:
+            return fit_alone(self, data, rate_hz)
+        return fit_channel(data, self.structure(), self.search(), rate_hz)
+
+    def search(self) -> Search:
+        """Return how the minimum is looked for."""
         return Search(self.horizons, self.initial == "estimate", self.offset, self.max_iterations, self.repair)
 
     def _b(self) -> int:
-        return self.order if self.b_order is None else self.b_order
+        return self.order if self.b_order is None else max(each(self.b_order))
+
+    def _delay(self) -> int:
+        return min(each(self.delay))
 
 
 def gather(model: PolynomialMatrix, fits: list[Fit], made: Provenance) -> Result:
@@ -148,7 +195,7 @@ class Arx(PolynomialMethod):
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        return Structure(self.order, self._b(), 0, 0, 0, self.delay)
+        return Structure(self.order, self._b(), 0, 0, 0, self._delay())
 
 
 @register("identify", "armax")
@@ -168,7 +215,7 @@ class Armax(PolynomialMethod):
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
         c = self.order if self.c_order is None else self.c_order
-        return Structure(self.order, self._b(), c, 0, 0, self.delay)
+        return Structure(self.order, self._b(), c, 0, 0, self._delay())
 
 
 @register("identify", "output-error")
@@ -183,7 +230,7 @@ class OutputError(PolynomialMethod):
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        return Structure(0, self._b(), 0, 0, self.order, self.delay)
+        return Structure(0, self._b(), 0, 0, self.order, self._delay())
 
 
 @register("identify", "box-jenkins")
@@ -203,7 +250,7 @@ class BoxJenkins(PolynomialMethod):
 
     c_order: int | None = None
     d_order: int | None = None
-    f_order: int | None = None
+    f_order: int | Sequence[int] | None = None
     focus: str = "auto"
 
     def __post_init__(self) -> None:
@@ -212,9 +259,11 @@ class BoxJenkins(PolynomialMethod):
 
     def fit(self, data: Channel, rate_hz: float) -> Fit:
         """Return the model of one output, for the wanted focus."""
-        return fit_focused(data, self.structure(), self._search(), rate_hz, self.focus)
+        if self.informed:
+            return super().fit(data, rate_hz)
+        return fit_focused(data, self.structure(), self.search(), rate_hz, self.focus)
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        c, d, f = (self.order if k is None else k for k in (self.c_order, self.d_order, self.f_order))
-        return Structure(0, self._b(), c, d, f, self.delay)
+        c, d, f = (self.order if k is None else max(each(k)) for k in (self.c_order, self.d_order, self.f_order))
+        return Structure(0, self._b(), c, d, f, self._delay())

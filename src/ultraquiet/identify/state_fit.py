@@ -1,0 +1,194 @@
+"""From poles and directions of a subspace to a whole model: least squares, refinement, noise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.identify import modal, refine
+from ultraquiet.identify.starts import drawn_in
+from ultraquiet.linalg import response
+from ultraquiet.values import Record
+
+STABLE_RADIUS = 0.99999  # at 3.5 kHz a decay of 30 s: poles beyond are mirrored, the model must simulate
+PARALLEL = 1e9  # condition of eigenvectors beyond which modal coordinates hold no digits
+GAIN_ROUNDS = 6  # of regression on the innovations of the round before
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """A record's signals without their means, each of unit deviation."""
+
+    u: FloatArray
+    y: FloatArray
+    u_size: FloatArray
+    y_size: FloatArray
+
+    @classmethod
+    def of(cls, record: Record) -> "Scaled":
+        """Scale a record."""
+        u = record.inputs - record.inputs.mean(axis=1, keepdims=True)
+        y = record.outputs - record.outputs.mean(axis=1, keepdims=True)
+        u_size, y_size = u.std(axis=1, keepdims=True), y.std(axis=1, keepdims=True)
+        return cls(u / u_size, y / y_size, u_size, y_size)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.u.shape[1]
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """x+ = A x + B u + K e, y = C x + D u + constant + e from x0, in scaled units."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    K: FloatArray
+    x0: FloatArray
+    constant: FloatArray
+
+    def simulated(self, u: FloatArray) -> FloatArray:
+        """Return the outputs to inputs alone."""
+        return response.simulate(self.A, self.B, self.C, self.D, u, self.x0) + self.constant[:, None]
+
+    def errors(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Return the one-step prediction errors."""
+        none = np.zeros((len(self.C), len(self.C)))
+        inner = self.A - self.K @ self.C
+        v = y - self.constant[:, None]
+        B = np.hstack([self.B - self.K @ self.D, self.K])
+        return v - response.simulate(inner, B, self.C, np.hstack([self.D, none]), np.vstack([u, v]), self.x0)
+
+    def stable(self) -> bool:
+        """Return whether every pole is inside the radius that finished models keep."""
+        return bool(np.all(np.abs(np.linalg.eigvals(self.A)) <= STABLE_RADIUS))
+
+    def predicts(self) -> bool:
+        """Return whether the predictor forgets its past."""
+        return bool(np.all(np.abs(np.linalg.eigvals(self.A - self.K @ self.C)) < 1.0))
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a search may move, and how it weighs: see `Subspace`."""
+
+    feedthrough: bool
+    offset: bool
+    weighted: bool
+    steps: int
+
+    def direct(self, start: System) -> FloatArray:
+        """Return the columns of a system that enter its outputs at once."""
+        parts = ([start.D] if self.feedthrough else []) + ([start.constant[:, None]] if self.offset else [])
+        return np.hstack(parts) if parts else np.zeros((len(start.C), 0))
+
+    def parts(self, direct: FloatArray, nu: int) -> tuple[FloatArray, FloatArray]:
+        """Return D and constant from those columns."""
+        ny = len(direct)
+        D = direct[:, :nu] if self.feedthrough else np.zeros((ny, nu))
+        return D, direct[:, -1] if self.offset else np.zeros(ny)
+
+
+def modes_of(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return the poles of the upper half plane, drawn inside the circle, output directions `(ny, m)` of unit size.
+
+    The third holds the states `(n, m)` of these directions.
+    """
+    values, vectors = np.linalg.eig(A)
+    values = drawn_in(values.astype(np.complex128), STABLE_RADIUS)
+    real = np.abs(values.imag) <= modal.IMAGINARY
+    kept = np.concatenate([np.flatnonzero(~real & (values.imag > 0)), np.flatnonzero(real)])
+    count = int(np.count_nonzero(~real & (values.imag > 0)))
+    states = vectors[:, kept].astype(np.complex128)
+    poles = values[kept].copy()
+    poles[count:] = poles[count:].real
+    states[:, count:] = states[:, count:].real
+    directions = C @ states
+    size = np.linalg.norm(directions, axis=0)
+    return poles, directions / size, states / size
+
+
+def system(modes: modal.Modes) -> System:
+    """Return real matrices of modes, without noise."""
+    ny, nu = modes.D.shape
+    joined = replace(modes, b=np.hstack([modes.b, modes.b[:, -1:]]), D=np.hstack([modes.D, np.zeros((ny, 1))]))
+    real = joined.state_space(1.0)
+    K = np.zeros((len(real.A), ny))
+    return System(real.A, real.B[:, :nu], real.C, modes.D, K, real.B[:, nu], modes.constant)
+
+
+def refined_simulation(start: System, data: Scaled, options: Options) -> tuple[System, int, bool]:
+    """Return the system of least simulated error, the steps taken, and whether the search came to its end."""
+    drive = np.hstack([start.B, start.x0[:, None]])
+    at = refine.Point.of(start.A, drive, start.C, options.direct(start))
+    signals = refine.Signals.of(data.u, data.u, data.y, options.feedthrough, options.offset)
+    found = refine.search(at, signals, options.weighted, options.steps, lambda p: p.radius <= STABLE_RADIUS)
+    A, B, C = found.point.matrices()
+    D, constant = options.parts(found.point.direct, len(data.u))
+    none = np.zeros((len(A), len(C)))
+    return System(A, B[:, :-1], C, D, none, B[:, -1], constant), found.steps, found.converged
+
+
+def refined_prediction(
+    start: System, data: Scaled, options: Options, stable: bool = True
+) -> tuple[System, int, bool]:
+    """Return the system of least one-step error, the steps taken, and whether the search came to its end.
+
+    A start whose predictor has no modal form (parallel eigenvectors) is returned as it is, not converged.
+    """
+    nu, ny = len(data.u), len(data.y)
+    inner = start.A - start.K @ start.C
+    if np.linalg.cond(np.linalg.eig(inner)[1]) > PARALLEL or not start.predicts():
+        return start, 0, False
+    # a constant at the outputs enters the predictor with them: the search knows its sum with what K makes of it
+    settled = np.linalg.solve(np.eye(len(inner)) - inner, start.K)
+    shifted = replace(start, constant=start.constant - start.C @ settled @ start.constant)
+    drive = np.hstack([start.B - start.K @ start.D, start.K, (start.x0 - settled @ start.constant)[:, None]])
+    at = refine.Point.of(inner, drive, start.C, options.direct(shifted))
+    signals = refine.Signals.of(np.vstack([data.u, data.y]), data.u, data.y, options.feedthrough, options.offset)
+
+    def made(at: refine.Point) -> System:
+        A, B, C = at.matrices()
+        K = B[:, nu : nu + ny]
+        D, total = options.parts(at.direct, nu)
+        settled = np.linalg.solve(np.eye(len(A)) - A, K)
+        constant = np.linalg.solve(np.eye(ny) - C @ settled, total)
+        return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] + settled @ constant, constant)
+
+    def admissible(at: refine.Point) -> bool:
+        return at.radius < 1.0 and (not stable or made(at).stable())
+
+    found = refine.search(at, signals, options.weighted, options.steps, admissible)
+    return made(found.point), found.steps, found.converged
+
+
+def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:
+    """Return the gain `(n, ny)` of the innovations for a system whose other parts are held.
+
+    The simulated error v = (C (zI - A)^-1 K + 1) e is linear in K once e is known; a first guess of e is given, later
+    ones come from the round before (Hannan and Rissanen's regression). A round counts when it lowers the determinant of
+    the one-step errors.
+    """
+    v = data.y - start.simulated(data.u)
+    poles, directions, states = modes_of(start.A, start.C)
+    best, loss = np.zeros_like(start.K), _spread(v)
+    for _ in range(GAIN_ROUNDS):
+        bank = modal.Bank(poles, e, v, feedthrough=False, offset=False)
+        gain = (states @ bank.fit_b(directions).b[:, :-1]).real
+        tried = replace(start, K=gain)
+        if not tried.predicts():
+            break
+        e = tried.errors(data.u, data.y)
+        lower = _spread(e)
+        if not lower < loss:
+            break
+        best, loss = gain, lower
+    return best
+
+
+def _spread(e: FloatArray) -> float:
+    sign, value = np.linalg.slogdet(e @ e.T / e.shape[1])
+    return float(value) if sign > 0 and np.isfinite(value) else np.inf

@@ -1,0 +1,198 @@
+"""What a state-space model is worth: evidence, verdict, and the result that carries both."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import Provenance
+from ultraquiet.identify._abstract import Result, worst
+from ultraquiet.identify.state_fit import Scaled, System
+from ultraquiet.linalg import balance, portmanteau, prediction, response
+from ultraquiet.values import InnovationForm, Record, Status
+
+TEST_LAGS = 40
+RESIDUAL_LAGS = 200  # the simulation error is coloured; this much of its memory enters the test's variance
+SIGNIFICANCE = 1e-3
+SEGMENT = 256  # samples of a spectrum by which copies among the inputs are found
+# Share of an input's power that the other inputs do not explain, below which its column of B has no meaning: leakage of
+# a copy one sample late leaves 1e-5 in segments of this length.
+OWN_SHARE = 1e-4
+GROWTH = 10.0  # of the output's size from the first to the last tenth of a record, the input's being level
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the model was found: steps of the search, whether it ended by itself, whether one-step errors were its aim."""
+
+    steps: int
+    converged: bool
+    predicts: bool
+
+
+def independent(who: str, record: Record) -> None:
+    """Refuse inputs of which one can be had from the others: whose effect is whose is then unknown."""
+    nu = len(record.actuators)
+    if nu == 1 or record.samples < SEGMENT:
+        return
+    u = record.inputs - record.inputs.mean(axis=1, keepdims=True)
+    size = u.std(axis=1, keepdims=True)
+    length = SEGMENT if record.samples >= 2 * nu * SEGMENT else max(8, record.samples // (2 * nu))
+    count = record.samples // length
+    pieces = (u / np.where(size > 0, size, 1.0))[:, : count * length].reshape(nu, count, length)
+    F = np.fft.rfft(pieces * np.hanning(length), axis=2)
+    S = np.einsum("isf,jsf->fij", F, F.conj()) / count
+    power = np.einsum("fii->if", S).real
+    S = S + np.finfo(float).eps * length * power.max() * np.eye(nu)
+    own = 1.0 / np.einsum("fii->if", np.linalg.inv(S)).real
+    share = own.sum(axis=1) / np.maximum(power.sum(axis=1), np.finfo(float).tiny)
+    worst_input = int(np.argmin(share))
+    if share[worst_input] < OWN_SHARE:
+        name = record.actuators[worst_input].name
+        raise InputError(
+            f"{who}: all but {share[worst_input]:.0e} of the power of input '{name}' follows from the other inputs, so "
+            f"whose effect is whose cannot be told; excite the inputs independently, or leave one out with record.pick."
+        )
+
+
+def judged(
+    found: System, record: Record, data: Scaled, search: Search, made: Provenance, details: Mapping[str, Any]
+) -> Result:
+    """Return the result of a system in scaled units."""
+    ny = len(record.sensors)
+    v = data.y - found.simulated(data.u) if found.stable() else np.full_like(data.y, np.inf)
+    e = found.errors(data.u, data.y)
+    tested = e if search.predicts else v
+    free = [_free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS) for x in tested]
+    lags = min(TEST_LAGS, record.samples // 10)
+    white = [portmanteau.ljung_box(x, lags).p_value for x in e]
+    spare = spare_modes(found, data, search.predicts)
+    grown = growing(record)
+    statuses = [
+        _verdict(search, p, q if search.predicts else 1.0, spare, len(found.A), i in grown)
+        for i, (p, q) in enumerate(zip(free, white, strict=True))
+    ]
+    loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
+    return Result(
+        _model(found, e, record, data, made),
+        worst(statuses),
+        np.array([prediction.fit_percent(y, y - x) for y, x in zip(data.y, v, strict=True)]),
+        loss,
+        np.full((ny, 0, 0), np.nan),
+        np.array(white),
+        np.array(free),
+        np.full(ny, search.steps, dtype=np.int64),
+        tuple(statuses),
+        made,
+        {**details, "spare_modes": spare},
+    )
+
+
+def _model(found: System, e: FloatArray, record: Record, data: Scaled, made: Provenance) -> InnovationForm:
+    """Return the system in units of the record, in real modal blocks."""
+    B, C, K = found.B / data.u_size.T, found.C * data.y_size, found.K / data.y_size.T
+    D = found.D * data.y_size / data.u_size.T
+    form = balance.modal(found.A, np.hstack([B, K]), C)
+    errors = e * data.y_size
+    nu = B.shape[1]
+    return InnovationForm(
+        form.A,
+        form.B[:, :nu],
+        form.C,
+        D,
+        form.B[:, nu:],
+        errors @ errors.T / e.shape[1],
+        record.rate_hz,
+        record.actuators,
+        record.sensors,
+        made,
+    )
+
+
+def spare_modes(found: System, data: Scaled, predicts: bool) -> int:
+    """Return how many modes the record cannot tell from noise: without them its errors hardly grow.
+
+    Leaving a mode out, all others fitted again, raises the sum of squares of output i by c' (N^-1)^-1 c; in units of
+    the error variance that must exceed log(samples) for each number the mode has.
+    """
+    form = balance.modal(found.A, np.hstack([found.B, found.K, found.x0[:, None]]), found.C)
+    nu, ny, n = len(data.u), len(data.y), data.samples
+    B, K, x0 = form.B[:, :nu], form.B[:, nu : nu + ny], form.B[:, -1]
+    if predicts:
+        drive = np.vstack([data.u, data.y - found.constant[:, None]])
+        A, B = form.A - K @ form.C, np.hstack([B - K @ found.D, K])
+        error = found.errors(data.u, data.y)
+    elif found.stable():
+        drive, A = data.u, form.A
+        error = data.y - found.simulated(data.u)
+    else:
+        return 0
+    order = len(A)
+    x = response.simulate(A, B, np.eye(order), np.zeros((order, len(drive))), drive, x0)
+    rows = np.vstack([x, data.u, np.ones((1, n))])
+    N = rows @ rows.T
+    size = np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(N / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
+    at, spare = 0, 0
+    for states in form.blocks:
+        block = slice(at, at + states)
+        at += states
+        c = form.C[:, block]
+        raised = np.einsum("ia,ab,ib->i", c, np.linalg.pinv(inverse[block, block]), c)
+        carried = float(np.sum(raised / np.maximum(np.mean(error**2, axis=1), np.finfo(float).tiny)))
+        spare += carried < states * (ny + len(drive)) * np.log(n)
+    return spare
+
+
+def growing(record: Record) -> tuple[int, ...]:
+    """Return the outputs that grow through the record while the inputs do not: the plant, or its loop, is unstable."""
+    tenth = max(1, record.samples // 10)
+
+    def growth(x: FloatArray) -> FloatArray:
+        x = x - x.mean(axis=1, keepdims=True)
+        early, late = x[:, : 5 * tenth].std(axis=1), x[:, -tenth:].std(axis=1)
+        return late / np.maximum(early, np.finfo(float).tiny * GROWTH)
+
+    level = max(1.0, float(growth(record.inputs).max()))
+    return tuple(int(i) for i in np.flatnonzero(growth(record.outputs) > GROWTH * level))
+
+
+def _free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
+    if not np.all(np.isfinite(e)):
+        return 0.0
+    lags = min(TEST_LAGS, e.size // 10)
+    least = min(portmanteau.cross_correlation(e, x, lags, min(memory, e.size // 10)).p_value for x in u)
+    return 1.0 - (1.0 - least) ** u.shape[0]
+
+
+def _verdict(search: Search, free: float, white: float, spare: int, order: int, grows: bool) -> Status:
+    if grows:
+        return Status(
+            "not converged",
+            "The output grows through the record while the inputs do not: the plant is unstable, and a stable model says "
+            "nothing of it; record it in a loop that holds it, and use 'predictor-subspace'.",
+        )
+    if not search.converged:
+        return Status("not converged", f"The search ended away from a minimum after {search.steps} steps.")
+    if spare:
+        return Status(
+            "not converged",
+            f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
+            f"order (None chooses it), or record longer.",
+        )
+    if min(free, white) < SIGNIFICANCE:
+        what = "still holds something of the inputs" if free <= white else "is not white"
+        whose = "one-step" if search.predicts else "simulated"
+        return Status(
+            "not white",
+            f"The {whose} error {what} (p = {min(free, white):.1e}): the order or the horizon leaves part of the record "
+            f"unexplained.",
+        )
+    if search.predicts:
+        return Status("ok", f"The one-step error is white (p = {white:.2f}) and free of the inputs (p = {free:.2f}).")
+    return Status("ok", f"The simulated error is free of the inputs (p = {free:.2f}).")
+
+
