@@ -9,12 +9,15 @@ from ultraquiet.identify.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.rational import Rational, ResponseFit
+from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
 from ultraquiet.identify.subspace import Subspace
+from ultraquiet.identify.weighted_rational import WeightedRational
 
 __all__ = [
     "Armax",
     "Arx",
+    "Band",
     "BoxJenkins",
     "Candidate",
     "Identification",
@@ -27,6 +30,8 @@ __all__ = [
     "StructuredFit",
     "Subspace",
     "Sweep",
+    "WeightedFit",
+    "WeightedRational",
     "identify_joint",
     "identify_matrix",
     "sweep",

@@ -11,7 +11,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify._abstract import Result, usable
-from ultraquiet.linalg import vector_fitting
+from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
 from ultraquiet.spectra import frf
@@ -213,46 +213,13 @@ def _realised(
 ) -> StateSpace:
     """Return real blocks of the poles, each with as many copies as its residue has directions that matter."""
     z = points(f, rate_hz)
-    blocks: list[tuple[FloatArray, FloatArray, FloatArray]] = []
+    blocks: list[pole_residue.Block] = []
     k = 0
     while k < fit.poles.size:
         reach = float(np.max(weight / np.abs(z - fit.poles[k])))
-        blocks.append(_block(fit.poles[k], fit.residues[:, :, k], method.rank_tolerance / reach))
+        blocks.append(pole_residue.block(fit.poles[k], fit.residues[:, :, k], method.rank_tolerance / reach))
         k += 1 if fit.poles[k].imag == 0 else 2
     ny, nu = response.values.shape[:2]
-    A = _diagonal([a for a, _, _ in blocks])
-    B = np.vstack([b for _, b, _ in blocks])
-    C = np.hstack([c for _, _, c in blocks])
-    for _ in range(method.delay - 1):
-        n = A.shape[0]
-        A = np.block([[A, B], [np.zeros((nu, n + nu))]])
-        B = np.vstack([np.zeros((n, nu)), np.eye(nu)])
-        C = np.hstack([C, np.zeros((ny, nu))])
+    A, B, C, D = pole_residue.delayed(*pole_residue.joined(blocks), np.zeros((ny, nu)), method.delay - 1)
     made = Provenance("rational", asdict(method), parents=response.provenance.parents, versions=versions())
-    return StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz, response.actuators, response.sensors, made)
-
-
-def _block(pole: complex, residue: ComplexArray, smallest: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Realise 2 Re(R / (z - p)), or R / (z - p) of a real pole, keeping singular values above `smallest`."""
-    real = pole.imag == 0
-    U, s, Vh = np.linalg.svd(residue.real if real else residue)
-    r = int(np.count_nonzero(s > smallest))
-    c = np.asarray(U[:, :r] * np.sqrt(s[:r]), dtype=np.complex128)
-    b = np.asarray(np.sqrt(s[:r])[:, None] * Vh[:r], dtype=np.complex128)
-    if real:
-        return pole.real * np.eye(r), b.real, c.real
-    rotation = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
-    # The complex state x+ = p x + b u, y = 2 Re(c x), written with its real and imaginary parts.
-    A = np.asarray(np.kron(np.eye(r), rotation), dtype=np.float64)
-    B = np.stack([b.real, b.imag], axis=1).reshape(2 * r, -1) * np.sqrt(2.0)
-    C = np.stack([c.real, -c.imag], axis=2).reshape(c.shape[0], 2 * r) * np.sqrt(2.0)
-    return A, B, C
-
-
-def _diagonal(blocks: list[FloatArray]) -> FloatArray:
-    n = sum(b.shape[0] for b in blocks)
-    A, at = np.zeros((n, n)), 0
-    for b in blocks:
-        A[at : at + b.shape[0], at : at + b.shape[0]] = b
-        at += b.shape[0]
-    return A
+    return StateSpace(A, B, C, D, rate_hz, response.actuators, response.sensors, made)

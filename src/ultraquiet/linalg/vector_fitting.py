@@ -85,19 +85,45 @@ def relocated(
     z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, zeros_at_one: int = 0
 ) -> ComplexArray:
     """Return the zeros of sigma, reflected into the unit circle where they lie outside."""
-    n, nf = poles.size, z.size
     phi = basis(z, poles)
-    with_one = np.hstack([phi, np.ones((nf, 1))])
     own = _real(weight[:, None] * phi)
     size = np.linalg.norm(own, axis=0)
     common, _ = np.linalg.qr(own / size @ _vanishing(poles, size, zeros_at_one))
+    rows = [_compressed(weight * h, phi, common) for h in H.reshape(-1, z.size)]
+    return paired(_inside(_zeros_of_sigma(rows, weight * H, phi, poles)))
+
+
+def relocated_in_s(
+    s: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, constant: bool
+) -> ComplexArray:
+    """Return the zeros of sigma on the imaginary axis `s`, reflected into the left half-plane.
+
+    `weight` is `(ny, nu, nf)`: each channel its own; `constant` gives every channel a direct part.
+    """
+    phi = basis(s, poles)
+    mine = np.asarray(np.hstack([phi, np.ones((s.size, 1))]) if constant else phi, dtype=np.complex128)
     rows: list[FloatArray] = []
-    for h in H.reshape(-1, nf):
-        block = _real((weight * h)[:, None] * with_one)
-        private = block - common @ (common.T @ block)
-        rows.append(np.asarray(np.linalg.qr(private, mode="r"), dtype=np.float64))
+    for h, w in zip(H.reshape(-1, s.size), weight.reshape(-1, s.size), strict=True):
+        own = _real(np.asarray(w[:, None] * mine, dtype=np.complex128))
+        common, _ = np.linalg.qr(own / np.linalg.norm(own, axis=0))
+        rows.append(_compressed(w * h, phi, common))
+    found = _zeros_of_sigma(rows, weight * H, phi, poles)
+    return paired(np.asarray(-np.abs(found.real) + 1j * found.imag, dtype=np.complex128))
+
+
+def _compressed(weighted: ComplexArray, phi: ComplexArray, common: FloatArray) -> FloatArray:
+    """Return the triangle of one channel's rows for sigma, what its residues can explain taken off."""
+    block = _real(weighted[:, None] * np.hstack([phi, np.ones((len(phi), 1))]))
+    private = block - common @ (common.T @ block)
+    return np.asarray(np.linalg.qr(private, mode="r"), dtype=np.float64)
+
+
+def _zeros_of_sigma(
+    rows: list[FloatArray], weighted: ComplexArray, phi: ComplexArray, poles: ComplexArray
+) -> ComplexArray:
+    nf, n = phi.shape
     # Relaxed normalisation: the real part of sigma adds up to the number of samples.
-    scale = np.linalg.norm(weight * H) / nf
+    scale = np.linalg.norm(weighted) / nf
     rows.append(np.asarray(scale * np.append(phi.real.sum(axis=0), nf)[None], dtype=np.float64))
     stacked = np.vstack(rows)
     size = np.linalg.norm(stacked, axis=0)
@@ -106,7 +132,7 @@ def relocated(
     sigma = np.linalg.lstsq(stacked / size, wanted, rcond=None)[0] / size
     A, b = _sigma_states(poles)
     d = sigma[n] if abs(sigma[n]) > np.finfo(float).eps else np.finfo(float).eps
-    return paired(_inside(np.linalg.eigvals(A - np.outer(b, sigma[:n]) / d).astype(np.complex128)))
+    return np.linalg.eigvals(A - np.outer(b, sigma[:n]) / d).astype(np.complex128)
 
 
 def basis(z: ComplexArray, poles: ComplexArray) -> ComplexArray:

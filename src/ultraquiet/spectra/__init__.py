@@ -11,6 +11,7 @@ from ultraquiet.spectra.criteria import CRITERIA, Classification, Criterion, cla
 from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
 from ultraquiet.spectra.detection import Detection
 from ultraquiet.spectra.frf import frf
+from ultraquiet.spectra.given import with_coherence_variance
 from ultraquiet.spectra.local_polynomial import LocalPolynomial, local_polynomial
 from ultraquiet.spectra.motion import convert_response, convert_spectrum
 from ultraquiet.spectra.periodic import periodic_response
@@ -47,4 +48,5 @@ __all__ = [
     "periodic_response",
     "psd",
     "transmissibility",
+    "with_coherence_variance",
 ]

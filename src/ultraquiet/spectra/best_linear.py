@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_arr
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.spectra.detection import Detection, detection
+from ultraquiet.spectra.local_polynomial import scatter_about_smooth
 from ultraquiet.spectra.periodic import excited_lines, steady_periods
 from ultraquiet.values import FrequencyResponse, Record, Status
 
@@ -62,7 +63,8 @@ def best_linear(
     G_m = Y_m U_m^-1 for each realisation m, the columns of U_m the mean spectra of its experiments; G is their mean.
     What the periods of one realisation disagree in is noise; what realisations disagree in beyond that is distortion.
     With one realisation of an odd multisine, lines left out (`Multisine(odd=True, detection_group=4)`) show the
-    distortion instead, which is then taken over to the excited lines beside them.
+    distortion instead, which is then taken over to the excited lines beside them; without such lines it is what the
+    gains of neighbouring lines scatter about a smooth response.
 
     Args:
         records: one record a realisation; for `nu` moving inputs `nu` records each (one actuator at a time, or
@@ -102,7 +104,7 @@ def best_linear(
         # The scatter of few realisations may by chance fall below what noise alone brings.
         variance = np.maximum(total, noise) / M
     else:
-        distortion = _carried_over(found, spectra[0], inputs, lines)
+        distortion = _of_one(found, spectra[0], inputs, lines, noise)
         variance = noise + np.nan_to_num(distortion)
     text = f"best linear approximation, {M} realisations, {P} periods of {period} samples, {settle_periods} left out"
     response = FrequencyResponse(
@@ -207,17 +209,28 @@ def _realisation(
     return np.moveaxis(G, 0, 2).astype(np.complex128), np.moveaxis(variance, 0, 2)
 
 
-def _carried_over(
-    found: Detection | None, group: list[tuple[ComplexArray, ComplexArray]], inputs: list[int], lines: np.ndarray
+def _of_one(
+    found: Detection | None,
+    group: list[tuple[ComplexArray, ComplexArray]],
+    inputs: list[int],
+    lines: np.ndarray,
+    noise: FloatArray,
 ) -> FloatArray:
-    """Return the odd distortion of detection lines as variance of the gains at excited lines, or NaN."""
-    ny, nu = group[0][1].shape[0], len(inputs)
-    if found is None or not found.odd_hz.size:
-        return np.full((ny, nu, lines.size), np.nan)
-    u = np.moveaxis(np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group], axis=1), 2, 0)
-    share = np.sum(np.abs(np.linalg.pinv(u)) ** 2, axis=1).T  # (nu, nf)
-    level = found.carried_to(lines)
-    return level[:, np.newaxis] * share[np.newaxis]
+    """Return the distortion of a single realisation's gains, or NaN where too few lines tell it.
+
+    Detection lines show it; without them, what neighbouring lines scatter about a smooth response shows it. Where a
+    resonance is narrower than a few lines its curvature is counted in.
+    """
+    if found is not None and found.odd_hz.size:
+        u = np.moveaxis(np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group], axis=1), 2, 0)
+        share = np.sum(np.abs(np.linalg.pinv(u)) ** 2, axis=1).T  # (nu, nf)
+        return found.carried_to(lines)[:, np.newaxis] * share[np.newaxis]
+    U = np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group])
+    Y = np.stack([Y.mean(axis=1)[:, lines] for _, Y in group])
+    scatter = scatter_about_smooth(U, Y)
+    if scatter is None:
+        return np.full(noise.shape, np.nan)
+    return np.maximum(scatter - noise, 0.0)
 
 
 def _advice(noise: FloatArray, distortion: FloatArray, found: Detection | None, M: int, P: int) -> Status:
@@ -226,7 +239,7 @@ def _advice(noise: FloatArray, distortion: FloatArray, found: Detection | None, 
     if M == 1 and np.isnan(distortion).all():
         return Status(
             "few data",
-            "One realisation without detection lines tells noise alone; for distortion add realisations or take "
+            "One realisation of so few lines tells noise alone; for distortion add realisations or take "
             "Multisine(odd=True, detection_group=4).",
         )
     kind = "" if found is None else f" {found.sentence}"

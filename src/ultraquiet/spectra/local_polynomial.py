@@ -163,6 +163,29 @@ def _arbitrary(
     return G, variance, noise, T
 
 
+def scatter_about_smooth(U: ComplexArray, Y: ComplexArray, order: int = 2, dof: int = 10) -> FloatArray | None:
+    """Return the variance of gains that their scatter about local polynomials tells, `(ny, nu, nf)`; None if too few.
+
+    U is `(experiments, nu, nf)`, Y `(experiments, ny, nf)` at the excited lines, without leakage. The variance is that
+    of the single line's gain, not of the smoothed one.
+    """
+    M, nu, nf = U.shape
+    unknowns = (order + 1) * nu
+    n = -(-(-(-(unknowns + dof) // M) - 1) // 2)
+    width = 2 * n + 1
+    if width > nf:
+        return None
+    at = np.clip(np.arange(nf) - n, 0, nf - width)[:, None] + np.arange(width)
+    powers = ((at - np.arange(nf)[:, None]) / n)[:, :, None] ** np.arange(order + 1)
+    K = np.moveaxis(U[:, :, at], (2, 0), (0, 1)).swapaxes(2, 3)  # (nf, M, width, nu)
+    K = (K[:, :, :, None, :] * powers[:, None, :, :, None]).reshape(nf, M * width, unknowns)
+    wanted = np.moveaxis(Y[:, :, at], (2, 0), (0, 1)).swapaxes(2, 3).reshape(nf, M * width, -1)
+    _, _, residual = _solved(K, wanted)
+    power = np.sum(np.abs(residual) ** 2, axis=1) / (M * width - unknowns)  # (nf, ny)
+    share = np.sum(np.abs(np.linalg.pinv(np.moveaxis(U, 2, 0).swapaxes(1, 2))) ** 2, axis=1)  # (nf, nu)
+    return np.moveaxis(power[:, :, None] * share[:, None, :], 0, 2)
+
+
 def _regressors(U: ComplexArray, powers: FloatArray) -> ComplexArray:
     """Return K `(nf, records * width, unknowns)`: gains and leakages at r = 0 first, then those of r, r^2, ..
 

@@ -1,0 +1,128 @@
+"""What a weighted rational fit is made from: a response with a variance, a record, or the mean of its periods."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray, positive
+from ultraquiet._base.errors import InputError
+from ultraquiet.linalg import section_search as sections
+from ultraquiet.spectra import best_linear, local_polynomial
+from ultraquiet.values import Channel, FrequencyResponse, Record
+
+WHO = "WeightedRational"
+# Noise below this share of the largest is rounding; a weight from it would hold the fit at one line.
+FAINTEST = 1e-12
+
+
+class Data(NamedTuple):
+    """Samples to fit, and the responses with weights that starts are drawn from, `(ny, nu, nf)` each."""
+
+    samples: sections.Samples
+    H: ComplexArray
+    weight: FloatArray
+    actuators: tuple[Channel, ...]
+    sensors: tuple[Channel, ...]
+    parents: tuple[str, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of real equations."""
+        return 2 * self.samples.Y.size
+
+    @property
+    def slowest(self) -> float:
+        """The lowest line: of what lies below samples say nothing, and a pole there upsets simulation and loop."""
+        low = self.samples.f_rad[0]
+        rate_hz = self.samples.rate_hz
+        return float(low / self.samples.scale if rate_hz is None else np.tan(low / rate_hz / 2))
+
+    def late(self, delay_s: float) -> "Data":
+        """Return the data with inputs late by a delay; leakage, the last drive of a record, knows no delay."""
+        if delay_s == 0.0:
+            return self
+        turn = np.exp(-1j * self.samples.f_rad * delay_s)
+        V = self.samples.V.copy()
+        V[:, : self.H.shape[1]] *= turn
+        return self._replace(samples=replace(self.samples, V=V), H=self.H / turn)
+
+
+def from_response(response: FrequencyResponse, rate_hz: float | None, floor: float) -> Data:
+    """Return a response's lines that have a noise figure, 0 Hz left out."""
+    f, G, variance = response.f_hz, response.values, response.variance
+    if rate_hz is not None and f.size and f[-1] > positive(WHO, "rate_hz", rate_hz, "Hz") / 2:
+        raise InputError(
+            f"{WHO}: lines up to {f[-1]:g} Hz contradict a rate of {rate_hz:g} Hz; half of it is the limit."
+        )
+    if variance is None:
+        raise InputError(
+            f"{WHO}: the response has no variance to weigh its lines by; measure it with spectra.best_linear, "
+            f"local_polynomial or frf, add one by with_coherence_variance, or use Rational."
+        )
+    variance = variance + (floor * np.abs(G)) ** 2
+    keep = (np.isfinite(variance) & (variance > 0) & np.isfinite(G)).all(axis=(0, 1)) & (f > 0)
+    if rate_hz is not None:
+        keep &= f < rate_hz / 2
+    if not keep.any():
+        raise InputError(
+            f"{WHO}: no line above 0 Hz has a finite variance above zero; without noise set 'floor', or measure more "
+            f"than two periods."
+        )
+    ny, nu = G.shape[:2]
+    f, G, deviation = f[keep], G[:, :, keep], np.sqrt(variance[:, :, keep])
+    drive = np.ones((1, 1, f.size), dtype=np.complex128)
+    samples = _samples(f, rate_hz, drive, G.reshape(ny * nu, -1), deviation.reshape(ny * nu, -1) ** 2)
+    return Data(samples, G, 1.0 / deviation, response.actuators, response.sensors, response.provenance.parents)
+
+
+def from_record(record: Record, floor: float) -> Data:
+    """Return the record's own spectra, what its ends leave being the response to one more drive.
+
+    That leakage is z times a numerator of the sections' kind over the same poles.
+    """
+    local = local_polynomial(record)
+    f, n = local.response.f_hz, record.samples
+    variance = _known(local.response)
+    power = np.einsum("iif->if", local.noise).real * n * record.rate_hz / 2
+    lines = np.rint(f * n / record.rate_hz).astype(int)
+    U, Y = np.fft.rfft(record.inputs, axis=1)[:, lines], np.fft.rfft(record.outputs, axis=1)[:, lines]
+    end = np.sqrt(np.mean(np.abs(U) ** 2)) * np.exp(2j * np.pi * f[np.newaxis] / record.rate_hz)
+    samples = _samples(f, record.rate_hz, np.concatenate([U, end])[np.newaxis], Y, power + (floor * np.abs(Y)) ** 2)
+    weight = 1.0 / np.sqrt(_not_faint(variance))
+    return Data(samples, local.response.values, weight, record.actuators, record.sensors, (record.hash,))
+
+
+def from_periods(record: Record, period: int, floor: float, weigh: str) -> Data:
+    """Return the spectra of the mean period at the lines its inputs excite."""
+    found = best_linear(record, period, settle_periods=1)
+    f, G, variance = found.response.f_hz, found.response.values, _known(found.response)
+    lines = np.rint(f * period / record.rate_hz).astype(int)
+    whole = record.samples // period * period
+    U, Y = (
+        np.fft.rfft(x[:, period:whole].reshape(len(x), -1, period).mean(axis=1), axis=1)[:, lines]
+        for x in (record.inputs, record.outputs)
+    )
+    # One record excites one input, so the variance of each gain is that of its output.
+    level = variance[:, 0] * np.abs(U[0]) ** 2
+    power = level if weigh == "noise" else np.broadcast_to(level.mean(axis=1, keepdims=True), level.shape)
+    samples = _samples(f, record.rate_hz, U[np.newaxis], Y, power + (floor * np.abs(Y)) ** 2)
+    weight = np.abs(U[np.newaxis]) / np.sqrt(_not_faint(power))[:, np.newaxis]
+    return Data(samples, G, weight, record.actuators, record.sensors, (record.hash,))
+
+
+def _samples(
+    f: FloatArray, rate_hz: float | None, drives: ComplexArray, Y: ComplexArray, power: FloatArray
+) -> sections.Samples:
+    """Return samples weighted by the power of the noise `(channels, nf)`."""
+    scale = 2 * np.pi * float(np.sqrt(f[0] * f[-1]))
+    return sections.Samples(2 * np.pi * f, rate_hz, scale, drives, Y, np.sqrt(2.0 / _not_faint(power)))
+
+
+def _known(response: FrequencyResponse) -> FloatArray:
+    assert response.variance is not None
+    return response.variance
+
+
+def _not_faint(power: FloatArray) -> FloatArray:
+    return np.maximum(power, FAINTEST * power.max())

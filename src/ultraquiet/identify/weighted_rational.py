@@ -1,0 +1,300 @@
+"""State space from a measured response by maximum likelihood: every line weighs what its noise leaves of it."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, between, one_of, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import task
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify.response_data import WHO, Data, from_periods, from_record, from_response
+from ultraquiet.identify.response_model import WeightedFit
+from ultraquiet.linalg import portmanteau, section_start
+from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg.prediction import fit_percent
+from ultraquiet.linalg.section_realise import realised
+from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
+
+HIGHEST_ORDER = 60
+# Lines per pole below which a fit would interpolate.
+LINES_PER_POLE = 2
+# So many orders without a better criterion end the search for one.
+PATIENCE = 3
+# So many of the best starts run this far; the best of these runs to its end.
+TRIALS = 3
+TRIAL_STEPS = 15
+# A verdict errs once in a thousand good models.
+SIGNIFICANCE = 1e-3
+TEST_LAGS = 10
+
+
+class _Found(NamedTuple):
+    shape: sections.Shape
+    point: sections.Point
+    steps: int
+    converged: bool
+    held_delay_s: float
+
+    @property
+    def parameters(self) -> int:
+        return self.shape.nonlinear + self.point.rho.size
+
+
+@register("identify", "weighted-rational")
+@dataclass(frozen=True)
+class WeightedRational:
+    """Fit G = exp(-s tau) (D + sum_k N_k / den_k), common poles, by maximum likelihood.
+
+    sum over channels and lines of |G - measured|^2 / variance is minimised by Levenberg-Marquardt over the poles, with
+    the numerators projected out and an analytic Jacobian; it starts from vector fitting. All poles are stable at every
+    step. The estimate reaches the Cramer-Rao bound; its covariance gives bands.
+
+    Args:
+        order: number of poles; chosen by `criterion` when None.
+        highest_order: the largest one tried then.
+        delay_s: dead time: seconds in continuous time, whole samples beside the model's own one in discrete time; None
+            estimates it.
+        feedthrough: give every channel a direct part.
+        criterion: "mdl" (log of the sample size a parameter, finds the true order) or "aic" (two a parameter, keeps
+            more poles).
+        weigh: "noise" weighs every line by its variance, for the most precise model; "output" weighs the errors of an
+            output alike at all lines of periods, for the best simulation when noise is not the chief error.
+        floor: relative error below which precision is not worth having, added to the noise. A real plant has more poles
+            than any model; a hundredth here asks for those that matter.
+        iterations: accepted steps of the search.
+        period_samples: for records that are periods of one excitation; others are fitted with their leakage.
+
+    >>> rng = np.random.default_rng(0)
+    >>> plant = StateSpace([[0.9, 0.2], [-0.2, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], rate_hz=100.0)
+    >>> f = np.arange(1.0, 49.0)
+    >>> noise = 0.01 * (rng.standard_normal((1, 1, f.size)) + 1j * rng.standard_normal((1, 1, f.size)))
+    >>> measured = FrequencyResponse(f, plant.frequency_response(f) + noise, variance=np.full((1, 1, f.size), 2e-4))
+    >>> found = WeightedRational(highest_order=4).identify_response(measured, rate_hz=100.0)
+    >>> found.order, found.status.word, bool(np.abs(np.abs(found.model.poles()) - 0.922).max() < 0.01)
+    (2, 'ok', True)
+
+    Reference: R. Pintelon, J. Schoukens, System Identification (2012), chapters 9 and 11, doi:10.1002/9781118287422.
+    """
+
+    order: int | None = None
+    highest_order: int = 20
+    delay_s: float | None = 0.0
+    feedthrough: bool = False
+    criterion: str = "mdl"
+    weigh: str = "noise"
+    floor: float = 0.0
+    iterations: int = 100
+    period_samples: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.order is not None:
+            whole(WHO, "order", self.order, 1, HIGHEST_ORDER)
+        whole(WHO, "highest_order", self.highest_order, 1, HIGHEST_ORDER)
+        if self.delay_s is not None:
+            between(WHO, "delay_s", self.delay_s, 0.0, 1e6, "s")
+        one_of(WHO, "criterion", self.criterion, ("mdl", "aic"))
+        one_of(WHO, "weigh", self.weigh, ("noise", "output"))
+        between(WHO, "floor", self.floor, 0.0, 1.0)
+        whole(WHO, "iterations", self.iterations, 1)
+        if self.period_samples is not None:
+            whole(WHO, "period_samples", self.period_samples, 2)
+
+    def identify(self, record: Record) -> Result:
+        """Fit a record: its spectra with their leakage as one more input, or the mean of its periods.
+
+        Raises:
+            InputError: as `identify_response`; too few samples, a constant input or output.
+        """
+        usable(WHO, record, (self.order or 2) * (len(record.actuators) + 1), 64)
+        if self.period_samples is not None:
+            data = from_periods(record, self.period_samples, self.floor, self.weigh)
+        else:
+            data = from_record(record, self.floor)
+        found = self._fit(data)
+        return _result(self, found, record)
+
+    def identify_response(self, response: FrequencyResponse, rate_hz: float | None = None) -> WeightedFit:
+        """Fit a measured response with a variance, as `spectra` gives it; `with_coherence_variance` makes one.
+
+        Args:
+            response: `(ny, nu, nf)`; lines without noise figure and 0 Hz are left out.
+            rate_hz: sampling rate of the system wanted; None asks for continuous time.
+
+        Raises:
+            InputError: no variance, lines beyond half the rate, too few lines for the order.
+        """
+        return self._fit(from_response(response, rate_hz, self.floor))
+
+    @single_threaded
+    def _fit(self, data: Data) -> WeightedFit:
+        orders = range(1, self.highest_order + 1) if self.order is None else (self.order,)
+        most = data.samples.f_rad.size // LINES_PER_POLE
+        if orders[0] > most:
+            raise InputError(
+                f"{WHO}: order {orders[0]} takes {LINES_PER_POLE * orders[0]} lines, there are "
+                f"{data.samples.f_rad.size}; measure more lines or lower the order."
+            )
+        found: dict[int, _Found] = {}
+        scores: dict[int, float] = {}
+        with task("weighted rational fit", len(orders)) as progress:
+            for n in orders:
+                if n > most or _exhausted(scores):
+                    break
+                found[n] = _at_order(self, data, n, found.get(n - 2))
+                scores[n] = _score(self.criterion, found[n], data.rows)
+                progress.advance(note=f"order {n}: {scores[n]:.6g}")
+        best = min(scores, key=lambda n: scores[n])
+        least = scores[best]
+        return _finished(self, data, found[best], {n: v - least for n, v in scores.items()})
+
+
+def _exhausted(scores: dict[int, float]) -> bool:
+    orders = sorted(scores)
+    if len(orders) <= 2 * PATIENCE:
+        return False
+    return min(scores[n] for n in orders[-2 * PATIENCE :]) > min(scores.values())
+
+
+def _score(criterion: str, found: _Found, rows: int) -> float:
+    """Return rows ln(cost) + penalty: the scale of the variance does not matter."""
+    each = np.log(rows) if criterion == "mdl" else 2.0
+    return float(rows * np.log(found.point.cost / rows) + each * found.parameters)
+
+
+def _at_order(method: WeightedRational, data: Data, order: int, smaller: _Found | None) -> _Found:
+    rate_hz = data.samples.rate_hz
+    if method.delay_s is not None:
+        held = method.delay_s if rate_hz is None else round(method.delay_s * rate_hz) / rate_hz
+        return _searched(method, data, sections.Shape(order, method.feedthrough, delay=False), held, smaller)
+    free = _searched(method, data, sections.Shape(order, method.feedthrough, delay=True), 0.0, smaller)
+    if rate_hz is None:
+        return free
+    near = round(float(free.point.theta[-1]) * rate_hz)
+    whole_samples = {max(0, near + k) for k in (-1, 0, 1)}
+    shape = replace(free.shape, delay=False)
+    tries = [_polished(method, data, shape, k / rate_hz, [free.point.theta[:-1]]) for k in sorted(whole_samples)]
+    return min(tries, key=lambda t: t.point.cost)
+
+
+def _searched(
+    method: WeightedRational, data: Data, shape: sections.Shape, held: float, smaller: _Found | None
+) -> _Found:
+    turned = data.late(held)
+    starts = list(section_start.starts(turned.samples, turned.H, turned.weight, shape))
+    if smaller is not None and smaller.shape.delay == shape.delay and smaller.held_delay_s == held:
+        starts.append(section_start.one_pair_more(turned.samples, smaller.point, smaller.shape.order))
+    return _polished(method, data, shape, held, starts)
+
+
+def _polished(
+    method: WeightedRational, data: Data, shape: sections.Shape, held: float, starts: list[FloatArray]
+) -> _Found:
+    """Search from the best starts a little way, then to the end from where the cost is lowest."""
+    samples = data.late(held).samples
+    first = sorted((sections.evaluate(samples, shape, theta) for theta in starts), key=lambda point: point.cost)
+    slowest = data.slowest
+    trials = [sections.search(samples, shape, point.theta, TRIAL_STEPS, slowest) for point in first[:TRIALS]]
+    point, steps, converged = min(trials, key=lambda t: t[0].cost)
+    if not converged:
+        point, more, converged = sections.search(samples, shape, point.theta, method.iterations, slowest)
+        steps += more
+    return _Found(shape, point, steps, converged, held)
+
+
+def _finished(method: WeightedRational, data: Data, found: _Found, scores: dict[int, float]) -> WeightedFit:
+    ny, nu = data.H.shape[:2]
+    freedom = data.rows - found.parameters
+    cost = found.point.cost / max(freedom, 1)
+    p = _whiteness(found.point, found.parameters / data.rows)
+    delay = found.held_delay_s + (float(found.point.theta[-1]) if found.shape.delay else 0.0)
+    at_limit = method.order is None and found.shape.order >= max(scores) and len(scores) > 1
+    return WeightedFit(
+        _model(method, data, found),
+        _verdict(found, cost, p, at_limit),
+        found.shape.order,
+        delay,
+        cost,
+        p,
+        scores,
+        found.steps,
+        _of_inputs(found.point, ny, nu),
+        found.shape,
+        data.samples,
+        (ny, nu),
+        found.held_delay_s,
+    )
+
+
+def _of_inputs(point: sections.Point, ny: int, nu: int) -> sections.Point:
+    """Return the point with numerators of the inputs alone, `(ny nu, 1, linear)`."""
+    rho = point.rho if point.rho.shape[1] == 1 else point.rho[:, :nu]
+    return point._replace(rho=rho.reshape(ny * nu, 1, -1))
+
+
+def _whiteness(point: sections.Point, share: float) -> float:
+    """Return the p-value that neighbouring lines' residuals are strangers, by a Ljung-Box test of all channels."""
+    nf = point.residual.shape[1] // 2
+    lags = min(TEST_LAGS, nf // 5)
+    if lags < 1:
+        return 1.0
+    statistic, freedom = 0.0, 0
+    for r in point.residual:
+        for part in (r[:nf], r[nf:]):
+            test = portmanteau.ljung_box(part, lags)
+            statistic, freedom = statistic + test.statistic, freedom + test.freedom
+    from scipy.stats import chi2
+
+    # Parameters take their share of the residual's freedom; without it the test would be mild.
+    return float(chi2.sf(statistic, max(freedom * (1.0 - share), 1.0)))
+
+
+def _verdict(found: _Found, cost: float, p: float, at_limit: bool) -> Status:
+    if not found.converged:
+        return Status(
+            "not converged", f"{found.steps} steps did not reach a minimum; give another order or more steps."
+        )
+    more = "; higher orders were not tried" if at_limit else ""
+    if p < SIGNIFICANCE:
+        return Status(
+            "not white",
+            f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines (p = {p:.1e}){more}: "
+            f"raise the order, free the delay, or set 'floor' to the relative error you can live with.",
+        )
+    return Status(
+        "ok", f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines (p = {p:.2f}){more}."
+    )
+
+
+def _model(method: WeightedRational, data: Data, found: _Found) -> StateSpace:
+    ny, nu = data.H.shape[:2]
+    rho = _of_inputs(found.point, ny, nu).rho.reshape(ny, nu, -1)
+    rate_hz = data.samples.rate_hz
+    late = 0 if rate_hz is None else round(found.held_delay_s * rate_hz)
+    A, B, C, D = realised(data.samples, found.shape, found.point.theta, rho, 1.0 / float(data.weight.max()), late)
+    made = Provenance("weighted-rational", asdict(method), parents=data.parents, versions=versions())
+    return StateSpace(A, B, C, D, rate_hz, data.actuators, data.sensors, made)
+
+
+def _result(method: WeightedRational, found: WeightedFit, record: Record) -> Result:
+    simulated = found.model.simulate(record.inputs)
+    residual = record.outputs - simulated
+    ny = len(record.sensors)
+    made = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
+    return Result(
+        found.model,
+        found.status,
+        np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
+        np.mean(residual**2, axis=1),
+        np.full((ny, 0, 0), np.nan),
+        np.full(ny, found.whiteness_p),
+        np.full(ny, np.nan),
+        np.full(ny, found.iterations),
+        (found.status,) * ny,
+        made,
+        {"order": found.order, "cost": found.cost, "delay_s": found.delay_s, "fit": found},
+    )

@@ -1,0 +1,70 @@
+"""Where the search for sections begins: vector fitting from several spreads, or a smaller fit and one pair more."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg.vector_fitting import paired, relocated_in_s
+
+RELOCATIONS = 12
+# Starting poles: relative damping of the pairs.
+DAMPING = 0.02
+# The last so many relocations are tried: near the noise they wander rather than converge.
+TRIED = 2
+
+
+def spreads(s: ComplexArray, order: int) -> Iterator[ComplexArray]:
+    """Return starting poles on the scaled imaginary axis, evenly in frequency and in its logarithm."""
+    low, high = float(np.abs(s).min()), float(np.abs(s).max())
+    low = max(low, 1e-4 * high)
+    for centres in (np.geomspace(low, high, order // 2 + 2)[1:-1], np.linspace(low, high, order // 2 + 2)[1:-1]):
+        upper = centres * (-DAMPING + 1j)
+        real = np.full(order % 2, -np.sqrt(low * high))
+        yield paired(np.concatenate([upper, upper.conj(), real]).astype(np.complex128))
+
+
+def starts(
+    samples: sections.Samples, H: ComplexArray, weight: FloatArray, shape: sections.Shape
+) -> Iterator[FloatArray]:
+    """Yield starting points for a fit to the responses H with weights, `(ny, nu, nf)` each.
+
+    Vector fitting runs on the imaginary axis of the bilinear image, where both times look alike.
+    """
+    s, scale = _axis(samples)
+    relative = 1.0 / np.maximum(np.abs(H), 1e-3 * np.abs(H).max())
+    constant = shape.direct or samples.rate_hz is not None
+    for w in (weight, relative):
+        for poles in spreads(s, shape.order):
+            p = poles
+            for k in range(RELOCATIONS):
+                p = relocated_in_s(s, H, w, p, constant)
+                if k >= RELOCATIONS - TRIED:
+                    yield _theta(p, shape, scale)
+
+
+def one_pair_more(samples: sections.Samples, before: sections.Point, order: int) -> FloatArray:
+    """Return the sections of a smaller fit and one more where it misses most."""
+    s, scale = _axis(samples)
+    nf = s.size
+    miss = (before.residual[:, :nf] ** 2 + before.residual[:, nf:] ** 2).sum(axis=0)
+    smooth = np.convolve(miss, np.ones(5), mode="same")
+    at = float(np.abs(s[int(np.argmax(smooth))])) * scale
+    pair = np.array([np.log(2 * DAMPING * at), 2 * np.log(at)])
+    pairs = order - order % 2
+    return np.concatenate([before.theta[:pairs], pair, before.theta[pairs:]])
+
+
+def _axis(samples: sections.Samples) -> tuple[ComplexArray, float]:
+    """Return points on the imaginary axis scaled to near one, and the scale in units of the sections."""
+    if samples.rate_hz is None:
+        return np.asarray(1j * samples.f_rad / samples.scale, dtype=np.complex128), 1.0
+    w = np.tan(samples.f_rad / samples.rate_hz / 2)
+    scale = float(np.median(w))
+    return np.asarray(1j * w / scale, dtype=np.complex128), scale
+
+
+def _theta(poles: ComplexArray, shape: sections.Shape, scale: float) -> FloatArray:
+    theta = sections.from_axis_poles(poles * scale)
+    return np.append(theta, 0.0) if shape.delay else theta
