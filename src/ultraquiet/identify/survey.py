@@ -67,7 +67,7 @@ def survey(record: LongRecord) -> Survey:
         for u, y in record.blocks(16 * SLICE):
             z = np.vstack([u, y])
             # Sums about the first sample: a large offset must not swallow the deviation.
-            origin = z[:, :1] if origin is None else origin
+            origin = z[:, :1].copy() if origin is None else origin
             z -= origin
             total, squares = total + z.sum(axis=1), squares + np.einsum("ct,ct->c", z, z)
             clipped += np.count_nonzero((y <= low) | (y >= high), axis=1)

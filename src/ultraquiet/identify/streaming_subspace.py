@@ -1,0 +1,213 @@
+"""Subspace models of records longer than memory: a few passes over the file, whatever its length."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import task
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet.files import LongRecord
+from ultraquiet.identify import hankel, modal, state_fit, state_order, state_result
+from ultraquiet.identify._abstract import Result, usable, worst
+from ultraquiet.identify.survey import Survey, survey
+from ultraquiet.linalg import portmanteau
+from ultraquiet.linalg.lagged import Lagged
+from ultraquiet.values import Record, Status
+
+if TYPE_CHECKING:
+    from ultraquiet.identify.subspace import Start, Subspace
+
+# Samples from the record's beginning that the noise gain is fitted to: some hundred for each of its numbers.
+NOISE_SAMPLES = 65_536
+PIECE_SAMPLES = 32_768  # the most excited stretch, on which an order is chosen and copies among inputs are found
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledStream:
+    """A long record whose blocks come without their means and with unit deviation."""
+
+    record: LongRecord
+    seen: Survey
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.record.samples
+
+    def blocks(self, title: str) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield scaled inputs and outputs, telling progress."""
+        s = self.seen
+        with task(title, self.samples) as progress:
+            for u, y in self.record.blocks():
+                yield (
+                    (u - s.input_mean[:, None]) / s.input_size[:, None],
+                    (y - s.output_mean[:, None]) / s.output_size[:, None],
+                )
+                progress.advance(u.shape[1])
+
+    def first(self, samples: int) -> state_fit.Scaled:
+        """Return the beginning of the record in memory."""
+        s = self.seen
+        u, y = self.record.read(0, min(samples, self.samples))
+        return state_fit.Scaled(
+            (u - s.input_mean[:, None]) / s.input_size[:, None],
+            (y - s.output_mean[:, None]) / s.output_size[:, None],
+            s.input_size[:, None],
+            s.output_size[:, None],
+        )
+
+
+def identify_long_subspace(method: "Subspace", record: LongRecord) -> Result:
+    """Return the state-space model of all channels of a record of any length.
+
+    One pass for the sizes, one for the products of all lags (they hold the Hankel matrix of every horizon), one for
+    each horizon's least squares in modal coordinates, one for the evidence. The model is that of `Subspace.identify`
+    on the record in memory, but for the noise gain, which is fitted to the first `NOISE_SAMPLES`.
+
+    Raises:
+        InputError: as `Subspace.identify`; settings that ask for a search (`refine`).
+        StorageError: the file is cut short, damaged or went away.
+    """
+    if method.refine:
+        raise InputError(
+            "Subspace: a record on disk is not refined by a search; set refine=False, or refine on a part in memory."
+        )
+    seen = survey(record)
+    size = min(PIECE_SAMPLES, record.samples)
+    at = seen.most_excited(size, 1)[0]
+    piece = record.part(at, at + size)
+    usable("Subspace", piece, 1 if method.order is None else method.order, 0)
+    state_result.independent("Subspace", piece)
+    order = state_order.chosen(method, piece) if method.order is None else method.order
+    data = ScaledStream(record, seen)
+    starts = _starts(method, data, order)
+    best = min(starts, key=lambda s: s.loss)
+    early = data.first(NOISE_SAMPLES)
+    found = state_fit.system(best.modes)
+    found = replace(found, K=state_fit.noise_gain(found, best.innovations(early), early))
+    made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
+    details = {"horizon": best.rows, "order": len(found.A), "singular_values": best.values, "samples": data.samples}
+    return _judged(found, data, made, details)
+
+
+def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Start]":
+    """Yield what each horizon gives."""
+    from ultraquiet.identify.streaming_bank import StreamedBank
+    from ultraquiet.identify.subspace import GAIN, ROUNDS, Start
+
+    nu, ny = len(data.record.actuators), len(data.record.sensors)
+    horizons = method.horizons(data.record, order)
+    sums = Lagged(nu + ny, 2 * max(horizons))
+    for u, y in data.blocks("subspace: products at all lags"):
+        sums.add(np.vstack([u, y]))
+    products = sums.products()
+    for rows in horizons:
+        held = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
+        basis, values = hankel.directions(held, method.weight)
+        A, C = hankel.transition(basis, values, order, ny)
+        poles, directions, _ = state_fit.modes_of(A, C)
+        blocks = data.blocks(f"subspace: least squares at horizon {rows}")
+        bank = StreamedBank(poles, blocks, (nu, ny, data.samples), method.feedthrough, method.offset)
+        modes = modal.alternate(bank, directions, ROUNDS, GAIN)
+        yield Start(float(np.sum(bank.loss(modes))), rows, modes, held, basis, values, order)
+
+
+def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
+    """Return `state_kernels.hankel_gram` of the whole record from its lagged products and its two ends.
+
+    Shifting both factors by one sample changes a product by its two end terms, so only the first block row is summed.
+    """
+    m = products.shape[1]
+    G = np.empty((rows, rows, m, m))
+    # tail[:, -k] is the k-th sample from the end; the products reach to the end, the first block row does not.
+    head, tail = sums.head, sums.tail[:, -rows:]
+    for j in range(rows):
+        extra = rows - 1 - j
+        ends = tail[:, 1 : 1 + extra] @ tail[:, 1 + j : 1 + j + extra].T if extra else np.zeros((m, m))
+        G[0, j] = products[j] - ends
+        G[j, 0] = G[0, j].T
+    for i in range(1, rows):
+        later = np.einsum("a,jb->jab", tail[:, i], tail[:, i:].T)
+        sooner = np.einsum("a,jb->jab", head[:, i - 1], head[:, i - 1 : rows - 1].T)
+        G[i, i:] = G[i - 1, i - 1 : rows - 1] + later - sooner
+        G[i:, i] = np.swapaxes(G[i, i:], 1, 2)
+    return G.transpose(0, 2, 1, 3).reshape(rows * m, rows * m)
+
+
+def _judged(found: state_fit.System, data: ScaledStream, made: Provenance, details: dict[str, Any]) -> Result:
+    """Return the result of a system in scaled units, its evidence from one more pass."""
+    ny, nu = found.D.shape
+    lags = min(state_result.TEST_LAGS, data.samples // 10)
+    memory = min(state_result.RESIDUAL_LAGS, data.samples // 10)
+    simulated, predicted = Lagged(ny + nu, lags + memory), Lagged(ny, lags)
+    for u, y, v, e in _errors(found, data):
+        simulated.add(np.vstack([v, u]))
+        predicted.add(e)
+    n = data.samples
+    r, white = simulated.products(centred=True) / n, predicted.products(centred=True)
+    free = [_free(r, i, ny, lags, memory, n) for i in range(ny)]
+    spread = predicted.products()[0] / n
+    statuses = [_verdict(p, data.seen, i, data.record) for i, p in enumerate(free)]
+    squares = np.diag(simulated.products()[0])[:ny] / n
+    # Any errors of this covariance will do: the model keeps no more of them.
+    like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
+    model = state_result._model(found, like, data.record.part(0, 1), data.first(1), made)
+    return Result(
+        model,
+        worst(statuses),
+        100.0 * (1.0 - np.sqrt(squares)),
+        np.diag(spread) * data.seen.output_size**2,
+        np.full((ny, 0, 0), np.nan),
+        np.array([portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]),
+        np.array(free),
+        np.zeros(ny, dtype=np.int64),
+        tuple(statuses),
+        made,
+        details,
+    )
+
+
+def _errors(
+    found: state_fit.System, data: ScaledStream
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Yield inputs, outputs, simulated and one-step errors block by block."""
+    from ultraquiet.identify.streaming_bank import simulated
+
+    inner = np.ascontiguousarray(found.A - found.K @ found.C)
+    A, into = np.ascontiguousarray(found.A), found.B - found.K @ found.D
+    x, z = found.x0.copy(), found.x0.copy()
+    for u, y in data.blocks("subspace: evidence"):
+        v = y - found.constant[:, None] - found.D @ u
+        states = np.empty((len(A), u.shape[1]))
+        simulated(A, found.B @ u, x, states)
+        miss = v - found.C @ states
+        simulated(inner, into @ u + found.K @ (y - found.constant[:, None]), z, states)
+        yield u, y, miss, v - found.C @ states
+
+
+def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> float:
+    """Return the p-value that the simulated error of output i is free of all inputs."""
+    least = min(
+        portmanteau.cross_correlation_of(r[: lags + 1, j, i], r[:, j, j], r[: memory + 1, i, i], n).p_value
+        for j in range(ny, r.shape[1])
+    )
+    return 1.0 - (1.0 - least) ** (r.shape[1] - ny)
+
+
+def _verdict(p: float, seen: Survey, output: int, record: LongRecord) -> Status:
+    if p < state_result.SIGNIFICANCE:
+        return Status(
+            "not white",
+            f"The simulated error still holds something of the inputs (p = {p:.1e}): the order or the horizon leaves "
+            f"part of the record unexplained.",
+        )
+    if seen.clipped[output]:
+        return Status(
+            "not white",
+            f"{seen.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
+        )
+    return Status("ok", f"The simulated error is free of the inputs (p = {p:.2f}).")
