@@ -1,0 +1,230 @@
+"""From tied data sets to models with their evidence: clusters, the best of several starts, one fit per output."""
+
+import os
+from collections.abc import Hashable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from math import comb
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.fit import (
+    CONVERGED,
+    PROMISING,
+    REPAIRS,
+    SETTLED,
+    SIGNIFICANCE,
+    TEST_LAGS,
+    TOLERANCE,
+    TRIAL_STEPS,
+    Fit,
+    Search,
+    settled,
+    simulated,
+    verdict,
+)
+from ultraquiet.identify.joint_search import Ended, Part, Problem, covariance_root, posed, search
+from ultraquiet.identify.joint_starts import starts
+from ultraquiet.identify.layout import Layout, delta
+from ultraquiet.identify.starts import Channel
+from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, b_rows, f_rows, reduced
+from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.values import PolynomialModel
+
+
+def fit_parts(parts: Sequence[Part], how: Search, rate_hz: float, workers: int | None) -> dict[int, Fit]:
+    """Return one fit per group of sets; sets that share nothing are searched apart, in threads."""
+    clusters = _clusters(parts)
+    count = workers or os.cpu_count() or 1
+    inner = count if len(clusters) == 1 and len(parts) > 1 else 1
+    with ThreadPoolExecutor(min(count, len(clusters))) as pool:
+        found = pool.map(lambda cluster: _fit_cluster(cluster, how, rate_hz, inner), clusters)
+        return {group: fit for fits in found for group, fit in fits.items()}
+
+
+def _clusters(parts: Sequence[Part]) -> list[list[Part]]:
+    """Return the sets in lists between which no polynomial and no variance is shared."""
+    lists: list[tuple[set[Hashable], list[Part]]] = []
+    for part in parts:
+        tied: set[Hashable] = {("group", part.group)}
+        tied |= {part.keys[row] for row in range(part.layout.rows) if part.layout.free(row) is not None}
+        touched = [one for one in lists if one[0] & tied]
+        lists = [one for one in lists if not one[0] & tied]
+        lists.append(
+            (set.union(tied, *(k for k, _ in touched)), [p for _, members in touched for p in members] + [part])
+        )
+    return [members for _, members in lists]
+
+
+def _fit_cluster(parts: list[Part], how: Search, rate_hz: float, workers: int) -> dict[int, Fit]:
+    problem = posed(parts)
+    best, tried = _best(problem, how, workers)
+    clipped = how.repair and any(part.data.clipped for part in parts)
+    for _ in range(REPAIRS if clipped else 0):
+        moved, problem = _mended(problem, best, how, rate_hz)
+        if moved < SETTLED:
+            break
+        again = search(problem, best.tables, how.max_iterations, TOLERANCE, workers)
+        best = replace(again, iterations=best.iterations + again.iterations)
+    root = covariance_root(problem, best.normal)
+    return {
+        group: _group_fit(
+            problem, best, [k for k, p in enumerate(parts) if p.group == group], root, how, rate_hz, tried
+        )
+        for group in {part.group for part in parts}
+    }
+
+
+def _best(problem: Problem, how: Search, workers: int) -> tuple[Ended, int]:
+    """Search from the first start to its end, from the others while they promise more; see `fit_channel`."""
+    best, tried = None, 0
+    margin = sum(part.data.y.size for part in problem.parts) * np.log(PROMISING)
+    for tables in starts(problem.parts, how, workers):
+        tried += 1
+        steps = how.max_iterations if best is None else min(TRIAL_STEPS, how.max_iterations)
+        found = search(problem, tables, steps, TOLERANCE, workers)
+        if best is not None and found.state != CONVERGED and found.criterion < best.criterion + margin:
+            more = search(problem, found.tables, how.max_iterations - found.iterations, TOLERANCE, workers)
+            found = replace(more, iterations=found.iterations + more.iterations)
+        if best is None or found.criterion < best.criterion:
+            best = found
+            if best.state == CONVERGED and _passes(problem, best):
+                break
+    assert best is not None
+    return best, tried
+
+
+def _groups(problem: Problem) -> list[list[int]]:
+    groups = sorted({part.group for part in problem.parts})
+    return [[k for k, part in enumerate(problem.parts) if part.group == g] for g in groups]
+
+
+def _passes(problem: Problem, found: Ended) -> bool:
+    groups = _groups(problem)
+    least = min(p for members in groups for p in residual_tests(problem, found.residuals, members))
+    return 1.0 - (1.0 - least) ** len(groups) >= SIGNIFICANCE
+
+
+def residual_tests(problem: Problem, residuals: Sequence[FloatArray], members: Sequence[int]) -> tuple[float, float]:
+    """Return the p-values that the residuals of one group's sets are white, and free of their inputs.
+
+    The statistics of the sets are added up. A noise model that several groups share takes only its part of the
+    degrees of freedom from each.
+    """
+    from scipy.special import chdtrc
+
+    parts = problem.parts
+    noise = 0.0
+    for row in (ROW_A, ROW_C, ROW_D):
+        m = parts[members[0]].layout.free(row)
+        if m is not None:
+            key = parts[members[0]].keys[row]
+            noise += m.shape[1] / len({p.group for p in parts if p.keys[row] == key})
+    total, lags_all, free = 0.0, 0, []
+    for k in members:
+        e, u = residuals[k], parts[k].data.u
+        lags = min(TEST_LAGS, e.size // 10)
+        total += portmanteau.ljung_box(e, lags).statistic
+        lags_all += lags
+        free += [portmanteau.cross_correlation(e, x, lags).p_value for x in u]
+    white = float(chdtrc(max(1, lags_all - round(noise)), total))
+    return white, 1.0 - (1.0 - min(free)) ** len(free)
+
+
+def _group_fit(
+    problem: Problem, best: Ended, members: list[int], root: FloatArray, how: Search, rate_hz: float, tried: int
+) -> Fit:
+    first = members[0]
+    part = problem.parts[first]
+    evidence = residual_tests(problem, best.residuals, members)
+    model = _model(part, best.tables[first], rate_hz, float(best.variance[first]))
+    local = _to_units(part, problem.places[first].free) @ problem.places[first].map
+    spread = local @ root[problem.places[first].index]
+    return Fit(
+        model,
+        verdict(best.state, best.iterations, evidence),
+        _fit_percent([problem.parts[k].data for k in members], model, how),
+        model.noise_variance,
+        spread @ spread.T,
+        whiteness_p=evidence[0],
+        correlation_p=evidence[1],
+        iterations=best.iterations,
+        starts=tried,
+        repaired=sum(problem.parts[k].data.clipped for k in members) if how.repair else 0,
+    )
+
+
+def _model(part: Part, table: FloatArray, rate_hz: float, variance: float) -> PolynomialModel:
+    """Return the table's model in the units of the record, its known factors exact."""
+    layout = part.layout
+    nu = layout.inputs
+    numerators = [
+        np.concatenate([np.zeros(layout.delay[j]), part.data.gain[j] * _with_zeros(table[r, : layout.b[j]], layout)])
+        for j, r in enumerate(b_rows(nu))
+    ]
+
+    def denominator(row: int, degree: int) -> FloatArray:
+        p = reduced(table[row], degree)
+        return p if layout.free(row) is None else settled(p)
+
+    return PolynomialModel(
+        numerators,
+        [denominator(r, layout.f[j]) for j, r in enumerate(f_rows(nu))],
+        rate_hz,
+        reduced(table[ROW_A], layout.a),
+        denominator(ROW_C, layout.c),
+        denominator(ROW_D, layout.d),
+        noise_variance=variance,
+    )
+
+
+def _with_zeros(b: FloatArray, layout: Layout) -> FloatArray:
+    """Return B with its known zeros restored to the last digit."""
+    k = layout.zeros_at_dc
+    if k == 0 or "b" in layout.fixed:
+        return b
+    rest = delta(b.size - k) @ (delta(b.size) @ b)[k:]
+    return np.convolve(rest, [(-1.0) ** m * comb(k, m) for m in range(k + 1)])
+
+
+def _to_units(part: Part, free: "np.ndarray[Any, np.dtype[np.bool_]]") -> FloatArray:
+    """Return the map from a step in the delta basis to all coefficients in units of the record, in `Result`'s order.
+
+    Coefficients that are given have rows of zeros: they do not vary.
+    """
+    layout = part.layout
+    rows = [ROW_A, *range(ROW_FIRST, layout.rows), ROW_C, ROW_D]
+    degree = layout.degree()
+    T = np.zeros((int(degree.sum()), int(degree[free].sum())))
+    at, to = 0, 0
+    for row in rows:
+        n = int(degree[row])
+        if free[row]:
+            unit = float(part.data.gain[(row - ROW_FIRST) // 2]) if layout.letter(row) == "b" else 1.0
+            T[to : to + n, at : at + n] = unit * delta(n)
+            at += n
+        to += n
+    return T
+
+
+def _fit_percent(sets: Sequence[Channel], model: PolynomialModel, how: Search) -> float:
+    """Return the simulated fit over all records, each against its own mean."""
+    misses, spreads = [], []
+    for data in sets:
+        output = np.clip(simulated(data, model, how), data.low, data.high)
+        misses.append(data.recorded - output)
+        spreads.append(data.recorded - data.recorded.mean())
+    y = np.concatenate(spreads)
+    return prediction.fit_percent(y, y - np.concatenate(misses))
+
+
+def _mended(problem: Problem, best: Ended, how: Search, rate_hz: float) -> tuple[float, Problem]:
+    """Return how far clipped readings moved, relative to the record, and the problem with them replaced."""
+    moved, parts = 0.0, []
+    for part, table, variance in zip(problem.parts, best.tables, best.variance, strict=True):
+        data = part.data.repaired(simulated(part.data, _model(part, table, rate_hz, float(variance)), how))
+        moved = max(moved, float(np.linalg.norm(data.y - part.data.y) / np.linalg.norm(data.y)))
+        parts.append(replace(part, data=data))
+    return moved, replace(problem, parts=tuple(parts))
