@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.identify import kernels, state_kernels
+from ultraquiet.identify import kernels, normal_kernels, state_kernels
 from ultraquiet.identify.structure import Structure, free_rows
 from ultraquiet.values import PolynomialModel
 
@@ -70,12 +70,19 @@ def case(request, rng):
 
 def evaluate(structure, u, y, table, states):
     signals = np.zeros((INPUTS + 2 + len(table) + 1, SAMPLES))
-    work = [np.zeros((INPUTS, SAMPLES)), np.zeros((INPUTS, SAMPLES)), np.zeros(SAMPLES), np.zeros(SAMPLES)]
+    q = states.sum()
+    work = [
+        np.zeros((INPUTS, SAMPLES)),
+        np.zeros((INPUTS, SAMPLES)),
+        np.zeros(SAMPLES),
+        np.zeros(SAMPLES),
+        np.zeros((q, q)),
+    ]
     args = (table, structure.degree(INPUTS), structure.lag(INPUTS))
     loss = kernels.evaluate(u, y, *args, states, signals, *work)
     free = free_rows(INPUTS, range(len(table)))
     G, q = kernels.normal_matrix(y, *args, free, states, signals, *work)
-    return loss, work[3], kernels.reduced(G, q)
+    return loss, work[3], normal_kernels.reduced(G, q)
 
 
 def test_residual_is_the_formula(case):
@@ -105,7 +112,7 @@ def test_gradient_is_the_slope_of_the_residual(case, rng):
 
 def test_gram_of_shifted_differences(rng):
     x = rng.standard_normal((2, 5000))
-    G = kernels.gram(x, np.array([1, 3]), np.array([3, 2]))
+    G = normal_kernels.gram(x, np.array([1, 3]), np.array([3, 2]), np.zeros((0, 0)))
     rows = []
     for signal, lag, count in zip(x, (1, 3), (3, 2), strict=True):
         column = np.concatenate([np.zeros(lag), signal[:-lag]])
