@@ -16,7 +16,7 @@ from ultraquiet.identify._abstract import Result, usable, worst
 from ultraquiet.identify.survey import Survey, survey
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
-from ultraquiet.values import Record, Status
+from ultraquiet.values import Status
 
 if TYPE_CHECKING:
     from ultraquiet.identify.subspace import Start, Subspace
@@ -28,7 +28,7 @@ PIECE_SAMPLES = 32_768  # the most excited stretch, on which an order is chosen 
 
 @dataclass(frozen=True, eq=False)
 class ScaledStream:
-    """A long record whose blocks come without their means and with unit deviation."""
+    """A long record whose blocks come scaled as `state_fit.Scaled` has them."""
 
     record: LongRecord
     seen: Survey
@@ -40,25 +40,24 @@ class ScaledStream:
 
     def blocks(self, title: str) -> Iterator[tuple[FloatArray, FloatArray]]:
         """Yield scaled inputs and outputs, telling progress."""
-        s = self.seen
         with task(title, self.samples) as progress:
             for u, y in self.record.blocks():
-                yield (
-                    (u - s.input_mean[:, None]) / s.input_size[:, None],
-                    (y - s.output_mean[:, None]) / s.output_size[:, None],
-                )
+                yield self._scaled(u, y)
                 progress.advance(u.shape[1])
 
     def first(self, samples: int) -> state_fit.Scaled:
         """Return the beginning of the record in memory."""
+        u, y = self._scaled(*self.record.read(0, min(samples, self.samples)))
+        return state_fit.Scaled(u, y, self.seen.input_size[:, None], self.seen.output_size[:, None])
+
+    @property
+    def input_level(self) -> FloatArray:
+        """Means of the scaled inputs, `(nu, 1)`."""
+        return (self.seen.input_mean / self.seen.input_size)[:, None]
+
+    def _scaled(self, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         s = self.seen
-        u, y = self.record.read(0, min(samples, self.samples))
-        return state_fit.Scaled(
-            (u - s.input_mean[:, None]) / s.input_size[:, None],
-            (y - s.output_mean[:, None]) / s.output_size[:, None],
-            s.input_size[:, None],
-            s.output_size[:, None],
-        )
+        return u / s.input_size[:, None], (y - s.output_mean[:, None]) / s.output_size[:, None]
 
 
 def identify_long_subspace(method: "Subspace", record: LongRecord) -> Result:
@@ -103,7 +102,7 @@ def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Sta
     horizons = method.horizons(data.record, order)
     sums = Lagged(nu + ny, 2 * max(horizons))
     for u, y in data.blocks("subspace: products at all lags"):
-        sums.add(np.vstack([u, y]))
+        sums.add(np.vstack([u - data.input_level, y]))
     products = sums.products()
     for rows in horizons:
         held = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
@@ -144,7 +143,7 @@ def _judged(found: state_fit.System, data: ScaledStream, made: Provenance, detai
     lags = min(state_result.TEST_LAGS, data.samples // 10)
     memory = min(state_result.RESIDUAL_LAGS, data.samples // 10)
     simulated, predicted = Lagged(ny + nu, lags + memory), Lagged(ny, lags)
-    for u, y, v, e in _errors(found, data):
+    for u, v, e in _errors(found, data):
         simulated.add(np.vstack([v, u]))
         predicted.add(e)
     n = data.samples
@@ -171,10 +170,8 @@ def _judged(found: state_fit.System, data: ScaledStream, made: Provenance, detai
     )
 
 
-def _errors(
-    found: state_fit.System, data: ScaledStream
-) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Yield inputs, outputs, simulated and one-step errors block by block."""
+def _errors(found: state_fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Yield inputs, simulated and one-step errors block by block."""
     from ultraquiet.identify.streaming_bank import simulated
 
     inner = np.ascontiguousarray(found.A - found.K @ found.C)
@@ -186,7 +183,7 @@ def _errors(
         simulated(A, found.B @ u, x, states)
         miss = v - found.C @ states
         simulated(inner, into @ u + found.K @ (y - found.constant[:, None]), z, states)
-        yield u, y, miss, v - found.C @ states
+        yield u, miss, v - found.C @ states
 
 
 def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> float:
