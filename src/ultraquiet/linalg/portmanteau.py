@@ -36,7 +36,7 @@ def ljung_box_of(r: FloatArray, n: int, parameters: int = 0) -> Evidence:
     """Return the same test from the autocorrelation r_1, r_2, ... of n samples."""
     lags = r.size
     statistic = float(n * (n + 2) * np.sum(r**2 / (n - np.arange(1, lags + 1))))
-    return _chi_squared(statistic, max(1, lags - parameters))
+    return chi_squared(statistic, max(1, lags - parameters))
 
 
 def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: int = 0) -> Evidence:
@@ -64,14 +64,15 @@ def cross_correlation_of(r: FloatArray, covariance: FloatArray, color: FloatArra
     values, vectors = np.linalg.eigh(P)
     strong = values > EXCITED_SHARE * values[-1]
     seen = vectors[:, strong].T @ r
-    return _chi_squared(float(n * np.sum(seen**2 / values[strong])), max(1, int(strong.sum())))
+    return chi_squared(float(n * np.sum(seen**2 / values[strong])), max(1, int(strong.sum())))
 
 
 def _lagged(x: FloatArray, y: FloatArray, lags: int) -> FloatArray:
     return np.array([x[k:] @ y[: y.size - k] for k in range(lags + 1)])
 
 
-def _chi_squared(statistic: float, freedom: int) -> Evidence:
+def chi_squared(statistic: float, freedom: int) -> Evidence:
+    """Return the evidence of a statistic that is chi-squared when the hypothesis holds."""
     from scipy.special import chdtrc
 
     return Evidence(statistic, freedom, float(chdtrc(freedom, statistic)))

@@ -39,8 +39,7 @@ def innovations(model: PolynomialMatrix | PolynomialModel, record: Record) -> Fl
     """
     _matching(model, record)
     out = []
-    for i, (y, row) in enumerate(zip(record.outputs, _rows(model), strict=True)):
-        m = _single(i, row, record)
+    for y, m in zip(record.outputs, single_rows(model, record), strict=True):
         out.append(prediction.innovations(record.inputs, y, m.a, m.b, m.f, m.c, m.d))
     return np.stack(out)
 
@@ -54,8 +53,7 @@ def predicted(model: PolynomialMatrix | PolynomialModel, record: Record, steps: 
     whole(who, "steps", steps, 1)
     e = innovations(model, record)
     miss = np.zeros_like(e)
-    for i, row in enumerate(_rows(model)):
-        m = _single(i, row, record)
+    for i, m in enumerate(single_rows(model, record)):
         h = prediction.filtered(np.eye(1, steps)[0], m.c, np.convolve(m.a, m.d))
         miss[i] = np.convolve(e[i], h)[: e.shape[1]]
     return record.outputs - miss
@@ -65,13 +63,15 @@ def _rows(model: PolynomialMatrix | PolynomialModel) -> tuple[tuple[PolynomialMo
     return ((model,),) if isinstance(model, PolynomialModel) else model.rows
 
 
-def _single(i: int, row: tuple[PolynomialModel, ...], record: Record) -> PolynomialModel:
-    if len(row) == 1:
-        return row[0]
-    raise InputError(
-        f"validate: output '{record.sensors[i].name}' has {len(row)} models, each with its own noise, so one-step "
-        f"errors are undefined; test one channel with its own record, or compare simulated outputs."
-    )
+def single_rows(model: PolynomialMatrix | PolynomialModel, record: Record) -> list[PolynomialModel]:
+    """Return the one model of each output; refuse several side by side."""
+    for i, row in enumerate(_rows(model)):
+        if len(row) != 1:
+            raise InputError(
+                f"validate: output '{record.sensors[i].name}' has {len(row)} models, each with its own noise, so "
+                f"one-step errors are undefined; test one channel with its own record, or compare simulated outputs."
+            )
+    return [row[0] for row in _rows(model)]
 
 
 def _matching(model: Model, record: Record) -> None:
