@@ -64,6 +64,40 @@ def test_convert_refuses(run, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
 
 
+def test_identify_and_validate_take_a_mapping(run, tmp_path, rng):
+    """The same record by a mapping and by names: the same model and the same judgement, in the units of the mapping."""
+    u = rng.standard_normal(2000)
+    y = np.zeros(2000)
+    for k in range(1, 2000):
+        y[k] = 0.8 * y[k - 1] + 0.5 * u[k - 1] + 0.01 * rng.standard_normal()
+    np.savetxt(tmp_path / "raw.txt", np.column_stack([y, u]))
+    files.export_record(
+        Record(u, 1000 * y, 250.0, [Channel("force", "N")], [Channel("arm", "mm")]), tmp_path / "told.csv"
+    )
+    (tmp_path / "map.toml").write_text(
+        'rate_hz = 250\n[[inputs]]\ncolumn = 2\nname = "force"\nunit = "N"\n'
+        '[[outputs]]\ncolumn = 1\nname = "arm"\nunit = "mm"\nscale = 1000.0\n'
+    )
+    models = []
+    for source, words in (
+        ("raw.txt", ["--mapping", "map.toml"]),
+        ("told.csv", ["--inputs", "force", "--outputs", "arm"]),
+    ):
+        code, said, err = run("identify", source, "--method", "arx", "--order", 1, "--out", f"{source}.h5", *words)
+        assert code == 0, err
+        assert "mm²" in said
+        models.append(files.load(tmp_path / f"{source}.h5"))
+        code, said, err = run("validate", f"{source}.h5", source, *words)
+        assert code == 0, err
+    gains = [model.state_space().frequency_response(np.array([1.0]))[0, 0, 0] for model in models]
+    print(f"gain at 1 Hz {abs(gains[0]):.6g} mm/N by mapping, {abs(gains[1]):.6g} by names")
+    assert gains[0] == pytest.approx(gains[1], rel=1e-6)
+    code, _, err = run("identify", "raw.txt", "--mapping", "map.toml", "--inputs", "1")
+    assert (code, "a mapping says what goes in and out" in err) == (2, True)
+    code, _, err = run("identify", "raw.txt", "--mapping", "absent.toml")
+    assert (code, "'absent.toml' cannot be read" in err) == (2, True)
+
+
 def test_convert_a_response(run, tmp_path):
     source = DATA / "kagra" / "BS_TML_exc_20200730a_frf.npz"
     code, said, _ = run("convert", source, "bs.uff", "--response", "--conjugated")

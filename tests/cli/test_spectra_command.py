@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from ultraquiet import files
+from ultraquiet import files, spectra
 from ultraquiet.cli.app import main
 from ultraquiet.values import Channel, Record
 
@@ -75,6 +75,52 @@ def test_sensitivity_turns_volts_into_velocity(run, rng, tmp_path):
     assert "meets VC-F" in printed
 
 
+def test_without_a_velocity_the_levels_are_shown_and_the_criteria_are_not(run, rng, tmp_path):
+    path = tmp_path / "volts.h5"
+    files.save(Record(np.zeros((1, 2**13)), rng.standard_normal((1, 2**13)), RATE, sensors=[Channel("a", "V")]), path)
+    code, printed, _ = run(path, "--show", "octaves")
+    assert (code, "no vibration criterion: channel 'a' is in V" in printed) == (0, True)
+    code, printed, _ = run(path, "--show", "octaves", "--unit", "m/s", "--segment", 256)
+    assert (code, "cover no criterion; they need 4 to 80 Hz" in printed) == (0, True)
+
+
+def test_a_dozen_channels_can_be_read_in_a_narrow_terminal(run, rng, tmp_path, monkeypatch):
+    path = tmp_path / "many.h5"
+    sensors = [Channel(f"geophone {k}", "m/s") for k in range(12)]
+    files.save(Record(np.zeros((1, 2**12)), rng.standard_normal((12, 2**12)), RATE, sensors=sensors), path)
+    monkeypatch.setenv("COLUMNS", "80")
+    printed = run(path, "--show", "octaves", "--out", tmp_path / "many.svg")[1]
+    assert "…" not in printed
+    assert all(f"geophone {k}" in printed for k in range(12))
+
+
+def test_noise_beyond_the_excitation_is_no_largest_gain(run, rng, tmp_path):
+    """An input of 20 Hz width; above it the output holds noise alone, and their quotient is beyond all measure."""
+    from scipy.signal import butter, sosfilt
+
+    u = sosfilt(butter(8, 20.0, fs=RATE, output="sos"), rng.standard_normal(2**15))
+    y = 2.0 * u + 1e-3 * rng.standard_normal(2**15)
+    path = tmp_path / "narrow.h5"
+    files.save(Record([u], [y], RATE, ["drive"], ["arm"]), path)
+    printed = run(path, "--show", "response", "--segment", 1024)[1]
+    gain_db, at_hz = map(float, re.search(r"│\s+(-?\d+\.\d+) dB +│ (\S+) Hz", printed).groups())
+    found = spectra.frf(files.read_record(path), segment_samples=1024).magnitude_db.max()
+    print(f"largest trusted gain {gain_db} dB at {at_hz} Hz, 6.02 dB true; the largest of all would be {found:.1f} dB")
+    assert gain_db < 9.1  # a coherence of one half leaves the gain within its own size
+    assert at_hz < 60.0
+    assert found > 20.0
+
+
+def test_channels_by_a_mapping(run, rng, tmp_path):
+    np.savetxt(tmp_path / "run.txt", rng.standard_normal((4096, 3)))
+    text = 'rate_hz = 500.0\n[[inputs]]\ncolumn = 1\n[[outputs]]\ncolumn = 3\nname = "arm"\nunit = "g"\nscale = 2.0\n'
+    (tmp_path / "map.toml").write_text(text)
+    code, printed, err = run(tmp_path / "run.txt", "--mapping", tmp_path / "map.toml")
+    assert code == 0, err
+    rms = float(re.search(r"arm +│ (\S+) g", printed)[1])
+    assert rms == pytest.approx(2.0, rel=0.15)
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -83,6 +129,9 @@ def test_sensitivity_turns_volts_into_velocity(run, rng, tmp_path):
         (["--sensitivity", "3"], "needs '--unit'"),
         (["--segment", "100000"], "does not fit into 65536 samples"),
         (["--show", "octaves", "--quantity", "acceleration"], "is in m/s, which is no acceleration"),
+        (["--show", "octaves", "--fraction", "0"], "'fraction' must be between 1 and 24, got 0"),
+        (["--out", "absent/picture.svg"], "'absent/picture.svg' could not be written (no such file or directory)"),
+        (["--out", "picture.png"], "'--out' must end in .svg"),
     ],
 )
 def test_bad_words_are_one_sentence(run, record, words, sentence):

@@ -1,6 +1,6 @@
 """`ultraquiet spectra`: densities, responses, transmissibility, octaves and criteria of a record."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,8 +13,15 @@ from ultraquiet._base.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ultraquiet._base.constraints import FloatArray
     from ultraquiet.plot import Figure
+    from ultraquiet.spectra import BandLevels
     from ultraquiet.values import Record
+
+    _Told = tuple[list[Table], Figure, list[str]]
+
+# So many channels stand beside each other in a terminal of 80 columns.
+ABREAST = 4
 
 
 @dataclass(frozen=True)
@@ -30,11 +37,14 @@ class _Wanted:
 
 
 def spectra(
-    record: Annotated[Path, typer.Argument(help="A record: HDF5, MAT, CSV or NPZ.")],
+    record: Annotated[Path, typer.Argument(help="A record, of any format that `convert` reads.")],
     show: Annotated[str, typer.Option(help="density, response, transmissibility or octaves.")] = "density",
     rate: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
     inputs: Annotated[str | None, typer.Option(help="The inputs in the file, separated by commas.")] = None,
     outputs: Annotated[str | None, typer.Option(help="The outputs in the file, separated by commas.")] = None,
+    mapping: Annotated[
+        Path | None, typer.Option(help="Channels of the file (TOML), instead of --inputs and --outputs.")
+    ] = None,
     segment: Annotated[int | None, typer.Option(help="Samples in a segment; default: an eighth of the record.")] = None,
     overlap: Annotated[float, typer.Option(help="Shared part of neighbouring segments.")] = 0.5,
     window: Annotated[str, typer.Option(help="A window of scipy.signal.")] = "hann",
@@ -58,19 +68,22 @@ def spectra(
     from ultraquiet import files
     from ultraquiet.plot import draw_svg
 
-    kinds: dict[str, Callable[[Record, _Wanted], tuple[Table, Figure, list[str]]]] = {
+    kinds: dict[str, Callable[[Record, _Wanted], _Told]] = {
         "density": _density, "response": _response, "transmissibility": _transmissibility, "octaves": _octaves,
     }  # fmt: skip
     one_of("spectra", "show", show, tuple(kinds))
-    data = _scaled(files.read_record(record, rate, inputs, outputs), unit, sensitivity)
+    if out is not None and out.suffix.lower() != ".svg":
+        raise InputError(f"spectra: '--out' must end in .svg, the one kind of picture that is drawn, got '{out}'.")
+    data = _scaled(files.read_record(record, rate, inputs, outputs, mapping), unit, sensitivity)
     averaging = {"segment_samples": segment, "overlap": overlap, "window": window, "detrend": detrend}
     wanted = _Wanted(averaging, estimator, base, payload, fraction, quantity)
-    table, figure, words = kinds[show](data, wanted)
+    tables, figure, words = kinds[show](data, wanted)
     if out is not None:
-        out.write_text(draw_svg(figure), encoding="utf-8")
+        files.write_bytes(out, draw_svg(figure).encode())
         words.append(f"picture: {out}")
     console = Console()
-    console.print(table)
+    for table in tables:
+        console.print(table)
     console.print("\n".join(words), highlight=False, soft_wrap=True)
 
 
@@ -84,7 +97,7 @@ def _scaled(data: "Record", unit: str | None, sensitivity: float | None) -> "Rec
     return Record(data.inputs, data.outputs / divisor, data.rate_hz, data.actuators, sensors, data.provenance)
 
 
-def _density(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, list[str]]":
+def _density(data: "Record", wanted: _Wanted) -> "_Told":
     import numpy as np
     from rich.table import Table
 
@@ -100,10 +113,10 @@ def _density(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, list[str]
         span = f"{low[k, at]:.3g} to {high[k, at]:.3g}"
         density = f"{found.values[k, at]:.4g} ({channel.unit})²/Hz"
         table.add_row(channel.name, f"{total[k]:.4g} {channel.unit}", f"{found.f_hz[at]:.4g} Hz", density, span)
-    return table, density_figure(found), [found.estimator]
+    return [table], density_figure(found), [found.estimator]
 
 
-def _response(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, list[str]]":
+def _response(data: "Record", wanted: _Wanted) -> "_Told":
     import numpy as np
     from rich.table import Table
 
@@ -115,15 +128,13 @@ def _response(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, list[str
     table = Table("output", "input", "largest gain", "at", "median coherence", title="Frequency response")
     for i, sensor in enumerate(found.sensors):
         for j, actuator in enumerate(found.actuators):
-            at = int(np.argmax(np.abs(found.values[i, j])))
-            gain = f"{found.magnitude_db[i, j, at]:.2f} dB"
-            share = f"{np.median(found.coherence[i, j]):.3f}"
-            table.add_row(sensor.name, actuator.name, gain, f"{found.f_hz[at]:.4g} Hz", share)
-    return table, response_figure(found), [found.estimator]
+            at = _strongest(np.abs(found.values[i, j]), found.coherence[i, j])
+            told = ("-", "-") if at is None else (f"{found.magnitude_db[i, j, at]:.2f} dB", f"{found.f_hz[at]:.4g} Hz")
+            table.add_row(sensor.name, actuator.name, *told, f"{np.median(found.coherence[i, j]):.3f}")
+    return [table], response_figure(found), [found.estimator, _where()]
 
 
-def _transmissibility(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, list[str]]":
-    import numpy as np
+def _transmissibility(data: "Record", wanted: _Wanted) -> "_Told":
     from rich.table import Table
 
     from ultraquiet import spectra as room
@@ -136,29 +147,60 @@ def _transmissibility(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, 
     found = room.transmissibility(data, sides[0], sides[1], estimator=wanted.estimator, **wanted.averaging)
     table = Table("payload", "base", "largest", "at", "95 % interval", title="Transmissibility")
     low, high = found.interval_db()
+    coherence = found.response.coherence
+    assert coherence is not None
     for i, p in enumerate(found.response.sensors):
         for j, b in enumerate(found.response.actuators):
-            at = int(np.argmax(found.db[i, j]))
-            span = f"{low[i, j, at]:.2f} to {high[i, j, at]:.2f} dB"
-            table.add_row(p.name, b.name, f"{found.db[i, j, at]:.2f} dB", f"{found.f_hz[at]:.4g} Hz", span)
-    return table, transmissibility_figure(found), [found.estimator]
+            at = _strongest(found.db[i, j], coherence[i, j])
+            told = ("-", "-", "-")
+            if at is not None:
+                span = f"{low[i, j, at]:.2f} to {high[i, j, at]:.2f} dB"
+                told = f"{found.db[i, j, at]:.2f} dB", f"{found.f_hz[at]:.4g} Hz", span
+            table.add_row(p.name, b.name, *told)
+    return [table], transmissibility_figure(found), [found.estimator, _where()]
 
 
-def _octaves(data: "Record", wanted: _Wanted) -> "tuple[Table, Figure, list[str]]":
+def _strongest(gain: "FloatArray", coherence: "FloatArray") -> int | None:
+    """Return the line of the largest gain among those that can be trusted."""
+    import numpy as np
+
+    from ultraquiet.spectra.coherence import TRUSTED
+
+    trusted = coherence > TRUSTED
+    return int(np.argmax(np.where(trusted, gain, -np.inf))) if trusted.any() else None
+
+
+def _where() -> str:
+    from ultraquiet.spectra.coherence import TRUSTED
+
+    return f"largest among the lines with a coherence above {TRUSTED:g}"
+
+
+def _octaves(data: "Record", wanted: _Wanted) -> "_Told":
     from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import bands_figure
-    from ultraquiet.spectra.criteria import UNITS_PER_METRE_PER_SECOND
 
     found = room.psd(data, **wanted.averaging)
     if wanted.quantity is not None:
         found = room.convert_spectrum(found, wanted.quantity, "velocity")
     levels = room.band_levels(found, wanted.fraction)
-    table = Table("band", *(f"{c.name} ({c.unit})" for c in levels.channels), title=f"1/{wanted.fraction} octaves, rms")
-    for k, name in enumerate(levels.bands.nominal_hz):
-        table.add_row(f"{name:g} Hz", *(f"{value:.4g}" for value in levels.rms[:, k]))
-    words = [levels.estimator]
-    if wanted.fraction == 3 and all(c.unit in UNITS_PER_METRE_PER_SECOND for c in levels.channels):
-        words += room.classify(levels).sentences
-    return table, bands_figure(levels), words
+    tables: list[Table] = []
+    for first in range(0, len(levels.channels), ABREAST):
+        part = slice(first, first + ABREAST)
+        heads = (f"{c.name} ({c.unit})" if c.unit else c.name for c in levels.channels[part])
+        tables.append(Table("band", *heads, title=f"1/{levels.bands.fraction} octaves, rms"))
+        for k, name in enumerate(levels.bands.nominal_hz):
+            tables[-1].add_row(f"{name:g} Hz", *(f"{value:.4g}" for value in levels.rms[part, k]))
+    return tables, bands_figure(levels), [levels.estimator, *_judged(levels)]
+
+
+def _judged(levels: "BandLevels") -> Sequence[str]:
+    """Return which criteria are met, or why nobody can say."""
+    from ultraquiet import spectra as room
+
+    try:
+        return room.classify(levels).sentences
+    except InputError as error:
+        return [f"no vibration criterion: {str(error).removeprefix('classify: ')}"]

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+MOST_INSIDE = 8  # labels; more of them would hide the lines, and stand beside the panel instead
 STYLE: "dict[RcKeyType, Any]" = {
     "font.size": 8.5,
     "axes.titlesize": 9,
@@ -56,6 +57,8 @@ def _panel(axes: "Axes", panel: Panel) -> None:
         axes.axvspan(low, high, color="#f0e442", alpha=0.25, linewidth=0)
     if panel.x_log:
         axes.set_xscale("log")
+    if panel.y_log:
+        axes.set_yscale("log")
     if panel.x_range:
         axes.set_xlim(*panel.x_range)
     if panel.y_range:
@@ -63,5 +66,8 @@ def _panel(axes: "Axes", panel: Panel) -> None:
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    if any(line.label for line in panel.lines):
+    labels = sum(bool(line.label) for line in panel.lines)
+    if labels > MOST_INSIDE:
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    elif labels:
         axes.legend(loc="best")

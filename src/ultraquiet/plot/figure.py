@@ -32,7 +32,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Lines that share axes. `x_log` for frequencies; `spans` are shaded bands (low, high) of x."""
+    """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x."""
 
     lines: Sequence[Line]
     title: str = ""
@@ -42,6 +42,7 @@ class Panel:
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
     spans: Sequence[tuple[float, float]] = ()
+    y_log: bool = False
 
 
 @dataclass(frozen=True)

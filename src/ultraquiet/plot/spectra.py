@@ -9,12 +9,16 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.plot.figure import Figure, Line, Panel
 from ultraquiet.spectra import CRITERIA, BandLevels, PowerSpectrum, Transmissibility
+from ultraquiet.spectra.coherence import TRUSTED
 from ultraquiet.spectra.criteria import UNITS_PER_METRE_PER_SECOND
 from ultraquiet.values import FrequencyResponse
 
 HZ = "frequency (Hz)"
 # What stands for zero on an axis in dB.
 FLOOR = 1e-300
+LOWEST_DB = -120.0  # where an interval that reaches down to nothing ends
+MARGIN_DB = 10.0
+STYLES, COLOURS = ("-", "-.", ":"), 8  # of the palette: then another style of line begins
 PANEL_IN = (4.0, 2.2)
 SIGNATURE_WIDTH = 48
 
@@ -37,7 +41,10 @@ def density_figure(spectrum: PowerSpectrum, level: float = 0.95) -> Figure:
 
 
 def response_figure(response: FrequencyResponse) -> Figure:
-    """Gain in dB with one standard error to either side, and coherence, of each output over all inputs."""
+    """Gain in dB, its standard error below it, and coherence, of each output over all inputs.
+
+    Where nothing is coherent the gain is noise, and the axis does not follow it.
+    """
     x = response.f_hz
     panels: list[Panel] = []
     for i, sensor in enumerate(response.sensors):
@@ -46,7 +53,9 @@ def response_figure(response: FrequencyResponse) -> Figure:
             lines.append(Line.of(x, _db(np.abs(response.values[i, j]) ** 2), actuator.name, shade=j))
             if response.variance is not None and np.isfinite(response.variance[i, j]).all():
                 lines.append(Line.of(x, _db(response.variance[i, j]), style=":", shade=j))
-        panels.append(Panel(lines, f"{sensor.name} (dotted: variance)", HZ, "dB", x_log=True))
+        title = f"{sensor.name} (dotted: standard error)"
+        shown = _trusted_range(_db(np.abs(response.values[i]) ** 2), response.coherence, i)
+        panels.append(Panel(lines, title, HZ, "dB", x_log=True, y_range=shown))
         if response.coherence is not None:
             named = enumerate(zip(response.coherence[i], response.actuators, strict=True))
             shares = [Line.of(x, share, actuator.name, shade=j) for j, (share, actuator) in named]
@@ -63,10 +72,10 @@ def transmissibility_figure(found: Transmissibility, level: float = 0.95) -> Fig
     panels: list[Panel] = []
     for i, payload in enumerate(found.response.sensors):
         for j, base in enumerate(found.response.actuators):
-            around = [Line.of(x, np.maximum(side[i, j], -120.0), style=":", shade=7) for side in (low, high)]
-            panels.append(
-                Panel([*around, Line.of(x, found.db[i, j])], f"{base.name} to {payload.name}", HZ, "dB", x_log=True)
-            )
+            around = [Line.of(x, np.maximum(side[i, j], LOWEST_DB), style=":", shade=7) for side in (low, high)]
+            lines = [*around, Line.of(x, found.db[i, j])]
+            shown = _trusted_range(found.db[i], found.response.coherence, i)
+            panels.append(Panel(lines, f"{base.name} to {payload.name}", HZ, "dB", x_log=True, y_range=shown))
     panels.append(Panel([Line.of(x, found.overall_db)], "all directions: ratio of powers", HZ, "dB", x_log=True))
     caption = f"Transmissibility with its {100 * level:g} % interval (dotted). {found.estimator}."
     columns = len(found.response.actuators)
@@ -81,19 +90,31 @@ def bands_figure(levels: BandLevels) -> Figure:
     lines: list[Line] = []
     for k, channel in enumerate(levels.channels):
         scale = 1e6 / UNITS_PER_METRE_PER_SECOND[channel.unit] if velocity else 1.0
-        lines.append(Line.of(x, np.log10(np.maximum(scale * levels.rms[k], FLOOR)), channel.name, shade=k))
+        style = STYLES[k // COLOURS % len(STYLES)]
+        lines.append(Line.of(x, np.maximum(scale * levels.rms[k], FLOOR), channel.name, style, k))
     if velocity and levels.bands.fraction == 3:
-        for k, one in enumerate(CRITERIA):
+        quietest = min(float(line.y.min()) for line in lines)
+        # Criteria far below everything measured would only press the levels together.
+        near = [one for one in CRITERIA if one.level_um_s > quietest]
+        for k, one in enumerate(near):
             limit = 1e6 * one.limit_m_s(one.bands.centre_hz)
-            lines.append(Line.of(one.bands.centre_hz, np.log10(limit), one.name, "--", len(levels.channels) + k))
+            lines.append(Line.of(one.bands.centre_hz, limit, one.name, "--", k))
     unit = "µm/s" if velocity else levels.channels[0].unit
-    panel = Panel(lines, "", HZ, f"log10 of rms in {unit}", x_log=True)
+    panel = Panel(lines, "", HZ, f"rms ({unit})", x_log=True, y_log=True)
     signed = _signed([panel], levels.estimator)
     return Figure("bands", f"1/{levels.bands.fraction} octaves", f"{levels.estimator}.", signed, 1, (8.0, 4.5))
 
 
 def _db(power: FloatArray) -> FloatArray:
     return 10.0 * np.log10(np.maximum(power, FLOOR))
+
+
+def _trusted_range(db: FloatArray, coherence: FloatArray | None, row: int) -> tuple[float, float] | None:
+    """Return what `db` `(input, frequency)` spans where the output of that row is coherent, and a margin."""
+    if coherence is None or not (trusted := (coherence[row] > TRUSTED) & np.isfinite(db)).any():
+        return None
+    seen = db[trusted]
+    return float(max(seen.min(), LOWEST_DB)) - MARGIN_DB, float(seen.max()) + MARGIN_DB
 
 
 def _signed(panels: Sequence[Panel], estimator: str) -> list[Panel]:

@@ -18,6 +18,7 @@ REFERENCE_HZ = 1000.0
 NOMINAL = (1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0)
 # A band narrower than the window's resolution holds its neighbours' power as well.
 RESOLVED = 1.0
+FINEST = 24  # bands per octave that anybody uses
 FILTER_ORDER = 3
 # Noise passed by a Butterworth filter over that between its half-power edges: (pi / 2n) / sin(pi / 2n).
 NOISE_WIDTH = np.pi / (2 * FILTER_ORDER) / np.sin(np.pi / (2 * FILTER_ORDER))
@@ -85,7 +86,7 @@ def octave_bands(start_hz: float, stop_hz: float, fraction: int = 3) -> Bands:
 
     Reference: IEC 61260-1:2014, 5.2 to 5.5.
     """
-    b = whole("octave_bands", "fraction", fraction, 1, 24)
+    b = whole("octave_bands", "fraction", fraction, 1, FINEST)
     low = positive("octave_bands", "start_hz", start_hz, "Hz")
     high = positive("octave_bands", "stop_hz", stop_hz, "Hz")
     shift = 0.0 if b % 2 else 0.5
@@ -123,6 +124,7 @@ def band_levels(
     Reference: IEC 61260-1:2014; statistics Bendat and Piersol 2010, section 8.5, doi:10.1002/9781118032428.
     """
     plan = spectrum.averaging
+    fraction = whole("band_levels", "fraction", fraction, 1, FINEST)
     width = OCTAVE ** (0.5 / fraction) - OCTAVE ** (-0.5 / fraction)
     least, most = RESOLVED * plan.enbw_hz / width, plan.rate_hz / 2 / OCTAVE ** (0.5 / fraction)
     bands = octave_bands(

@@ -11,6 +11,9 @@ from ultraquiet.spectra.cross import CrossSpectra, cross_spectra
 from ultraquiet.spectra.excited import Group, alive_lines, refuse_dead_outputs
 from ultraquiet.values import Channel, Record
 
+# Where a line is more answer than noise: half of the output's power, and no more, comes from elsewhere.
+TRUSTED = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Coherence:
