@@ -8,6 +8,7 @@ from ultraquiet.identify.joint import identify_joint
 from ultraquiet.identify.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
+from ultraquiet.identify.predictor import PredictorSubspace
 from ultraquiet.identify.rational import Rational, ResponseFit
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
@@ -23,6 +24,7 @@ __all__ = [
     "Identification",
     "MatrixResult",
     "OutputError",
+    "PredictorSubspace",
     "Rational",
     "ResponseFit",
     "Result",

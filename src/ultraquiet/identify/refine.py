@@ -1,9 +1,10 @@
-"""Prediction-error refinement of a state-space model in modal coordinates: Gauss-Newton with analytic gradients.
+"""Prediction-error refinement of a state-space model in second-order blocks: Gauss-Newton with analytic gradients.
 
-The one-step predictor x+ = (A - K C) x + (B - K D) u + K y, y^ = C x + D u is an output-error model with inputs u and y.
-In the modal coordinates of A - K C its derivatives are outputs of one bank of first-order filters, so the normal matrix
-is read off one Gram matrix, and memory does not grow with the record. With K = 0 the inputs are u alone and the modes
-those of A.
+The one-step predictor x+ = (A - K C) x + (B - K D) u + K y, y^ = C x + D u is an output-error model of u and y. In
+blocks [[tau, sigma], [kappa sigma, tau]] of A - K C, two states each, its derivatives are outputs of one bank of
+second-order filters: the normal matrix is read off one Gram matrix, and memory does not grow with the record. A complex
+pair has kappa = -1, two real poles +1; it may pass through zero, where modal coordinates would break. With K = 0 the
+inputs are u alone and the blocks those of A.
 """
 
 from collections.abc import Callable
@@ -12,23 +13,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify import modal
+from ultraquiet._base.constraints import FloatArray
 
 # The search ends when a step would lower the weighted sum of squares by less than this many innovation variances: with
 # hundreds of parameters far below the scatter that one of them has.
 TOLERANCE = 0.05
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e6
+# It also ends when two steps running lowered them by less than this share of a unit per parameter: a minimum lies as
+# many units below the truth as there are parameters, so what is left is lost in the scatter.
+SETTLED = 2e-3
 TRUSTED = 1.0  # damping above which a small step is no sign of a minimum
 EASED, STIFFENED = 0.1, 6.0
 LONGEST = 1.0  # of a step in log(-log |p|): a decay time changes by at most a factor of e
-FASTEST = 30.0  # of -log |p|: such a mode is gone within a sample
 RIDGE = 1e-13  # on unit-diagonal normal matrices: keeps their factors finite, moves no kept digit
+# A pair whose turn in a sample is this share of its decay, or less, is as good as two real poles.
+NEARLY_REAL = 1.0
+NARROWEST = 1e-3  # smallest sigma, as a share of a block's decay
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What drives the modes, one sample late `(J, n)`, what enters the outputs at once `(d, n)`, outputs `(ny, n)`."""
+    """What drives the states, one sample late `(J, n)`, what enters the outputs at once `(d, n)`, outputs `(ny, n)`."""
 
     drive: FloatArray
     tail: FloatArray
@@ -48,19 +53,73 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """Poles `(m,)`, b `(m, J)`, c `(ny, m)`, direct `(ny, d)` and the Gram matrix of `sensitivity_gram` there."""
+    """Blocks tau, sigma, kappa `(m,)`, b `(m, 2, J)`, c `(ny, m, 2)`, direct `(ny, d)`, Gram matrix at this point.
 
-    poles: ComplexArray
-    b: ComplexArray
-    c: ComplexArray
+    A block with sigma = 0 is a single real pole; its second state is not there.
+    """
+
+    tau: FloatArray
+    sigma: FloatArray
+    kappa: FloatArray
+    b: FloatArray
+    c: FloatArray
     direct: FloatArray
     G: FloatArray
 
     @property
     def covariance(self) -> FloatArray:
         """Sum of products of the errors, `(ny, ny)`."""
-        ny = len(self.c)
-        return self.G[-ny:, -ny:]
+        return self.G[-len(self.c) :, -len(self.c) :]
+
+    @property
+    def radius(self) -> float:
+        """Largest modulus of a pole."""
+        root = np.sqrt((self.kappa * self.sigma**2).astype(np.complex128))
+        return float(np.maximum(np.abs(self.tau + root), np.abs(self.tau - root)).max())
+
+    def matrices(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return A, the input matrix of the driving signals and C."""
+        m, ny = len(self.tau), len(self.c)
+        A = np.zeros((2 * m, 2 * m))
+        for k in range(m):
+            s = self.sigma[k]
+            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[self.tau[k], s], [self.kappa[k] * s, self.tau[k]]]
+        there = np.stack([np.ones(m, dtype=bool), self.sigma > 0], axis=1).ravel()
+        return A[np.ix_(there, there)], self.b.reshape(2 * m, -1)[there], self.c.reshape(ny, 2 * m)[:, there]
+
+    @classmethod
+    def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, direct: FloatArray) -> "Point":
+        """Return the blocks of a system whose A can be diagonalised; real poles are paired with their neighbours."""
+        values, vectors = np.linalg.eig(A)
+        into = np.linalg.inv(vectors) @ B
+        out = C @ vectors
+        blocks = [_pair(values[k], into[k], out[:, k]) for k in np.flatnonzero(values.imag > 0)]
+        real = [int(k) for k in np.argsort(values.real) if values[k].imag == 0]
+        for i in range(0, len(real) - 1, 2):
+            blocks.append(_two(values[real[i : i + 2]].real, into[real[i : i + 2]].real, out[:, real[i : i + 2]].real))
+        if len(real) % 2:
+            k = real[-1]
+            none = np.zeros_like(into[k].real)
+            c = np.stack([out[:, k].real, np.zeros(len(C))], axis=1)
+            blocks.append((float(values[k].real), 0.0, 0.0, np.stack([into[k].real, none]), c))
+        tau, sigma, kappa, b, c = zip(*blocks, strict=True)
+        none = np.zeros((0, 0))
+        return cls(np.array(tau), np.array(sigma), np.array(kappa), np.stack(b), np.stack(c, axis=1), direct, none)
+
+
+_Block = tuple[float, float, float, FloatArray, FloatArray]
+
+
+def _pair(p: complex, b: np.ndarray, c: np.ndarray) -> _Block:
+    """Return the block of y = 2 Re(c x), x+ = p x + b u."""
+    return p.real, p.imag, -1.0, 2.0 * np.stack([b.real, -b.imag]), np.stack([c.real, c.imag], axis=1)
+
+
+def _two(p: FloatArray, b: FloatArray, c: FloatArray) -> _Block:
+    """Return the block of two real poles, in the coordinates sum and difference."""
+    half = max(float(p[1] - p[0]) / 2.0, np.finfo(float).eps)
+    joined, apart = np.stack([b[1] + b[0], b[1] - b[0]]), np.stack([c[:, 1] + c[:, 0], c[:, 1] - c[:, 0]], axis=1)
+    return float(p.sum()) / 2.0, half, 1.0, joined, apart / 2.0
 
 
 class Found(NamedTuple):
@@ -76,14 +135,13 @@ def search(
     signals: Signals,
     weighted: bool,
     steps: int,
-    admissible: Callable[[Point], bool] = lambda _: True,
+    admissible: Callable[[Point], bool],
 ) -> Found:
     """Lower log det of the error covariance (`weighted`) or the log of its trace, by Levenberg-Marquardt.
 
-    Poles stay inside the unit circle by their parameters log(-log |p|) and arg p; a step that is not admissible is
-    damped like one that raises the loss.
+    A step that is not admissible is damped like one that raises the loss.
     """
-    damping, done = DAMPING, 0
+    damping, done, slow = DAMPING, 0, 0
     point = evaluated(start, signals)
     loss = _loss(point, signals, weighted)
     while done < steps:
@@ -92,14 +150,19 @@ def search(
             step, gain = equations.step(damping)
             if gain < TOLERANCE:
                 return Found(point, done, damping < TRUSTED)
-            other = evaluated(equations.moved(step), signals)
-            lower = _loss(other, signals, weighted)
-            if lower < loss and admissible(other):
-                break
+            trial = equations.moved(step)
+            if admissible(trial):
+                other = evaluated(trial, signals)
+                lower = _loss(other, signals, weighted)
+                if lower < loss:
+                    break
             damping *= STIFFENED
             if damping > MOST_DAMPING:
                 return Found(point, done, False)
+        slow = slow + 1 if loss - lower < SETTLED * equations.parameters else 0
         point, loss, done = other, lower, done + 1
+        if slow == 2:
+            return Found(point, done, True)
         damping = max(damping * EASED, LEAST_DAMPING)
     return Found(point, done, False)
 
@@ -108,8 +171,8 @@ def evaluated(at: Point, signals: Signals) -> Point:
     """Return the point with its own Gram matrix."""
     from ultraquiet.identify.state_kernels import sensitivity_gram
 
-    G = sensitivity_gram(at.poles, at.b, at.c, at.direct, signals.drive, signals.tail, signals.outputs)
-    return replace(at, G=G)
+    blocks = (at.tau, at.sigma, at.kappa, np.ascontiguousarray(at.b), np.ascontiguousarray(at.c))
+    return replace(at, G=sensitivity_gram(*blocks, at.direct, signals.drive, signals.tail, signals.outputs))
 
 
 def _loss(at: Point, signals: Signals, weighted: bool) -> float:
@@ -123,15 +186,15 @@ def _loss(at: Point, signals: Signals, weighted: bool) -> float:
 
 
 def _even(at: Point) -> Point:
-    """Return the point with b and c of equal size, which leaves the model and all products of c b s as they are."""
-    size_b, size_c = np.linalg.norm(at.b, axis=1), np.linalg.norm(at.c, axis=0)
+    """Return the point with b and c of equal size, which leaves the model as it is."""
+    size_b, size_c = np.linalg.norm(at.b, axis=(1, 2)), np.linalg.norm(at.c, axis=(0, 2))
     good = (size_b > 0) & (size_c > 0)
     t = np.sqrt(np.where(good, size_c / np.where(good, size_b, 1.0), 1.0))
+    high = 2 * at.b.shape[2] + 4
     scale = np.ones(len(at.G))
-    high = 2 * (at.b.shape[1] + 1)
     for k in range(len(t)):
-        scale[(k + 1) * high - 2 : (k + 1) * high] = t[k]
-    return Point(at.poles, at.b * t[:, None], at.c / t, at.direct, at.G * scale[:, None] * scale)
+        scale[(k + 1) * high - 4 : (k + 1) * high] = t[k]  # only these rows have grown with b
+    return replace(at, b=at.b * t[:, None, None], c=at.c / t[:, None], G=at.G * scale[:, None] * scale)
 
 
 class _Normal:
@@ -144,83 +207,152 @@ class _Normal:
             self.whiten = np.linalg.inv(np.linalg.cholesky(at.covariance / n))
         else:
             self.whiten = np.eye(ny) * np.sqrt(ny * n / np.trace(at.covariance))
-        self.shape = (len(at.poles), at.b.shape[1] + 1, 2)
-        self.size = int(np.prod(self.shape))
-        self.turn = np.stack([modal.rotation(row) for row in self.whiten @ at.c])
+        c = np.einsum("ij,jka->ika", self.whiten, at.c)
+        one, two = c[..., 0], c[..., 1]
+        # from (b1, b2) to the rows (g, h): see `sensitivity_gram`
+        self.turn = np.stack([np.stack([one, at.kappa * two], axis=-1), np.stack([two, one], axis=-1)], axis=2)
+        self.c = c
         self._assemble()
 
     def _assemble(self) -> None:
-        at, size, ny = self.at, self.size, len(self.at.c)
-        inner = len(at.G) - ny
-        G, Ge = at.G[:inner, :inner], at.G[:inner, inner:] @ self.whiten.T
-        X = modal.state_map(at.b, 1, at.direct.shape[1])
-        GX = G[:size] @ X.T
-        bend = self._bend()
-        blocks = G[:size, :size].reshape(*self.shape, *self.shape)
-        N = np.zeros_like(blocks)
+        at, (ny, m, _) = self.at, self.c.shape
+        J = at.b.shape[2]
+        high, inner = 2 * J + 4, len(at.G) - ny
+        rows = np.arange(m * high).reshape(m, high)
+        of_b, of_p, rest = rows[:, :-4].ravel(), rows[:, -4:].ravel(), np.arange(m * high, inner)
+        Ge = at.G[:inner, inner:] @ self.whiten.T
+        X, used = _state_map(at), np.concatenate([of_b, rest])
+        K = self._pole_map()
+        bb = at.G[np.ix_(of_b, of_b)].reshape(m, J, 2, m, J, 2)
+        N = np.zeros((m, 2, J, m, 2, J))
         for a, b, c, d in np.ndindex(2, 2, 2, 2):
             share = self.turn[:, :, a, c].T @ self.turn[:, :, b, d]
-            N[:, :, a, :, :, b] += share[:, None, :, None] * blocks[:, :, c, :, :, d]
-        cross = np.einsum("ikac,kjcq->ikjaq", self.turn, GX.reshape(*self.shape, -1)).reshape(ny, size, -1)
-        right = np.einsum("ikac,kjci->kja", self.turn, Ge[:size].reshape(*self.shape, ny)).ravel()
-        poles = self._pole_rows()
-        N = N.reshape(size, size)
-        for rows, M in zip(poles, bend, strict=True):
-            N[rows] = M.T @ N[rows]
-            N[:, rows] = N[:, rows] @ M
-            cross[:, rows] = M.T @ cross[:, rows]
-            right[rows] = M.T @ right[rows]
-        real = at.poles.imag == 0.0
-        self.kept_b = np.ones(self.shape, dtype=bool)
-        self.kept_b[real, :, 1] = False
-        self.kept_c = np.ones(X.shape[0], dtype=bool)
-        self.kept_c[1 : 2 * len(real) : 2][real] = False
-        kb, kc = self.kept_b.ravel(), self.kept_c
-        self.N, self.right = N[np.ix_(kb, kb)], right[kb]
-        self.cross = cross[:, kb][:, :, kc]
-        self.inner, self.right_c = (X @ G @ X.T)[np.ix_(kc, kc)], (X @ Ge)[kc]
+            N[:, a, :, :, b, :] += share[:, None, :, None] * bb[:, :, c, :, :, d]
+        size = 2 * m * J
+        bp = self._turned(at.G[np.ix_(of_b, of_p)], J)
+        N_bp = np.einsum("ibr,ipr->bp", bp, K)
+        pp = np.einsum("ipr,rs,iqs->pq", K, at.G[np.ix_(of_p, of_p)], K, optimize=True)
+        cross_b = self._turned(at.G[np.ix_(of_b, used)] @ X.T, J)
+        cross_p = K @ (at.G[np.ix_(of_p, used)] @ X.T)
+        right_b = np.einsum("ikac,kjci->kaj", self.turn, Ge[of_b].reshape(m, J, 2, ny)).ravel()
+        right_p = np.einsum("ipr,ri->p", K, Ge[of_p])
+        kept = self._kept(m, J)
+        whole = np.block([[N.reshape(size, size), N_bp], [N_bp.T, pp]])
+        self.N, self.right = whole[np.ix_(kept, kept)], np.concatenate([right_b, right_p])[kept]
+        self.kept, self.kept_c = kept, np.ones(len(X), dtype=bool)
+        self.kept_c[1 : 2 * m : 2] = at.sigma > 0
+        self.cross = np.concatenate([cross_b, cross_p], axis=1)[:, kept][:, :, self.kept_c]
+        self.inner = (X @ at.G[np.ix_(used, used)] @ X.T)[np.ix_(self.kept_c, self.kept_c)]
+        self.right_c = (X @ Ge[used])[self.kept_c]
 
-    def _pole_rows(self) -> list[slice]:
-        high = 2 * self.shape[1]
-        return [slice((k + 1) * high - 2, (k + 1) * high) for k in range(self.shape[0])]
+    @property
+    def parameters(self) -> int:
+        """How many numbers the search moves."""
+        return len(self.right) + self.right_c.size
 
-    def _bend(self) -> list[FloatArray]:
-        """Return d(Re p, Im p) by (log(-log |p|), arg p) for each pole."""
-        p = self.at.poles
-        slow, turn = p * np.log(np.abs(p)), 1j * p
-        return [np.array([[s.real, t.real], [s.imag, t.imag]]) for s, t in zip(slow, turn, strict=True)]
+    def _turned(self, rows: FloatArray, J: int) -> FloatArray:
+        """Return, for each whitened output, the rows (g, h) of b's signals as rows of b's derivatives."""
+        ny, m, _ = self.c.shape
+        out = np.einsum("ikac,kjcq->ikajq", self.turn, rows.reshape(m, J, 2, -1))
+        return out.reshape(ny, 2 * m * J, -1)
+
+    def _kept(self, m: int, J: int) -> np.ndarray:
+        of_b, of_p = np.ones((m, 2, J), dtype=bool), np.ones((m, 2), dtype=bool)
+        single = self.at.sigma == 0
+        of_b[single, 1], of_p[single, 1] = False, False
+        return np.concatenate([of_b.ravel(), of_p.ravel()])
+
+    def _pole_map(self) -> FloatArray:
+        """Return, for each whitened output, the matrix from two parameters a block to the rows of its derivatives."""
+        ny, m, _ = self.c.shape
+        K = np.zeros((ny, m, 2, m, 4))
+        for k in range(m):
+            by = np.zeros((ny, 2, 4))
+            by[:, 0, :2], by[:, 1, 2:] = self.c[:, k], self.c[:, k]
+            K[:, k, :, k, :] = self._bend(k).T @ by
+        return K.reshape(ny, 2 * m, 4 * m)
+
+    def _turns(self, k: int) -> bool:
+        """Return whether block k is a complex pair by far, which moves in logarithm of its decay and in angle."""
+        at = self.at
+        decay = 1.0 - np.hypot(at.tau[k], at.sigma[k])
+        return bool(at.kappa[k] < 0 and np.sqrt(-at.kappa[k]) * at.sigma[k] > NEARLY_REAL * decay)
+
+    def _bend(self, k: int) -> FloatArray:
+        """Return d(tau, kappa) by the two parameters of block k."""
+        at = self.at
+        if at.sigma[k] == 0:
+            return np.array([[at.tau[k] * np.log(max(abs(at.tau[k]), 1e-12)), 0.0], [0.0, 0.0]])
+        if not self._turns(k):
+            return np.array([[at.sigma[k], 0.0], [0.0, 1.0]])
+        p = at.tau[k] + 1j * np.sqrt(-at.kappa[k]) * at.sigma[k]
+        slow, turn = p * np.log(abs(p)), 1j * p
+        down = -2.0 * p.imag / at.sigma[k] ** 2
+        return np.array([[slow.real, turn.real], [down * slow.imag, down * turn.imag]])
 
     def step(self, damping: float) -> tuple[tuple[FloatArray, FloatArray], float]:
         """Return the damped step in (b and poles, c and direct), and the decrease of squares it promises."""
-        from scipy.linalg import cho_factor, cho_solve, solve_triangular
+        from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
 
-        d = np.maximum(np.diag(self.inner), np.finfo(float).tiny) * (damping + RIDGE)
-        L = np.linalg.cholesky(self.inner + np.diag(d))
+        least = np.finfo(float).tiny
+        L = np.linalg.cholesky(self.inner + np.diag(np.maximum(np.diag(self.inner), least) * (damping + RIDGE)))
         ny, size, width = self.cross.shape
         Y = solve_triangular(L, self.cross.reshape(ny * size, width).T, lower=True).reshape(width, ny, size)
         z = solve_triangular(L, self.right_c, lower=True)
         flat = Y.reshape(width * ny, size)
-        e = np.maximum(np.diag(self.N), np.finfo(float).tiny) * (damping + RIDGE)
-        schur = self.N + np.diag(e) - flat.T @ flat
-        db = cho_solve(cho_factor(schur), self.right - flat.T @ z.ravel())
+        schur = self.N - flat.T @ flat + np.diag(np.maximum(np.diag(self.N), least) * (damping + RIDGE))
+        try:
+            db = cho_solve(cho_factor(schur), self.right - flat.T @ z.ravel())
+        except LinAlgError:  # round-off left a direction without weight: more damping will do
+            return (np.zeros(size), np.zeros_like(z)), np.inf
         dc = solve_triangular(L.T, z - Y @ db, lower=False)
-        gain = float(db @ self.right + np.sum(dc * self.right_c))
-        return (db, dc), gain
+        return (db, dc), float(db @ self.right + np.sum(dc * self.right_c))
 
     def moved(self, step: tuple[FloatArray, FloatArray]) -> Point:
         """Return the point after a step, its Gram matrix not yet computed."""
         at, (db, dc) = self.at, step
-        full = np.zeros(self.shape)
-        full[self.kept_b] = db
-        wide = np.zeros((len(self.kept_c), len(at.c)))
+        ny, m, _ = at.c.shape
+        J = at.b.shape[2]
+        full = np.zeros(len(self.kept))
+        full[self.kept] = db
+        wide = np.zeros((len(self.kept_c), ny))
         wide[self.kept_c] = dc
         wide = np.linalg.solve(self.whiten, wide.T)
-        m = 2 * len(at.poles)
-        decay = -np.log(np.abs(at.poles)) * np.exp(np.clip(full[:, -1, 0], -LONGEST, LONGEST))
-        p = np.exp(-np.minimum(decay, FASTEST) + 1j * (np.angle(at.poles) + full[:, -1, 1]))
-        p = np.where(at.poles.imag == 0.0, p.real, p)
-        b = at.b + full[:, :-1, 0] + 1j * full[:, :-1, 1]
-        c = at.c + wide[:, 0:m:2] + 1j * wide[:, 1:m:2]
-        below = p.imag < 0.0
-        p, b, c = np.where(below, p.conj(), p), np.where(below[:, None], b.conj(), b), np.where(below, c.conj(), c)
-        return Point(p, b, c, at.direct + wide[:, m:], at.G)
+        poles = full[2 * m * J :].reshape(m, 2)
+        blocks = np.array([self._block(k, *poles[k]) for k in range(m)])
+        b, c = at.b + full[: 2 * m * J].reshape(m, 2, J), at.c + wide[:, : 2 * m].reshape(ny, m, 2)
+        ratio = np.where(at.sigma > 0, at.sigma / np.where(at.sigma > 0, blocks[:, 1], 1.0), 1.0)
+        b, c = b.copy(), c.copy()
+        b[:, 1] *= ratio[:, None]
+        c[:, :, 1] /= ratio
+        return Point(blocks[:, 0], blocks[:, 1], blocks[:, 2], b, c, at.direct + wide[:, 2 * m :], at.G)
+
+    def _block(self, k: int, first: float, second: float) -> tuple[float, float, float]:
+        """Return tau, sigma and kappa of block k after a step, sigma chosen so that kappa is -1 or 1 where it can."""
+        at = self.at
+        if at.sigma[k] == 0 or self._turns(k):
+            p = at.tau[k] + 1j * np.sqrt(max(-at.kappa[k], 0.0)) * at.sigma[k]
+            decay = -np.log(max(abs(p), 1e-12)) * np.exp(np.clip(first, -LONGEST, LONGEST))
+            p = np.exp(-decay + 1j * (np.angle(p) + second))
+            tau, square = p.real, -(p.imag**2)
+            if at.sigma[k] == 0:
+                return tau, 0.0, 0.0
+        else:
+            tau, square = at.tau[k] + at.sigma[k] * first, (at.kappa[k] + second) * at.sigma[k] ** 2
+        least = NARROWEST * max(1.0 - abs(tau), NARROWEST)
+        sigma = max(np.sqrt(abs(square)), least)
+        return tau, sigma, square / sigma**2
+
+
+def _state_map(at: Point) -> FloatArray:
+    """Return the matrix from rows (g, h) of all inputs, and the direct rows, to states x and the direct rows."""
+    m, _, J = at.b.shape
+    d = at.direct.shape[1]
+    X = np.zeros((2 * m + d, 2 * m * J + d))
+    for k in range(m):
+        rows = slice(2 * k * J, 2 * (k + 1) * J)
+        one, two = at.b[k]
+        X[2 * k, rows] = np.stack([one, two], axis=1).ravel()
+        X[2 * k + 1, rows] = np.stack([two, at.kappa[k] * one], axis=1).ravel()
+    X[2 * m :, 2 * m * J :] = np.eye(d)
+    return X

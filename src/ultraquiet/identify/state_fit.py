@@ -17,7 +17,11 @@ GAIN_ROUNDS = 6  # of regression on the innovations of the round before
 
 @dataclass(frozen=True, eq=False)
 class Scaled:
-    """A record's signals without their means, each of unit deviation."""
+    """A record's signals, each of unit deviation; outputs without their means.
+
+    Inputs keep theirs: what the mean does is all a record says of modes far below its band. On the steel frame of DaISy
+    96-013 (means of 0.3 and 0.4 deviations) the held-out fit of the worst output is 90 % with them, negative without.
+    """
 
     u: FloatArray
     y: FloatArray
@@ -27,10 +31,15 @@ class Scaled:
     @classmethod
     def of(cls, record: Record) -> "Scaled":
         """Scale a record."""
-        u = record.inputs - record.inputs.mean(axis=1, keepdims=True)
+        u = record.inputs
         y = record.outputs - record.outputs.mean(axis=1, keepdims=True)
         u_size, y_size = u.std(axis=1, keepdims=True), y.std(axis=1, keepdims=True)
         return cls(u / u_size, y / y_size, u_size, y_size)
+
+    @property
+    def centred_u(self) -> FloatArray:
+        """Inputs without their means."""
+        return self.u - self.u.mean(axis=1, keepdims=True)
 
     @property
     def samples(self) -> int:
@@ -132,9 +141,7 @@ def refined_simulation(start: System, data: Scaled, options: Options) -> tuple[S
     return System(A, B[:, :-1], C, D, none, B[:, -1], constant), found.steps, found.converged
 
 
-def refined_prediction(
-    start: System, data: Scaled, options: Options, stable: bool = True
-) -> tuple[System, int, bool]:
+def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> tuple[System, int, bool]:
     """Return the system of least one-step error, the steps taken, and whether the search came to its end.
 
     A start whose predictor has no modal form (parallel eigenvectors) is returned as it is, not converged.
@@ -159,7 +166,7 @@ def refined_prediction(
         return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] + settled @ constant, constant)
 
     def admissible(at: refine.Point) -> bool:
-        return at.radius < 1.0 and (not stable or made(at).stable())
+        return at.radius <= STABLE_RADIUS and (not stable or made(at).stable())
 
     found = refine.search(at, signals, options.weighted, options.steps, admissible)
     return made(found.point), found.steps, found.converged

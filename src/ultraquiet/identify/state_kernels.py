@@ -61,58 +61,62 @@ def modal_gram(poles, u, tail):
 
 
 @compiled
-def sensitivity_gram(poles, b, c, direct, u, tail, y):
-    """Return the products of all that a modal model depends on, and of its errors, in one pass by blocks.
+def sensitivity_gram(tau, sigma, kappa, b, c, direct, u, tail, y):
+    """Return the products of all that a model of second-order blocks depends on, and of its errors, in one pass.
 
-    The model is y_i = Re(sum_k c_ik x_k) + sum_d direct_id tail_d + e_i, x_k = sum_j b_kj s_kj, s_kj = u_j / (1 - p_k
-    q^-1). The rows are, for each mode, Re, Im of s_k1, ..., s_kJ and of r_k = q^-1 x_k / (1 - p_k q^-1), the derivative
-    of x_k by p_k; then `tail`; then e.
+    Block k has A = [[tau, sigma], [kappa sigma, tau]], input rows b[k] `(2, J)` and output columns c[:, k] `(ny, 2)`;
+    y = sum_k c_k x_k + direct tail + e. Rows of the result, for each block: g_1, h_1, ..., g_J, h_J with
+    x_k = sum_j (b1 g + b2 h, b2 g + kappa b1 h), then the derivatives of x_k by tau and by kappa, two each; then
+    `tail`; then e. `u` enters one sample late.
     """
     inputs, n = u.shape
-    ny, modes = c.shape
-    high = 2 * (inputs + 1)
-    first = modes * high
+    ny, blocks = c.shape[0], c.shape[1]
+    high = 2 * inputs + 4
+    first = blocks * high
     errors = first + tail.shape[0]
     width = errors + ny
     out = np.zeros((width, width))
     size = min(n, MODAL_BLOCK)
-    block = np.zeros((width, size))
-    real, imaginary = np.ascontiguousarray(c.real), np.ascontiguousarray(c.imag)
-    x, ix = np.zeros((modes, size)), np.zeros((modes, size))
-    state = np.zeros((modes, inputs), np.complex128)
-    slope = np.zeros(modes, np.complex128)
-    last = np.zeros(modes, np.complex128)
+    rows = np.zeros((width, size))
+    flat = np.ascontiguousarray(c).reshape(ny, 2 * blocks)
+    x = np.zeros((2 * blocks, size))
+    state = np.zeros((blocks, inputs, 2))
+    slope = np.zeros((blocks, 4))
+    last = np.zeros((blocks, 2))
     for start in range(0, n, size):
         length = min(n, start + size) - start
-        block[:, length:] = 0.0
-        for k in range(modes):
-            p = poles[k]
-            x[k], ix[k] = 0.0, 0.0
+        rows[:, length:] = 0.0
+        for k in range(blocks):
+            t0, s0, k0 = tau[k], sigma[k], kappa[k]
+            x[2 * k], x[2 * k + 1] = 0.0, 0.0
             for j in range(inputs):
                 at = k * high + 2 * j
-                s, gain = state[k, j], b[k, j]
+                g, h = state[k, j, 0], state[k, j, 1]
+                b1, b2 = b[k, 0, j], b[k, 1, j]
                 for t in range(length):
-                    s = p * s + u[j, start + t]
-                    if abs(s.real) + abs(s.imag) < FLUSH:
-                        s = 0.0 + 0.0j
-                    block[at, t] = s.real
-                    block[at + 1, t] = s.imag
-                    x[k, t] += gain.real * s.real - gain.imag * s.imag
-                    ix[k, t] += gain.real * s.imag + gain.imag * s.real
-                state[k, j] = s
+                    g, h = t0 * g + k0 * s0 * h + u[j, start + t], t0 * h + s0 * g
+                    if abs(g) + abs(h) < FLUSH:
+                        g, h = 0.0, 0.0
+                    rows[at, t] = g
+                    rows[at + 1, t] = h
+                    x[2 * k, t] += b1 * g + b2 * h
+                    x[2 * k + 1, t] += b2 * g + k0 * b1 * h
+                state[k, j, 0], state[k, j, 1] = g, h
             at = k * high + 2 * inputs
-            r, before = slope[k], last[k]
+            q1, q2, v1, v2 = slope[k]
+            x1, x2 = last[k]
             for t in range(length):
-                r = p * r + before
-                if abs(r.real) + abs(r.imag) < FLUSH:
-                    r = 0.0 + 0.0j
-                before = complex(x[k, t], ix[k, t])
-                block[at, t] = r.real
-                block[at + 1, t] = r.imag
-            slope[k], last[k] = r, before
-        block[first:errors, :length] = tail[:, start : start + length]
-        said = np.dot(real, x) - np.dot(imaginary, ix)
-        known = np.dot(direct, block[first:errors])
-        block[errors:, :length] = y[:, start : start + length] - said[:, :length] - known[:, :length]
-        out += np.dot(block, block.T)
+                q1, q2 = t0 * q1 + s0 * q2 + x1, k0 * s0 * q1 + t0 * q2 + x2
+                v1, v2 = t0 * v1 + s0 * v2, k0 * s0 * v1 + t0 * v2 + s0 * x1
+                if abs(q1) + abs(q2) + abs(v1) + abs(v2) < FLUSH:
+                    q1, q2, v1, v2 = 0.0, 0.0, 0.0, 0.0
+                x1, x2 = x[2 * k, t], x[2 * k + 1, t]
+                rows[at, t], rows[at + 1, t] = q1, q2
+                rows[at + 2, t], rows[at + 3, t] = v1, v2
+            slope[k, 0], slope[k, 1], slope[k, 2], slope[k, 3] = q1, q2, v1, v2
+            last[k, 0], last[k, 1] = x1, x2
+        rows[first:errors, :length] = tail[:, start : start + length]
+        said = np.dot(flat, x) + np.dot(direct, rows[first:errors])
+        rows[errors:, :length] = y[:, start : start + length] - said[:, :length]
+        out += np.dot(rows, rows.T)
     return out

@@ -36,7 +36,7 @@ def chosen(method: "Subspace", record: Record) -> int:
     """
     data = state_fit.Scaled.of(record)
     split = record.samples - record.samples // HELD_OUT
-    u, y = data.u[:, :split], data.y[:, :split]
+    u, y = data.centred_u[:, :split], data.y[:, :split]
     rows = max(r for r in method.horizons(record.part(0, split), 1) if r <= DEEPEST or method.horizon)
     basis, values = hankel.observability(u, y, rows, method.weight)
     highest = min(HIGHEST, (rows - 1) * len(y), len(values) - 1, record.samples // 20)

@@ -21,12 +21,13 @@ SEGMENT = 256  # samples of a spectrum by which copies among the inputs are foun
 # Share of an input's power that the other inputs do not explain, below which its column of B has no meaning: leakage of
 # a copy one sample late leaves 1e-5 in segments of this length.
 OWN_SHARE = 1e-4
+SPARE_SHARE = 0.1  # of all modes that may be lost in the noise before the order is called too high
 GROWTH = 10.0  # of the output's size from the first to the last tenth of a record, the input's being level
 
 
 @dataclass(frozen=True)
 class Search:
-    """How the model was found: steps of the search, whether it ended by itself, whether one-step errors were its aim."""
+    """How the model was found: steps of the search, whether it came to its end, whether one-step errors were the aim."""
 
     steps: int
     converged: bool
@@ -172,12 +173,12 @@ def _verdict(search: Search, free: float, white: float, spare: int, order: int, 
     if grows:
         return Status(
             "not converged",
-            "The output grows through the record while the inputs do not: the plant is unstable, and a stable model says "
-            "nothing of it; record it in a loop that holds it, and use 'predictor-subspace'.",
+            "The output grows through the record while the inputs do not: the plant is unstable, and a stable model "
+            "says nothing of it; record it in a loop that holds it, and use 'predictor-subspace'.",
         )
     if not search.converged:
         return Status("not converged", f"The search ended away from a minimum after {search.steps} steps.")
-    if spare:
+    if spare > SPARE_SHARE * order / 2:
         return Status(
             "not converged",
             f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
@@ -188,11 +189,9 @@ def _verdict(search: Search, free: float, white: float, spare: int, order: int, 
         whose = "one-step" if search.predicts else "simulated"
         return Status(
             "not white",
-            f"The {whose} error {what} (p = {min(free, white):.1e}): the order or the horizon leaves part of the record "
-            f"unexplained.",
+            f"The {whose} error {what} (p = {min(free, white):.1e}): the order or the horizon leaves part of the "
+            f"record unexplained.",
         )
     if search.predicts:
         return Status("ok", f"The one-step error is white (p = {white:.2f}) and free of the inputs (p = {free:.2f}).")
     return Status("ok", f"The simulated error is free of the inputs (p = {free:.2f}).")
-
-

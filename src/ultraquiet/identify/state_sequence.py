@@ -37,13 +37,14 @@ def realised(held: Factor, basis: FloatArray, values: FloatArray, order: int) ->
     """
     ny, nu, first, last = held.ny, held.nu, held.first, held.last
     gamma = basis[:, :order] * np.sqrt(values[:order])
-    inverse, shorter = np.linalg.pinv(gamma), np.linalg.pinv(gamma[:-ny])
+    inverse = np.linalg.pinv(gamma).astype(np.float64)
+    shorter = np.linalg.pinv(gamma[:-ny]).astype(np.float64)
     A, C = shorter @ gamma[ny:], gamma[:ny]
     projected = np.hstack([held.L[last:, :last], np.zeros((len(basis), ny))])
     ahead = np.vstack([shorter @ held.L[last + ny :, : last + ny], held.L[last : last + ny, : last + ny]])
     future = np.hstack([held.L[:first, :first], np.zeros((first, last + ny - first))])
     known = np.vstack([inverse @ projected, future])
-    found = np.linalg.lstsq(known.T, ahead.T, rcond=None)[0].T
+    found = np.linalg.lstsq(known.T, ahead.T, rcond=None)[0].T.astype(np.float64)
     rest = ahead - found @ known
     noise = rest @ rest.T / held.samples
     Q, R, S = noise[:order, :order], noise[order:, order:], noise[:order, order:]
@@ -75,7 +76,7 @@ def _inputs(
             N[:order] = shorter[:, (q - 1) * ny :] @ below[: (rows - q) * ny]
         N -= left[:, q * ny :] @ below[: (rows - q) * ny]
         total += np.einsum("rp,jc->rcpj", N, future[q]).reshape(total.shape)
-    found = np.linalg.lstsq(total, target.ravel(), rcond=None)[0].reshape(ny + order, nu)
+    found = np.linalg.lstsq(total, target.ravel(), rcond=None)[0].reshape(ny + order, nu).astype(np.float64)
     return found[ny:], found[:ny]
 
 

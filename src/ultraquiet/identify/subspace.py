@@ -1,51 +1,57 @@
-"""A multivariable state-space model from one record: subspace for the poles, least squares for the rest."""
+"""A multivariable state-space model from one record: subspace for the poles, least squares or a search for the rest."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, whole
+from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify import hankel, modal
-from ultraquiet.identify._abstract import Result, usable, worst
-from ultraquiet.identify.starts import drawn_in
-from ultraquiet.linalg import portmanteau
-from ultraquiet.values import Record, Status
+from ultraquiet.files import LongRecord
+from ultraquiet.identify import hankel, modal, state_fit, state_order, state_result, state_sequence
+from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.values import Record
 
 CANDIDATES = (10, 20, 40, 60, 90)  # block rows tried when no horizon is given; the lowest simulated error wins
 COLUMNS_PER_ROW = 2  # a Hankel matrix must be this much longer than high
-STABLE_RADIUS = 0.99999  # at 3.5 kHz a decay of 30 s: poles beyond are mirrored, the model must simulate
 ROUNDS = 60  # of alternating least squares
 GAIN = 1e-5
-TEST_LAGS = 40
-RESIDUAL_LAGS = 200  # the simulation error is coloured; this much of its memory enters the test's variance
-SIGNIFICANCE = 1e-3
+FOCUSES = ("simulation", "prediction")
 
 
 @register("identify", "subspace")
 @dataclass(frozen=True)
 class Subspace:
-    """x+ = A x + B u, y = C x + D u + v: PO-MOESP for the poles, then B, C, D and the initial state by least squares.
+    """x+ = A x + B u + K e, y = C x + D u + e: a subspace for the poles, then least squares or a search for the rest.
 
-    The extended observability matrix comes from the projection of future outputs on past data, orthogonal to future
-    inputs, taken from the Gram matrix of the Hankel data (cost and memory do not grow with the record beyond one
-    pass). A, and with it the poles, follow from its shift structure. B, D and initial state, and C in turn, then
-    minimise the simulated error in modal coordinates.
+    The extended observability matrix comes from the projection of future outputs on past data along future inputs,
+    taken from the Gram matrix of the Hankel data (cost and memory do not grow with the record beyond one pass). A, and
+    with it the poles, follow from its shift structure. B, D and initial state, and C in turn, then minimise the
+    simulated error in modal coordinates; `refine` lets the poles move too, by Gauss-Newton. The noise gain K is fitted
+    last, to what the simulation leaves.
 
     Args:
-        order: number of states.
+        order: number of states; None chooses it by the singular values and a held-out part of the record.
         horizon: block rows; the longest decay and the slowest mode must show within it. None tries several and keeps
             the one whose model simulates best.
+        weight: of the projection: "moesp", "n4sid" or "cva".
         feedthrough: whether D is estimated; otherwise zero.
         offset: whether a constant at each output is fitted.
+        refine: whether a prediction-error search follows.
+        focus: what it lowers: the simulated error, with the noise model beside it, or the one-step error of all
+            together, which is better where the model is as rich as the plant, and biased where it is not.
+        weighted: whether the search weighs the outputs by the inverse covariance of their errors (maximum likelihood,
+            log det) or alike.
+        max_iterations: steps of the search.
 
-    Returns of `identify`: `Result` whose model is a `StateSpace` in real modal blocks. It has no noise model, so `loss`
-    is the mean squared simulated error, and `not white` says that this error still holds something of the inputs.
+    Returns of `identify`: `Result` whose model is an `InnovationForm` in real modal blocks. `loss` is of the one-step
+    errors, `fit_percent` of the simulated output. `not white` says that the errors still hold something of the inputs,
+    or of their own past when the one-step errors were the aim. `details`: horizon, order, singular values.
 
-    Reference: Verhaegen 1994, doi:10.1016/0005-1098(94)90229-1; Van Overschee and De Moor 1996, chapter 4.
+    Reference: Verhaegen 1994, doi:10.1016/0005-1098(94)90229-1; Van Overschee and De Moor 1996, chapter 4; Ljung,
+    System Identification, 2nd ed., section 10.6.
 
     >>> import numpy as np, ultraquiet as uq
     >>> plant = uq.StateSpace([[0.9, 0.3], [-0.3, 0.9]], [[1.0], [0.5]], [[1.0, 0.0]], [[0.2]], rate_hz=100.0)
@@ -57,119 +63,106 @@ class Subspace:
 
     name: ClassVar[str] = "subspace"
 
-    order: int = 30
+    order: int | None = 30
     horizon: int | None = None
+    weight: str = "moesp"
     feedthrough: bool = True
     offset: bool = True
+    refine: bool = False
+    focus: str = "simulation"
+    weighted: bool = True
+    max_iterations: int = 50
 
     def __post_init__(self) -> None:
-        whole("Subspace", "order", self.order, 1, 500)
+        who = "Subspace"
+        if self.order is not None:
+            whole(who, "order", self.order, 1, 500)
         if self.horizon is not None:
-            whole("Subspace", "horizon", self.horizon, 2, 1000)
+            whole(who, "horizon", self.horizon, 2, 1000)
+        one_of(who, "weight", self.weight, hankel.WEIGHTS)
+        one_of(who, "focus", self.focus, FOCUSES)
+        whole(who, "max_iterations", self.max_iterations, 1)
 
-    def identify(self, record: Record) -> Result:
+    def identify(self, record: Record | LongRecord) -> Result:
         """Return the state-space model of all channels of the record.
 
-        Raises:
-            InputError: too few samples for the order, a constant input or output, a horizon too short for the order.
-        """
-        horizons = self._horizons(record)
-        u = record.inputs - record.inputs.mean(axis=1, keepdims=True)
-        u_size, y_size = u.std(axis=1, keepdims=True), record.outputs.std(axis=1, keepdims=True)
-        usable("Subspace", record, self.order, 0)
-        scaled_u, scaled_y = record.inputs / u_size, record.outputs / y_size
-        found = [self._modes(scaled_u, scaled_y, rows) for rows in horizons]
-        best = min(range(len(found)), key=lambda k: found[k][0])
-        return self._result(record, found[best][1], u_size, y_size, horizons[best])
+        A `files.LongRecord` is read from its file in blocks, in a few passes; see `identify_long_subspace`.
 
-    def _horizons(self, record: Record) -> list[int]:
+        Raises:
+            InputError: too few samples for the order, a constant input or output, inputs that are copies of each
+                other, a horizon too short for the order.
+        """
+        if isinstance(record, LongRecord):
+            from ultraquiet.identify.streaming_subspace import identify_long_subspace
+
+            return identify_long_subspace(self, record)
+        self.horizons(record, self.order or 1)
+        usable("Subspace", record, self.order or 1, 0)
+        state_result.independent("Subspace", record)
+        data = state_fit.Scaled.of(record)
+        order = state_order.chosen(self, record) if self.order is None else self.order
+        found = min((self._modes(data, rows, order) for rows in self.horizons(record, order)), key=lambda s: s.loss)
+        return self._finished(record, data, found)
+
+    def horizons(self, record: Record | LongRecord, order: int) -> list[int]:
+        """Return the numbers of block rows to try."""
         width = len(record.actuators) + len(record.sensors)
-        least = self.order // len(record.sensors) + 2
+        least = order // len(record.sensors) + 2
         fits = record.samples // (2 * width * COLUMNS_PER_ROW)
         wanted = [self.horizon] if self.horizon else sorted({max(least, rows) for rows in CANDIDATES})
         if self.horizon is not None and self.horizon < least:
-            raise InputError(f"Subspace: order {self.order} needs at least {least} block rows, got {self.horizon}.")
+            raise InputError(f"Subspace: order {order} needs at least {least} block rows, got {self.horizon}.")
         usable_rows = [rows for rows in wanted if rows <= fits]
         if not usable_rows:
             needed = min(wanted) * 2 * width * COLUMNS_PER_ROW
             raise InputError(
-                f"Subspace: order {self.order} with {min(wanted)} block rows needs at least {needed} samples, the "
+                f"Subspace: order {order} with {min(wanted)} block rows needs at least {needed} samples, the "
                 f"record has {record.samples}; record longer or lower order or horizon."
             )
         return usable_rows
 
-    def _modes(self, u: FloatArray, y: FloatArray, rows: int) -> tuple[float, modal.Modes]:
-        """Return the summed relative error and the modes found with `rows` block rows."""
-        centred = (u - u.mean(axis=1, keepdims=True), y - y.mean(axis=1, keepdims=True))
-        basis, values = hankel.observability(*centred, rows)
-        A, C = hankel.transition(basis, values, self.order, y.shape[0])
-        poles, directions = _modal(A, C)
-        bank = modal.Bank(poles, u, y, self.feedthrough, self.offset)
+    def _modes(self, data: state_fit.Scaled, rows: int, order: int) -> "Start":
+        """Return the modes found with `rows` block rows."""
+        held = hankel.factor(data.centred_u, data.y, rows)
+        basis, values = hankel.directions(held, self.weight)
+        A, C = hankel.transition(basis, values, order, len(data.y))
+        poles, directions, _ = state_fit.modes_of(A, C)
+        bank = modal.Bank(poles, data.u, data.y, self.feedthrough, self.offset)
         modes = modal.alternate(bank, directions, ROUNDS, GAIN)
-        return float(np.sum(bank.loss(modes))), modes
+        return Start(float(np.sum(bank.loss(modes))), rows, modes, held, basis, values, order)
 
-    def _result(self, record: Record, modes: modal.Modes, u_size: FloatArray, y_size: FloatArray, rows: int) -> Result:
-        ny = len(record.sensors)
+    def _finished(self, record: Record, data: state_fit.Scaled, start: "Start") -> Result:
+        system, steps, converged = state_fit.system(start.modes), 0, True
+        options = state_fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
+        if self.refine:
+            system, steps, converged = state_fit.refined_simulation(system, data, options)
+        system = replace(system, K=state_fit.noise_gain(system, start.innovations(data), data))
+        if self.refine and self.focus == "prediction":
+            system, more, converged = state_fit.refined_prediction(system, data, options)
+            steps += more
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        scaled = modal.Modes(
-            modes.poles,
-            np.hstack([modes.b[:, :-1] / u_size[:, 0], modes.b[:, -1:]]),
-            modes.c * y_size,
-            modes.D * y_size / u_size[:, 0],
-            modes.constant * y_size[:, 0],
-        )
-        model = scaled.state_space(record.rate_hz, actuators=record.actuators, sensors=record.sensors, provenance=made)
-        error = record.outputs - model.simulate(record.inputs) - _free(scaled, record.samples)
-        spread = np.linalg.norm(record.outputs - record.outputs.mean(axis=1, keepdims=True), axis=1)
-        p = [_free_of_inputs(e, record.inputs) for e in error]
-        statuses = [_verdict(x) for x in p]
-        lags = min(TEST_LAGS, record.samples // 10)
-        return Result(
-            model,
-            worst(statuses),
-            100.0 * (1.0 - np.linalg.norm(error, axis=1) / spread),
-            np.mean(error**2, axis=1),
-            np.full((ny, 0, 0), np.nan),
-            np.array([portmanteau.ljung_box(e, lags).p_value for e in error]),
-            np.array(p),
-            np.zeros(ny, dtype=np.int64),
-            tuple(statuses),
-            made,
-            {"horizon": rows},
-        )
+        search = state_result.Search(steps, converged, self.focus == "prediction" and self.refine)
+        details = {"horizon": start.rows, "order": len(system.A), "singular_values": start.values}
+        return state_result.judged(system, record, data, search, made, details)
 
 
-def _modal(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the poles of the upper half plane, drawn inside the circle, and their output directions `(ny, m)`."""
-    values, vectors = np.linalg.eig(A)
-    values = drawn_in(values.astype(np.complex128), STABLE_RADIUS)
-    real = np.abs(values.imag) <= modal.IMAGINARY
-    kept = np.concatenate([np.flatnonzero(~real & (values.imag > 0)), np.flatnonzero(real)])
-    directions = (C @ vectors)[:, kept].astype(np.complex128)
-    count = int(np.count_nonzero(~real & (values.imag > 0)))
-    poles = values[kept].copy()
-    poles[count:] = poles[count:].real
-    directions[:, count:] = directions[:, count:].real
-    return poles, directions / np.linalg.norm(directions, axis=0)
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What one horizon gave: summed relative error, modes, and where they came from."""
 
+    loss: float
+    rows: int
+    modes: modal.Modes
+    held: hankel.Factor
+    basis: FloatArray
+    values: FloatArray
+    order: int
 
-def _free(modes: modal.Modes, n: int) -> FloatArray:
-    """Return the response to the initial state, and the constant, `(ny, n)`."""
-    powers = np.exp(np.log(modes.poles)[:, None] * np.arange(n))
-    return (modes.c @ (modes.b[:, -1:] * powers)).real + modes.constant[:, None]
-
-
-def _free_of_inputs(e: FloatArray, u: FloatArray) -> float:
-    lags, memory = min(TEST_LAGS, e.size // 10), min(RESIDUAL_LAGS, e.size // 10)
-    least = min(portmanteau.cross_correlation(e, x, lags, memory).p_value for x in u)
-    return 1.0 - (1.0 - least) ** u.shape[0]
-
-
-def _verdict(p: float) -> Status:
-    if p < SIGNIFICANCE:
-        return Status(
-            "not white",
-            f"The simulated error still holds something of the inputs (p = {p:.1e}): the order or the horizon leaves "
-            f"part of the record unexplained.",
-        )
-    return Status("ok", f"The simulated error is free of the inputs (p = {p:.2f}).")
+    def innovations(self, data: state_fit.Scaled) -> FloatArray:
+        """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""
+        made = state_sequence.realised(self.held, self.basis, self.values, self.order)
+        rest = np.zeros(self.order), np.zeros(len(data.y))
+        filtered = state_fit.System(made.A, made.B, made.C, made.D, made.K, *rest)
+        if filtered.predicts():
+            return filtered.errors(data.centred_u, data.y)
+        return data.y - state_fit.system(self.modes).simulated(data.u)

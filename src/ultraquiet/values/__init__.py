@@ -3,6 +3,7 @@
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.controller import Controller, SteppedController
 from ultraquiet.values.frequency_response import FrequencyResponse
+from ultraquiet.values.innovation_form import InnovationForm
 from ultraquiet.values.polynomial import PolynomialMatrix, PolynomialModel
 from ultraquiet.values.record import Record
 from ultraquiet.values.state_space import StateSpace
@@ -12,6 +13,7 @@ __all__ = [
     "Channel",
     "Controller",
     "FrequencyResponse",
+    "InnovationForm",
     "PolynomialMatrix",
     "PolynomialModel",
     "Record",
