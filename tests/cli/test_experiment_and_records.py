@@ -296,15 +296,38 @@ def test_resume_repeats_what_was_broken_off_only_by_name(run, tmp_path):
     assert (code, "3 records" in out, "2 records are there already" in err) == (0, True, True)
 
 
-def test_records_are_found_on_the_command_line(run, tmp_path):
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["absent.toml"], "'absent.toml' cannot be read (no such file or directory)"),
+        (["."], "'.' cannot be read (is a directory)"),
+        (["bytes.toml"], "'bytes.toml' cannot be read"),
+        (["short.toml", "--out", os.devnull], f"the folder '{os.devnull}' cannot be made"),
+        (["short.toml", "--repeat", "never"], "has no measurement 'never' to repeat"),
+    ],
+)
+def test_bad_words_are_one_sentence(run, tmp_path, words, sentence):
+    (tmp_path / "bytes.toml").write_bytes(b"\xb6\x00")
+    code, _, err = run("experiment", *words)
+    print(err)
+    assert (code, err.count("\n")) == (2, 1)
+    assert sentence in err
+    assert "Errno" not in err
+
+
+def test_records_are_found_on_the_command_line(run, tmp_path, monkeypatch):
     run("experiment", "short.toml")
     code, out, _ = run("records")
     print(out)
     assert code == 0
     assert "3 runs" in out
-    assert re.search(
-        r"loud +│ DONE +│ hexapod +│ three short ones +│ tone 2 +│ 400 +│ \d+ +│ 0 +│ - +│ short/loud.h5", out
-    )
+    assert re.search(r"loud +DONE +hexapod +tone 2 +400 +\d+ +0 +- short/loud.h5", out)
+    assert out.count("three short ones") == 3
+    monkeypatch.setenv("COLUMNS", "80")
+    narrow = run("records")[1]
+    print(narrow)
+    assert "…" not in narrow
+    assert max(map(len, narrow.splitlines())) <= 80
     assert "hardly there" in out
     code, out, _ = run("records", "short", "--what", "hardly", "--json")
     (row,) = json.loads(out)
@@ -314,9 +337,9 @@ def test_records_are_found_on_the_command_line(run, tmp_path):
         (("--status", "aborted"), 0),
         (("--bench", "hexapod", "--list", "short ones"), 3),
         (("--since", "2999-01-01"), 0),
-        (("--what", "QUIET"), 1),
     ):
         assert f"{count} runs" in run("records", *words)[1], words
+    assert "\n1 run\n" in run("records", "--what", "QUIET")[1]
     (tmp_path / "catalogue.sqlite").write_bytes(b"damaged" * 1000)
     assert "3 runs" in run("records")[1]
     assert "3 runs" in run("records", "--rebuild")[1]

@@ -1,6 +1,7 @@
 """`ultraquiet experiment`: an experiment list on a bench."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,14 +55,20 @@ def experiment(
                 onlooker=onlooker,
             )
     except UltraquietError as error:
-        left = experiments.states(listed.measurements, folder)
+        left: Sequence[State] = ()
+        with suppress(UltraquietError):  # a folder that cannot be looked into is what the error is about
+            left = experiments.states(listed.measurements, folder)
         if any(state.status != "NOT STARTED" for state in left):
             told.print(_states(left))
         if isinstance(error, experiments.StoppedError) and error.asked:
             raise typer.Exit(INTERRUPTED) from error
         raise
-    warned = f", {onlooker.warned} warnings" if onlooker.warned else ""
-    told.print(f"{len(records)} records in {folder}{warned}", soft_wrap=True)
+    warned = f", {_counted(onlooker.warned, 'warning')}" if onlooker.warned else ""
+    told.print(f"{_counted(len(records), 'record')} in {folder}{warned}", soft_wrap=True)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _states(states: Sequence["State"]) -> "Table":
@@ -95,7 +102,9 @@ def _tell(console: object, planned: "DryRun") -> None:
     kind = "in real time" if planned.real_time else "simulated: waits are skipped, the rest takes what it takes"
     waits = f", {planned.waits_s:.1f} s of them waits" if planned.waits_s else ""
     disk = f"at most {planned.disk_bytes / 1e6:.1f} MB on the disk"
-    console.print(f"{count} records, {planned.duration_s:.1f} s on the bench{waits} ({kind}), {disk}", soft_wrap=True)
+    console.print(
+        f"{_counted(count, 'record')}, {planned.duration_s:.1f} s on the bench{waits} ({kind}), {disk}", soft_wrap=True
+    )
 
 
 def _controller(step: "DryStep") -> str:

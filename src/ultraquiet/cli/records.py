@@ -39,21 +39,31 @@ def records(
     told = Console(highlight=False)
     if found:
         told.print(_table(found))
-    told.print(f"{len(found)} runs", soft_wrap=True)
+    told.print("1 run" if len(found) == 1 else f"{len(found)} runs", soft_wrap=True)
 
 
 def _table(found: tuple["Entry", ...]) -> "Table":
     from datetime import datetime
 
-    from rich.table import Table
+    from rich.box import SIMPLE_HEAD
+    from rich.markup import escape
+    from rich.table import Column, Table
 
-    table = Table("when", "name", "status", "bench", "list", "excitation", "samples", "clipped", "late", "T", "file")
+    # In a narrow terminal words are folded, never cut; dates and counts stay whole.
+    words = {name: Column(name, overflow="fold") for name in ("run", "bench, list", "sent", "file")}
+    whole = {name: Column(name, no_wrap=True) for name in ("when", "status")}
+    counts = (Column(name, no_wrap=True, justify="right") for name in ("samples", "clipped", "late", "°C"))
+    table = Table(
+        whole["when"], words["run"], whole["status"], words["bench, list"], words["sent"], *counts, words["file"],
+        box=SIMPLE_HEAD, padding=0, pad_edge=False, collapse_padding=True,
+    )  # fmt: skip
     for e in found:
-        when = datetime.fromisoformat(e.when).astimezone().strftime("%Y-%m-%d %H:%M:%S") if e.when else "-"
-        excitation = f"{e.signal} {e.actuators}".strip() or "-"
-        extras = [f"d: {e.disturbance}"] * bool(e.disturbance) + [f"K: {e.controller}"] * bool(e.controller)
+        when = datetime.fromisoformat(e.when).astimezone().strftime("%Y-%m-%d\n%H:%M:%S") if e.when else "-"
+        sent = [f"{e.signal} {e.actuators}".strip() or "-"]
+        sent += [f"d: {e.disturbance}"] * bool(e.disturbance) + [f"K: {e.controller}"] * bool(e.controller)
         warm = "-" if e.temperature_c is None else f"{e.temperature_c:.1f}"
-        counts = (str(e.samples), str(e.clipped), str(e.overruns), warm)
-        name = f"{e.name}\n{e.comment}".strip()
-        table.add_row(when, name, e.status, e.bench, e.list, "\n".join([excitation, *extras]), *counts, e.file or "-")
+        told = ("\n".join(filter(None, lines)) for lines in ((e.name, e.comment), (e.bench, e.list), sent))
+        run, bench, signals = map(escape, told)
+        numbers = (str(e.samples), str(e.clipped), str(e.overruns), warm)
+        table.add_row(when, run, e.status, bench, signals, *numbers, escape(e.file) or "-")
     return table

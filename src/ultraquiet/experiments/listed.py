@@ -19,6 +19,7 @@ from ultraquiet.experiments.compile import Compiler
 from ultraquiet.experiments.making import checked_bench, make
 from ultraquiet.experiments.mistakes import ListError, Mistakes
 from ultraquiet.experiments.plan import Measurement, Step, duration_s
+from ultraquiet.files import reason
 
 PACKAGED = ("suite",)
 STARTED_WHEN_ASKED = (Process,)
@@ -91,7 +92,7 @@ def load(path: str | os.PathLike[str], bench: Any | None = None, seed: int | Non
     try:
         text = place.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"experiment list: '{path}' cannot be read ({error}).") from error
+        raise InputError(f"experiment list: '{path}' cannot be read ({reason(error)}).") from error
     return parse(text, bench, str(path), place.parent, seed)
 
 
