@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ultraquiet._base import errors as errors
     from ultraquiet.values import Channel as Channel
     from ultraquiet.values import FrequencyResponse as FrequencyResponse
+    from ultraquiet.values import InnovationForm as InnovationForm
     from ultraquiet.values import PolynomialMatrix as PolynomialMatrix
     from ultraquiet.values import PolynomialModel as PolynomialModel
     from ultraquiet.values import Record as Record
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Channel",
     "FrequencyResponse",
+    "InnovationForm",
     "PolynomialMatrix",
     "PolynomialModel",
     "Record",
@@ -53,7 +55,15 @@ __all__ = [
     "validate",
 ]
 
-_VALUES = ("Channel", "FrequencyResponse", "PolynomialMatrix", "PolynomialModel", "Record", "StateSpace")
+_VALUES = (
+    "Channel",
+    "FrequencyResponse",
+    "InnovationForm",
+    "PolynomialMatrix",
+    "PolynomialModel",
+    "Record",
+    "StateSpace",
+)
 
 
 def __getattr__(name: str) -> Any:

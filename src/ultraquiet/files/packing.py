@@ -15,6 +15,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import (
     Channel,
     FrequencyResponse,
+    InnovationForm,
     PolynomialMatrix,
     PolynomialModel,
     Record,
@@ -115,6 +116,15 @@ def _state_space_in(tree: Tree) -> StateSpace:
     return StateSpace(*(tree[k] for k in "ABCD"), rate_hz=_rate_in(tree), **_named_in(tree))
 
 
+def _innovation_form_out(system: InnovationForm) -> Tree:
+    return {**_state_space_out(system), "K": system.K, "noise_covariance": system.noise_covariance}
+
+
+def _innovation_form_in(tree: Tree) -> InnovationForm:
+    matrices = (tree[k] for k in ("A", "B", "C", "D", "K", "noise_covariance"))
+    return InnovationForm(*matrices, rate_hz=float(tree["rate_hz"]), **_named_in(tree))
+
+
 def _response_out(response: FrequencyResponse) -> Tree:
     known = {"coherence": response.coherence, "variance": response.variance}
     quality = {name: array for name, array in known.items() if array is not None}
@@ -186,6 +196,8 @@ def _status_in(tree: Tree) -> Status:
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "record": Kind(Record, _record_out, _record_in),
+        # before the class it is one of
+        "innovation-form": Kind(InnovationForm, _innovation_form_out, _innovation_form_in),
         "state-space": Kind(StateSpace, _state_space_out, _state_space_in),
         "frequency-response": Kind(FrequencyResponse, _response_out, _response_in),
         "polynomial-model": Kind(PolynomialModel, _polynomials_out, _polynomials_in),

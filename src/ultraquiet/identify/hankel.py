@@ -52,7 +52,7 @@ def factored(G: FloatArray, nu: int, ny: int, rows: int, samples: int) -> Factor
     order = np.concatenate([future[:, :nu].ravel(), past[:, :nu].ravel(), past[:, nu:].ravel(), future[:, nu:].ravel()])
     G = G[np.ix_(order, order)]
     G[np.diag_indices_from(G)] += RIDGE * np.trace(G) / len(G)
-    return Factor(np.linalg.cholesky(G), nu, ny, rows, samples)
+    return Factor(np.linalg.cholesky(G).astype(np.float64), nu, ny, rows, samples)
 
 
 def observability(u: FloatArray, y: FloatArray, rows: int, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:

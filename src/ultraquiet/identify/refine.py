@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 # The search ends when a step would lower the weighted sum of squares by less than this many innovation variances: with
 # hundreds of parameters far below the scatter that one of them has.
@@ -90,9 +91,9 @@ class Point:
     @classmethod
     def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, direct: FloatArray) -> "Point":
         """Return the blocks of a system whose A can be diagonalised; real poles are paired with their neighbours."""
-        values, vectors = np.linalg.eig(A)
-        into = np.linalg.inv(vectors) @ B
-        out = C @ vectors
+        values, vectors = (x.astype(np.complex128) for x in np.linalg.eig(A))
+        into: ComplexArray = np.linalg.inv(vectors) @ B
+        out: ComplexArray = C @ vectors
         blocks = [_pair(values[k], into[k], out[:, k]) for k in np.flatnonzero(values.imag > 0)]
         real = [int(k) for k in np.argsort(values.real) if values[k].imag == 0]
         for i in range(0, len(real) - 1, 2):
@@ -110,7 +111,7 @@ class Point:
 _Block = tuple[float, float, float, FloatArray, FloatArray]
 
 
-def _pair(p: complex, b: np.ndarray, c: np.ndarray) -> _Block:
+def _pair(p: complex, b: ComplexArray, c: ComplexArray) -> _Block:
     """Return the block of y = 2 Re(c x), x+ = p x + b u."""
     return p.real, p.imag, -1.0, 2.0 * np.stack([b.real, -b.imag]), np.stack([c.real, c.imag], axis=1)
 
@@ -256,7 +257,7 @@ class _Normal:
         out = np.einsum("ikac,kjcq->ikajq", self.turn, rows.reshape(m, J, 2, -1))
         return out.reshape(ny, 2 * m * J, -1)
 
-    def _kept(self, m: int, J: int) -> np.ndarray:
+    def _kept(self, m: int, J: int) -> NDArray[np.bool_]:
         of_b, of_p = np.ones((m, 2, J), dtype=bool), np.ones((m, 2), dtype=bool)
         single = self.at.sigma == 0
         of_b[single, 1], of_p[single, 1] = False, False

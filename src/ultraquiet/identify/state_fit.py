@@ -162,7 +162,7 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         K = B[:, nu : nu + ny]
         D, total = options.parts(at.direct, nu)
         settled = np.linalg.solve(np.eye(len(A)) - A, K)
-        constant = np.linalg.solve(np.eye(ny) - C @ settled, total)
+        constant = np.linalg.solve(np.eye(ny) - C @ settled, total).astype(np.float64)
         return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] + settled @ constant, constant)
 
     def admissible(at: refine.Point) -> bool:

@@ -27,7 +27,7 @@ GROWTH = 10.0  # of the output's size from the first to the last tenth of a reco
 
 @dataclass(frozen=True)
 class Search:
-    """How the model was found: steps of the search, whether it came to its end, whether one-step errors were the aim."""
+    """How the model was found: steps of the search, whether it came to its end, whether at one-step errors."""
 
     steps: int
     converged: bool

@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg.prediction import fit_percent, repaired
 from ultraquiet.validate.predict import Model, predicted, simulated
-from ultraquiet.values import FrequencyResponse, PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.values import FrequencyResponse, InnovationForm, PolynomialMatrix, PolynomialModel, Record
 
 REPAIRS = 3  # rounds in which clipped samples take the model's output before its state and constant are fitted
 
@@ -68,10 +68,10 @@ def compare(
     """
     if steps is None:
         out = _simulated_clipped(model, record, initial, offset) if clip else simulated(model, record, initial, offset)
-    elif isinstance(model, PolynomialMatrix | PolynomialModel):
+    elif isinstance(model, PolynomialMatrix | PolynomialModel | InnovationForm):
         out = predicted(model, record, steps)
     else:
-        raise InputError("compare: a StateSpace carries no noise model; simulate it (steps=None).")
+        raise InputError("compare: a plain StateSpace carries no noise model; simulate it (steps=None).")
     if clip:
         out = _cut(out, record)
     fits = [fit_percent(y, x) for y, x in zip(record.outputs, out, strict=True)]

@@ -5,9 +5,10 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import prediction
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
+from ultraquiet.values import InnovationForm, PolynomialMatrix, PolynomialModel, Record, StateSpace
 
 Model = PolynomialMatrix | PolynomialModel | StateSpace
+Noisy = PolynomialMatrix | PolynomialModel | InnovationForm  # models that say what their outputs carry besides
 
 
 def simulated(model: Model, record: Record, initial: str = "estimate", offset: bool = True) -> FloatArray:
@@ -31,26 +32,31 @@ def simulated(model: Model, record: Record, initial: str = "estimate", offset: b
     return np.stack(out)
 
 
-def innovations(model: PolynomialMatrix | PolynomialModel, record: Record) -> FloatArray:
+def innovations(model: Noisy, record: Record) -> FloatArray:
     """Return the one-step prediction errors `(ny, n)`, the past before the first sample and a constant fitted.
 
     Raises:
         InputError: rows made of several models (one record per actuator): which noise is theirs together is unknown.
     """
     _matching(model, record)
+    if isinstance(model, InnovationForm):
+        return model.innovations(record)
     out = []
     for y, m in zip(record.outputs, single_rows(model, record), strict=True):
         out.append(prediction.innovations(record.inputs, y, m.a, m.b, m.f, m.c, m.d))
     return np.stack(out)
 
 
-def predicted(model: PolynomialMatrix | PolynomialModel, record: Record, steps: int = 1) -> FloatArray:
+def predicted(model: Noisy, record: Record, steps: int = 1) -> FloatArray:
     """Return the outputs `(ny, n)` predicted `steps` samples ahead: y(t | t - steps).
 
     y - y_k = sum_{i<k} h_i e(t - i) with h the pulse response of the noise filter C / (A D) (Ljung, eq. 3.31).
     """
     who = "predicted"
     whole(who, "steps", steps, 1)
+    if isinstance(model, InnovationForm):
+        _matching(model, record)
+        return model.predicted(record, steps)
     e = innovations(model, record)
     miss = np.zeros_like(e)
     for i, m in enumerate(single_rows(model, record)):
