@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from matlab import matlab_73
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError, StorageError, ToolError, UltraquietError
@@ -123,8 +124,7 @@ def test_text_cut_short_is_refused_or_a_part(good, tmp_path, rng):
     print(f"text: {refusals} of {CUTS} cuts refused")
 
 
-# HDF5 and its MAT relative are left out: the HDF5 library itself may crash on damaged bytes, which only archives, with
-# their checksum, keep from it.
+# HDF5 of others and MAT 7.3, its relative, are tried below, in a process of their own.
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".uff", ".tdms", ".parquet", ".wav", ".csv", ".h5"])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of NumPy, on absurd numbers
 def test_damaged_bytes_leave_no_traceback(good, tmp_path, rng, suffix):
@@ -144,6 +144,52 @@ def test_damaged_bytes_leave_no_traceback(good, tmp_path, rng, suffix):
     assert not any("\n" in sentence for sentence in sentences)
     print(f"{suffix}: {refusals} of {DAMAGES} damaged files refused, the others read")
     assert refusals == DAMAGES or suffix != ".h5"
+
+
+READER = """
+import sys, warnings
+from ultraquiet import files
+from ultraquiet._base.errors import UltraquietError
+warnings.simplefilter("ignore")
+for path in sys.argv[1:]:
+    try:
+        files.read_record(path)
+        print("read", flush=True)
+    except UltraquietError as error:
+        print("one sentence" if "\\n" not in str(error) else "several lines", flush=True)
+"""
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".hdf5"])
+def test_damaged_hdf5_of_others(good, tmp_path, rng, suffix):
+    """MAT 7.3 and foreign HDF5 carry no checksum: every cut is refused, changed bytes are refused or read, no more."""
+    if suffix == ".mat":
+        path = tmp_path / "good.mat"
+        matlab_73(path, {"u": rng.standard_normal((60, 1)), "y": rng.standard_normal((60, 2)), "fs": 3500.0})
+        assert read(path).samples == 60
+    else:
+        path, _ = good(suffix)
+    whole = path.read_bytes()
+    cuts = [whole[:size] for size in {1, len(whole) - 1, *rng.integers(2, len(whole), CUTS).tolist()}]
+    hurts = []
+    for _ in range(DAMAGES):
+        data = bytearray(whole)
+        for k in rng.integers(len(data), size=int(rng.integers(1, 6))):
+            data[k] ^= int(rng.integers(1, 256))
+        hurts.append(bytes(data))
+    said = []
+    for kind, many in (("cut", cuts), ("hurt", hurts)):
+        paths = [tmp_path / f"{kind}{k}{suffix}" for k in range(len(many))]
+        for one, data in zip(paths, many, strict=True):
+            one.write_bytes(data)
+        words = [sys.executable, "-c", READER, *map(str, paths)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout.splitlines())
+    print(f"{suffix}: {len(cuts)} cuts refused, {said[1].count('one sentence')} of {DAMAGES} damaged files refused")
+    assert said[0] == ["one sentence"] * len(cuts)
+    assert set(said[1]) <= {"one sentence", "read"}
+    assert len(said[1]) == DAMAGES
 
 
 @pytest.mark.skipif(os.name != "posix", reason="sparse files and /proc are not everywhere")

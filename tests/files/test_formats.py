@@ -10,6 +10,7 @@ import pytest
 import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from matlab import matlab_73
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import wavfile
 
@@ -205,24 +206,6 @@ def test_hdf5_of_others(tmp_path, rng):
     assert np.array_equal(record.inputs[0], u)
     assert np.array_equal(record.outputs, y.T)
     assert read(tmp_path / "a.h5", inputs="run 1.table.p", outputs="ri ght").samples == 40
-
-
-def matlab_73(path, variables):
-    """What MATLAB itself writes with -v7.3: its header, classes as attributes, cells as references."""
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, held in variables.items():
-            if isinstance(held, list):
-                texts = [
-                    file.create_dataset(f"#refs#/{name}{k}", data=[[ord(c)] for c in t]) for k, t in enumerate(held)
-                ]
-                for text in texts:
-                    text.attrs["MATLAB_class"] = np.bytes_("char")
-                cell = file.create_dataset(name, data=np.array([[t.ref] for t in texts], dtype=h5py.ref_dtype))
-                cell.attrs["MATLAB_class"] = np.bytes_("cell")
-            else:
-                file.create_dataset(name, data=np.atleast_2d(held).T).attrs["MATLAB_class"] = np.bytes_("double")
-    with path.open("r+b") as file:
-        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
 
 
 @pytest.mark.parametrize("samples", [2, 3, 40])

@@ -5,6 +5,7 @@ digits and numbers of the ASCII form with twelve; therefore ID line 4 of what is
 rate, and the binary form, which keeps every bit, is what is written unless text is asked for.
 """
 
+import math
 import re
 import tempfile
 import warnings
@@ -23,6 +24,7 @@ TIME_RESPONSE, RESPONSE_FUNCTION, COHERENCE = 1, 4, 6  # record 6, field 1
 TIME_AXIS, FREQUENCY_AXIS = 17, 18  # record 8, field 1
 NONE = "NONE"  # what stands where nothing is said
 MOST_NAME, MOST_UNIT = 80, 20  # columns of an ID line and of a unit's label
+PRINTED = 1e-5  # what a step may be off by: pyuff prints six digits of it
 BYTES_AT = 32  # column of the number of bytes behind the first line of a data set 58b, its line end counted
 # By number, negative ones from the end.
 DIRECTIONS = ("", "+X", "+Y", "+Z", "+RX", "+RY", "+RZ", "-RZ", "-RY", "-RX", "-Z", "-Y", "-X")
@@ -158,7 +160,13 @@ def _column(path: str, name: str, held: dict[str, Any]) -> Column:
     values = np.asarray(held["data"], dtype=np.float64)
     ours = OURS.fullmatch(held["id4"])
     if ours:
-        return Column(name, values, unit, role=ours[1], rate_hz=float(ours[4]))
+        rate_hz, step_s = float(ours[4]), float(held["abscissa_inc"])
+        if not math.isclose(step_s * rate_hz, 1.0, rel_tol=PRINTED):
+            raise StorageError(
+                f"read_record: '{path}' says of '{name}' that it has {rate_hz:g} Hz and a step of {step_s:g} s; it "
+                "has been changed: one of them is wrong."
+            )
+        return Column(name, values, unit, role=ours[1], rate_hz=rate_hz)
     if held["abscissa_spacing"] == 1:
         step_s = float(held["abscissa_inc"])
         rate_hz = rate_of_step(step_s, ".5e") if step_s > 0 else None
