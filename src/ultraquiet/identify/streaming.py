@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
@@ -128,6 +129,11 @@ def identify_long(method: "PolynomialMethod", record: LongRecord) -> Result:
         InputError: as `identify`; a NaN in the file.
         StorageError: the file is cut short, damaged or went away.
     """
+    if getattr(method, "focus", "auto") == "simulation":
+        raise InputError(
+            f"{type(method).__name__}: a record on disk is fitted by its one-step error; set focus='prediction', or "
+            f"identify a part in memory."
+        )
     seen = survey(record)
     size = min(START_SAMPLES, record.samples)
     pieces = [record.part(at, at + size) for at in seen.most_excited(size, START_PIECES)]
@@ -162,7 +168,7 @@ def _fit_output(
     fit = one_fit.Fit(
         model,
         _clipping(one_fit.verdict(state, iterations, evidence), seen, output, record),
-        _simulated_fit(data, model, seen, output, method, title),
+        _simulated_fit(data, model, seen, output, (method.initial == "estimate", method.offset), title),
         model.noise_variance,
         one_fit.covariance(place.normal, place.loss, structure, data.gain),
         whiteness_p=evidence[0],
@@ -236,8 +242,14 @@ def _evidence(data: Stream, place: Place, shape: Shape, structure: Structure, ti
     return white, 1.0 - (1.0 - least) ** (r.shape[1] - 1)
 
 
+def simulated_fit(record: LongRecord, output: int, model: PolynomialModel, offset: bool = True) -> float:
+    """Return the simulated fit of a model on a long record in percent, its past fitted, and a constant if wanted."""
+    seen = survey(record)
+    return _simulated_fit(Stream(record, output, seen), model, seen, output, (True, offset), "simulate")
+
+
 def _simulated_fit(
-    data: Stream, model: PolynomialModel, seen: Survey, output: int, method: "PolynomialMethod", title: str
+    data: Stream, model: PolynomialModel, seen: Survey, output: int, fitted: tuple[bool, bool], title: str
 ) -> float:
     """Return the simulated fit in percent: the output-error loss of the model, its past and a constant fitted."""
     from ultraquiet.identify import kernels
@@ -249,7 +261,7 @@ def _simulated_fit(
     bare = PolynomialModel(model.b, [model.denominator(j) for j in range(nu)], model.rate_hz)
     if not bare.is_stable():
         return -np.inf
-    shape = Shape.of(plant, nu, method.initial == "estimate", method.offset).fixed
+    shape = Shape.of(plant, nu, *fitted).fixed
     table = _table(bare, plant, data.gain)
     G, q = data.gram(table, np.zeros(int(shape.states.sum())), shape, title)
     loss = float(kernels.reduced(G, q)[-1, -1]) / data.record.samples * data.output_size**2

@@ -1,0 +1,186 @@
+"""The running estimator behind the recursive methods: samples in, the present model out."""
+
+from collections.abc import Iterator
+from math import comb
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, signal_array
+from ultraquiet._base.errors import InputError
+from ultraquiet.identify import fit as one_fit
+from ultraquiet.identify._abstract import SAMPLES_PER_PARAMETER
+from ultraquiet.identify.structure import ROW_FIRST, Structure
+from ultraquiet.identify.trajectory import Trajectory
+from ultraquiet.values import PolynomialModel
+
+if TYPE_CHECKING:
+    from ultraquiet.identify.recursive import RecursiveMethod
+
+CELL = 512  # samples of filters held at once
+# A recursion without a start knows this much of each scaled coefficient: next to nothing, yet enough to keep the first
+# steps of C, D and F inside the unit circle.
+COLD = 1e-2
+EARLY = 5  # samples a parameter that a start from nothing remembers at first: its first gradients point nowhere
+SETTLING = 0.25  # share of the start's samples in which the filters settle before their gradient counts
+
+
+class Recursion:
+    """The running estimator of one output: what `RecursiveMethod.recursion` returns; `update` changes it."""
+
+    def __init__(
+        self,
+        method: "RecursiveMethod",
+        rate_hz: float,
+        input_size: FloatArray,
+        output_size: float,
+        start: PolynomialModel | None,
+        still: int = 0,
+        constant: float = 0.0,
+    ) -> None:
+        from ultraquiet.identify.recursive_kernels import DIRECTIONAL, EXPONENTIAL
+
+        self.structure: Structure = method.batch().structure()
+        self.rate_hz, self.input_size, self.output_size = rate_hz, input_size, output_size
+        nu = input_size.size
+        self._degree, self._lag = self.structure.degree(nu), self.structure.lag(nu)
+        self._offset = method.offset
+        count = int(self._degree[[0, 1, 2, *range(ROW_FIRST, ROW_FIRST + 2 * nu)]].sum())
+        p = count + int(method.offset)
+        self._base, self._theta = self.structure.empty(nu), np.zeros(p)
+        self._table = self._base.copy()
+        self._to_shift = self._expansion(p)
+        # ARX leaves out the samples whose past it does not know, as the batch fit does.
+        linear = self.structure.f == 0 and self.structure.c == 0
+        quiet = int(self.structure.states(nu, True, False)[1]) if linear else int(SETTLING * still)
+        self.still = max(quiet, still)
+        cold = start is None
+        # Errors count from here on: a start from nothing first has to find the plant.
+        self.judged_from = self.still + (SAMPLES_PER_PARAMETER * p if cold else 0)
+        known = 0.0 if linear or still else COLD
+        self._R, self._z, self._best = known * np.eye(p), np.zeros(p), np.zeros((p, p))
+        head = int(self._lag.max() + self._degree.max()) + 1
+        self._head, self._work = head, np.zeros((4 * nu + self._degree.size + 6, head + CELL))
+        if start is not None:
+            self._begin(start, constant)
+        keep = 1.0 if method.memory_s is None else float(np.exp(-0.5 / (rate_hz * method.memory_s)))
+        mode = DIRECTIONAL if method.forgetting == "directional" else EXPONENTIAL
+        reset = 0 if method.reset_s is None else max(1, round(method.reset_s * rate_hz))
+        early = EARLY * p if cold and not linear else 0
+        self._options = (quiet, self.still, keep, mode, reset, early)
+        self._count = np.zeros(2, dtype=np.int64)
+        self._share = 1.0 - keep * keep
+        self._squares, self._weight = 0.0, 0.0
+
+    @property
+    def samples(self) -> int:
+        """Samples taken in so far."""
+        return int(self._count[0])
+
+    @property
+    def held(self) -> int:
+        """Steps cut short at the edge of stability."""
+        return int(self._count[1])
+
+    def update(self, inputs: ArrayLike, outputs: ArrayLike) -> FloatArray:
+        """Take in samples, `(nu, m)` and `(1, m)`; return the errors of the predictions made before each, `(m,)`."""
+        from ultraquiet.identify.recursive_kernels import recurse
+
+        u = signal_array("Recursion.update", "inputs", inputs)
+        y = signal_array("Recursion.update", "outputs", outputs)
+        if u.shape[0] != self.input_size.size or y.shape != (1, u.shape[1]):
+            raise InputError(
+                f"Recursion.update: got inputs {u.shape} and outputs {y.shape}; it follows one output of "
+                f"{self.input_size.size} inputs, samples together."
+            )
+        e = np.empty(u.shape[1])
+        recurse(
+            np.ascontiguousarray(u / self.input_size[:, None]), y[0] / self.output_size, self._table, self._base,
+            self._degree, self._lag, self._offset, self._theta, self._R, self._z, self._best, self._work, self._head,
+            self._count, self._options, e,
+        )  # fmt: skip
+        # The errors' mean square over the same memory as the information.
+        new = e[max(0, e.size - max(0, self.samples - self._options[0])) :]
+        if new.size:
+            fade = (1.0 - self._share) ** new.size
+            self._squares = fade * self._squares + float(new @ new)
+            self._weight = fade * self._weight + new.size
+        return e * self.output_size
+
+    @property
+    def noise_variance(self) -> float:
+        """Mean squared prediction error over the memory, squared output units."""
+        return self._squares / max(self._weight, 1.0) * self.output_size**2
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """Present coefficients `(p,)` in the order a, b_1, f_1, ..., c, d, units of the record."""
+        return self._to_shift @ self._theta
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Their standard deviations; infinite while nothing is known of one."""
+        from ultraquiet.identify.recursive_kernels import deviations
+
+        with np.errstate(invalid="ignore"):
+            found = deviations(self._R, self._to_shift) * np.sqrt(self._squares / max(self._weight, 1.0))
+        return np.where(np.isnan(found), np.inf, found)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance `(p, p)` of the coefficients."""
+        root = self._to_shift @ np.linalg.pinv(self._R)
+        return self._squares / max(self._weight, 1.0) * root @ root.T
+
+    @property
+    def model(self) -> PolynomialModel:
+        """The present model."""
+        way = Trajectory(
+            np.zeros(1), self.coefficients[None], self.deviation[None], self.structure, self.input_size.size,
+            self.rate_hz,
+        )  # fmt: skip
+        m = way.model()
+        f, c, d = [one_fit.settled(x) for x in m.f], one_fit.settled(m.c), one_fit.settled(m.d)
+        return PolynomialModel(m.b, f, self.rate_hz, m.a, c, d, self.noise_variance)
+
+    def _expansion(self, p: int) -> FloatArray:
+        """Return the matrix from the delta basis, scaled, to powers of q^-1 in units of the record."""
+        out, at = np.zeros((p - int(self._offset), p)), 0
+        for row in self._rows():
+            n = int(self._degree[row])
+            j = (row - ROW_FIRST) // 2
+            is_b = row >= ROW_FIRST and (row - ROW_FIRST) % 2 == 0
+            scale = self.output_size / self.input_size[j] if is_b else 1.0
+            for k in range(n):
+                for m in range(k + 1):
+                    out[at + m, at + k] = scale * (-1.0) ** m * comb(k, m)
+            at += n
+        return out
+
+    def _rows(self) -> Iterator[int]:
+        yield 0
+        yield from range(ROW_FIRST, self._degree.size)
+        yield from (1, 2)
+
+    def _begin(self, start: PolynomialModel, constant: float) -> None:
+        """Take over a model of the same structure, and the constant at the output."""
+        from ultraquiet.identify.recursive_kernels import table_of
+
+        parts = [start.a[1:]]
+        for j, (b, f) in enumerate(zip(start.b, start.f, strict=True)):
+            first = int(self._lag[ROW_FIRST + 2 * j])
+            parts += [b[first:], f[1:]]
+        parts += [start.c[1:], start.d[1:]]
+        wanted = [int(self._degree[row]) for row in self._rows()]
+        if [x.size for x in parts] != wanted:
+            raise InputError(
+                f"Recursion: the start has {[x.size for x in parts]} coefficients in a, b, f, ..., c, d, the method "
+                f"{wanted}; start from a model of the same orders."
+            )
+        p = len(self._to_shift)
+        self._theta[:p] = np.linalg.solve(self._to_shift[:, :p], np.concatenate(parts))
+        if self._offset:
+            self._theta[-1] = self._work[-1, 0] = constant / self.output_size
+        table_of(self._theta, self._base, self._degree, self._table)
+        self._z[:] = self._R @ self._theta

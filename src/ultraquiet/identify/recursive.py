@@ -1,0 +1,277 @@
+"""Models that follow a plant while it drifts: recursive ARX, ARMAX and Box-Jenkins with forgetting."""
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
+from ultraquiet._base.progress import task
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.registry import register
+from ultraquiet.files import LongRecord
+from ultraquiet.identify import fit as one_fit
+from ultraquiet.identify._abstract import Result, worst
+from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, PolynomialMethod
+from ultraquiet.identify.recursion import Recursion
+from ultraquiet.identify.starts import Channel
+from ultraquiet.identify.trajectory import Trajectory
+from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg.lagged import Lagged
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status
+
+FORGETTING = ("exponential", "directional")
+HELD_SHARE = 0.01  # of steps cut short at the edge of stability, beyond which the verdict says so
+
+
+@dataclass(frozen=True)
+class RecursiveMethod:
+    """Settings all recursive methods share.
+
+    Every sample moves the coefficients by a Gauss-Newton step R theta = z, where R'R gathers the gradients' products
+    with the weight exp(-(t - s) / memory): the recursive prediction-error method. R is kept triangular by rotations.
+
+    Args:
+        order: number of free coefficients of every polynomial.
+        delay: samples from an input to its first effect.
+        memory_s: time constant of forgetting; None forgets nothing, and the last model is that of the whole record.
+        forgetting: "exponential" forgets all alike, but never below a hundredth of the most that was ever known, so
+            that a plant at rest cannot wind the gain up; "directional" forgets only what the new sample tells again.
+        reset_s: time between resets of the information to a hundredth of the most that was known; None never.
+        start_samples: length of the piece at the record's beginning whose batch fit the recursion starts from; 0 starts
+            from nothing. It may take up half of the record at most.
+        every: samples between points of the trajectory.
+        offset: whether a constant at the output is followed too.
+
+    Returns of `identify`: the last model. `loss` is the mean squared error of the predictions as they were made, after
+    the start; whiteness and correlation are those of the same errors. `fit_percent` simulates the whole record with the
+    last model. `details["trajectory"]` holds one `Trajectory` per output.
+
+    Reference: Ljung, System Identification, 2nd ed., sections 11.2 to 11.6; Cao and Schwartz 2000,
+    doi:10.1016/S0005-1098(99)00174-0 (directional).
+    """
+
+    name: ClassVar[str]
+    batch_type: ClassVar[type[PolynomialMethod]]
+
+    order: int = 5
+    delay: int = 1
+    memory_s: float | None = None
+    forgetting: str = "exponential"
+    reset_s: float | None = None
+    start_samples: int = 4096
+    every: int = 350
+    offset: bool = True
+
+    def __post_init__(self) -> None:
+        who = type(self).__name__
+        self.batch()  # refuses orders and delays
+        one_of(who, "forgetting", self.forgetting, FORGETTING)
+        for name in ("memory_s", "reset_s"):
+            if getattr(self, name) is not None:
+                positive(who, name, getattr(self, name), "s")
+        whole(who, "start_samples", self.start_samples, 0)
+        whole(who, "every", self.every, 1)
+
+    def batch(self) -> PolynomialMethod:
+        """Return the method that fits the same structure to a whole record."""
+        return self.batch_type(order=self.order, delay=self.delay, offset=self.offset)
+
+    def identify(self, record: Record | LongRecord) -> Result:
+        """Return the last model of a record, one per output, and the way there.
+
+        Raises:
+            InputError: too few samples for the order, a constant input or output.
+        """
+        piece = _piece(record, record.samples // 2 if record.samples // 2 < self.start_samples else self.start_samples)
+        self.batch().check(piece)
+        made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        found = [self._follow(record, i, piece) for i in range(len(record.sensors))]
+        model = PolynomialMatrix([[f.model] for f in found], record.actuators, record.sensors, made)
+        return Result(
+            model,
+            worst([f.status for f in found]),
+            np.array([f.fit_percent for f in found]),
+            np.array([f.model.noise_variance for f in found]),
+            np.stack([f.covariance for f in found]),
+            np.array([f.whiteness_p for f in found]),
+            np.array([f.correlation_p for f in found]),
+            np.zeros(len(found), dtype=np.int64),
+            tuple(f.status for f in found),
+            made,
+            {
+                "trajectory": tuple(f.trajectory for f in found),
+                "held_steps": tuple(f.held for f in found),
+            },
+        )
+
+    def recursion(
+        self, rate_hz: float, input_size: ArrayLike, output_size: float, start: PolynomialModel | None = None
+    ) -> Recursion:
+        """Return the running estimator of one output, for samples as they come.
+
+        Args:
+            rate_hz: samples per second.
+            input_size: `(nu,)` typical sizes of the inputs, in their units.
+            output_size: the same of the output.
+            start: the model to begin from; none begins from nothing.
+
+        >>> import numpy as np, ultraquiet as uq
+        >>> method = uq.identify.RecursiveArx(order=1, start_samples=0, offset=False)
+        >>> running = method.recursion(rate_hz=100.0, input_size=[1.0], output_size=1.0)
+        >>> u, y = np.random.default_rng(0).standard_normal(50), 0.0
+        >>> for t in range(1, 50):
+        ...     y = 0.8 * y + 0.5 * u[t - 1]
+        ...     error = running.update([[u[t]]], [[y]])
+        >>> running.model.a.round(6).tolist()
+        [1.0, -0.8]
+        """
+        return Recursion(self, rate_hz, np.atleast_1d(np.asarray(input_size, dtype=float)), output_size, start)
+
+    def _follow(self, record: Record | LongRecord, output: int, piece: Record) -> "Followed":
+        """Follow one output through the record."""
+        start, constant, still = None, 0.0, 0
+        if self.start_samples:
+            start = self.batch().fit(Channel.of(piece, output), record.rate_hz).model
+            constant, still = _constant(start, piece, output) if self.offset else 0.0, piece.samples
+        sizes = piece.inputs.std(axis=1), float(piece.outputs[output].std())
+        running = Recursion(self, record.rate_hz, *sizes, start, still, constant)
+        lags = min(one_fit.TEST_LAGS, (record.samples - running.judged_from) // 10)
+        sums, points = Lagged(1 + len(record.actuators), lags), []
+        title = f"{self.name} of {record.sensors[output].name}"
+        with task(title, record.samples) as progress:
+            for u, y in _blocks(record, output, self.every):
+                before = running.samples
+                e = running.update(u, y)
+                judged = max(0, running.judged_from - before)
+                sums.add(np.vstack([e[None], u])[:, judged:])
+                points.append((running.samples / record.rate_hz, running.coefficients, running.deviation))
+                progress.advance(u.shape[1])
+        time_s, coefficients, deviation = (np.array(x) for x in zip(*points, strict=True))
+        way = Trajectory(time_s, coefficients, deviation, running.structure, len(record.actuators), record.rate_hz)
+        return _followed(running, way, sums, _fit_percent(self, record, output, running.model))
+
+
+@register("identify", "recursive-arx")
+@dataclass(frozen=True)
+class RecursiveArx(RecursiveMethod):
+    """A y = B u + e by recursive least squares: without forgetting, after every sample the batch estimate itself.
+
+    >>> import numpy as np, ultraquiet as uq
+    >>> u = np.sign(np.sin(0.7 * np.arange(400) ** 1.2))
+    >>> y = np.zeros(400)
+    >>> for t in range(1, 400):
+    ...     y[t] = 0.8 * y[t - 1] + (0.5 if t < 200 else 1.0) * u[t - 1]
+    >>> method = uq.identify.RecursiveArx(order=1, memory_s=0.2, every=100)
+    >>> found = method.identify(uq.Record(u, y, rate_hz=100.0)).details["trajectory"][0]
+    >>> found.coefficients[[1, 3], 1].round(2).tolist()
+    [0.5, 1.0]
+
+    Reference: Ljung, System Identification, 2nd ed., section 11.2.
+    """
+
+    name: ClassVar[str] = "recursive-arx"
+    batch_type: ClassVar[type[PolynomialMethod]] = Arx
+
+    start_samples: int = 0
+
+
+@register("identify", "recursive-armax")
+@dataclass(frozen=True)
+class RecursiveArmax(RecursiveMethod):
+    """A y = B u + C e by the recursive prediction-error method (recursive maximum likelihood), C kept invertible.
+
+    Reference: Ljung, System Identification, 2nd ed., section 11.4.
+    """
+
+    name: ClassVar[str] = "recursive-armax"
+    batch_type: ClassVar[type[PolynomialMethod]] = Armax
+
+
+@register("identify", "recursive-box-jenkins")
+@dataclass(frozen=True)
+class RecursiveBoxJenkins(RecursiveMethod):
+    """y = B/F u + C/D e by the recursive prediction-error method; F, C and D stay stable at every sample.
+
+    Reference: Ljung, System Identification, 2nd ed., section 11.4.
+    """
+
+    name: ClassVar[str] = "recursive-box-jenkins"
+    batch_type: ClassVar[type[PolynomialMethod]] = BoxJenkins
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """One output followed to its end."""
+
+    model: PolynomialModel
+    status: Status
+    fit_percent: float
+    covariance: FloatArray
+    whiteness_p: float
+    correlation_p: float
+    trajectory: Trajectory
+    held: int
+
+
+def _followed(running: Recursion, way: Trajectory, sums: Lagged, fit_percent: float) -> Followed:
+    """Judge the errors of the predictions as they were made."""
+    n, s = sums.samples, running.structure
+    r = sums.products(centred=True) / n
+    white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, s.a + s.c + s.d).p_value
+    least = min(
+        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
+    )
+    evidence = white, 1.0 - (1.0 - least) ** (r.shape[1] - 1)
+    status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
+    if running.held > HELD_SHARE * n:
+        status = Status(
+            "not converged",
+            f"{running.held} of {n} steps were cut short at the edge of stability: start from a batch fit, or use a "
+            f"longer memory.",
+        )
+    m = running.model
+    loss = float(sums.products()[0, 0, 0]) / n
+    model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)
+    return Followed(model, status, fit_percent, running.covariance, *evidence, way, running.held)
+
+
+def _constant(model: PolynomialModel, piece: Record, output: int) -> float:
+    """Return the constant at the output that goes with a model: least squares on the whitened residual of its end."""
+    v = prediction.filtered(piece.outputs[output], model.a, np.ones(1))
+    for x, b, f in zip(piece.inputs, model.b, model.f, strict=True):
+        v = v - prediction.filtered(x, b, f)
+    settled = piece.samples // 4
+    e, one = (prediction.filtered(x, model.d, model.c)[settled:] for x in (v, np.ones(v.size)))
+    return float(e @ one / (one @ one))
+
+
+def _piece(record: Record | LongRecord, samples: int) -> Record:
+    """Return the record's beginning; all of a record in memory that needs no start, for its checks."""
+    if isinstance(record, LongRecord):
+        return record.part(0, samples or min(record.samples, 1 << 16))
+    return record.part(0, samples) if samples else record
+
+
+def _blocks(record: Record | LongRecord, output: int, every: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    if isinstance(record, LongRecord):
+        large = every * max(1, (1 << 16) // every)
+        for u, y in record.pick(outputs=[output]).blocks(large):
+            for at in range(0, u.shape[1], every):
+                yield u[:, at : at + every], y[:, at : at + every]
+        return
+    for at in range(0, record.samples, every):
+        yield record.inputs[:, at : at + every], record.outputs[output : output + 1, at : at + every]
+
+
+def _fit_percent(method: RecursiveMethod, record: Record | LongRecord, output: int, model: PolynomialModel) -> float:
+    """Return the simulated fit of the last model on the whole record."""
+    if isinstance(record, LongRecord):
+        from ultraquiet.identify.streaming import simulated_fit
+
+        return simulated_fit(record, output, model, method.offset)
+    denominators = [model.denominator(j) for j in range(len(model.b))]
+    y = record.outputs[output]
+    return prediction.fit_percent(y, prediction.simulate(record.inputs, y, model.b, denominators, offset=method.offset))
