@@ -1,0 +1,138 @@
+"""Prediction-error refinement of state space: gradients, maximum likelihood, poles that change from pairs to reals."""
+
+import numpy as np
+import pytest
+from truths import modal_truth
+
+import ultraquiet as uq
+from ultraquiet.identify import refine, state_fit, state_kernels
+from ultraquiet.linalg import response
+
+FIT, SHARE = 95.0, 0.01  # percent; of a mode's frequency
+
+
+def point(rng, ny=2, inputs=3):
+    """A pair, two reals, a single real pole, and a pair that is nearly two reals."""
+    tau, sigma, kappa = np.array([0.9, 0.6, 0.5, 0.7]), np.array([0.2, 0.2, 0.0, 0.1]), np.array([-1.0, 1.0, 0.0, -0.3])
+    b, c = rng.standard_normal((4, 2, inputs)), rng.standard_normal((ny, 4, 2))
+    b[2, 1], c[:, 2, 1] = 0.0, 0.0
+    return refine.Point(tau, sigma, kappa, b, c, rng.standard_normal((ny, 2)), np.zeros((0, 0)))
+
+
+def signals(rng, ny=2, inputs=3, n=300):
+    drive = np.hstack([np.zeros((inputs, 1)), rng.standard_normal((inputs, n - 1))])
+    return refine.Signals(drive, rng.standard_normal((2, n)), rng.standard_normal((ny, n)))
+
+
+def errors(at, data):
+    """The plain twin: the blocks simulated as one system, driven by the next sample of what comes one late."""
+    A, B, C = at.matrices()
+    ahead = np.hstack([data.drive[:, 1:], np.zeros((len(B.T), 1))])
+    x0 = B @ data.drive[:, 0]
+    said = response.simulate(A, B, C, np.zeros((len(C), len(B.T))), ahead, x0)
+    return data.outputs - said - at.direct @ data.tail
+
+
+def test_the_kernel_and_its_plain_twin(rng):
+    at, data = point(rng), signals(rng, n=2 * state_kernels.MODAL_BLOCK + 100)
+    e = errors(at, data)
+    assert refine.evaluated(at, data).covariance == pytest.approx(e @ e.T, rel=1e-9)
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_the_gradient_is_that_of_finite_differences(weighted, rng):
+    data = signals(rng)
+    at = refine._even(refine.evaluated(point(rng), data))
+    normal = refine._Normal(at, data, weighted)
+
+    def loss(step):
+        return refine._loss(refine.evaluated(normal.moved(step), data), data, weighted)
+
+    size, wide = len(normal.right), normal.right_c.shape
+    told, found, h = [], [], 1e-5
+    for k in range(size + normal.right_c.size):
+        step = np.zeros(size), np.zeros(wide)
+        (step[0] if k < size else step[1].reshape(-1))[k if k < size else k - size] = h
+        back = -step[0], -step[1]
+        found.append((loss(step) - loss(back)) / (2 * h))
+        told.append(-2.0 * (normal.right[k] if k < size else normal.right_c.reshape(-1)[k - size]))
+    error = np.abs(np.array(told) - found).max() / np.abs(found).max()
+    print(f"\ngradient of {len(told)} parameters, largest error {error:.1e} of the largest")
+    assert error < 1e-5
+
+
+def test_six_by_six_of_order_thirty_reaches_the_bound(rng):
+    plant, record, clean = modal_truth(rng)
+    result = uq.identify.Subspace(order=30, horizon=90, feedthrough=False, refine=True).identify(record)
+    fit = 100 * (
+        1 - np.linalg.norm(clean - result.model.simulate(record.inputs), axis=1) / np.linalg.norm(clean, axis=1)
+    )
+    f = [np.abs(np.log(p)) for p in (plant.poles(), result.model.poles())]
+    near = sum(np.abs(f[1] / one - 1).min() < SHARE for one in f[0]) // 2
+    # each output has its share of the 15 (2 (6 + 6 + 1) - 2 + 2) numbers; noise of -30 dB
+    bound = 100 * (1 - 10 ** (-30 / 20) * np.sqrt(15 * 24 / 6 / record.samples))
+    print(
+        f"\n6 x 6, 30 states: fit {fit.min():.2f} .. {fit.max():.2f} % (bound {bound:.2f}), {near} of 15, "
+        f"{result.status}"
+    )
+    assert np.mean(fit) >= FIT
+    assert np.mean(fit) >= bound - 0.05
+    assert near == 15
+    assert result.model.is_stable()
+
+
+def coloured(rng, n=6000):
+    """A pair and two real poles, noise through the same states."""
+    A = np.array([[0.95, 0.2, 0, 0], [-0.2, 0.95, 0, 0], [0, 0, 0.9, 0], [0, 0, 0, 0.6]])
+    B, C = rng.uniform(0.5, 1.5, (4, 2)), rng.uniform(0.5, 1.5, (2, 4)) * [[1, 1, 1, 1], [1, -1, 1, -1]]
+    K = 0.3 * np.linalg.pinv(C)
+    u, e = rng.standard_normal((2, n)), 0.3 * rng.standard_normal((2, n))
+    y = response.simulate(
+        A, np.hstack([B, K]), C, np.hstack([np.zeros((2, 2)), np.eye(2)]), np.vstack([u, e]), np.zeros(4)
+    )
+    return uq.Record(u, y, 200.0), e
+
+
+def test_the_one_step_error_is_the_innovation(rng):
+    record, e = coloured(rng)
+    method = uq.identify.Subspace(order=4, feedthrough=False, refine=True, focus="prediction")
+    result = method.identify(record)
+    truth = np.mean(e**2, axis=1)
+    print(f"\nloss over the truth's {(result.loss / truth).round(4)}, {result.status}")
+    assert result.loss == pytest.approx(truth, rel=0.02)
+    assert result.status.ok
+    assert result.model.is_stable()
+    assert result.model.is_invertible()
+    missed = result.model.innovations(record)[:, 50:] - e[:, 50:]
+    assert missed.std() < 0.1 * e.std()
+    one, five = (uq.validate.compare(result.model, record, steps=k).fit_percent for k in (1, 5))
+    simulated = uq.validate.compare(result.model, record).fit_percent
+    print(f"fit one step ahead {one.round(1)}, five {five.round(1)}, simulated {simulated.round(1)} %")
+    assert np.all(one > five)
+    assert np.all(five > simulated)
+
+
+def test_the_noise_model_of_the_simulation_focus_predicts_too(rng):
+    record, e = coloured(rng)
+    result = uq.identify.Subspace(order=4, feedthrough=False).identify(record)
+    held = uq.validate.compare(result.model, record).fit_percent
+    print(f"\nunrefined: loss over the truth's {(result.loss / np.mean(e**2, axis=1)).round(3)}")
+    assert np.all(result.loss < 1.2 * np.mean(e**2, axis=1))
+    assert np.all(uq.validate.compare(result.model, record, steps=1).fit_percent > held)
+
+
+def test_a_pair_becomes_two_reals_on_the_way(rng):
+    """The search begins at a pair and must end at two reals."""
+    u = rng.standard_normal((1, 4000))
+    A, B, C = np.diag([0.95, 0.7]), np.array([[1.0], [-1.0]]), np.array([[1.0, 0.8]])
+    y = response.simulate(A, B, C, np.zeros((1, 1)), u, np.zeros(2)) + 0.05 * rng.standard_normal((1, 4000))
+    start = state_fit.System(
+        np.array([[0.85, 0.1], [-0.1, 0.85]]), np.ones((2, 1)), np.ones((1, 2)), *map(np.zeros, ((1, 1), (2, 1), 2, 1))
+    )
+    data = state_fit.Scaled(u, y, np.ones((1, 1)), np.ones((1, 1)))
+    found, steps, done = state_fit.refined_simulation(start, data, state_fit.Options(False, False, True, 50))
+    poles = np.sort(np.linalg.eigvals(found.A))
+    print(f"\nfrom 0.85 +- 0.1j to {poles.round(4)} in {steps} steps")
+    assert done
+    assert np.isrealobj(poles)
+    assert poles == pytest.approx([0.7, 0.95], abs=0.02)
