@@ -1,5 +1,6 @@
 """Confidence bands of the 3.5 kHz truth: how often they hold, and the error behind them against the least possible."""
 
+import importlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "validate"))
+campaigns = importlib.import_module("campaigns")
 
 DRAWS = 600
 BOUND_FACTOR = 1.3

@@ -5,6 +5,7 @@ from ultraquiet.validate.compare import BodeAgreement, Comparison, bode_agreemen
 from ultraquiet.validate.criteria import Selection, information_criteria, select
 from ultraquiet.validate.predict import innovations, predicted, simulated
 from ultraquiet.validate.residuals import ResidualTest, residual_test
+from ultraquiet.validate.uncertainty import Uncertainty, UncertaintyWeight, combined, from_covariance, from_spread
 
 __all__ = [
     "BodeAgreement",
@@ -12,8 +13,13 @@ __all__ = [
     "ResidualTest",
     "ResponseBand",
     "Selection",
+    "Uncertainty",
+    "UncertaintyWeight",
     "bode_agreement",
+    "combined",
     "compare",
+    "from_covariance",
+    "from_spread",
     "information_criteria",
     "innovations",
     "predicted",
