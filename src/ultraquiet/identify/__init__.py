@@ -10,6 +10,7 @@ from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.predictor import PredictorSubspace
 from ultraquiet.identify.rational import Rational, ResponseFit
+from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
 from ultraquiet.identify.subspace import Subspace
@@ -22,11 +23,14 @@ __all__ = [
     "BoxJenkins",
     "Candidate",
     "Identification",
+    "ImpulseResponse",
     "MatrixResult",
     "OutputError",
     "PredictorSubspace",
     "Rational",
+    "RegularisedArx",
     "ResponseFit",
+    "ResponseResult",
     "Result",
     "Structured",
     "StructuredFit",

@@ -6,9 +6,12 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.finite_response import HankelForm
 
 POLISHING = 3  # Newton's steps: each doubles the digits
 CLOSE = 1e-4  # a longer step would leave the root it started from
+
+LONG = 10  # taps beyond which a chain of delays loses digits: a Jordan block of that size has no modal coordinates
 
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -24,6 +27,8 @@ def sections(b: FloatArray, a: FloatArray) -> Matrices:
     num[: len(b)], den[: len(a)] = b, a
     if order == 0 or not np.any(num):
         return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.array([[num[0]]])
+    if order > LONG and not np.any(den[1:]):
+        return HankelForm(num[None, None]).system()
     zeros = roots(np.trim_zeros(num, "f"))
     gain = num[np.flatnonzero(num)[0]]
     stages = _pair(_groups(roots(den)), _groups(zeros))
