@@ -90,15 +90,21 @@ def _add_taps(past, c, out):
 
 
 @compiled
-def combine(x, lag, weights, out):
-    """Add sum_k weights[k] (1 - q^-1)^k q^-lag x to out: the basis of `normal_kernels.gram`."""
+def expanded(weights):
+    """Return the coefficients of sum_k weights[k] (1 - q^-1)^k in powers of q^-1."""
     taps = np.zeros(weights.size)
     for k in range(weights.size):
         binomial = 1.0
         for m in range(k + 1):
             taps[m] += weights[k] * binomial
             binomial *= -(k - m) / (m + 1.0)
-    add_moving(x, taps, taps.size, lag, 1.0, out)
+    return taps
+
+
+@compiled
+def combine(x, lag, weights, out):
+    """Add sum_k weights[k] (1 - q^-1)^k q^-lag x to out: the basis of `normal_kernels.gram`."""
+    add_moving(x, expanded(weights), weights.size, lag, 1.0, out)
 
 
 @compiled

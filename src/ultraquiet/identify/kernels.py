@@ -9,7 +9,7 @@ matrix of their products would keep none (Jacobian condition 1e8, squared).
 
 import numpy as np
 
-from ultraquiet.identify.filter_kernels import FLUSH, all_pole, combine, compiled, moving, whiten
+from ultraquiet.identify.filter_kernels import FLUSH, all_pole, combine, compiled, expanded, moving, whiten
 from ultraquiet.identify.normal_kernels import (
     BLAS_SERIAL,
     RIDGE,
@@ -29,6 +29,7 @@ __all__ = [
     "compiled",
     "damped_step",
     "evaluate",
+    "expanded",
     "gram",
     "normal_matrix",
     "reduced",
@@ -208,11 +209,7 @@ def stepped(P, degree, free, step):
         if not free[row]:
             continue
         first = 1 if row < ROW_FIRST or (row - ROW_FIRST) % 2 == 1 else 0
-        for k in range(degree[row]):
-            binomial = 1.0
-            for m in range(k + 1):
-                out[row, first + m] += step[at + k] * binomial
-                binomial *= -(k - m) / (m + 1.0)
+        out[row, first : first + degree[row]] += expanded(step[at : at + degree[row]])
         at += degree[row]
     return out
 
@@ -229,7 +226,7 @@ def admissible(P, degree):
 
 
 @compiled
-def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
+def search(u, y, start, degree, lag, free, states, max_iterations, tolerance, damping=1e-3):
     """Minimise mean e^2 from `start`; return table, loss, residual, normal matrix, iterations and the state reached.
 
     State 1: the next step would move the sum of squares by less than `tolerance` innovations' variances (that is, the
@@ -244,7 +241,7 @@ def search(u, y, start, degree, lag, free, states, max_iterations, tolerance):
     signals = np.zeros((nu + 2 + P.shape[0] + 1, n))
     known, known2 = np.zeros((states.sum(), states.sum())), np.zeros((states.sum(), states.sum()))
     loss = evaluate(u, y, P, degree, lag, states, signals, driven, parts, rest, e, known)
-    damping, state, small, iterations = 1e-3, 0, 0, 0
+    state, small, iterations = 0, 0, 0
     S = np.zeros((1, 1))
     while state == 0:
         G, q = normal_matrix(y, P, degree, lag, free, states, signals, driven, parts, rest, e, known)

@@ -16,7 +16,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.identify._abstract import worst
 from ultraquiet.identify.fit import Fit
 from ultraquiet.identify.prediction_error import PolynomialMethod
-from ultraquiet.identify.starts import Channel
+from ultraquiet.identify.starts import Channel, starting_models
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
 
 T = TypeVar("T")
@@ -58,6 +58,7 @@ def identify_matrix(
     records: Sequence[Record | Sequence[Record]],
     workers: int | None = None,
     share: str | Sequence[str] | ArrayLike | None = None,
+    start: PolynomialMatrix | None = None,
 ) -> MatrixResult:
     """Identify every channel of a transfer matrix from one record per actuator, as section 3.4 of the paper.
 
@@ -67,6 +68,7 @@ def identify_matrix(
             Several records of one actuator, as a list in place k, go into one fit.
         workers: threads; as many as processors when absent.
         share: what the channels have in common, "threefold" or "poles" for instance; see `identify_joint`.
+        start: the matrix of earlier records, from which every search begins; see `PolynomialMethod.identify`.
 
     Returns:
         The `(ny, nu)` models; the models of a row each carry their own noise.
@@ -85,15 +87,18 @@ def identify_matrix(
     """
     single = [record for record in records if isinstance(record, Record)]
     if share is not None or method.informed or len(single) < len(records):
+        if start is not None:
+            raise InputError("identify_matrix: start is for channels that share nothing, one record per actuator.")
         from ultraquiet.identify.joint import identify_tied_matrix
 
         return identify_tied_matrix(method, records, share, workers)
     picked = columns(method, single)
     channels = [(i, k) for k in range(len(picked)) for i in range(len(picked[0].sensors))]
+    first = starting_models(start, len(picked[0].sensors), len(picked), picked[0].rate_hz)
 
     def one(place: tuple[int, int]) -> Fit:
         i, k = place
-        return method.fit(Channel.of(picked[k], i), picked[k].rate_hz)
+        return method.fit(Channel.of(picked[k], i, first[i][k]), picked[k].rate_hz)
 
     found = in_threads(f"identify {method.name}", one, channels, workers)
     grid = [[found[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]

@@ -15,7 +15,7 @@ from ultraquiet.identify._abstract import Result, exciting, usable, worst
 from ultraquiet.identify.fit import Fit, Search, fit_channel
 from ultraquiet.identify.focus import FOCUSES, fit_focused
 from ultraquiet.identify.layout import Layout, check_known, each, laid_out
-from ultraquiet.identify.starts import Channel
+from ultraquiet.identify.starts import Channel, starting_models
 from ultraquiet.identify.structure import Structure
 from ultraquiet.values import PolynomialMatrix, Record
 
@@ -101,15 +101,23 @@ class PolynomialMethod:
         given: dict[str, Any] = {name: getattr(self, name, None) for name in ("delay", "b_order", "f_order")}
         return replace(self, **{name: v[j] for name, v in given.items() if isinstance(v, Sequence)})
 
-    def identify(self, record: Record | LongRecord | Sequence[Record]) -> Result:
+    def identify(self, record: Record | LongRecord | Sequence[Record], start: PolynomialMatrix | None = None) -> Result:
         """Return one model per output of the record, driven by all its inputs.
 
         Several records of one plant go into one fit, each with its own past and constant; see `identify_joint`.
         A `files.LongRecord` is read from its file in blocks, one pass an iteration; see `identify_long`.
+        With `start`, the model of an earlier record, each search begins from it and tries no other start unless it
+        fails to converge: a refit takes a fraction of the steps. Its orders may be smaller than the method's.
 
         Raises:
-            InputError: too few samples for the order, a constant input or output.
+            InputError: too few samples for the order, a constant input or output; a start that does not fit, or that
+                is given for several records, a long one or known parts.
         """
+        if start is not None and (self.informed or not isinstance(record, Record)):
+            raise InputError(
+                f"{type(self).__name__}: start is taken for one record in memory and unknown polynomials of one order; "
+                f"leave it out for several records, a long one or known parts."
+            )
         if isinstance(record, LongRecord):
             if self.informed:
                 raise InputError(
@@ -124,7 +132,8 @@ class PolynomialMethod:
 
             return identify_joint(self, record)
         self.check(record)
-        fits = [self.fit(Channel.of(record, i), record.rate_hz) for i in range(len(record.sensors))]
+        first = starting_models(start, len(record.sensors), 1, record.rate_hz)
+        fits = [self.fit(Channel.of(record, i, row[0]), record.rate_hz) for i, row in enumerate(first)]
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         model = PolynomialMatrix([[f.model] for f in fits], record.actuators, record.sensors, made)
         return gather(model, fits, made)

@@ -1,22 +1,27 @@
 """Where the search begins. Starts decide success: at 3.5 kHz a search from a poor one ends in a poor minimum."""
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from copy import copy
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet.identify import hankel
 from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.linalg.prediction import repaired
-from ultraquiet.values import Record
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
 
 # A start's poles and zeros are drawn inside this radius: a search that begins on the circle cannot leave it.
 RADIUS = 0.9995
 NOISE_RADIUS = 0.998
+START_RADIUS = 1.0 - 1e-5  # for a model that is given: the search itself comes as near as 1e-6
 LONG_MEMORY = 30  # order of the autoregression that stands in for the noise filter's inverse
+LONG_RIDGE = 1e-12  # share of v's size: below it normal equations of shifts hold no digit
 HANNAN_ROUNDS = 2
+NOTHING = np.zeros((0, 0))
 
 
 class Channel:
@@ -30,12 +35,16 @@ class Channel:
         self.y = y / self.output_size
         self.gain = self.output_size / self.input_size
         self._subspaces: dict[int, tuple[FloatArray, FloatArray] | None] = {}
+        self.searched: dict[Hashable, Any] = {}
+        self.start: PolynomialModel | None = None
 
     @classmethod
-    def of(cls, record: Record, output: int) -> "Channel":
-        """Return an output of a record with its sensor's limits."""
+    def of(cls, record: Record, output: int, start: PolynomialModel | None = None) -> "Channel":
+        """Return an output of a record with its sensor's limits, and the model that searches are to begin from."""
         sensor = record.sensors[output]
-        return cls(record.inputs, record.outputs[output], sensor.low, sensor.high)
+        made = cls(record.inputs, record.outputs[output], sensor.low, sensor.high)
+        made.start = start
+        return made
 
     @property
     def clipped(self) -> int:
@@ -45,6 +54,7 @@ class Channel:
     def repaired(self, model: FloatArray) -> "Channel":
         """Return the channel with its clipped readings replaced by a model's output, in output units."""
         other = copy(self)
+        other.searched = {}
         other.y = repaired(self.recorded, model, self.low, self.high) / self.output_size
         return other
 
@@ -70,6 +80,50 @@ class Channel:
             return hankel.observability(*self.centred, rows)
         except np.linalg.LinAlgError:
             return None
+
+
+def starting_models(
+    start: PolynomialMatrix | None, outputs: int, columns: int, rate_hz: float
+) -> list[list[PolynomialModel | None]]:
+    """Return the model each channel's search begins from, `(outputs, columns)`; None everywhere without a start."""
+    if start is None:
+        return [[None] * columns for _ in range(outputs)]
+    if len(start.rows) != outputs or any(len(row) != columns for row in start.rows):
+        raise InputError(
+            f"start: the fit has {outputs} x {columns} models, the start {len(start.rows)} x {len(start.rows[0])}."
+        )
+    if start.rate_hz != rate_hz:
+        raise InputError(f"start: the model is sampled at {start.rate_hz:g} Hz, the record at {rate_hz:g} Hz.")
+    return [list(row) for row in start.rows]
+
+
+def table_of(data: Channel, structure: Structure, model: PolynomialModel) -> FloatArray:
+    """Return the kernels' table of a model in the channel's own units, coefficients it lacks zero.
+
+    A structure without noise polynomials takes the plant alone.
+
+    Raises:
+        InputError: the model has other inputs, a polynomial the structure lacks, or more coefficients.
+    """
+    nu = data.u.shape[0]
+    table, degree = structure.empty(nu), structure.degree(nu)
+    if len(model.b) != nu:
+        raise InputError(f"start: the model has {len(model.b)} inputs, the record {nu}.")
+    noise = [(row, p) for row, p in ((ROW_C, model.c), (ROW_D, model.d)) if degree[row] > 0]
+    for row, p in [(ROW_A, model.a), *noise, *zip(f_rows(nu), model.f, strict=True)]:
+        order = np.trim_zeros(p, "b").size - 1
+        if order > degree[row]:
+            raise InputError(f"start: the model has a polynomial of order {order}, the fit takes {degree[row]}.")
+        table[row, : order + 1] = p[: order + 1] if row == ROW_A else _movable(p[: order + 1])
+    for j, row in enumerate(b_rows(nu)):
+        b = model.b[j][structure.delay : structure.delay + structure.b] / data.gain[j]
+        table[row, : b.size] = b
+    return table
+
+
+def _movable(p: FloatArray) -> FloatArray:
+    """Return p, its roots drawn in if any stands so near to the circle that no step could leave it."""
+    return p if np.all(np.abs(np.roots(p)) <= START_RADIUS) else stable(p, START_RADIUS)
 
 
 def starting_tables(data: Channel, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
@@ -130,12 +184,14 @@ def _least_squares(data: Channel, structure: Structure) -> FloatArray:
         structure.states(nu, True, True),
         LINEAR_STEPS,
         LINEAR_TOLERANCE,
+        UNDAMPED,
     )
     return found[0]
 
 
-LINEAR_STEPS = 8  # Levenberg-Marquardt damps its first steps; a linear problem is solved when the damping is gone
+LINEAR_STEPS = 8  # a linear problem is solved by one undamped step; others only clear what rounding left of it
 LINEAR_TOLERANCE = 1e-6
+UNDAMPED = 0.0
 
 
 def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArray:
@@ -156,6 +212,7 @@ def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArra
         plant.states(nu, True, True),
         LINEAR_STEPS,
         LINEAR_TOLERANCE,
+        UNDAMPED,
     )
     table, rest = found[0], found[2]
     if structure.c or structure.d:
@@ -169,27 +226,44 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
 
     Hannan and Rissanen 1982, doi:10.1093/biomet/69.1.81.
     """
+    from ultraquiet.identify import kernels
     from ultraquiet.linalg.prediction import filtered
 
-    memory = min(LONG_MEMORY, v.size // 8)
-    lagged = _shifted(v, memory)
-    e = v - lagged @ np.linalg.lstsq(lagged, v, rcond=None)[0]
+    before = max(c_order, d_order)
+    memory = max(before, min(LONG_MEMORY, v.size // 8))
+    e = _innovations(v, memory)
     c, d = np.ones(1), np.ones(1)
+    lags, counts = np.array([0, 1, 1, 0]), np.array([before, d_order, c_order, 1])
     for _ in range(HANNAN_ROUNDS):
-        X = np.hstack([-_shifted(v, d_order), _shifted(e, c_order)])[memory:]
-        found = np.linalg.lstsq(X, v[memory:], rcond=None)[0]
-        d = stable(np.concatenate([[1.0], found[:d_order]]), NOISE_RADIUS)
-        c = stable(np.concatenate([[1.0], found[d_order:]]), NOISE_RADIUS)
+        # v + sum_k d_k v(t-k) - sum_k c_k e(t-k) is to be small from sample `memory` on; a pulse takes out what is
+        # there only to stand in the past of others.
+        known = np.stack([np.zeros(v.size), v, -e, v])[:, memory - before :]
+        known[0, 0] = 1.0
+        found, _ = kernels.damped_step(kernels.reduced(kernels.gram(known, lags, counts, NOTHING), before), 0.0)
+        d = stable(np.concatenate([[1.0], kernels.expanded(found[:d_order])]), NOISE_RADIUS)
+        c = stable(np.concatenate([[1.0], kernels.expanded(found[d_order:])]), NOISE_RADIUS)
         e = filtered(v, d, c)
     return c, d
 
 
-def _shifted(x: FloatArray, count: int) -> FloatArray:
-    """Return columns x(t-1) .. x(t-count), zero before the record."""
-    out = np.zeros((x.size, count))
-    for k in range(1, count + 1):
-        out[k:, k - 1] = x[:-k]
-    return out
+def _innovations(v: FloatArray, memory: int) -> FloatArray:
+    """Return v less its best prediction from the last `memory` samples, zero before the record.
+
+    Products of shifts differ along a diagonal by the samples that leave at the end alone.
+    """
+    from ultraquiet.linalg.prediction import filtered
+
+    n = v.size
+    G = np.empty((memory + 1, memory + 1))
+    last = v[::-1][:memory]
+    for k in range(memory + 1):
+        leaving = np.cumsum(last[: memory - k] * v[::-1][k:memory])
+        diagonal = float(v[k:] @ v[: n - k]) - np.concatenate([[0.0], leaving])
+        i = np.arange(memory + 1 - k)
+        G[i, i + k] = G[i + k, i] = diagonal
+    G[np.diag_indices_from(G)] += LONG_RIDGE * G[0, 0]
+    weights = np.linalg.solve(G[1:, 1:], G[1:, 0])
+    return filtered(v, np.concatenate([[1.0], -weights]), np.ones(1))
 
 
 def drawn_in(roots: ComplexArray, radius: float) -> ComplexArray:

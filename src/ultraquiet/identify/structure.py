@@ -27,6 +27,11 @@ class Structure:
         """Return the number of free coefficients with `inputs` inputs."""
         return self.a + self.c + self.d + inputs * (self.b + self.f)
 
+    def smaller(self) -> "Structure":
+        """Return the structure with one coefficient less in every polynomial it has."""
+        a, b, c, d, f = (max(0, k - 1) for k in (self.a, self.b, self.c, self.d, self.f))
+        return Structure(a, b, c, d, f, self.delay)
+
     def degree(self, inputs: int) -> IntArray:
         """Return the free coefficients of each row of the table."""
         return np.array([self.a, self.c, self.d, *([self.b, self.f] * inputs)], dtype=np.int64)
