@@ -10,10 +10,13 @@ from ultraquiet.identify.order import Candidate, Sweep, sweep
 from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.predictor import PredictorSubspace
 from ultraquiet.identify.rational import Rational, ResponseFit
+from ultraquiet.identify.recursion import Recursion
+from ultraquiet.identify.recursive import RecursiveArmax, RecursiveArx, RecursiveBoxJenkins
 from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
 from ultraquiet.identify.subspace import Subspace
+from ultraquiet.identify.trajectory import Trajectory
 from ultraquiet.identify.weighted_rational import WeightedRational
 
 __all__ = [
@@ -28,6 +31,10 @@ __all__ = [
     "OutputError",
     "PredictorSubspace",
     "Rational",
+    "Recursion",
+    "RecursiveArmax",
+    "RecursiveArx",
+    "RecursiveBoxJenkins",
     "RegularisedArx",
     "ResponseFit",
     "ResponseResult",
@@ -36,6 +43,7 @@ __all__ = [
     "StructuredFit",
     "Subspace",
     "Sweep",
+    "Trajectory",
     "WeightedFit",
     "WeightedRational",
     "identify_joint",

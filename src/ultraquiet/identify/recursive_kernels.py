@@ -236,50 +236,62 @@ def moved(R, z, theta, base, degree, P, work):
 
 @compiled
 def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, count, options, e):
-    """Take in the samples of one block; `count` holds samples seen, held steps and the last look.
+    """Take in the samples of one block; `count` holds samples seen, steps held, the next free column, the last step.
 
     `options`: samples during which nothing is learned, those during which theta stays, keep (square root of the
-    forgetting factor), mode, samples between resets (0: never), samples that a start from nothing remembers (0: all).
+    forgetting factor), mode, samples between resets (0: never), samples that a start from nothing remembers (0: all),
+    samples between steps, samples behind that are filtered again after one.
     """
-    nu, p = u.shape[0], theta.size
-    cell = work.shape[1] - head
-    quiet, still, steady, mode, reset, early = options
-    g = np.zeros(p)
-    for start in range(0, y.size, cell):
-        used = min(cell, y.size - start)
-        for t in range(used):
-            i = head + t
-            work[:nu, i], work[nu, i] = u[:, start + t], y[start + t]
-            predict(P, degree, lag, work, nu, i)
-            e[start + t] = work[2 * nu + 2, i]
-            filtered(P, degree, work, nu, i)
-            count[0] += 1
-            if count[0] <= quiet:
-                continue
-            gradient(degree, lag, work, nu, i, offset, g)
-            keep = steady
-            if early > 0:
-                keep *= 1.0 - 0.5 / early * np.exp(-count[0] / (WEANING * early))
-            if keep < 1.0 and count[0] > still:
-                forget(R, z, theta, best, g, count[0], keep, int(mode))
-            target = -e[start + t]
-            for k in range(p):
-                target += g[k] * theta[k]
-            rotate_in(R, z, g, target, 0)
-            if count[0] <= still:
-                stand(R, z, theta)
-            else:
-                if moved(R, z, theta, base, degree, P, work) < 1.0:
-                    count[1] += 1
-                predict(P, degree, lag, work, nu, i)
-            if (keep < 1.0 or reset > 0) and count[0] % LOOK == 0 and informed(R) > informed(best):
-                best[:] = R
-            if reset > 0 and count[0] % int(reset) == 0:
-                R[:] = np.sqrt(FLOOR) * best
-                stand(R, z, theta)
-        for r in range(work.shape[0] - 1):
-            for t in range(head):
-                work[r, t] = work[r, t + used]
+    nu = u.shape[0]
+    quiet, still, steady, mode, reset, early, stride, behind = options
+    g = np.zeros(theta.size)
+    for t in range(y.size):
+        if count[2] == work.shape[1]:
+            shift(work, head + int(behind), count)
+        i = count[2]
+        count[2] += 1
+        work[:nu, i], work[nu, i] = u[:, t], y[t]
+        predict(P, degree, lag, work, nu, i)
+        filtered(P, degree, work, nu, i)
+        e[t] = work[2 * nu + 2, i]
+        count[0] += 1
+        if count[0] <= quiet:
+            continue
+        gradient(degree, lag, work, nu, i, offset, g)
+        keep = steady
+        if early > 0:
+            keep *= 1.0 - 0.5 / early * np.exp(-count[0] / (WEANING * early))
+        if keep < 1.0 and count[0] > still:
+            forget(R, z, theta, best, g, count[0], keep, int(mode))
+        target = -e[t]
+        for k in range(theta.size):
+            target += g[k] * theta[k]
+        rotate_in(R, z, g, target, 0)
+        if count[0] <= still:
+            stand(R, z, theta)
+            count[3] = count[0]
+        elif count[0] - count[3] >= min(stride, 1 + count[0] // LOOK):
+            count[3] = count[0]
+            if moved(R, z, theta, base, degree, P, work) < 1.0:
+                count[1] += 1
+            for k in range(max(head, i + 1 - int(behind)), i + 1):
+                predict(P, degree, lag, work, nu, k)
+                filtered(P, degree, work, nu, k)
+        if (keep < 1.0 or reset > 0) and count[0] % LOOK == 0 and informed(R) > informed(best):
+            best[:] = R
+        if reset > 0 and count[0] % int(reset) == 0:
+            R[:] = np.sqrt(FLOOR) * best
+            stand(R, z, theta)
+
+
+@compiled
+def shift(work, kept, count):
+    """Make room: the last `kept` columns move to the front."""
+    gap = count[2] - kept
+    for r in range(work.shape[0] - 1):
+        for t in range(kept):
+            work[r, t] = work[r, t + gap]
+    count[2] = kept
 
 
 @compiled
