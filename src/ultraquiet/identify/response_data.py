@@ -29,7 +29,7 @@ class Data(NamedTuple):
     @property
     def rows(self) -> int:
         """Number of real equations."""
-        return 2 * self.samples.Y.size
+        return 2 * int(np.count_nonzero(self.samples.w))
 
     @property
     def slowest(self) -> float:
@@ -49,7 +49,7 @@ class Data(NamedTuple):
 
 
 def from_response(response: FrequencyResponse, rate_hz: float | None, floor: float) -> Data:
-    """Return a response's lines that have a noise figure, 0 Hz left out."""
+    """Return a response's lines, 0 Hz left out; a gain without noise figure weighs nothing."""
     f, G, variance = response.f_hz, response.values, response.variance
     if rate_hz is not None and f.size and f[-1] > positive(WHO, "rate_hz", rate_hz, "Hz") / 2:
         raise InputError(
@@ -61,7 +61,8 @@ def from_response(response: FrequencyResponse, rate_hz: float | None, floor: flo
             f"local_polynomial or frf, add one by with_coherence_variance, or use Rational."
         )
     variance = variance + (floor * np.abs(G)) ** 2
-    keep = (np.isfinite(variance) & (variance > 0) & np.isfinite(G)).all(axis=(0, 1)) & (f > 0)
+    known = np.isfinite(variance) & (variance > 0) & np.isfinite(G)
+    keep = known.any(axis=(0, 1)) & (f > 0)
     if rate_hz is not None:
         keep &= f < rate_hz / 2
     if not keep.any():
@@ -70,7 +71,8 @@ def from_response(response: FrequencyResponse, rate_hz: float | None, floor: flo
             f"than two periods."
         )
     ny, nu = G.shape[:2]
-    f, G, deviation = f[keep], G[:, :, keep], np.sqrt(variance[:, :, keep])
+    f, G = f[keep], np.where(known, G, 0.0)[:, :, keep]
+    deviation = np.sqrt(np.where(known, variance, np.inf)[:, :, keep])
     drive = np.ones((1, 1, f.size), dtype=np.complex128)
     samples = _samples(f, rate_hz, drive, G.reshape(ny * nu, -1), deviation.reshape(ny * nu, -1) ** 2)
     return Data(samples, G, 1.0 / deviation, response.actuators, response.sensors, response.provenance.parents)
@@ -125,4 +127,4 @@ def _known(response: FrequencyResponse) -> FloatArray:
 
 
 def _not_faint(power: FloatArray) -> FloatArray:
-    return np.maximum(power, FAINTEST * power.max())
+    return np.maximum(power, FAINTEST * power.max(where=np.isfinite(power), initial=0.0))

@@ -93,13 +93,13 @@ class WeightedFit:
             f_hz: `(nf,)` Hz.
             level: probability that each single gain lies inside, at one line.
         """
-        from scipy.stats import chi2, norm
+        from scipy.special import ndtri
 
         p = between("WeightedFit.band", "level", level, 0.01, 0.9999)
         f = frequency_array("WeightedFit.band", f_hz)
         G = self.frequency_response(f)
         C = self._covariance(f)
-        z = float(norm.ppf(0.5 + p / 2))
+        z = float(ndtri(0.5 + p / 2))
         size = np.maximum(np.abs(G), np.finfo(float).tiny)
         along = np.stack([G.real, G.imag], axis=-1) / size[..., None]
         across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
@@ -114,7 +114,7 @@ class WeightedFit:
             np.degrees(np.arctan(turn / size)),
             z * np.sqrt(C[..., 0, 0]),
             z * np.sqrt(C[..., 1, 1]),
-            np.sqrt(largest * chi2.ppf(p, 2)),
+            np.sqrt(-2.0 * np.log1p(-p) * largest),
         )
 
     def _covariance(self, f_hz: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from ultraquiet.identify.response_data import WHO, Data, from_periods, from_reco
 from ultraquiet.identify.response_model import WeightedFit
 from ultraquiet.linalg import portmanteau, section_start
 from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg.innovation import free_motion
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.section_realise import realised
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
@@ -23,10 +24,10 @@ from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
 HIGHEST_ORDER = 60
 # Lines per pole below which a fit would interpolate.
 LINES_PER_POLE = 2
-# So many orders without a better criterion end the search for one.
+# So many pairs more without a better criterion end the search for the order.
 PATIENCE = 3
 # So many of the best starts run this far; the best of these runs to its end.
-TRIALS = 3
+TRIALS = 2
 TRIAL_STEPS = 15
 # A verdict errs once in a thousand good models.
 SIGNIFICANCE = 1e-3
@@ -132,22 +133,34 @@ class WeightedRational:
 
     @single_threaded
     def _fit(self, data: Data) -> WeightedFit:
-        orders = range(1, self.highest_order + 1) if self.order is None else (self.order,)
         most = data.samples.f_rad.size // LINES_PER_POLE
-        if orders[0] > most:
+        highest = min(self.highest_order, most) if self.order is None else self.order
+        if highest > most or most < 1:
             raise InputError(
-                f"{WHO}: order {orders[0]} takes {LINES_PER_POLE * orders[0]} lines, there are "
+                f"{WHO}: order {highest} takes {LINES_PER_POLE * highest} lines, there are "
                 f"{data.samples.f_rad.size}; measure more lines or lower the order."
             )
         found: dict[int, _Found] = {}
         scores: dict[int, float] = {}
-        with task("weighted rational fit", len(orders)) as progress:
-            for n in orders:
-                if n > most or _exhausted(scores):
+
+        def tried(n: int) -> None:
+            smaller = found.get(n - 2) or found.get(n - 1)
+            found[n] = _at_order(self, data, n, smaller)
+            scores[n] = _score(self.criterion, found[n], data.rows)
+            progress.advance(note=f"order {n}: {scores[n]:.6g}")
+
+        # Pairs of poles come first, a single one beside the best number of pairs.
+        evens = [*range(2, highest + 1, 2)] or [highest]
+        with task("weighted rational fit", len(evens) + 2) as progress:
+            for n in evens if self.order is None else [self.order]:
+                if _exhausted(scores):
                     break
-                found[n] = _at_order(self, data, n, found.get(n - 2))
-                scores[n] = _score(self.criterion, found[n], data.rows)
-                progress.advance(note=f"order {n}: {scores[n]:.6g}")
+                tried(n)
+            if self.order is None:
+                best = min(scores, key=lambda n: scores[n])
+                for n in (best - 1, best + 1):
+                    if 1 <= n <= highest and n not in found:
+                        tried(n)
         best = min(scores, key=lambda n: scores[n])
         least = scores[best]
         return _finished(self, data, found[best], {n: v - least for n, v in scores.items()})
@@ -155,9 +168,7 @@ class WeightedRational:
 
 def _exhausted(scores: dict[int, float]) -> bool:
     orders = sorted(scores)
-    if len(orders) <= 2 * PATIENCE:
-        return False
-    return min(scores[n] for n in orders[-2 * PATIENCE :]) > min(scores.values())
+    return len(orders) > PATIENCE and min(scores[n] for n in orders[-PATIENCE:]) > min(scores.values())
 
 
 def _score(criterion: str, found: _Found, rows: int) -> float:
@@ -187,7 +198,7 @@ def _searched(
     turned = data.late(held)
     starts = list(section_start.starts(turned.samples, turned.H, turned.weight, shape))
     if smaller is not None and smaller.shape.delay == shape.delay and smaller.held_delay_s == held:
-        starts.append(section_start.one_pair_more(turned.samples, smaller.point, smaller.shape.order))
+        starts.append(section_start.grown(turned.samples, smaller.point, smaller.shape.order, shape.order))
     return _polished(method, data, shape, held, starts)
 
 
@@ -242,15 +253,15 @@ def _whiteness(point: sections.Point, share: float) -> float:
     lags = min(TEST_LAGS, nf // 5)
     if lags < 1:
         return 1.0
+    from scipy.special import chdtrc
+
     statistic, freedom = 0.0, 0
     for r in point.residual:
         for part in (r[:nf], r[nf:]):
             test = portmanteau.ljung_box(part, lags)
             statistic, freedom = statistic + test.statistic, freedom + test.freedom
-    from scipy.stats import chi2
-
     # Parameters take their share of the residual's freedom; without it the test would be mild.
-    return float(chi2.sf(statistic, max(freedom * (1.0 - share), 1.0)))
+    return float(chdtrc(max(freedom * (1.0 - share), 1.0), statistic))
 
 
 def _verdict(found: _Found, cost: float, p: float, at_limit: bool) -> Status:
@@ -282,13 +293,15 @@ def _model(method: WeightedRational, data: Data, found: _Found) -> StateSpace:
 
 def _result(method: WeightedRational, found: WeightedFit, record: Record) -> Result:
     simulated = found.model.simulate(record.inputs)
-    residual = record.outputs - simulated
+    miss = record.outputs - simulated
+    miss = miss - miss.mean(axis=1, keepdims=True)
+    residual = miss - free_motion(found.model.A, found.model.C, miss)
     ny = len(record.sensors)
     made = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
     return Result(
         found.model,
         found.status,
-        np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
+        np.array([fit_percent(y, y - e) for y, e in zip(record.outputs, residual, strict=True)]),
         np.mean(residual**2, axis=1),
         np.full((ny, 0, 0), np.nan),
         np.full(ny, found.whiteness_p),

@@ -21,8 +21,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 FURTHEST = 25.0
 # Largest change of the logarithm of a coefficient in one step.
 LONGEST_STEP = 1.5
-# The search ends when a step promises to lower the sum of squares by less than this: the estimate then stands within
-# 3 % of its standard deviation of the minimum.
+# The search ends when a step promises to lower the sum of squares by less than this many mean squared residuals: the
+# estimate then stands within 3 % of its standard deviation of the minimum.
 TOLERANCE = 1e-3
 DAMPING, EASED, STIFFENED, STIFFEST, LEAST_DAMPING = 1e-3, 0.2, 5.0, 1e10, 1e-12
 # A coefficient this near to its limit stands at it.
@@ -166,7 +166,9 @@ def _gradients(samples: Samples, shape: Shape, own: Sections, rho: FloatArray) -
     """Return the weighted derivative of the model by theta, `(channels, nf, nonlinear)`."""
     channels, nf = samples.Y.shape
     J = np.zeros((channels, nf, shape.nonlinear), dtype=np.complex128)
-    terms = np.einsum("cqf,fm,cqm->cfm", np.broadcast_to(samples.V, (channels, *samples.V.shape[1:])), own.phi, rho)
+    terms = np.zeros((channels, nf, rho.shape[2]), dtype=np.complex128)
+    for q in range(rho.shape[1]):
+        terms += own.phi * (samples.V[:, q, :, None] * rho[:, q, None, :])
     for k in range(shape.order // 2):
         both = terms[:, :, 2 * k] + terms[:, :, 2 * k + 1]
         J[:, :, 2 * k] = both * own.per_theta[2 * k]
@@ -175,7 +177,8 @@ def _gradients(samples: Samples, shape: Shape, own: Sections, rho: FloatArray) -
         J[:, :, shape.order - 1] = terms[:, :, shape.order - 1] * own.per_theta[-1]
     if shape.delay:
         J[:, :, -1] = -1j * samples.f_rad * terms.sum(axis=2)
-    return J * samples.w[:, :, None]
+    J *= samples.w[:, :, None]
+    return J
 
 
 def search(
@@ -186,7 +189,9 @@ def search(
     No pole becomes slower than `slowest` (modulus in s over the scale, or in w = (z - 1) / (z + 1)).
     """
     here, damping, taken = evaluate(samples, shape, within(theta, shape, slowest)), DAMPING, 0
+    rows = max(2 * np.count_nonzero(samples.w), 1)
     while taken < steps:
+        enough = TOLERANCE * here.cost / rows
         free = _free(here, shape, slowest)
         size = np.sqrt(np.maximum(np.diag(here.normal)[free], np.finfo(float).tiny))
         values, vectors = np.linalg.eigh(here.normal[np.ix_(free, free)] / np.outer(size, size))
@@ -194,14 +199,14 @@ def search(
         along = vectors.T @ (here.gradient[free] / size)
         moved = False
         while damping < STIFFEST:
-            if float(np.sum(along**2 / (values + damping))) < TOLERANCE:
+            if float(np.sum(along**2 / (values + damping))) < enough:
                 return here, taken, True
             step = np.zeros(shape.nonlinear)
             step[free] = vectors @ (along / (values + damping)) / size
             step *= min(1.0, LONGEST_STEP / max(np.abs(step[: shape.order]).max(initial=0.0), 1e-300))
             there = evaluate(samples, shape, within(here.theta + step, shape, slowest))
             if there.cost < here.cost:
-                settled = here.cost - there.cost < TOLERANCE and damping < DAMPING
+                settled = here.cost - there.cost < enough and damping < DAMPING
                 here, moved = there, True
                 damping = max(damping * EASED, LEAST_DAMPING)
                 if settled:

@@ -8,9 +8,15 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg import section_search as sections
 from ultraquiet.linalg.vector_fitting import paired, relocated_in_s
 
-RELOCATIONS = 12
+RELOCATIONS = 8
+# Every so-manieth line is enough to start from.
+MOST_LINES = 600
+# Gains below this share of the largest are weighed as if they were that large.
+FAINT = 1e-3
 # Starting poles: relative damping of the pairs.
 DAMPING = 0.02
+# The place where a fit misses most is sought in a mean over so many lines.
+SMOOTHED = 5
 # The last so many relocations are tried: near the noise they wander rather than converge.
 TRIED = 2
 
@@ -30,30 +36,36 @@ def starts(
 ) -> Iterator[FloatArray]:
     """Yield starting points for a fit to the responses H with weights, `(ny, nu, nf)` each.
 
-    Vector fitting runs on the imaginary axis of the bilinear image, where both times look alike.
+    One spread of poles is relocated by the given weights, the other by weights relative to the response, on the
+    imaginary axis of the bilinear image, where both times look alike.
     """
     s, scale = _axis(samples)
-    relative = 1.0 / np.maximum(np.abs(H), 1e-3 * np.abs(H).max())
+    some = slice(None, None, 1 + s.size // max(MOST_LINES, 2 * shape.order))
+    s, H, weight = s[some], H[:, :, some], weight[:, :, some]
+    relative = np.where(weight > 0, 1.0 / np.maximum(np.abs(H), FAINT * np.abs(H).max()), 0.0)
     constant = shape.direct or samples.rate_hz is not None
-    for w in (weight, relative):
-        for poles in spreads(s, shape.order):
-            p = poles
-            for k in range(RELOCATIONS):
-                p = relocated_in_s(s, H, w, p, constant)
-                if k >= RELOCATIONS - TRIED:
-                    yield _theta(p, shape, scale)
+    for w, poles in zip((weight, relative), spreads(s, shape.order), strict=True):
+        p = poles
+        for k in range(RELOCATIONS):
+            p = relocated_in_s(s, H, w, p, constant)
+            if k >= RELOCATIONS - TRIED:
+                yield _theta(p, shape, scale)
 
 
-def one_pair_more(samples: sections.Samples, before: sections.Point, order: int) -> FloatArray:
-    """Return the sections of a smaller fit and one more where it misses most."""
+def grown(samples: sections.Samples, before: sections.Point, order: int, wanted: int) -> FloatArray:
+    """Return the sections of a fit one or two orders smaller, and another pair where it misses most, or a real pole."""
     s, scale = _axis(samples)
+    pairs = order - order % 2
+    if wanted == order + 1 and order % 2 == 0:
+        middle = scale * float(np.sqrt(np.abs(s).min() * np.abs(s).max()))
+        return np.concatenate([before.theta[:pairs], [np.log(middle)], before.theta[pairs:]])
     nf = s.size
     miss = (before.residual[:, :nf] ** 2 + before.residual[:, nf:] ** 2).sum(axis=0)
-    smooth = np.convolve(miss, np.ones(5), mode="same")
-    at = float(np.abs(s[int(np.argmax(smooth))])) * scale
+    at = float(np.abs(s[int(np.argmax(np.convolve(miss, np.ones(SMOOTHED), mode="same")))])) * scale
     pair = np.array([np.log(2 * DAMPING * at), 2 * np.log(at)])
-    pairs = order - order % 2
-    return np.concatenate([before.theta[:pairs], pair, before.theta[pairs:]])
+    # From an odd order to the next even one the single pole is given up.
+    kept = before.theta[order:] if wanted == order + 1 else before.theta[pairs:]
+    return np.concatenate([before.theta[:pairs], pair, kept])
 
 
 def _axis(samples: sections.Samples) -> tuple[ComplexArray, float]:

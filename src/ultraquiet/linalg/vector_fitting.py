@@ -105,7 +105,10 @@ def relocated_in_s(
     rows: list[FloatArray] = []
     for h, w in zip(H.reshape(-1, s.size), weight.reshape(-1, s.size), strict=True):
         own = _real(np.asarray(w[:, None] * mine, dtype=np.complex128))
-        common, _ = np.linalg.qr(own / np.linalg.norm(own, axis=0))
+        size = np.linalg.norm(own, axis=0)
+        if not size.all():
+            continue  # a channel without a single line that weighs anything
+        common, _ = np.linalg.qr(own / size)
         rows.append(_compressed(w * h, phi, common))
     found = _zeros_of_sigma(rows, weight * H, phi, poles)
     return paired(np.asarray(-np.abs(found.real) + 1j * found.imag, dtype=np.complex128))
