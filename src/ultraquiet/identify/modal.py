@@ -4,13 +4,17 @@ Everything is read off one Gram matrix of the filter bank, so fitting B, then C,
 data. The initial state is one more input: a pulse just before the first sample.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.values import StateSpace
+
+IntArray = NDArray[np.int64]
 
 IMAGINARY = 1e-9  # a pole nearer to the real axis than this is real
 # Share of the largest eigenvalue of the unit-diagonal normal matrix below which a direction is left out. Such
@@ -69,6 +73,15 @@ class Bank:
         self.G = G
         self.power = np.diag(G)[-self.ny :].copy()
 
+    def only(self, kept: IntArray) -> "Bank":
+        """Return the bank of some of the modes; nothing is summed again."""
+        other = copy(self)
+        high = 2 * (self.nu + 1)
+        rows = np.concatenate([np.arange(k * high, (k + 1) * high) for k in kept])
+        rows = np.concatenate([rows, np.arange(self.modes, len(self.G))])
+        other.poles, other.modes, other.G = self.poles[kept], len(kept) * high, self.G[np.ix_(rows, rows)]
+        return other
+
     def _direct_rows(self) -> slice:
         return slice(self.modes, self.modes + self.direct)
 
@@ -123,6 +136,43 @@ class Bank:
             v = np.concatenate([w, direct])
             out[i] = self.power[i] - 2.0 * v @ self.G[:inner, inner + i] + v @ self.G[:inner, :inner] @ v
         return np.maximum(out, 0.0) / self.n
+
+
+def carried(bank: Bank, modes: Modes) -> FloatArray:
+    """Return by how many error variances the squares of all outputs would rise without each mode, `(m,)`.
+
+    The other modes' c are fitted again: for output i that is c' (N^-1)^-1 c, the inverse restricted to the mode.
+    """
+    X = state_map(modes.b, 0, bank.direct)
+    inner = bank.modes + bank.direct
+    N = X @ bank.G[:inner, :inner] @ X.T
+    size = np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(N / np.outer(size, size), rcond=CUTOFF, hermitian=True) / np.outer(size, size)
+    error = np.maximum(bank.loss(modes), np.finfo(float).tiny)
+    out = np.zeros(len(modes.poles))
+    for k, p in enumerate(modes.poles):
+        rows = slice(2 * k, 2 * k + 1 if p.imag == 0.0 else 2 * k + 2)
+        c = np.stack([modes.c[:, k].real, modes.c[:, k].imag], axis=1)[:, : rows.stop - rows.start]
+        out[k] = float(np.sum(np.einsum("ia,ab,ib->i", c, np.linalg.pinv(inverse[rows, rows]), c) / error))
+    return out
+
+
+def pruned(bank: Bank, modes: Modes) -> tuple[Bank, Modes]:
+    """Leave out modes that the record cannot tell from noise, the fainter half at a time, the rest fitted again.
+
+    A mode must carry log n error variances for each of its numbers, as by Schwarz's criterion.
+    """
+    while len(modes.poles) > 1:
+        states = np.where(modes.poles.imag == 0.0, 1, 2)
+        share = carried(bank, modes) / (states * (bank.nu + bank.ny) * np.log(bank.n))
+        faint = np.flatnonzero(share < 1.0)
+        if not faint.size:
+            break
+        gone = faint[np.argsort(share[faint])[: min((faint.size + 1) // 2, len(states) - 1)]]
+        kept = np.setdiff1d(np.arange(len(states)), gone)
+        bank = bank.only(kept)
+        modes = bank.fit_b(modes.c[:, kept])
+    return bank, modes
 
 
 def state_map(b: ComplexArray, extra: int, direct: int) -> FloatArray:

@@ -16,7 +16,6 @@ HIGHEST = 120
 GRID = 1.25  # from one order tried to the next
 PATIENCE = 3  # orders tried without a better one before the search ends
 WORTH = 0.01  # of the held-out error, summed in logarithms over outputs: what a larger order must gain
-DEEPEST = 40  # block rows by which orders are compared
 
 
 def gap(values: FloatArray) -> int:
@@ -37,7 +36,7 @@ def chosen(method: "Subspace", record: Record) -> int:
     data = state_fit.Scaled.of(record)
     split = record.samples - record.samples // HELD_OUT
     u, y = data.centred_u[:, :split], data.y[:, :split]
-    rows = max(r for r in method.horizons(record.part(0, split), 1) if r <= DEEPEST or method.horizon)
+    rows = max(method.horizons(record.part(0, split), 1))
     basis, values = hankel.observability(u, y, rows, method.weight)
     highest = min(HIGHEST, (rows - 1) * len(y), len(values) - 1, record.samples // 20)
     losses: dict[int, float] = {}
@@ -49,7 +48,7 @@ def chosen(method: "Subspace", record: Record) -> int:
 
     order, best, waited = 1, 1, 0
     while order <= highest and waited < PATIENCE:
-        if loss(order) < losses[best] - WORTH * 0.1:
+        if loss(order) < losses[best] - WORTH:
             best, waited = order, 0
         else:
             waited += order > 2
@@ -59,6 +58,13 @@ def chosen(method: "Subspace", record: Record) -> int:
         loss(n)
     floor = min(losses.values()) + WORTH
     return min(n for n, value in losses.items() if value <= floor)
+
+
+def cost(bank: modal.Bank, modes: modal.Modes) -> float:
+    """Return n sum_i log(mean squared error of output i) + log n (states) (inputs + outputs): Schwarz's criterion."""
+    states = int(np.sum(np.where(modes.poles.imag == 0.0, 1, 2)))
+    fit = bank.n * float(np.sum(np.log(np.maximum(bank.loss(modes), np.finfo(float).tiny))))
+    return fit + float(np.log(bank.n)) * states * (bank.nu + bank.ny)
 
 
 def _held_out(

@@ -17,10 +17,9 @@ from ultraquiet.values import InnovationForm, Record, Status
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200  # the simulation error is coloured; this much of its memory enters the test's variance
 SIGNIFICANCE = 1e-3
-SEGMENT = 256  # samples of a spectrum by which copies among the inputs are found
-# Share of an input's power that the other inputs do not explain, below which its column of B has no meaning: leakage of
-# a copy one sample late leaves 1e-5 in segments of this length.
-OWN_SHARE = 1e-4
+SHIFTS = 4  # samples before and after, at which an input is looked for in the others
+SAMPLES_PER_SHIFT = 10
+OWN_SHARE = 1e-6  # of an input's power that the others do not explain; below it, its column of B has no meaning
 SPARE_SHARE = 0.1  # of all modes that may be lost in the noise before the order is called too high
 GROWTH = 10.0  # of the output's size from the first to the last tenth of a record, the input's being level
 
@@ -35,28 +34,25 @@ class Search:
 
 
 def independent(who: str, record: Record) -> None:
-    """Refuse inputs of which one can be had from the others: whose effect is whose is then unknown."""
-    nu = len(record.actuators)
-    if nu == 1 or record.samples < SEGMENT:
+    """Refuse inputs of which one can be had from the others, shifted or not: whose effect is whose is then unknown."""
+    from ultraquiet.identify.state_kernels import hankel_gram
+
+    nu, rows = len(record.actuators), 2 * SHIFTS + 1
+    if nu == 1 or record.samples < SAMPLES_PER_SHIFT * nu * rows:
         return
     u = record.inputs - record.inputs.mean(axis=1, keepdims=True)
-    size = u.std(axis=1, keepdims=True)
-    length = SEGMENT if record.samples >= 2 * nu * SEGMENT else max(8, record.samples // (2 * nu))
-    count = record.samples // length
-    pieces = (u / np.where(size > 0, size, 1.0))[:, : count * length].reshape(nu, count, length)
-    F = np.fft.rfft(pieces * np.hanning(length), axis=2)
-    S = np.einsum("isf,jsf->fij", F, F.conj()) / count
-    power = np.einsum("fii->if", S).real
-    S = S + np.finfo(float).eps * length * power.max() * np.eye(nu)
-    own = 1.0 / np.einsum("fii->if", np.linalg.inv(S)).real
-    share = own.sum(axis=1) / np.maximum(power.sum(axis=1), np.finfo(float).tiny)
-    worst_input = int(np.argmin(share))
-    if share[worst_input] < OWN_SHARE:
-        name = record.actuators[worst_input].name
-        raise InputError(
-            f"{who}: all but {share[worst_input]:.0e} of the power of input '{name}' follows from the other inputs, so "
-            f"whose effect is whose cannot be told; excite the inputs independently, or leave one out with record.pick."
-        )
+    G = hankel_gram(np.ascontiguousarray(u / u.std(axis=1, keepdims=True)), rows)
+    for j, wire in enumerate(record.actuators):
+        others = np.flatnonzero(np.arange(nu * rows) % nu != j)
+        one = SHIFTS * nu + j
+        known = np.linalg.lstsq(G[np.ix_(others, others)], G[others, one], rcond=None)[0]
+        share = 1.0 - float(known @ G[others, one]) / float(G[one, one])
+        if share < OWN_SHARE:
+            raise InputError(
+                f"{who}: all but {max(share, 0.0):.0e} of the power of input '{wire.name}' follows from the other "
+                f"inputs, so whose effect is whose cannot be told; excite them independently, or leave it out with "
+                f"record.pick."
+            )
 
 
 def judged(

@@ -33,7 +33,8 @@ class Subspace:
     last, to what the simulation leaves.
 
     Args:
-        order: number of states; None chooses it by the singular values and a held-out part of the record.
+        order: number of states; None tries orders on a held-out part of the record, and leaves out of the best the
+            modes that cannot be told from noise.
         horizon: block rows; the longest decay and the slowest mode must show within it. None tries several and keeps
             the one whose model simulates best.
         weight: of the projection: "moesp", "n4sid" or "cva".
@@ -129,7 +130,10 @@ class Subspace:
         poles, directions, _ = state_fit.modes_of(A, C)
         bank = modal.Bank(poles, data.u, data.y, self.feedthrough, self.offset)
         modes = modal.alternate(bank, directions, ROUNDS, GAIN)
-        return Start(float(np.sum(bank.loss(modes))), rows, modes, held, basis, values, order)
+        if self.order is None:
+            bank, modes = modal.pruned(bank, modes)
+        loss = state_order.cost(bank, modes)
+        return Start(loss, rows, modes, held, basis, values, order)
 
     def _finished(self, record: Record, data: state_fit.Scaled, start: "Start") -> Result:
         system, steps, converged = state_fit.system(start.modes), 0, True
@@ -148,7 +152,7 @@ class Subspace:
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """What one horizon gave: summed relative error, modes, and where they came from."""
+    """What one horizon gave: its loss (see `state_order.cost`), modes, and where they came from."""
 
     loss: float
     rows: int
