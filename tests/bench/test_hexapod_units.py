@@ -206,3 +206,11 @@ def test_a_campaign_is_its_single_runs_bit_for_bit(kind, own_units, rng, seed):
 def test_bad_settings_are_refused(call, words):
     with pytest.raises(InputError, match=words):
         call()
+
+
+@pytest.mark.parametrize("celsius", [np.nan, -300.0, 1e6])
+def test_a_temperature_beyond_belief_is_refused(celsius):
+    with pytest.raises(InputError, match=r"'temperature_c' must"):
+        Hexapod().linear_model(celsius)
+    with pytest.raises(InputError, match=r"'temperature_c' must"):
+        Hexapod().linear_response([10.0], celsius)

@@ -235,3 +235,10 @@ def test_a_replay_says_where_the_nearest_record_differs(rng):
         Replay((records[0], Record([[1.0]], [[1.0]], 100.0)))
     with pytest.raises(RateError, match="record 2"):
         Replay((records[0], Record([[1.0]], [[1.0]], 50.0)))
+
+
+@pytest.mark.parametrize("given", [None, "off", [[], [1.0]], np.nan, [1.0, 2.0]])
+def test_a_function_that_returns_no_reading_is_named(given):
+    bench = Wrapped(lambda u, d: given, lambda: None, 100.0, ["force"], ["speed"])
+    with pytest.raises(InputError, match=r"Wrapped.run: at sample 0 the plant must return 1 finite readings, got"):
+        bench.run([[1.0, 0.0]])

@@ -169,3 +169,9 @@ def test_bad_input_is_a_sentence(case):
     with pytest.raises((InputError, RateError)) as caught:
         call()
     assert words in str(caught.value)
+
+
+def test_one_sensor_may_be_named_without_a_list(rng):
+    record = Record(rng.standard_normal((1, 2000)), rng.standard_normal((2, 2000)), 100.0, sensors=["base z", "top"])
+    one, listed = transmissibility(record, "base z", "top"), transmissibility(record, ["base z"], ["top"])
+    assert np.array_equal(one.response.values, listed.response.values)

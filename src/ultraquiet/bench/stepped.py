@@ -222,7 +222,10 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
 
 def checked_readings(who: str, given: Any, sensors: int, k: int) -> FloatArray:
     """Return what a plant handed over at sample `k` as `(ny,)` finite numbers, or say what is wrong with it."""
-    y = np.asarray(given, dtype=np.float64).reshape(-1)
+    try:
+        y = np.asarray(given, dtype=np.float64).reshape(-1)
+    except (TypeError, ValueError):
+        y = np.empty(0)
     if y.size != sensors or not np.isfinite(y).all():
         raise InputError(f"{who}: at sample {k} the plant must return {sensors} finite readings, got {given!r}.")
     return y

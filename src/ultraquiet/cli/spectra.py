@@ -128,7 +128,7 @@ def _response(data: "Record", wanted: _Wanted) -> "_Told":
     table = Table("output", "input", "largest gain", "at", "median coherence", title="Frequency response")
     for i, sensor in enumerate(found.sensors):
         for j, actuator in enumerate(found.actuators):
-            at = _strongest(np.abs(found.values[i, j]), found.coherence[i, j])
+            at = _strongest(np.abs(found.values[i, j]), found.coherence[i, j], found.f_hz)
             told = ("-", "-") if at is None else (f"{found.magnitude_db[i, j, at]:.2f} dB", f"{found.f_hz[at]:.4g} Hz")
             table.add_row(sensor.name, actuator.name, *told, f"{np.median(found.coherence[i, j]):.3f}")
     return [table], response_figure(found), [found.estimator, _where()]
@@ -151,7 +151,7 @@ def _transmissibility(data: "Record", wanted: _Wanted) -> "_Told":
     assert coherence is not None
     for i, p in enumerate(found.response.sensors):
         for j, b in enumerate(found.response.actuators):
-            at = _strongest(found.db[i, j], coherence[i, j])
+            at = _strongest(found.db[i, j], coherence[i, j], found.f_hz)
             told = ("-", "-", "-")
             if at is not None:
                 span = f"{low[i, j, at]:.2f} to {high[i, j, at]:.2f} dB"
@@ -160,13 +160,13 @@ def _transmissibility(data: "Record", wanted: _Wanted) -> "_Told":
     return [table], transmissibility_figure(found), [found.estimator, _where()]
 
 
-def _strongest(gain: "FloatArray", coherence: "FloatArray") -> int | None:
-    """Return the line of the largest gain among those that can be trusted."""
+def _strongest(gain: "FloatArray", coherence: "FloatArray", f_hz: "FloatArray") -> int | None:
+    """Return the line of the largest gain among those that can be trusted; what detrending leaves at 0 Hz cannot."""
     import numpy as np
 
     from ultraquiet.spectra.coherence import TRUSTED
 
-    trusted = coherence > TRUSTED
+    trusted = (coherence > TRUSTED) & (f_hz > 0)
     return int(np.argmax(np.where(trusted, gain, -np.inf))) if trusted.any() else None
 
 

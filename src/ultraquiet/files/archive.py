@@ -148,7 +148,7 @@ def _opened(path: _Path) -> "h5py.File":
     except OSError as error:
         raise StorageError(f"archive: '{path}' cannot be read ({reason(error)}).") from error
     if not data.startswith(MAGIC):
-        raise StorageError(f"archive: '{path}' is not an HDF5 file; read_record reads CSV, MAT and NPZ.")
+        raise StorageError(f"archive: '{path}' is not an HDF5 file; read_record reads other formats.")
     end = len(data) - len(_seal(b""))
     if not data.startswith(SEAL, end):
         raise StorageError(f"archive: '{path}' was cut short, changed, or written by another program.")

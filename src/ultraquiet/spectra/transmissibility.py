@@ -18,7 +18,7 @@ from ultraquiet.values import FrequencyResponse, Record
 
 WHO = "transmissibility"
 ESTIMATORS = ("H1", "H2", "Hv", "reference")
-Choice = Sequence[int | str]
+Choice = Sequence[int | str] | str
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ def _rows(cross: CrossSpectra, side: str, chosen: Choice) -> list[int]:
     """Return the rows of sensors given by name or index."""
     names = [c.name for c in cross.sensors]
     rows: list[int] = []
-    for one in chosen:
+    for one in [chosen] if isinstance(chosen, str) else chosen:
         k = names.index(one) if isinstance(one, str) and one in names else one
         if isinstance(k, str) or not 0 <= k < len(names):
             raise InputError(f"{WHO}: '{side}' names sensor {one!r}; known are {', '.join(names)}.")

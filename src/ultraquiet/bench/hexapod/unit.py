@@ -25,6 +25,7 @@ from ultraquiet.bench.hexapod.wiring import ACTUATORS, SENSORS, channels, limits
 from ultraquiet.values import Channel, Record, StateSpace
 
 MOST_SPREAD = 5.0  # times the tolerances: beyond, a draw may have no stiffness or mass left
+TEMPERATURES_C = -50.0, 100.0  # where the linear laws of `drift.py` may still be believed, and every part is sound
 MOST_DRIFT = 10.0  # times the stated temperatures: beyond, the stages would stiffen by half
 
 
@@ -203,6 +204,7 @@ class Hexapod:
 
     def linear_model(self, temperature_c: float = REFERENCE_C) -> StateSpace:
         """Return the linear truth from command to reading, computing delay included: for judging, not for design."""
+        between("Hexapod.linear_model", "temperature_c", temperature_c, *TEMPERATURES_C, "degrees Celsius")
         A, B, C = self.model.sampled_at(temperature_c)
         (n, nu), ny = B.shape, len(C)
         Ad = np.block([[A, B], [np.zeros((nu, n + nu))]])
@@ -214,6 +216,7 @@ class Hexapod:
     def linear_response(self, f_hz: ArrayLike, temperature_c: float = REFERENCE_C) -> ComplexArray:
         """Return the truth at `f_hz` (Hz), `(ny, nu, nf)`, by another route: complex stiffnesses, hold and images."""
         f = frequency_array("Hexapod.linear_response", f_hz)
+        between("Hexapod.linear_response", "temperature_c", temperature_c, *TEMPERATURES_C, "degrees Celsius")
         return self.model.response(f, temperature_c) * np.exp(-2j * np.pi * f / RATE_HZ)
 
     @property
