@@ -1,5 +1,6 @@
 """Evidence on models: residual tests, fits on other records, confidence, order choice, agreement of responses."""
 
+from ultraquiet.validate.advice import Advice, advise
 from ultraquiet.validate.bands import ResponseBand, response_band
 from ultraquiet.validate.compare import BodeAgreement, Comparison, bode_agreement, compare
 from ultraquiet.validate.criteria import Selection, information_criteria, select
@@ -8,6 +9,7 @@ from ultraquiet.validate.residuals import ResidualTest, residual_test
 from ultraquiet.validate.uncertainty import Uncertainty, UncertaintyWeight, combined, from_covariance, from_spread
 
 __all__ = [
+    "Advice",
     "BodeAgreement",
     "Comparison",
     "ResidualTest",
@@ -15,6 +17,7 @@ __all__ = [
     "Selection",
     "Uncertainty",
     "UncertaintyWeight",
+    "advise",
     "bode_agreement",
     "combined",
     "compare",

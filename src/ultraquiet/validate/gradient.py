@@ -62,6 +62,18 @@ def response_gradient(model: PolynomialModel, f_hz: FloatArray) -> ComplexArray:
     return out
 
 
+def noise_gradient(model: PolynomialModel, f_hz: FloatArray) -> ComplexArray:
+    """Return d ln H / d theta at each frequency, `(p, nf)`, H = C / (A D)."""
+    w = np.exp(-2j * np.pi * f_hz / model.rate_hz)
+    out = np.zeros((coefficients(model).size, f_hz.size), dtype=np.complex128)
+    a, c, d = model.a.size - 1, model.c.size - 1, model.d.size - 1
+    end = out.shape[0]
+    out[:a] = -_powers(w, 1, a) / _value(model.a, w)
+    out[end - c - d : end - d] = _powers(w, 1, c) / _value(model.c, w)
+    out[end - d :] = -_powers(w, 1, d) / _value(model.d, w)
+    return out
+
+
 def matching(who: str, model: PolynomialModel, covariance: FloatArray) -> FloatArray:
     """Return the covariance after checking that it belongs to the model's coefficients."""
     p = coefficients(model).size

@@ -89,7 +89,7 @@ def residual_test(
     if record.samples < 10 * lags:
         raise InputError(f"{who}: {lags} lags need at least {10 * lags} samples, the record has {record.samples}.")
     same_rate(who, "the model", model.rate_hz, "the record", record.rate_hz)
-    origin = _origin(model, record) if origin == "auto" else origin
+    origin = origin_of(model, record) if origin == "auto" else origin
     e = innovations(model, record)
     p = []
     for i, m in enumerate(single_rows(model, record)):
@@ -109,7 +109,8 @@ def residual_test(
     )
 
 
-def _origin(model: PolynomialMatrix | PolynomialModel, record: Record) -> str:
+def origin_of(model: PolynomialMatrix | PolynomialModel, record: Record) -> str:
+    """Return whether the model names this record as the one it was made from."""
     named = isinstance(model, PolynomialMatrix) and record.hash in model.provenance.parents
     return "this record" if named else "another record"
 

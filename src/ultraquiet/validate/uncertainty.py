@@ -15,7 +15,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, freq
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
 from ultraquiet.validate.bands import Identified, channels, root
-from ultraquiet.validate.gradient import response_gradient
+from ultraquiet.validate.gradient import noise_gradient, response_gradient
 from ultraquiet.validate.weight_fit import HIGHEST_ORDER, fitted_weight
 from ultraquiet.values import FrequencyResponse, StateSpace, Status
 from ultraquiet.values.interconnect import append
@@ -110,9 +110,9 @@ def from_covariance(
     """Bound the error that chance has left in an identified model, at all lines together.
 
     theta is drawn from N(theta, P); each draw's error, linearised, is scaled by its size at the line (root of the mean
-    square over draws). The `confidence` quantile of the largest scaled error over the lines is the factor by which the
-    size is multiplied, so that one draw in twenty, not one line in twenty, passes a 95 % bound. What the structure left
-    out is not in it: add the spread between records or benches.
+    square over draws). The noise level that P rests on is drawn likewise. The `confidence` quantile of the largest
+    scaled error over the lines is the factor by which the size is multiplied, so that one draw in twenty, not one line
+    in twenty, passes a 95 % bound. What the structure left out is not in it: add the spread between records or benches.
 
     Args:
         result: of a polynomial method, with covariance.
@@ -145,9 +145,13 @@ def from_covariance(
     rng = np.random.default_rng(seed)
     moved = []
     for m, P in channels(who, result):
-        slopes = np.einsum("jpf,pq->qjf", response_gradient(m, f), root(P))
+        L = root(P)
+        slopes = np.einsum("jpf,pq->qjf", response_gradient(m, f), L)
         steps = rng.standard_normal((draws, slopes.shape[0]))
-        moved.append((steps @ slopes.reshape(slopes.shape[0], -1)).reshape(draws, -1, f.size))
+        # P rests on a noise spectrum that is itself estimated: each draw's error grows with its noise at the line,
+        # which is to these bounds what Student's t is to a normal quantile.
+        louder = np.exp(rng.standard_normal(steps.shape) @ (L.T @ noise_gradient(m, f)).real)
+        moved.append((steps @ slopes.reshape(slopes.shape[0], -1)).reshape(draws, -1, f.size) * louder[:, None])
     errors = np.concatenate(moved, axis=1).reshape(draws, *nominal.shape)
     sizes = _sizes(who, errors, nominal, kind)
     typical = np.sqrt(np.mean(sizes**2, axis=0))
