@@ -6,16 +6,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, positive, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify import structured_strut as strut
 from ultraquiet.identify._abstract import Result, usable
-from ultraquiet.identify.structured_data import Lines, of_record, of_response
+from ultraquiet.identify.structured_data import Lines, of_record, of_response, parents
 from ultraquiet.identify.structured_record import fitted_to_record
-from ultraquiet.identify.structured_search import SHARE, Combination, Minimum, Told, search, told
+from ultraquiet.identify.structured_search import SHARE, Combination, Minimum, Told, chi_squared, search, told
 from ultraquiet.identify.structured_system import realised
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
 
@@ -87,6 +87,7 @@ class Structured:
         band_hz: lines outside are left out.
         delay: samples from command to first effect: one by the hold, another by the computer. None tries 1 to 4.
         floor: share of a response added to its deviation, for what no model of this kind catches.
+        smooth_lines: the variances of a response are averaged over so many neighbouring lines.
         iterations: accepted steps at most.
         noise_rounds: how often the noise of a record is read off the residual and the fit weighted by it.
         repair: whether readings at a sensor's limits are replaced by the model's in rounds; see `PolynomialMethod`.
@@ -114,6 +115,7 @@ class Structured:
     band_hz: tuple[float, float] = (0.5, 250.0)
     delay: int | None = 2
     floor: float = 0.0
+    smooth_lines: int = 9
     iterations: int = 200
     noise_rounds: int = 3
     repair: bool = True
@@ -139,6 +141,7 @@ class Structured:
         if self.delay is not None:
             whole(WHO, "delay", self.delay, 1)
         between(WHO, "floor", self.floor, 0.0, 1.0)
+        whole(WHO, "smooth_lines", self.smooth_lines, 1)
         whole(WHO, "iterations", self.iterations, 1)
         whole(WHO, "noise_rounds", self.noise_rounds, 1)
 
@@ -174,14 +177,19 @@ class Structured:
         if response.values.shape[:2] != (1, 1):
             ny, nu = response.values.shape[:2]
             raise InputError(f"{WHO}: eq. (10) is one strut, but the response is {ny} x {nu}; give it one channel.")
-        lines = of_response(WHO, response, rate_hz, self.band_hz, self.floor)[0][0]
+        lines = of_response(WHO, response, rate_hz, self.band_hz, self.floor, self.smooth_lines)[0][0]
         minimum, polarity, delay = self._best(lines)
         noise_known = response.variance is not None
         return self._judged(lines, minimum, polarity, delay, noise_known, response)
 
-    def _fit_record(self, record: Record, outputs: FloatArray) -> StructuredFit:
+    def _fit_record(self, record: Record, outputs: FloatArray, start: StructuredFit | None) -> StructuredFit:
         (lines,) = of_record(WHO, record, self.band_hz, outputs)
-        minimum, polarity, delay = self._best(lines)
+        if start is None:
+            minimum, polarity, delay = self._best(lines)
+        else:
+            polarity, delay = start.polarity, start.delay
+            x = np.log([start.parameters[s] for s in self.free])
+            minimum = self._search(lines, x, polarity, delay, self.iterations)
         for _ in range(self.noise_rounds):
             error = lines.y - lines.u * self._response(minimum.x, polarity, delay, lines)
             free_error = lines.without_memory(error, self._poles(minimum.x, lines.rate_hz), delay)
@@ -206,10 +214,10 @@ class Structured:
         sought = dict(zip(self.free, np.exp(x).tolist(), strict=True))
         return {s: float(self.known[s]) if s in self.known else sought[s] for s in strut.SYMBOLS}
 
-    def _poles(self, x: FloatArray, rate_hz: float) -> FloatArray:
-        return np.exp(strut.factors(self._values(x)).poles() / rate_hz)
+    def _poles(self, x: FloatArray, rate_hz: float) -> ComplexArray:
+        return np.asarray(np.exp(strut.factors(self._values(x)).poles() / rate_hz), dtype=np.complex128)
 
-    def _response(self, x: FloatArray, polarity: int, delay: int, lines: Lines) -> FloatArray:
+    def _response(self, x: FloatArray, polarity: int, delay: int, lines: Lines) -> ComplexArray:
         f = strut.factors(self._values(x))
         late = np.exp(-2j * np.pi * lines.f_hz * (delay - 1) / lines.rate_hz)
         return polarity * late * strut.held(f.gain, 3, f.poles(), lines.f_hz, lines.rate_hz)
@@ -274,7 +282,7 @@ class Structured:
         source: FrequencyResponse | Record,
     ) -> StructuredFit:
         spare = max(1, minimum.residual.size - len(self.free))
-        p_value = _chi_squared(minimum.loss, spare) if noise_known else float("nan")
+        p_value = chi_squared(minimum.loss, spare) if noise_known else float("nan")
         loose = minimum.loss / spare if not p_value >= SIGNIFICANCE else 1.0
         found = told(minimum.jacobian, self.free, loose)
         values = self._values(minimum.x)
@@ -283,11 +291,12 @@ class Structured:
         G = lines.u * self._response(minimum.x, polarity, delay, lines)
         error = float(np.linalg.norm(minimum.residual) / np.linalg.norm(lines.scaled(G)))
         status = _verdict(self, minimum, p_value, error, found, noise_known)
-        deviations = dict.fromkeys(strut.SYMBOLS, 0.0)
-        deviations.update(zip(self.free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
-        made = Provenance(self.name, asdict(self), parents=_parents(source), versions=versions())
+        spread = dict(zip(self.free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        deviations = {str(s): float(spread.get(s, 0.0)) for s in strut.SYMBOLS}
+        made = Provenance(self.name, asdict(self), parents=parents(source), versions=versions())
         f = strut.factors(values)
-        poles, weights = strut.fractions(polarity * f.gain, 3, f.poles(), lines.rate_hz)
+        gain = np.array([polarity * f.gain])
+        (poles,), (weights,) = strut.fractions(gain, np.array([3]), f.poles()[None], lines.rate_hz)
         model = realised(
             [(poles, weights[:, None, None])], delay, lines.rate_hz, source.actuators, source.sensors, made
         )
@@ -327,16 +336,6 @@ def _physical(found: Told, sizes: FloatArray) -> FloatArray:
     covariance[found.unbounded, :] = covariance[:, found.unbounded] = np.nan
     covariance[np.diag_indices(sizes.size)] = np.where(found.unbounded, np.inf, np.diag(covariance))
     return covariance
-
-
-def _chi_squared(statistic: float, freedom: int) -> float:
-    from scipy.special import chdtrc
-
-    return float(chdtrc(freedom, statistic))
-
-
-def _parents(source: FrequencyResponse | Record) -> tuple[str, ...]:
-    return (source.hash,) if isinstance(source, Record) else source.provenance.parents
 
 
 def _verdict(

@@ -54,8 +54,7 @@ class Lines:
         columns = np.hstack([one + other, 1j * (one - other)[:, paired], z[:, None] ** -np.arange(delay)])
         scaled = self.scaled(columns)
         size = np.linalg.norm(scaled, axis=0)
-        U, s, _ = np.linalg.svd(scaled / np.maximum(size, np.finfo(float).tiny), full_matrices=False)
-        return U[:, s > 1e-12 * s[0]]
+        return np.asarray(np.linalg.qr(scaled / np.maximum(size, np.finfo(float).tiny))[0], dtype=np.float64)
 
     def without_memory(self, error: ComplexArray, poles: ComplexArray, delay: int) -> ComplexArray:
         """Return an error `(nf,)` less the transients that explain it best."""
@@ -68,14 +67,19 @@ class Lines:
         """Return the lines with the deviation that a residual `(nf,)` shows, smoothed over neighbours."""
         n = self.f_hz.size
         width = min(n, max(SMOOTHED_LINES, round(SMOOTHED_SHARE * n)))
-        kernel = np.ones(width)
-        power = np.convolve(np.abs(error) ** 2, kernel, "same") / np.convolve(np.ones(n), kernel, "same")
-        power *= n / max(1.0, n - parameters / 2)  # each complex line settles two parameters
+        power = (
+            smoothed(np.abs(error) ** 2, width) * n / max(1.0, n - parameters / 2)
+        )  # each complex line settles two parameters
         return replace(self, deviation=np.sqrt(np.maximum(power, np.finfo(float).tiny)))
 
 
 def of_response(
-    who: str, response: FrequencyResponse, rate_hz: float, band_hz: tuple[float, float], floor: float
+    who: str,
+    response: FrequencyResponse,
+    rate_hz: float,
+    band_hz: tuple[float, float],
+    floor: float,
+    smooth_lines: int,
 ) -> list[list[Lines]]:
     """Return the channels of a response within the band, `[output][input]`.
 
@@ -85,6 +89,8 @@ def of_response(
         rate_hz: of the system wanted.
         band_hz: lines outside are left out.
         floor: share of the response that is added to the deviation, as what no model of the kind catches.
+        smooth_lines: variances are averaged over so many neighbouring lines: from a few realisations they scatter,
+            and a line that happens to look quiet would be believed too much.
     """
     f = response.f_hz
     if f.size and f[-1] > rate_hz / 2:
@@ -103,18 +109,30 @@ def of_response(
     if not np.any(G, axis=2).all():
         i, j = np.argwhere(~np.any(G, axis=2))[0]
         raise InputError(f"{who}: the response from input {j + 1} to output {i + 1} is zero at every line.")
-    noise = np.zeros(G.shape) if response.variance is None else response.variance[:, :, keep]
+    noise = np.zeros(G.shape) if response.variance is None else smoothed(response.variance[:, :, keep], smooth_lines)
     size = np.abs(G)
     if response.variance is None:
         deviation = size
     else:
         least = np.finfo(float).eps * size.max(axis=2, keepdims=True)
         deviation = np.sqrt(np.maximum(noise, 0.0) + (floor * size) ** 2 + least**2)
-    one = np.ones(np.count_nonzero(keep), dtype=np.complex128)
+    f, one = f[keep], np.ones(np.count_nonzero(keep), dtype=np.complex128)
     return [
-        [Lines(f[keep], one, G[i, j], deviation[i, j], False, rate_hz) for j in range(G.shape[1])]
-        for i in range(G.shape[0])
+        [Lines(f, one, G[i, j], deviation[i, j], False, rate_hz) for j in range(G.shape[1])] for i in range(G.shape[0])
     ]
+
+
+def smoothed(variance: FloatArray, width: int) -> FloatArray:
+    """Return a running mean along the last axis, shorter at its ends.
+
+    >>> smoothed(np.array([1.0, 1.0, 4.0]), 3).tolist()
+    [1.0, 2.0, 2.5]
+    """
+    n = variance.shape[-1]
+    kernel = np.ones(min(width, n))
+    weight = np.convolve(np.ones(n), kernel, "same")
+    rows = [np.convolve(row, kernel, "same") / weight for row in variance.reshape(-1, n)]
+    return np.array(rows).reshape(variance.shape)
 
 
 def of_record(who: str, record: Record, band_hz: tuple[float, float], outputs: FloatArray | None = None) -> list[Lines]:
@@ -141,5 +159,10 @@ def of_record(who: str, record: Record, band_hz: tuple[float, float], outputs: F
     keep = (f >= band_hz[0]) & (f <= band_hz[1]) & (f > 0) & (f < rate / 2) & excited
     if not keep.any():
         raise InputError(f"{who}: no line of the record's input lies between {band_hz[0]:g} and {band_hz[1]:g} Hz.")
-    one = np.ones(np.count_nonzero(keep))
-    return [Lines(f[keep], U[keep], row[keep], one, True, rate) for row in Y]
+    lines, one = np.asarray(f[keep], dtype=np.float64), np.ones(np.count_nonzero(keep))
+    return [Lines(lines, U[keep], row[keep], one, True, rate) for row in Y]
+
+
+def parents(source: FrequencyResponse | Record) -> tuple[str, ...]:
+    """Return the content hashes of what a model is drawn from."""
+    return (source.hash,) if isinstance(source, Record) else source.provenance.parents

@@ -19,27 +19,29 @@ SETTLED = 1e-3
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200
 SIGNIFICANCE = 1e-3
+SHORTEST = 1e-6  # poles nearer to zero are those of the delay
 
 
 @single_threaded
-def fitted_to_record(method: Any, record: Record, fit: Callable[[Record, FloatArray], Any]) -> Result:
+def fitted_to_record(method: Any, record: Record, fit: Callable[[Record, FloatArray, Any], Any]) -> Result:
     """Fit a record whose readings may be clipped, and say what the model is worth.
 
     Args:
         method: settings, with `name` and `repair`.
         record: of the channels wanted.
-        fit: from a record and outputs in place of its own to a value with `model` and `status`.
+        fit: from a record, outputs in place of its own and an earlier fit to begin with (or None) to a value with
+            `model`, `status`, `covariance` and `iterations`.
     """
     low, high = (np.array([[getattr(c, k)] for c in record.sensors]) for k in ("low", "high"))
     clipped = (record.outputs <= low) | (record.outputs >= high)
     y = record.outputs
-    found = fit(record, y)
+    found = fit(record, y, None)
     simulated = played(found.model, record, y, clipped)
     for _ in range(REPAIRS if method.repair and clipped.any() else 0):
         mended = np.array([repaired(*row) for row in zip(record.outputs, simulated, low, high, strict=True)])
         moved = np.linalg.norm(mended - y) / np.linalg.norm(mended)
         y = mended
-        found = fit(record, y)
+        found = fit(record, y, found)
         simulated = played(found.model, record, y, clipped)
         if moved < SETTLED:
             break
@@ -55,10 +57,11 @@ def played(model: StateSpace, record: Record, y: FloatArray, clipped: np.ndarray
     f = np.fft.rfftfreq(n, 1.0 / record.rate_hz)
     G = model.frequency_response(f)
     forced = np.fft.irfft(np.einsum("ijf,jf->if", G, np.fft.rfft(record.inputs, axis=1)), n, axis=1)
-    poles = model.poles()
-    poles = np.unique(np.round(poles[(poles.imag >= 0) & (np.abs(poles) > 1e-6)], 12))
-    decays = np.exp(np.log(poles)[:, None] * np.arange(n))
-    late = np.eye(model.states - np.count_nonzero(np.abs(model.poles()) > 1e-6), n)
+    every = model.poles()
+    lasting = np.abs(every) > SHORTEST
+    poles = np.asarray(np.unique(np.round(every[(every.imag >= 0) & lasting], 12)), dtype=np.complex128)
+    decays = np.asarray(np.exp(np.log(poles)[:, None] * np.arange(n)), dtype=np.complex128)
+    late = np.eye(int(np.count_nonzero(~lasting)), n)
     columns = np.vstack([decays.real, decays.imag[poles.imag > 0], late, np.ones((1, n))]).T
     columns /= np.linalg.norm(columns, axis=0)
     out = np.empty_like(y)

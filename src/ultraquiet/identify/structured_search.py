@@ -85,7 +85,7 @@ def search(
             x, r, damping, done = tried, new, damping * LESS, done + 1
             J = slopes(x)
         elif damping > MOST_DAMPING:
-            return Minimum(x, r, J, done, gain <= np.sqrt(TOLERANCE) * scale)
+            return Minimum(x, r, J, done, bool(gain <= np.sqrt(TOLERANCE) * scale))
         else:
             damping *= MORE
     return Minimum(x, r, J, done, False)
@@ -178,3 +178,10 @@ def _reduced(rows: FloatArray) -> FloatArray:
         others = np.arange(len(R)) != k
         R[others] -= np.outer(R[others, j], R[k])
     return R
+
+
+def chi_squared(statistic: float, freedom: int) -> float:
+    """Return the p-value of a sum of squares."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(freedom, statistic))

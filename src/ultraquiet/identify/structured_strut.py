@@ -80,17 +80,30 @@ def held(gain: float, zeros_at_dc: int, poles: ComplexArray, f_hz: FloatArray, r
 
     G(z) = sum_p c_p (e^{pT} - 1) / p / (z - e^{pT}), c_p the residue at p.
     """
-    discrete, weight = fractions(gain, zeros_at_dc, poles, rate_hz)
-    return (weight / (points(f_hz, rate_hz)[:, None] - discrete)).sum(axis=1)
+    return held_each(np.array([gain]), np.array([zeros_at_dc]), poles[None], f_hz, rate_hz)[:, 0]
 
 
-def fractions(gain: float, zeros_at_dc: int, poles: ComplexArray, rate_hz: float) -> tuple[ComplexArray, ComplexArray]:
-    """Return poles in z and residues of gain s^m / prod (s - p) behind a zero-order hold."""
-    gaps = poles[:, None] - poles[None, :]
-    np.fill_diagonal(gaps, 1.0)
-    # s^(m-1): the hold's own 1/s takes one zero at DC, numpy's expm1 the rest.
-    weight = gain * poles ** (zeros_at_dc - 1) / gaps.prod(axis=1) * np.expm1(poles / rate_hz)
-    return np.exp(poles / rate_hz), weight
+def held_each(
+    gains: FloatArray, zeros_at_dc: np.ndarray, poles: ComplexArray, f_hz: FloatArray, rate_hz: float
+) -> ComplexArray:
+    """Return `held` for k functions of as many poles each, `(k, n)`, side by side: `(nf, k)`."""
+    discrete, weights = fractions(gains, zeros_at_dc, poles, rate_hz)
+    z = points(f_hz, rate_hz)[:, None]
+    out = np.zeros((f_hz.size, gains.size), dtype=np.complex128)
+    for p, w in zip(discrete.T, weights.T, strict=True):
+        out += w / (z - p)
+    return out
+
+
+def fractions(
+    gains: FloatArray, zeros_at_dc: np.ndarray, poles: ComplexArray, rate_hz: float
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return poles in z and residues of gain s^m / prod (s - p) behind a zero-order hold, `(k, n)` each."""
+    gaps = poles[:, :, None] - poles[:, None, :]
+    gaps[:, np.arange(poles.shape[1]), np.arange(poles.shape[1])] = 1.0
+    # s^(m-1): the hold's own 1/s takes one zero at DC.
+    weights = gains[:, None] * poles ** (zeros_at_dc[:, None] - 1) / gaps.prod(axis=2) * np.expm1(poles / rate_hz)
+    return np.exp(poles / rate_hz), weights
 
 
 def separated(poles: ComplexArray) -> ComplexArray:

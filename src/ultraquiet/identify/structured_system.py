@@ -52,9 +52,10 @@ def block(pole: complex, residue: ComplexArray) -> tuple[FloatArray, FloatArray,
     real = pole.imag == 0.0
     U, s, Vh = np.linalg.svd(residue.real if real else residue)
     r = max(1, int(np.count_nonzero(s > RANK * s[0])))
-    c, b = U[:, :r] * np.sqrt(s[:r]), np.sqrt(s[:r])[:, None] * Vh[:r]
+    c = np.asarray(U[:, :r] * np.sqrt(s[:r]), dtype=np.complex128)
+    b = np.asarray(np.sqrt(s[:r])[:, None] * Vh[:r], dtype=np.complex128)
     if real:
-        return pole.real * np.eye(r), np.asarray(b, dtype=np.float64), np.asarray(c, dtype=np.float64)
+        return pole.real * np.eye(r), b.real, c.real
     # The complex state x+ = p x + b u, y = 2 Re(c x), written with its real and imaginary parts.
     A = np.asarray(np.kron(np.eye(r), [[pole.real, -pole.imag], [pole.imag, pole.real]]), dtype=np.float64)
     B = np.stack([b.real, b.imag], axis=1).reshape(2 * r, -1) * np.sqrt(2.0)
