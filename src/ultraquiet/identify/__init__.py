@@ -15,7 +15,10 @@ from ultraquiet.identify.recursive import RecursiveArmax, RecursiveArx, Recursiv
 from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
+from ultraquiet.identify.structured_modal import StructuredModal
+from ultraquiet.identify.structured_modal_fit import ModalFit
 from ultraquiet.identify.subspace import Subspace
+from ultraquiet.identify.threefold import Folded, Threefold, ThreefoldFit, fold
 from ultraquiet.identify.trajectory import Trajectory
 from ultraquiet.identify.weighted_rational import WeightedRational
 
@@ -25,9 +28,11 @@ __all__ = [
     "Band",
     "BoxJenkins",
     "Candidate",
+    "Folded",
     "Identification",
     "ImpulseResponse",
     "MatrixResult",
+    "ModalFit",
     "OutputError",
     "PredictorSubspace",
     "Rational",
@@ -41,12 +46,16 @@ __all__ = [
     "Result",
     "Structured",
     "StructuredFit",
+    "StructuredModal",
     "Subspace",
     "Sweep",
+    "Threefold",
+    "ThreefoldFit",
     "Trajectory",
     "WeightedFit",
     "WeightedRational",
     "identify_joint",
+    "fold",
     "identify_matrix",
     "sweep",
 ]
