@@ -11,7 +11,7 @@ from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputE
 from ultraquiet.identify.predictor import PredictorSubspace
 from ultraquiet.identify.rational import Rational, ResponseFit
 from ultraquiet.identify.recursion import Recursion
-from ultraquiet.identify.recursive import RecursiveArmax, RecursiveArx, RecursiveBoxJenkins
+from ultraquiet.identify.recursive import RecursiveArmax, RecursiveArx, RecursiveBoxJenkins, RecursiveOutputError
 from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
@@ -40,6 +40,7 @@ __all__ = [
     "RecursiveArmax",
     "RecursiveArx",
     "RecursiveBoxJenkins",
+    "RecursiveOutputError",
     "RegularisedArx",
     "ResponseFit",
     "ResponseResult",
@@ -54,8 +55,8 @@ __all__ = [
     "Trajectory",
     "WeightedFit",
     "WeightedRational",
-    "identify_joint",
     "fold",
+    "identify_joint",
     "identify_matrix",
     "sweep",
 ]

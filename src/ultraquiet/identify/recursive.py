@@ -14,7 +14,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import fit as one_fit
 from ultraquiet.identify._abstract import Result, worst
-from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, PolynomialMethod
+from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.recursion import Recursion
 from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.trajectory import Trajectory
@@ -195,11 +195,39 @@ class RecursiveArmax(RecursiveMethod):
 class RecursiveBoxJenkins(RecursiveMethod):
     """y = B/F u + C/D e by the recursive prediction-error method; F, C and D stay stable at every sample.
 
+    `c_order` and `d_order` are the numbers of coefficients of C and D (the order when absent). Keep them no higher than
+    the noise needs: a noise model with poles to spare takes what a moving resonance leaves, and the resonance is lost;
+    so it is when it moves by more than its half-width within the memory. The verdict then says `not white`; shorten the
+    memory, or take `RecursiveOutputError`.
+
     Reference: Ljung, System Identification, 2nd ed., section 11.4.
     """
 
     name: ClassVar[str] = "recursive-box-jenkins"
     batch_type: ClassVar[type[PolynomialMethod]] = BoxJenkins
+
+    c_order: int | None = None
+    d_order: int | None = None
+
+    def batch(self) -> PolynomialMethod:
+        """Return the method that fits the same structure to a whole record."""
+        return BoxJenkins(
+            order=self.order, delay=self.delay, offset=self.offset, c_order=self.c_order, d_order=self.d_order
+        )
+
+
+@register("identify", "recursive-output-error")
+@dataclass(frozen=True)
+class RecursiveOutputError(RecursiveMethod):
+    """y = B/F u + e by the recursive prediction-error method; F stays stable at every sample.
+
+    The sturdiest in tracking a resonance: it has no noise model that could take its movement for noise.
+
+    Reference: Ljung, System Identification, 2nd ed., section 11.4.
+    """
+
+    name: ClassVar[str] = "recursive-output-error"
+    batch_type: ClassVar[type[PolynomialMethod]] = OutputError
 
 
 @dataclass(frozen=True, eq=False)
