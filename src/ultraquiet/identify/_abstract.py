@@ -59,7 +59,11 @@ class Identification(Protocol):
 
 
 def usable(who: str, record: Record, parameters: int, memory: int) -> None:
-    """Refuse a record that cannot carry a model: too short, an input that never moves, a sensor that never does."""
+    """Refuse a record that cannot carry a model.
+
+    Too short, an input that never moves or that follows the others, a sensor that never moves, that stands at an
+    undeclared limit most of the time, or whose power is one single reading.
+    """
     needed = SAMPLES_PER_PARAMETER * parameters + memory
     if record.samples < needed:
         raise InputError(
@@ -76,6 +80,45 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
                     f"{who}: {kind} '{wire.name}' is constant at {signal[0]:g} {wire.unit}, which no model can be "
                     f"drawn from; excite it, or leave the channel out with record.pick."
                 )
+    _told_apart(who, record)
+    _truthful(who, record)
+
+
+# Of an input's power, what the other inputs leave unexplained at the same sample; less is rounding.
+OWN_SHARE = 1e-10
+# Readings at their largest or least value, beyond which most of the record is the limit and not the plant. Declared
+# limits are repaired; a two-valued output of a noise-free gain is refused as well, it carries a sign and no more.
+AT_EXTREMES = 0.2
+ONE_READING = 0.5  # share of an output's power in one sample
+
+
+def _told_apart(who: str, record: Record) -> None:
+    centred = record.inputs - record.inputs.mean(axis=1, keepdims=True)
+    correlation = np.corrcoef(centred) if len(centred) > 1 else np.eye(1)
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] < OWN_SHARE:
+        alike = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3 * np.abs(vectors[:, 0]).max())
+        names = ", ".join(f"'{record.actuators[k].name}'" for k in alike)
+        raise InputError(
+            f"{who}: the inputs {names} follow from each other, so their effects cannot be told apart; excite them by "
+            f"independent signals, or leave one out with record.pick."
+        )
+
+
+def _truthful(who: str, record: Record) -> None:
+    for y, wire in zip(record.outputs, record.sensors, strict=True):
+        held = np.count_nonzero((y == y.max()) | (y == y.min())) / y.size
+        if held > AT_EXTREMES and not np.any((y <= wire.low) | (y >= wire.high)):
+            raise InputError(
+                f"{who}: {held:.0%} of the readings of output '{wire.name}' stand at its largest or least value, "
+                f"{y.max():g} or {y.min():g} {wire.unit}; lower the excitation, or declare the sensor's limits."
+            )
+        power = (y - np.median(y)) ** 2
+        if power.max() > ONE_READING * power.sum():
+            raise InputError(
+                f"{who}: one reading of output '{wire.name}', sample {int(power.argmax())}, holds "
+                f"{power.max() / power.sum():.0%} of its power; cut it out (record.part), or mend the wiring."
+            )
 
 
 # A tone fills six bins of a Blackman-windowed spectrum and carries two parameters; this share of the strongest bin
@@ -96,7 +139,7 @@ def exciting(who: str, record: Record, parameters: int) -> None:
             )
 
 
-SEVERITY = ("ok", "not white", "not converged")
+SEVERITY = ("ok", "not white", "poor fit", "not converged")
 
 
 def worst(statuses: list[Status]) -> Status:
