@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.identify import kernels, normal_kernels, state_kernels
+from ultraquiet.identify import filter_kernels, kernels, normal_kernels, state_kernels
 from ultraquiet.identify.structure import Structure, free_rows
 from ultraquiet.values import PolynomialModel
 
@@ -108,6 +108,47 @@ def test_gradient_is_the_slope_of_the_residual(case, rng):
     slope = (losses[0] - losses[1]) / (2 * h)
     print(f"\nslope of e'e by filters {2 * S[:p, p] @ step:.8g}, by differences {slope:.8g}")
     assert 2 * S[:p, p] @ step == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.sum(e**2))
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 5, 8, 9, 13])
+def test_filters_are_the_plain_ones(order, rng):
+    """Up to eight taps stand in registers, more are looped over; blocks of samples end anywhere."""
+    x, p = rng.standard_normal(int(rng.integers(20, 1000))), stable(rng, order)
+    out = np.empty(x.size)
+    filter_kernels.all_pole(x, p, order, out)
+    plain = lfilter([1.0], p, x)
+    assert out == pytest.approx(plain, rel=1e-9, abs=1e-9 * np.abs(plain).max())
+    for lag in (0, 1, 7, x.size + 1):
+        filter_kernels.moving(x, p, order + 1, lag, out)
+        plain = lfilter(np.concatenate([np.zeros(lag), p]), [1.0], x)
+        assert out == pytest.approx(plain, rel=1e-9, abs=1e-12)
+
+
+def test_decayed_responses_leave_no_denormal_tail(rng):
+    """Numbers below the smallest normal one cost twenty times the work; those kept in registers end in zeros."""
+    pulse, out = np.eye(1, 20_000)[0], np.empty(20_000)
+    for order in (1, 5, 8, 9):
+        filter_kernels.all_pole(pulse, stable(rng, order), order, out)
+        assert not np.any((out != 0.0) & (np.abs(out) < np.finfo(float).tiny))
+        assert np.abs(out[-100:]).max() < (1e-300 if order <= filter_kernels.REGISTERS else 1e-130)
+
+
+def test_delta_weights_expanded(rng):
+    weights, x = rng.standard_normal(5), rng.standard_normal(300)
+    out, plain, column = np.zeros(300), np.zeros(300), np.concatenate([np.zeros(2), x[:-2]])
+    filter_kernels.combine(x, 2, weights, out)
+    for w in weights:
+        plain += w * column
+        column = column - np.concatenate([[0.0], column[:-1]])
+    assert out == pytest.approx(plain, rel=1e-10, abs=1e-10)
+
+
+def test_known_products_are_taken_over(rng):
+    x = rng.standard_normal((3, 2000))
+    lags, counts = np.array([0, 1, 2]), np.array([4, 3, 2])
+    whole = normal_kernels.gram(x, lags, counts, np.zeros((0, 0)))
+    rest = normal_kernels.gram(x, lags, counts, np.ascontiguousarray(whole[:4, :4]))
+    assert rest == pytest.approx(whole, rel=1e-12, abs=1e-9)
 
 
 def test_gram_of_shifted_differences(rng):
