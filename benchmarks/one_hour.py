@@ -115,7 +115,7 @@ if what == "box-jenkins":
     result = uq.identify.BoxJenkins(order=5).identify(record)
     extra = {"passes": result.details["passes"][0]}
 else:
-    result = uq.identify.Subspace(order=30).identify(record)
+    result = uq.identify.Subspace(order=30, refine=True).identify(record)
     poles = result.model.poles()
     extra = {"f_hz": sorted(float(abs(np.log(p)) * record.rate_hz / 2 / np.pi) for p in poles if p.imag > 0),
              "horizon": result.details["horizon"]}
@@ -206,7 +206,10 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
         )
         near = [min(abs(np.array(found["f_hz"]) / f - 1), default=1.0) for f in plant.f_hz]
         hits = sum(d < 0.01 for d in near)
-        yield f"modes within 1 %, fit {np.mean(found['fit']):.1f} %", f"{hits} of {MODES}", "all", hits == MODES
+        yield "of its modes, within 1 % in frequency", f"{hits} of {MODES}", "all", hits == MODES
+        worst = min(found["fit"])
+        # Coloured noise at 30 dB leaves about 95 % to any model.
+        yield "its simulated fit, worst of six readings", f"{worst:.1f} %", "at least 90 %", worst >= 90.0
         (folder / "hour.h5").unlink()
         nanoseconds(folder, rng, LENGTHS[0])  # compiles
         times = {n: nanoseconds(folder, rng, n) for n in LENGTHS}

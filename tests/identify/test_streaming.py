@@ -151,6 +151,19 @@ def test_the_subspace_model_is_that_of_the_record_in_memory(rng, tmp_path):
     assert disk.details["horizon"] == memory.details["horizon"]
 
 
+@pytest.mark.slow
+def test_refined_on_a_piece_and_fitted_to_the_whole(rng, tmp_path):
+    _, record, clean = modal_truth(rng, 80_000)
+    disk = stored(tmp_path, record)
+    fits = {}
+    for refine in (False, True):
+        result = uq.identify.Subspace(order=30, horizon=40, refine=refine).identify(disk)
+        miss = clean - result.model.simulate(record.inputs)
+        fits[refine] = 100 * (1 - np.linalg.norm(miss, axis=1) / np.linalg.norm(clean, axis=1)).mean()
+        print(f"\nrefine={refine}: fit to the output before noise {fits[refine]:.1f} %, {result.status.word}")
+    assert fits[True] > max(95.0, fits[False])
+
+
 def test_lagged_products_of_any_blocks(rng):
     for n in (50, 8192, 8193, 20_000):
         x = rng.standard_normal((2, n)) + 2.0
@@ -257,8 +270,8 @@ def test_bad_records_get_a_sentence(rng, tmp_path):
     result = uq.identify.BoxJenkins(order=5).identify(stored(tmp_path, limited))
     print(f"\nclipped on disk: {result.status}")
     assert not result.status.ok
-    with pytest.raises(uq.errors.InputError, match="refine"):
-        uq.identify.Subspace(order=2, refine=True).identify(stored(tmp_path, drawn))
+    with pytest.raises(uq.errors.InputError, match="focus"):
+        uq.identify.Subspace(order=2, refine=True, focus="prediction").identify(stored(tmp_path, drawn))
 
 
 def test_progress_is_told(rng, tmp_path):

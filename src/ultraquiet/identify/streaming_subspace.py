@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
@@ -16,13 +16,14 @@ from ultraquiet.identify._abstract import Result, usable, worst
 from ultraquiet.identify.survey import Survey, survey
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
-from ultraquiet.values import Status
+from ultraquiet.values import Record, Status
 
 if TYPE_CHECKING:
     from ultraquiet.identify.subspace import Start, Subspace
 
 # Samples from the record's beginning that the noise gain is fitted to: some hundred for each of its numbers.
 NOISE_SAMPLES = 65_536
+REFINED_SAMPLES = 65_536  # the most excited stretch, on which a search moves the poles
 PIECE_SAMPLES = 32_768  # the most excited stretch, on which an order is chosen and copies among inputs are found
 
 
@@ -47,7 +48,11 @@ class ScaledStream:
 
     def first(self, samples: int) -> state_fit.Scaled:
         """Return the beginning of the record in memory."""
-        u, y = self._scaled(*self.record.read(0, min(samples, self.samples)))
+        return self.scaled(self.record.part(0, min(samples, self.samples)))
+
+    def scaled(self, part: Record) -> state_fit.Scaled:
+        """Return a part in memory in the scale of the whole."""
+        u, y = self._scaled(part.inputs, part.outputs)
         return state_fit.Scaled(u, y, self.seen.input_size[:, None], self.seen.output_size[:, None])
 
     @property
@@ -65,38 +70,44 @@ def identify_long_subspace(method: "Subspace", record: LongRecord) -> Result:
 
     One pass for the sizes, one for the products of all lags (they hold the Hankel matrix of every horizon), one for
     each horizon's least squares in modal coordinates, one for the evidence. The model is that of `Subspace.identify`
-    on the record in memory, but for the noise gain, which is fitted to the first `NOISE_SAMPLES`.
+    on the record in memory, but for the noise gain, which is fitted to the first `NOISE_SAMPLES`. With `refine`, the
+    search moves the poles on the most excited `REFINED_SAMPLES`; all else is then fitted to the whole record again.
 
     Raises:
-        InputError: as `Subspace.identify`; settings that ask for a search (`refine`).
+        InputError: as `Subspace.identify`; a search for the one-step error (`focus="prediction"`).
         StorageError: the file is cut short, damaged or went away.
     """
-    if method.refine:
+    if method.refine and method.focus == "prediction":
         raise InputError(
-            "Subspace: a record on disk is not refined by a search; set refine=False, or refine on a part in memory."
+            "Subspace: a record on disk is not refined for its one-step error; set focus='simulation', or refine on a "
+            "part in memory."
         )
     seen = survey(record)
-    size = min(PIECE_SAMPLES, record.samples)
-    at = seen.most_excited(size, 1)[0]
-    piece = record.part(at, at + size)
-    usable("Subspace", piece, 1 if method.order is None else method.order, 0)
+    piece = _most_excited(record, seen, PIECE_SAMPLES)
+    method.horizons(piece, method.order or 1)
+    usable("Subspace", piece, method.order or 1, 0)
     state_result.independent("Subspace", piece)
     order = state_order.chosen(method, piece) if method.order is None else method.order
     data = ScaledStream(record, seen)
-    starts = _starts(method, data, order)
-    best = min(starts, key=lambda s: s.loss)
+    best = min(_starts(method, data, order), key=lambda s: s.loss)
+    modes, steps, converged = _finished(method, data, best)
     early = data.first(NOISE_SAMPLES)
-    found = state_fit.system(best.modes)
+    found = state_fit.system(modes)
     found = replace(found, K=state_fit.noise_gain(found, best.innovations(early), early))
     made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
     details = {"horizon": best.rows, "order": len(found.A), "singular_values": best.values, "samples": data.samples}
-    return _judged(found, data, made, details)
+    return _judged(found, data, (steps, converged), made, details)
+
+
+def _most_excited(record: LongRecord, seen: Survey, samples: int) -> Record:
+    size = min(samples, record.samples)
+    at = seen.most_excited(size, 1)[0]
+    return record.part(at, at + size)
 
 
 def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Start]":
     """Yield what each horizon gives."""
-    from ultraquiet.identify.streaming_bank import StreamedBank
-    from ultraquiet.identify.subspace import GAIN, ROUNDS, Start
+    from ultraquiet.identify.subspace import GAIN, TRIAL_ROUNDS, Start
 
     nu, ny = len(data.record.actuators), len(data.record.sensors)
     horizons = method.horizons(data.record, order)
@@ -107,12 +118,36 @@ def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Sta
     for rows in horizons:
         held = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
         basis, values = hankel.directions(held, method.weight)
-        A, C = hankel.transition(basis, values, order, ny)
-        poles, directions, _ = state_fit.modes_of(A, C)
-        blocks = data.blocks(f"subspace: least squares at horizon {rows}")
-        bank = StreamedBank(poles, blocks, (nu, ny, data.samples), method.feedthrough, method.offset)
-        modes = modal.alternate(bank, directions, ROUNDS, GAIN)
-        yield Start(float(np.sum(bank.loss(modes))), rows, modes, held, basis, values, order)
+        poles, directions, _ = state_fit.modes_of(*hankel.transition(basis, values, order, ny))
+        bank: modal.Bank = _bank(method, data, poles, f"subspace: least squares at horizon {rows}")
+        modes = modal.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
+        if method.order is None:
+            bank, modes = modal.pruned(bank, modes)
+        yield Start(state_order.cost(bank, modes), rows, modes, held, basis, values, order, bank)
+
+
+def _bank(method: "Subspace", data: ScaledStream, poles: ComplexArray, title: str) -> modal.Bank:
+    from ultraquiet.identify.streaming_bank import StreamedBank
+
+    shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
+    return StreamedBank(poles, data.blocks(title), shape, method.feedthrough, method.offset)
+
+
+def _finished(method: "Subspace", data: ScaledStream, best: "Start") -> tuple[modal.Modes, int, bool]:
+    """Return the modes after the last rounds, poles refined when asked for, with the search's steps and its end."""
+    from ultraquiet.identify.subspace import GAIN, ROUNDS
+
+    assert best.bank is not None
+    if not method.refine:
+        return modal.alternate(best.bank, best.modes.c, ROUNDS, GAIN), 0, True
+    piece = data.scaled(_most_excited(data.record, data.seen, REFINED_SAMPLES))
+    options = state_fit.Options(method.feedthrough, method.offset, method.weighted, method.max_iterations)
+    found, steps, converged = state_fit.refined_simulation(state_fit.system(best.modes), piece, options)
+    poles, directions, _ = state_fit.modes_of(found.A, found.C)
+    bank = _bank(method, data, poles, "subspace: least squares at the refined poles")
+    modes = modal.alternate(bank, directions, ROUNDS, GAIN)
+    better = state_order.cost(bank, modes) < state_order.cost(best.bank, best.modes)
+    return (modes if better else best.modes), steps, converged
 
 
 def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
@@ -137,7 +172,9 @@ def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
     return G.transpose(0, 2, 1, 3).reshape(rows * m, rows * m)
 
 
-def _judged(found: state_fit.System, data: ScaledStream, made: Provenance, details: dict[str, Any]) -> Result:
+def _judged(
+    found: state_fit.System, data: ScaledStream, search: tuple[int, bool], made: Provenance, details: dict[str, Any]
+) -> Result:
     """Return the result of a system in scaled units, its evidence from one more pass."""
     ny, nu = found.D.shape
     lags = min(state_result.TEST_LAGS, data.samples // 10)
@@ -150,7 +187,7 @@ def _judged(found: state_fit.System, data: ScaledStream, made: Provenance, detai
     r, white = simulated.products(centred=True) / n, predicted.products(centred=True)
     free = [_free(r, i, ny, lags, memory, n) for i in range(ny)]
     spread = predicted.products()[0] / n
-    statuses = [_verdict(p, data.seen, i, data.record) for i, p in enumerate(free)]
+    statuses = [_verdict(p, data.seen, i, data.record, *search) for i, p in enumerate(free)]
     squares = np.diag(simulated.products()[0])[:ny] / n
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
@@ -163,7 +200,7 @@ def _judged(found: state_fit.System, data: ScaledStream, made: Provenance, detai
         np.full((ny, 0, 0), np.nan),
         np.array([portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]),
         np.array(free),
-        np.zeros(ny, dtype=np.int64),
+        np.full(ny, search[0], dtype=np.int64),
         tuple(statuses),
         made,
         details,
@@ -195,7 +232,9 @@ def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> flo
     return 1.0 - (1.0 - least) ** (r.shape[1] - ny)
 
 
-def _verdict(p: float, seen: Survey, output: int, record: LongRecord) -> Status:
+def _verdict(p: float, seen: Survey, output: int, record: LongRecord, steps: int, converged: bool) -> Status:
+    if not converged:
+        return Status("not converged", f"The search ended away from a minimum after {steps} steps.")
     if p < state_result.SIGNIFICANCE:
         return Status(
             "not white",
