@@ -102,6 +102,44 @@ def test_a_combination_is_told_even_where_its_symbols_are_not(rng):
     assert all(abs(sum(c.powers.values())) < 1e-3 for c in fit.combinations)  # quotients alone
 
 
+def recorded(rng, noise=0.005, samples=4096):
+    """A record that begins in the middle of a run, with coloured noise."""
+    from scipy.signal import lfilter
+
+    u = rng.standard_normal(samples + 500)
+    y = exact_simulation(TRUTH, u)
+    e = lfilter([1.0, 0.5], [1.0, -0.9], rng.standard_normal(u.size))
+    y = y + noise * y.std() * e / e.std()
+    return uq.Record(u[None, 500:], y[None, 500:], RATE_HZ)
+
+
+def test_symbols_return_from_a_record(rng):
+    result = Structured(known=DATA_SHEET).identify(recorded(rng))
+    fit = result.details["fit"]
+    off = {s: (fit.parameters[s] - TRUTH[s]) / fit.deviations[s] for s in SOUGHT}
+    print(
+        f"\n{result.status}, fit {result.fit_percent[0]:.1f} %\n" + ", ".join(f"{s} {v:+.1f} s" for s, v in off.items())
+    )
+    assert result.status.ok
+    assert result.fit_percent[0] > 95
+    assert max(map(abs, off.values())) < 5
+    assert all(fit.deviations[s] < 0.05 * TRUTH[s] for s in ("K", "R_M"))
+
+
+@pytest.mark.slow
+def test_deviations_of_symbols_cover_from_records(rng):
+    inside = dict.fromkeys(SOUGHT, 0)
+    for _ in range(DRAWS // 2):
+        fit = Structured(known=DATA_SHEET).identify(recorded(rng)).details["fit"]
+        for s in SOUGHT:
+            inside[s] += abs(fit.parameters[s] - TRUTH[s]) < 1.96 * fit.deviations[s]
+    share = {s: 2 * k / DRAWS for s, k in inside.items()}
+    mean = float(np.mean(list(share.values())))
+    each = ", ".join(f"{s} {v:.1%}" for s, v in share.items())
+    print(f"\n95 % intervals over {DRAWS // 2} records: {mean:.1%} ({each})")
+    assert COVERAGE[0] <= mean <= COVERAGE[1]
+
+
 @pytest.mark.slow
 def test_deviations_of_symbols_cover_from_responses(rng):
     inside = dict.fromkeys(SOUGHT, 0)

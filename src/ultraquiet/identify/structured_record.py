@@ -75,7 +75,9 @@ def played(model: StateSpace, record: Record, y: FloatArray, clipped: np.ndarray
 def _result(method: Any, record: Record, found: Any, simulated: FloatArray, clipped: int) -> Result:
     error = record.outputs - simulated
     lags, memory = (min(k, record.samples // 10) for k in (TEST_LAGS, RESIDUAL_LAGS))
-    free = np.array([_free_of_inputs(e, record.inputs, lags, memory) for e in error])
+    # What lies outside the band was not fitted: where it is quieter than the band it would show the fit's own spread.
+    inputs, inside = (_within(v, record.rate_hz, method.band_hz) for v in (record.inputs, error))
+    free = np.array([_free_of_inputs(e, inputs, lags, memory) for e in inside])
     statuses = [_verdict(found.status, p) for p in free]
     made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
     return Result(
@@ -91,6 +93,15 @@ def _result(method: Any, record: Record, found: Any, simulated: FloatArray, clip
         made,
         {"fit": found, "repaired": clipped if method.repair else 0},
     )
+
+
+def _within(signals: FloatArray, rate_hz: float, band_hz: tuple[float, float]) -> FloatArray:
+    """Return signals with what lies outside the band taken away."""
+    n = signals.shape[1]
+    f = np.fft.rfftfreq(n, 1.0 / rate_hz)
+    spectrum = np.fft.rfft(signals, axis=1)
+    spectrum[:, (f < band_hz[0]) | (f > band_hz[1])] = 0.0
+    return np.fft.irfft(spectrum, n, axis=1)
 
 
 def _free_of_inputs(e: FloatArray, u: FloatArray, lags: int, memory: int) -> float:
