@@ -313,6 +313,8 @@ def test_unlike_experiments_are_refused(rng):
     other = uq.Record(u, y, 100.0, sensors=[uq.Channel("output 1", "m/s", -10, 10), first.sensors[1]])
     with pytest.raises(InputError, match=r"output 'output 1' in 'V' of record 1 meets 'output 1' in 'm/s' of record 2"):
         method.identify([first, other])
+    with pytest.raises(InputError, match=r"BoxJenkins: records in one fit.*one-step error alone"):
+        uq.identify.BoxJenkins(order=1, focus="simulation").identify([first, first])
     with pytest.raises(InputError, match=r"the record has 20 samples"):
         method.identify([first, first.part(0, 20)])
 

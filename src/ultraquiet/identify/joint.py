@@ -30,7 +30,7 @@ def identify_joint(
 
     The coefficients minimise sum_i N_i log(1/N_i sum_r e_ir'e_ir) over outputs i and records r, the likelihood of
     Gaussian innovations whose variance differs from output to output. What the plant remembers from before each record
-    is fitted per record.
+    is fitted per record. `focus` of `BoxJenkins` is always the prediction here.
 
     Args:
         method: settings of a polynomial structure.
@@ -69,7 +69,7 @@ def identify_joint(
     ties = Share.of(share, ny, nu)
     ties.check("identify_joint", records[0].sensors, records[0].actuators)
     _one_denominator(layout, ties)
-    how = method.search()
+    how = _search(method)
     parts = [
         _part(Channel.of(record, i), layout, how, i, ties.keys(i, range(nu), layout))
         for i in range(ny)
@@ -92,7 +92,7 @@ def identify_tied_matrix(
     ny, nu = len(runs[0][0].sensors), len(runs)
     ties = Share.of(share, ny, nu)
     ties.check("identify_matrix", runs[0][0].sensors, [r[0].actuators[0] for r in runs])
-    how = method.search()
+    how = _search(method)
     parts: list[Part] = []
     for k, column in enumerate(runs):
         layout = method.for_input(k).layout(1)
@@ -107,9 +107,18 @@ def identify_tied_matrix(
 def fit_alone(method: PolynomialMethod, data: Channel, rate_hz: float) -> Fit:
     """Return the model of one output whose polynomials are partly known."""
     nu = data.u.shape[0]
-    layout, how = method.layout(nu), method.search()
+    layout, how = method.layout(nu), _search(method)
     keys = Share.of(None, 1, nu).keys(0, range(nu), layout)
     return fit_parts([_part(data, layout, how, 0, keys)], how, rate_hz, 1)[0]
+
+
+def _search(method: PolynomialMethod) -> Search:
+    if getattr(method, "focus", None) == "simulation":
+        raise InputError(
+            f"{type(method).__name__}: records in one fit, ties and known parts go with the one-step error alone; set "
+            f"'focus' to 'prediction'."
+        )
+    return method.search()
 
 
 def _part(data: Channel, layout: Layout, how: Search, group: int, keys: tuple[Hashable, ...]) -> Part:

@@ -14,26 +14,29 @@ from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows
 
 LINEAR_STEPS = 3  # the first solves a linear problem, the others settle the weights of the groups
 LINEAR_TOLERANCE = 1e-3
-SOURCES = 6  # sets whose subspaces are tried at each horizon: those of a class are alike but for their noise
+# Sets whose subspaces are compared at the first horizon and at later ones, and how many of them are searched from:
+# those of a class are alike but for their noise.
+SOURCES, LATER_SOURCES, TRIED = 6, 2, 2
 
 
-def starts(parts: Sequence[Part], how: Search, workers: int) -> Iterator[list[FloatArray]]:
-    """Yield one table per set, horizon by horizon, of each the most promising first."""
+def starts(parts: Sequence[Part], how: Search, workers: int) -> Iterator[tuple[int, list[FloatArray]]]:
+    """Yield the horizon (0: none) and one table per set, horizon by horizon, of each the most promising first."""
     equation_error = parts[0].layout.denominator == "a"
     if equation_error and parts[0].layout.c == 0 and parts[0].layout.d == 0:
-        yield _all_linear(parts, how, workers)
+        yield 0, _all_linear(parts, how, workers)
         return
     chosen = list(parts[:: -(-len(parts) // SOURCES)])
     fallback = True
     for rows in how.horizons:
         found = [s for s in (_from_poles(parts, source, rows, how, workers) for source in chosen) if s is not None]
-        for ended, tables in sorted(found, key=lambda s: s[0].criterion):
+        for ended, tables in sorted(found, key=lambda s: s[0].criterion)[:TRIED]:
             fallback = fallback and not np.isfinite(ended.criterion)
-            yield tables
+            yield rows, tables
+        chosen = chosen[:LATER_SOURCES]
     if equation_error:
-        yield _all_linear(parts, how, workers)
+        yield 0, _all_linear(parts, how, workers)
     elif fallback:
-        yield _from_least_squares(parts, how, workers)
+        yield 0, _from_least_squares(parts, how, workers)
 
 
 def _from_poles(
