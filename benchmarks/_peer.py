@@ -57,7 +57,7 @@ def run(python: Path, script: str, given: dict[str, np.ndarray], folder: Path) -
         PeerError: it fails or takes too long.
     """
     source, target = folder / "given.npz", folder / "left.npz"
-    np.savez(source, **given)
+    np.savez(source, **given)  # pyright: ignore[reportArgumentType]
     command = [str(python), str(Path(__file__).parent / script), str(source), str(target)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=RUN_S)

@@ -13,7 +13,7 @@ LIMIT_S, ORDERS = 30.0, range(2, 8)
 
 
 def measure() -> Iterator[tuple[str, str, str, bool]]:
-    rng = np.random.default_rng()
+    rng, cores = np.random.default_rng(), os.cpu_count() or 1
     bench = uq.bench.Hexapod(unit="ground", seed=int(rng.integers(2**31)))
     fitted, held_out = records(bench, rng), records(bench, rng)
     uq.identify.sweep([fitted[0].pick([0])], [held_out[0].pick([0])], orders=[2])  # loads the kernels
@@ -21,7 +21,7 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
     found = uq.identify.sweep(fitted, held_out, orders=ORDERS)
     seconds, processor = time.perf_counter() - started, time.process_time() - spent
     what = f"36 channels x 4 structures x orders {ORDERS[0]}-{ORDERS[-1]}, 4096 samples"
-    figure = f"{seconds:.1f} s, {processor:.1f} s of {os.cpu_count()} processors"
+    figure = f"{seconds:.1f} s, {processor:.1f} s of {cores} processors"
     yield what, figure, f"under {LIMIT_S:g} s", seconds < LIMIT_S
     stuck = sum(int(np.count_nonzero(c.words == "not converged")) for c in found.candidates)
     fits = 36 * len(found.candidates)

@@ -58,7 +58,7 @@ def identify_matrix(
     records: Sequence[Record | Sequence[Record]],
     workers: int | None = None,
     share: str | Sequence[str] | ArrayLike | None = None,
-    start: PolynomialMatrix | None = None,
+    start: PolynomialMatrix | StateSpace | None = None,
 ) -> MatrixResult:
     """Identify every channel of a transfer matrix from one record per actuator, as section 3.4 of the paper.
 

@@ -17,7 +17,7 @@ from ultraquiet.identify.focus import FOCUSES, fit_focused
 from ultraquiet.identify.layout import Layout, check_known, each, laid_out
 from ultraquiet.identify.starts import Channel, starting_models
 from ultraquiet.identify.structure import Structure
-from ultraquiet.values import PolynomialMatrix, Record
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 HIGHEST_ORDER = 30
 LONGEST_DELAY = 1000
@@ -101,7 +101,9 @@ class PolynomialMethod:
         given: dict[str, Any] = {name: getattr(self, name, None) for name in ("delay", "b_order", "f_order")}
         return replace(self, **{name: v[j] for name, v in given.items() if isinstance(v, Sequence)})
 
-    def identify(self, record: Record | LongRecord | Sequence[Record], start: PolynomialMatrix | None = None) -> Result:
+    def identify(
+        self, record: Record | LongRecord | Sequence[Record], start: PolynomialMatrix | StateSpace | None = None
+    ) -> Result:
         """Return one model per output of the record, driven by all its inputs.
 
         Several records of one plant go into one fit, each with its own past and constant; see `identify_joint`.

@@ -12,7 +12,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.identify import hankel
 from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.linalg.prediction import repaired
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 
 # A start's poles and zeros are drawn inside this radius: a search that begins on the circle cannot leave it.
 RADIUS = 0.9995
@@ -83,11 +83,13 @@ class Channel:
 
 
 def starting_models(
-    start: PolynomialMatrix | None, outputs: int, columns: int, rate_hz: float
+    start: PolynomialMatrix | StateSpace | None, outputs: int, columns: int, rate_hz: float
 ) -> list[list[PolynomialModel | None]]:
     """Return the model each channel's search begins from, `(outputs, columns)`; None everywhere without a start."""
     if start is None:
         return [[None] * columns for _ in range(outputs)]
+    if isinstance(start, StateSpace):
+        raise InputError("start: a state space has no polynomials to begin from; give the model of a polynomial fit.")
     if len(start.rows) != outputs or any(len(row) != columns for row in start.rows):
         raise InputError(
             f"start: the fit has {outputs} x {columns} models, the start {len(start.rows)} x {len(start.rows[0])}."
