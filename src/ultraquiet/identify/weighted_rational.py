@@ -11,7 +11,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify._abstract import Result, exciting, usable
 from ultraquiet.identify.response_data import WHO, Data, from_periods, from_record, from_response
 from ultraquiet.identify.response_model import WeightedFit
 from ultraquiet.linalg import portmanteau, section_start
@@ -29,8 +29,14 @@ PATIENCE = 3
 # So many of the best starts run this far; the best of these runs to its end.
 TRIALS = 2
 TRIAL_STEPS = 15
+# Delays that a free one starts from, in quarters of the shortest period measured: beyond a half turn of the highest
+# line the search would settle on a wrong one.
+DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 15)
+# Poles and a fraction of a sample stand in for each other: whole delays are tried so far around the free one.
+DELAY_REACH = 3
 # A verdict errs once in a thousand good models.
 SIGNIFICANCE = 1e-3
+SMALLEST_P = 1e-12
 TEST_LAGS = 10
 
 
@@ -59,7 +65,7 @@ class WeightedRational:
         order: number of poles; chosen by `criterion` when None.
         highest_order: the largest one tried then.
         delay_s: dead time: seconds in continuous time, whole samples beside the model's own one in discrete time; None
-            estimates it.
+            estimates it, up to four periods of the highest line.
         feedthrough: give every channel a direct part.
         criterion: "mdl" (log of the sample size a parameter, finds the true order) or "aic" (two a parameter, keeps
             more poles).
@@ -112,6 +118,7 @@ class WeightedRational:
             InputError: as `identify_response`; too few samples, a constant input or output.
         """
         usable(WHO, record, (self.order or 2) * (len(record.actuators) + 1), 64)
+        exciting(WHO, record, 2 * (self.order or 2))
         if self.period_samples is not None:
             data = from_periods(record, self.period_samples, self.floor, self.weigh)
         else:
@@ -161,6 +168,10 @@ class WeightedRational:
                 for n in (best - 1, best + 1):
                     if 1 <= n <= highest and n not in found:
                         tried(n)
+            best = min(scores, key=lambda n: scores[n])
+            again = _at_order_again(self, data, best, found)
+            scores[best] += data.rows * float(np.log(again.point.cost / found[best].point.cost))
+            found[best] = again
         best = min(scores, key=lambda n: scores[n])
         least = scores[best]
         return _finished(self, data, found[best], {n: v - least for n, v in scores.items()})
@@ -186,17 +197,36 @@ def _at_order(method: WeightedRational, data: Data, order: int, smaller: _Found 
     if rate_hz is None:
         return free
     near = round(float(free.point.theta[-1]) * rate_hz)
-    whole_samples = {max(0, near + k) for k in (-1, 0, 1)}
+    whole_samples = {max(0, near + k) for k in range(-DELAY_REACH, DELAY_REACH + 1)}
     shape = replace(free.shape, delay=False)
     tries = [_polished(method, data, shape, k / rate_hz, [free.point.theta[:-1]]) for k in sorted(whole_samples)]
     return min(tries, key=lambda t: t.point.cost)
+
+
+def _at_order_again(method: WeightedRational, data: Data, order: int, found: dict[int, _Found]) -> _Found:
+    """Return the fit, or a better one from the next smaller orders where what it misses is no noise.
+
+    Close modes make minima of their own; a fit without one of them shows where it is missing.
+    """
+    first = found[order]
+    if order < 3 or _whiteness(first.point, first.parameters / data.rows) >= SIGNIFICANCE:
+        return first
+    smaller = found.get(order - 2) or _at_order(method, data, order - 2, None)
+    second = _at_order(method, data, order, smaller)
+    return second if second.point.cost < first.point.cost else first
 
 
 def _searched(
     method: WeightedRational, data: Data, shape: sections.Shape, held: float, smaller: _Found | None
 ) -> _Found:
     turned = data.late(held)
-    starts = list(section_start.starts(turned.samples, turned.H, turned.weight, shape))
+    starts: list[FloatArray] = []
+    top_hz = float(data.samples.f_rad[-1]) / (2 * np.pi)
+    for quarter in DELAYS if shape.delay else (0,):
+        delay_s = quarter / (4 * top_hz)
+        ahead = turned.late(delay_s)
+        found = section_start.starts(ahead.samples, ahead.H, ahead.weight, replace(shape, delay=False))
+        starts += [np.append(theta, delay_s) if shape.delay else theta for theta in found]
     if smaller is not None and smaller.shape.delay == shape.delay and smaller.held_delay_s == held:
         starts.append(section_start.grown(turned.samples, smaller.point, smaller.shape.order, shape.order))
     return _polished(method, data, shape, held, starts)
@@ -273,12 +303,16 @@ def _verdict(found: _Found, cost: float, p: float, at_limit: bool) -> Status:
     if p < SIGNIFICANCE:
         return Status(
             "not white",
-            f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines (p = {p:.1e}){more}: "
+            f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines ({_chance(p)}){more}: "
             f"raise the order, free the delay, or set 'floor' to the relative error you can live with.",
         )
     return Status(
-        "ok", f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines (p = {p:.2f}){more}."
+        "ok", f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines ({_chance(p)}){more}."
     )
+
+
+def _chance(p: float) -> str:
+    return f"p = {p:.2g}" if p > SMALLEST_P else f"p below {SMALLEST_P:g}"
 
 
 def _model(method: WeightedRational, data: Data, found: _Found) -> StateSpace:

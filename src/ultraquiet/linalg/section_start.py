@@ -49,7 +49,7 @@ def starts(
         for k in range(RELOCATIONS):
             p = relocated_in_s(s, H, w, p, constant)
             if k >= RELOCATIONS - TRIED:
-                yield _theta(p, shape, scale)
+                yield sections.from_axis_poles(p * scale)
 
 
 def grown(samples: sections.Samples, before: sections.Point, order: int, wanted: int) -> FloatArray:
@@ -75,8 +75,3 @@ def _axis(samples: sections.Samples) -> tuple[ComplexArray, float]:
     w = np.tan(samples.f_rad / samples.rate_hz / 2)
     scale = float(np.median(w))
     return np.asarray(1j * w / scale, dtype=np.complex128), scale
-
-
-def _theta(poles: ComplexArray, shape: sections.Shape, scale: float) -> FloatArray:
-    theta = sections.from_axis_poles(poles * scale)
-    return np.append(theta, 0.0) if shape.delay else theta

@@ -1,0 +1,183 @@
+"""Rational fits by maximum likelihood: the Cramer-Rao bound, bands that cover, orders and delays from the data."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from test_rational import RATE_HZ
+
+import ultraquiet as uq
+
+DATA = Path(__file__).parents[1] / "data"
+F_HZ = np.arange(4.0, 1700.0, 4.0)
+
+
+def resolved(rng, modes, nu, ny, rate_hz=RATE_HZ):
+    """A plant of modes that the lines resolve, apart from each other and alike in strength: the bound is asymptotic."""
+    f = np.geomspace(100, 900, modes) * np.exp(rng.uniform(-0.15, 0.15, modes))
+    zeta = rng.uniform(0.03, 0.06, modes)
+    s = 2 * np.pi * f * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    poles = s if rate_hz is None else np.exp(s / rate_hz)
+    A = np.zeros((2 * modes, 2 * modes))
+    for k, p in enumerate(poles):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+    size = np.repeat(np.sqrt(-s.real), 2)
+    B, C = (rng.uniform(0.7, 1.3, k) * rng.choice([-1.0, 1.0], k) for k in ((2 * modes, nu), (ny, 2 * modes)))
+    B, C = size[:, None] * B, C * size
+    return uq.StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz)
+
+
+def noisy(G, variance, rng):
+    e = rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)
+    return uq.FrequencyResponse(F_HZ, G + e * np.sqrt(variance / 2), variance=variance)
+
+
+def noise_of(G, rng, share=0.03):
+    """Variances that differ from line to line."""
+    return (share * np.sqrt(np.mean(np.abs(G) ** 2))) ** 2 * np.exp(0.5 * rng.standard_normal(G.shape))
+
+
+def bound(exact, f_hz):
+    """Cramer-Rao bound of the gains: the covariance at the truth, read off a fit without noise."""
+    band = exact.band(f_hz, level=0.95)
+    return (band.real**2 + band.imaginary**2) / 1.959964**2
+
+
+@pytest.mark.parametrize(("rate_hz", "channels"), [(RATE_HZ, 1), (None, 1), (RATE_HZ, 2)])
+def test_the_cramer_rao_bound_is_reached_and_bands_cover(rate_hz, channels, rng):
+    """100 draws and more, over several plants: the errors of one fit's lines are alike, so that draws count."""
+    ratio, cover, lines = [], [], np.geomspace(5, 1600, 60)
+    method = uq.identify.WeightedRational(order=6)
+    for _ in range(8 if channels == 1 else 5):
+        plant = resolved(rng, 3, channels, channels, rate_hz)
+        G, truth = plant.frequency_response(F_HZ), plant.frequency_response(lines)
+        variance = noise_of(G, rng)
+        exact = method.identify_response(uq.FrequencyResponse(F_HZ, G, variance=variance), rate_hz)
+        least = bound(exact, lines)
+        squared = np.zeros_like(least)
+        for _ in range(20):
+            fit = method.identify_response(noisy(G, variance, rng), rate_hz)
+            band = fit.band(lines)
+            miss = band.values - truth
+            squared += np.abs(miss) ** 2 / 20
+            cover.append(
+                [
+                    np.mean(np.abs(miss.real) < band.real),
+                    np.mean(np.abs(miss.imag) < band.imaginary),
+                    np.mean((np.abs(truth) > band.low) & (np.abs(truth) < band.high)),
+                ]
+            )
+            assert fit.model.is_stable()
+        ratio.append(np.mean(squared / least))
+    covered = np.mean(cover, axis=0)
+    told = "continuous" if rate_hz is None else "discrete"
+    print(
+        f"\n{told}, {channels} x {channels}, {len(cover)} draws: squared error {np.mean(ratio):.3f} of the bound; "
+        f"95 % bands cover {covered[0]:.1%} (real), {covered[1]:.1%} (imaginary), {covered[2]:.1%} (modulus)"
+    )
+    assert np.mean(ratio) < 1.3
+    assert 0.93 < np.mean(covered) < 0.97
+
+
+def test_the_order_is_found_in_the_noise(rng):
+    orders, words = [], []
+    for _ in range(8):
+        modes = int(rng.integers(1, 4))
+        plant = resolved(rng, modes, 1, 2)
+        G = plant.frequency_response(F_HZ)
+        # Every mode must stand above the noise to be found.
+        variance = np.full(G.shape, (1e-3 * np.abs(G).min(axis=2).max()) ** 2)
+        fit = uq.identify.WeightedRational(highest_order=10).identify_response(noisy(G, variance, rng), RATE_HZ)
+        orders.append(fit.order - 2 * modes)
+        words.append(fit.status.word)
+    print(f"order found less true: {orders}; {words.count('ok')} of {len(words)} ok")
+    assert sum(o == 0 for o in orders) >= 7
+    assert words.count("ok") >= 7
+
+
+def test_too_low_an_order_is_not_called_white(rng):
+    plant = resolved(rng, 3, 1, 1)
+    G = plant.frequency_response(F_HZ)
+    variance = np.full(G.shape, (1e-3 * np.abs(G).min()) ** 2)
+    fit = uq.identify.WeightedRational(order=2).identify_response(noisy(G, variance, rng), RATE_HZ)
+    print(fit.status)
+    assert fit.status.word == "not white"
+
+
+@pytest.mark.parametrize("rate_hz", [None, RATE_HZ])
+def test_the_delay_is_estimated(rate_hz, rng):
+    plant = resolved(rng, 2, 1, 1, rate_hz)
+    delay_s = 3 / RATE_HZ
+    G = plant.frequency_response(F_HZ) * np.exp(-2j * np.pi * F_HZ * delay_s)
+    measured = noisy(G, noise_of(G, rng, 0.01), rng)
+    method = uq.identify.WeightedRational(order=4, delay_s=None)
+    fit = method.identify_response(measured, rate_hz)
+    g = np.geomspace(6, 800, 100)
+    T = plant.frequency_response(g) * np.exp(-2j * np.pi * g * delay_s)
+    miss = np.abs(fit.frequency_response(g) - T).max() / np.abs(T).max()
+    print(f"{fit.delay_s * RATE_HZ:.3f} samples of 3, response within {miss:.1e}")
+    assert miss < 0.05
+    deviation_s = np.sqrt(fit.pole_covariance[-1, -1]) if rate_hz is None else 0.01 / RATE_HZ
+    assert abs(fit.delay_s - delay_s) < 4 * deviation_s
+
+
+def test_what_a_record_leaks_is_fitted_with_it(rng):
+    """A record cut from the middle of a run: the model is as good as its noise allows."""
+    plant = resolved(rng, 3, 2, 1)
+    u = rng.standard_normal((2, 6000))
+    y = plant.simulate(u)
+    y = y + 0.01 * y.std() * rng.standard_normal(y.shape)
+    found = uq.identify.WeightedRational().identify(uq.Record(u, y, RATE_HZ).part(3000))
+    g = np.geomspace(6, 1600, 100)
+    T, fit = plant.frequency_response(g), found.details["fit"]
+    band = fit.band(g)
+    told = np.mean(band.real**2 + band.imaginary**2) / 1.959964**2
+    ratio = np.mean(np.abs(band.values - T) ** 2) / told
+    print(
+        f"order {fit.order}, squared error {ratio:.2f} of the variance told, {found.fit_percent[0]:.2f} % simulated, "
+        f"{found.status}"
+    )
+    assert found.status.ok
+    assert fit.order == 6
+    # One draw of some twenty parameters.
+    assert ratio < 3.0
+    assert found.fit_percent[0] > 98.0
+
+
+def test_two_inertia_bench_by_its_periods():
+    """Order by the data, judged on periods the fit has not seen; the response at the lines alone gives 89.8 / 90.6 %.
+
+    The measured current also moves below the lines of the multisine, and the model is fitted there as well.
+    """
+    held = scipy.io.loadmat(DATA / "two_inertia" / "multisine_10_periods.mat")
+    y = np.stack([held["motor_speed"].ravel(), held["load_speed"].ravel()]).astype(float)
+    record = uq.Record(held["current"].ravel().astype(float), y, 2500.0)
+    result = uq.identify.WeightedRational(period_samples=2500, weigh="output").identify(record.part(0, 7 * 2500))
+    fit = uq.validate.compare(result.model, record.part(7 * 2500)).fit_percent
+    print(
+        f"\ntwo-inertia, order {result.details['order']} by MDL, seven periods: {fit.round(2)} % simulated on three "
+        f"unseen ones, {result.status}"
+    )
+    assert result.model.is_stable()
+    assert np.all(fit >= 88.0)
+
+
+def test_refusals(rng):
+    plant = resolved(rng, 2, 1, 1)
+    G = plant.frequency_response(F_HZ)
+    method = uq.identify.WeightedRational()
+    with pytest.raises(uq.errors.InputError, match="no variance to weigh"):
+        method.identify_response(uq.FrequencyResponse(F_HZ, G), RATE_HZ)
+    with pytest.raises(uq.errors.InputError, match="contradict a rate of 1000 Hz"):
+        method.identify_response(uq.FrequencyResponse(F_HZ, G, variance=np.ones(G.shape)), 1000.0)
+    with pytest.raises(uq.errors.InputError, match="finite variance above zero"):
+        method.identify_response(uq.FrequencyResponse(F_HZ, G, variance=np.zeros(G.shape)), RATE_HZ)
+    offset = uq.FrequencyResponse([0.0], G[:, :, :1], variance=np.ones((1, 1, 1)))
+    with pytest.raises(uq.errors.InputError, match="no line above 0 Hz"):
+        method.identify_response(offset, RATE_HZ)
+    few = uq.FrequencyResponse(F_HZ[:10], G[:, :, :10], variance=np.ones((1, 1, 10)))
+    with pytest.raises(uq.errors.InputError, match="order 6 takes 12 lines, there are 10"):
+        uq.identify.WeightedRational(order=6).identify_response(few, RATE_HZ)
+    with pytest.raises(uq.errors.InputError, match="no coherence"):
+        uq.spectra.with_coherence_variance(uq.FrequencyResponse(F_HZ, G), 5)
