@@ -113,7 +113,7 @@ def test_collinear_inputs_are_refused(method, late, rng):
     u = rng.standard_normal((3, 6000))
     u[2] = np.roll(u[0] - 0.5 * u[1], late)
     record = uq.Record(u, rng.standard_normal((2, 6000)), 200.0, ["x", "y", "z"])
-    with pytest.raises(InputError, match=r"power of input '[xyz]' follows from the other inputs"):
+    with pytest.raises(InputError, match=r"follow from each other|follows from the other inputs"):
         method.identify(record)
 
 
