@@ -62,7 +62,7 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
     """Refuse a record that cannot carry a model.
 
     Too short, an input that never moves or that follows the others, a sensor that never moves, that stands at an
-    undeclared limit most of the time, or whose power is one single reading.
+    undeclared limit most of the time, that drifts along a straight line, or whose power is one single reading.
     """
     needed = SAMPLES_PER_PARAMETER * parameters + memory
     if record.samples < needed:
@@ -90,6 +90,7 @@ OWN_SHARE = 1e-10
 # limits are repaired; a two-valued output of a noise-free gain is refused as well, it carries a sign and no more.
 AT_EXTREMES = 0.2
 ONE_READING = 0.5  # share of an output's power in one sample
+ONE_LINE = 0.999  # share of an output's power in one straight line: what the plant answers is lost in it
 
 
 def _told_apart(who: str, record: Record) -> None:
@@ -118,6 +119,12 @@ def _truthful(who: str, record: Record) -> None:
             raise InputError(
                 f"{who}: one reading of output '{wire.name}', sample {int(power.argmax())}, holds "
                 f"{power.max() / power.sum():.0%} of its power; cut it out (record.part), or mend the wiring."
+            )
+        line = abs(float(np.corrcoef(y, np.arange(y.size))[0, 1])) ** 2
+        if line > ONE_LINE:
+            raise InputError(
+                f"{who}: {line:.3%} of the power of output '{wire.name}' is a straight line; wait until the drift has "
+                f"settled, or take it out first."
             )
 
 

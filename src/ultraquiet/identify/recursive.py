@@ -86,7 +86,7 @@ class RecursiveMethod:
             InputError: too few samples for the order, a constant input or output.
         """
         piece = _piece(record, record.samples // 2 if record.samples // 2 < self.start_samples else self.start_samples)
-        self.batch().check(piece)
+        self.batch().check(record if isinstance(record, Record) else piece)
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         found = [self._follow(record, i, piece) for i in range(len(record.sensors))]
         model = PolynomialMatrix([[f.model] for f in found], record.actuators, record.sensors, made)
@@ -259,6 +259,11 @@ def _followed(running: Recursion, way: Trajectory, sums: Lagged, fit_percent: fl
             "not converged",
             f"{running.held} of {n} steps were cut short at the edge of stability: start from a batch fit, or use a "
             f"longer memory.",
+        )
+    elif not fit_percent >= 0:
+        status = Status(
+            "poor fit",
+            "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
         )
     m = running.model
     loss = float(sums.products()[0, 0, 0]) / n

@@ -6,10 +6,11 @@ from typing import ClassVar
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, one_of, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.identify import empirical_bayes
-from ultraquiet.identify._abstract import Result, usable, worst
+from ultraquiet.identify._abstract import Result, exciting, usable, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.finite_response import HankelForm, response_of
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
@@ -19,6 +20,7 @@ MOST_TAPS = 200  # of one path when none are asked for
 MOST_UNKNOWNS = 600  # of one output: each step of the search costs their cube
 SAMPLES_PER_TAP = 3  # when none are asked for; a prior carries what least squares could not
 ARX_LAGS = 30
+LEAST_LINES = 4  # parameters that an input must carry: a steady tone carries two, and the prior would invent the rest
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200  # of the error's own memory that enter the variance of its test
 SIGNIFICANCE = 1e-3
@@ -77,7 +79,13 @@ class _Regularised:
         y_size = float(record.outputs[i].std())
         scaled = signals / size[:, None]
         R = empirical_bayes.compressed(scaled, lags, taps, record.outputs[i] / y_size, start)
-        found = empirical_bayes.estimate(R, record.samples - start - 1, taps, kernel)
+        try:
+            found = empirical_bayes.estimate(R, record.samples - start - 1, taps, kernel)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"{type(self).__name__}: output '{record.sensors[i].name}' leaves normal equations of no full rank: it "
+                f"grows without bound, or follows exactly from its own past; check that the plant is stable."
+            ) from error
         unit = np.repeat(y_size / size, taps)
         return found.mean * unit, found.covariance * np.outer(unit, unit), found
 
@@ -140,6 +148,7 @@ class ImpulseResponse(_Regularised):
         m = self._taps(record)
         start = self.delay + m - 1 if self.initial == "estimate" else 0
         usable("ImpulseResponse", record, empirical_bayes.KERNELS[self.kernel][1] * nu, start)
+        exciting("ImpulseResponse", record, LEAST_LINES)
         fits = [self._fit(record, i, record.inputs, [self.delay] * nu, [m] * nu, self.kernel, start) for i in range(ny)]
         g = np.stack([f[0].reshape(nu, m) for f in fits])
         models = [
@@ -246,6 +255,7 @@ class RegularisedArx(_Regularised):
         nu, ny, p = record.inputs.shape[0], record.outputs.shape[0], self.lags
         start = max(p, self.delay + p - 1)
         usable("RegularisedArx", record, empirical_bayes.KERNELS[self.kernel][1] * (nu + 1), start)
+        exciting("RegularisedArx", record, LEAST_LINES)
         fits = [
             self._fit(
                 record,
