@@ -250,6 +250,8 @@ def test_known_poles_and_polynomials_are_kept(rng):
     some = replace(free, known_poles=tuple(np.roots(known))).identify(record)
     rest = replace(free, fixed={"f": tuple(f), "c": (1.0, 0.5), "d": (1.0, -0.9)}).identify(record)
     plain = free.identify(record)
+    pairs = replace(free, known_poles=[[p.real, p.imag] for p in np.roots(known)])
+    assert np.array_equal(pairs.layout(1).known, replace(free, known_poles=tuple(np.roots(known))).layout(1).known)
     m = some.model.rows[0][0]
     left = np.polydiv(m.f[0], known)[1]
     print(f"\nknown pair leaves {np.abs(left).max():.0e}; losses {some.loss / plain.loss}, {rest.loss / plain.loss}")

@@ -161,7 +161,8 @@ def laid_out(method: Any, inputs: int) -> Layout:
     b = (fixed["b"].size,) * inputs if "b" in fixed else per_input("b_order", structure.b)
     f = (0,) * inputs if structure.f == 0 else per_input("f_order", structure.f)
     f = (fixed["f"].size - 1,) * inputs if "f" in fixed else f
-    known = np.real(np.poly(np.asarray(method.known_poles))) if len(method.known_poles) else np.ones(1)
+    poles = complex_poles(method.known_poles)
+    known = np.real(np.poly(poles)) if poles.size else np.ones(1)
     out = Layout(
         degree["a"],
         degree["c"],
@@ -183,6 +184,12 @@ def laid_out(method: Any, inputs: int) -> Layout:
     return out
 
 
+def complex_poles(poles: Any) -> ComplexArray:
+    """Return poles given as complex numbers, or as pairs of real and imaginary part as files hold them."""
+    given = np.asarray(poles)
+    return given[:, 0] + 1j * given[:, 1] if given.ndim == 2 else given.astype(np.complex128)
+
+
 LETTERS = "abcdf"
 
 
@@ -190,7 +197,7 @@ def check_known(method: Any) -> None:
     """Refuse known zeros, poles or polynomials that no real, stable model has."""
     who = type(method).__name__
     whole(who, "zeros_at_dc", method.zeros_at_dc, 0)
-    poles = np.atleast_1d(np.asarray(method.known_poles, dtype=np.complex128))
+    poles = complex_poles(method.known_poles)
     if np.any(np.abs(poles) >= 1.0):
         raise InputError(
             f"{who}: 'known_poles' must lie inside the unit circle of z, got {poles[np.abs(poles) >= 1][0]}."
