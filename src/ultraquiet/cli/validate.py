@@ -7,6 +7,9 @@ import typer
 
 from ultraquiet._base.errors import InputError
 
+STEPS = (1, 10)
+P_VALUES = ("p: white", "p: free of input", "p: no feedback")
+
 
 def validate(
     model: Annotated[Path, typer.Argument(help="A model (HDF5), as `identify` leaves it.")],
@@ -32,10 +35,19 @@ def validate(
     data = files.read_record(record, rate, inputs, outputs, mapping)
     found = room.compare(held, data)
     tested = None if isinstance(held, StateSpace) else room.residual_test(held, data)
-    table = Table("output", "simulated fit", "clipped", "p: white", "p: free of input", title=f"{model} on {record}")
+    ahead = [] if tested is None else [room.compare(held, data, steps=k).fit_percent for k in STEPS]
+    named = [f"{k} ahead" for k in STEPS]
+    table = Table("output", "simulated fit", *named, "clipped", *P_VALUES, title=f"{model} on {record}")
     for i, channel in enumerate(data.sensors):
-        tests = (
-            ("-", "-") if tested is None else (f"{tested.whiteness_p[i]:.3g}", f"{tested.correlation_p[i].min():.3g}")
-        )
-        table.add_row(channel.name, f"{found.fit_percent[i]:.2f} %", str(found.clipped[i]), *tests)
-    Console().print(table)
+        steps = [f"{fit[i]:.2f} %" for fit in ahead] or ["-"] * len(STEPS)
+        tests = ["-"] * len(P_VALUES)
+        if tested is not None:
+            values = (tested.whiteness_p[i], tested.correlation_p[i].min(), tested.feedback_p[i].min())
+            tests = [f"{p:.3g}" for p in values]
+        table.add_row(channel.name, f"{found.fit_percent[i]:.2f} %", *steps, str(found.clipped[i]), *tests)
+    console = Console()
+    console.print(table)
+    if tested is not None:
+        console.print(f"p-values take the coefficients as fitted to {tested.origin}.")
+    for advice in room.advise(data, None if isinstance(held, StateSpace) else held):
+        console.print(str(advice), markup=False)

@@ -62,7 +62,8 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
     """Refuse a record that cannot carry a model.
 
     Too short, an input that never moves or that follows the others, a sensor that never moves, that stands at an
-    undeclared limit most of the time, that drifts along a straight line, or whose power is one single reading.
+    undeclared limit most of the time, that runs away or drifts along a straight line, or whose power is one
+    single reading.
     """
     needed = SAMPLES_PER_PARAMETER * parameters + memory
     if record.samples < needed:
@@ -93,6 +94,10 @@ ONE_READING = 0.5  # share of an output's power in one sample
 ONE_LINE = 0.999  # share of an output's power in one straight line: what the plant answers is lost in it
 
 
+# An output with this share of its power in the last tenth, of inputs that are not louder there, has run away.
+RUNAWAY, NO_LOUDER = 0.9, 0.5
+
+
 def _told_apart(who: str, record: Record) -> None:
     centred = record.inputs - record.inputs.mean(axis=1, keepdims=True)
     correlation = np.corrcoef(centred) if len(centred) > 1 else np.eye(1)
@@ -120,12 +125,22 @@ def _truthful(who: str, record: Record) -> None:
                 f"{who}: one reading of output '{wire.name}', sample {int(power.argmax())}, holds "
                 f"{power.max() / power.sum():.0%} of its power; cut it out (record.part), or mend the wiring."
             )
+        if _late(y) > RUNAWAY and max(_late(u) for u in record.inputs) < NO_LOUDER:
+            raise InputError(
+                f"{who}: the last tenth of the record holds {_late(y):.0%} of the power of output '{wire.name}', which "
+                f"its inputs do not explain: the plant is unstable or the sensor runs away; stabilise it first."
+            )
         line = abs(float(np.corrcoef(y, np.arange(y.size))[0, 1])) ** 2
         if line > ONE_LINE:
             raise InputError(
                 f"{who}: {line:.3%} of the power of output '{wire.name}' is a straight line; wait until the drift has "
                 f"settled, or take it out first."
             )
+
+
+def _late(x: FloatArray) -> float:
+    power = (x - np.median(x)) ** 2
+    return float(power[-(power.size // 10 + 1) :].sum() / max(power.sum(), np.finfo(float).tiny))
 
 
 # A tone fills six bins of a Blackman-windowed spectrum and carries two parameters; this share of the strongest bin

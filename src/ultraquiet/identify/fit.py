@@ -94,9 +94,15 @@ def finished(
     """Return a model with its evidence: residual tests, fit, covariance."""
     evidence = residual_tests(best.residual, data.u, structure)
     output = np.clip(simulated(data, model, search), data.low, data.high)
+    status = verdict(best.state, best.iterations, evidence)
+    if status.ok and not model.is_stable():
+        # Only ARX and ARMAX can end here: their A is not divided by.
+        status = Status(
+            "poor fit", "The model is unstable: it predicts one step, but its simulation grows without bound."
+        )
     return Fit(
         model,
-        verdict(best.state, best.iterations, evidence),
+        status,
         prediction.fit_percent(data.recorded, output),
         model.noise_variance,
         covariance(best.normal, best.loss, structure, data.gain),

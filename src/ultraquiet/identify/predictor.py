@@ -83,7 +83,9 @@ class PredictorSubspace:
                 each other.
         """
         longest = self._longest(record)
-        usable("PredictorSubspace", record, self.order or 1, longest)
+        # Every state brings a column of B and a row of C at least.
+        wires = len(record.actuators) + len(record.sensors)
+        usable("PredictorSubspace", record, (self.order or 2) * wires // len(record.sensors), longest)
         state_result.independent("PredictorSubspace", record)
         data = state_fit.Scaled.of(record)
         regression = Regression.of(data, longest, self.feedthrough)
