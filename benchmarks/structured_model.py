@@ -26,6 +26,7 @@ RECORDS = 20
 RECORD_SAMPLES = 4096
 LOWEST_HZ, HIGHEST_HZ = 0.02, 10.0  # where zeros are counted: below lies the one that sampling leaves at DC
 WORST_DB = 0.5
+ARTEFACT_HZ = 1.0  # the paper's zeros stand at 1 and 3 Hz
 
 
 def excitation(rng: np.random.Generator) -> np.ndarray:
@@ -93,10 +94,15 @@ def records(unit: str, seed: int, truth: np.ndarray) -> dict[str, list[tuple[np.
     for name, fits in found.items():
         hit = [z for z, _ in fits if z.size]
         miss = np.array([off_db(H, truth) for _, H in fits])
-        where = f" at {np.concatenate(hit).min():.1f} to {np.concatenate(hit).max():.1f} Hz" if hit else ""
+        near = sum(bool(np.any(z > ARTEFACT_HZ)) for z in hit)
+        where = (
+            f" ({near} above {ARTEFACT_HZ:g} Hz), at {np.concatenate(hit).min():.1f} to {np.concatenate(hit).max():.1f} Hz"
+            if hit
+            else ""
+        )
         print(
-            f"{unit}, {name} from {RECORD_SAMPLES} samples of noise: zeros outside the circle below 10 Hz in "
-            f"{len(hit)} of {RECORDS}{where}; worst line off by {np.median(miss.max(axis=1)):.1f} dB, median line by "
+            f"{unit}, {name} from {RECORD_SAMPLES} samples of noise: zeros outside the circle below "
+            f"10 Hz in {len(hit)} of {RECORDS}{where}; worst line off by {np.median(miss.max(axis=1)):.1f} dB, median line by "
             f"{np.median(miss):.1f} dB (medians of the records)"
         )
     return found
@@ -131,7 +137,7 @@ def judge(unit: str, seed: int, figure: str | None = None) -> Iterator[tuple[str
     if figure:
         draw(figure, diagonal(G)[0], diagonal(H)[0], found)
     zeros_of = [z.size for z, _ in found["structured"]]
-    artefacts = sum(bool(z.size) for z, _ in found["free"])
+    artefacts = sum(bool(np.any(z > ARTEFACT_HZ)) for z, _ in found["free"])
     diagonal_zeros = sum(z.size for z in zeros)
     yield f"{unit}: collocated responses, 2-150 Hz", f"{miss.max():.2f} dB", f"{WORST_DB} dB", miss.max() <= WORST_DB
     yield f"{unit}: zeros outside below 10 Hz, diagonal", str(diagonal_zeros), "0", not diagonal_zeros
@@ -142,7 +148,7 @@ def judge(unit: str, seed: int, figure: str | None = None) -> Iterator[tuple[str
         "0",
         not any(zeros_of),
     )
-    yield f"{unit}: records whose free fit has one", f"{artefacts} of {RECORDS}", "at least 1", artefacts > 0
+    yield f"{unit}: records whose free fit has one, 1-10 Hz", f"{artefacts} of {RECORDS}", "at least 1", artefacts > 0
 
 
 def draw(path: str, G: np.ndarray, H: np.ndarray, found: dict[str, list[tuple[np.ndarray, np.ndarray]]]) -> None:

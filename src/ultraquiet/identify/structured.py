@@ -116,7 +116,7 @@ class Structured:
     delay: int | None = 2
     floor: float = 0.0
     smooth_lines: int = 9
-    iterations: int = 200
+    iterations: int = 60
     noise_rounds: int = 3
     repair: bool = True
 

@@ -105,7 +105,7 @@ class StructuredModal:
     delay: int = 2
     floor: float = 0.01
     smooth_lines: int = 9
-    iterations: int = 100
+    iterations: int = 60
     noise_rounds: int = 2
     repair: bool = True
 
