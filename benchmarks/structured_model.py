@@ -95,14 +95,11 @@ def records(unit: str, seed: int, truth: np.ndarray) -> dict[str, list[tuple[np.
         hit = [z for z, _ in fits if z.size]
         miss = np.array([off_db(H, truth) for _, H in fits])
         near = sum(bool(np.any(z > ARTEFACT_HZ)) for z in hit)
-        where = (
-            f" ({near} above {ARTEFACT_HZ:g} Hz), at {np.concatenate(hit).min():.1f} to {np.concatenate(hit).max():.1f} Hz"
-            if hit
-            else ""
-        )
+        every = np.concatenate([*hit, np.zeros(0)])
+        where = f", {near} above {ARTEFACT_HZ:g} Hz, up to {every.max():.1f} Hz" if hit else ""
         print(
-            f"{unit}, {name} from {RECORD_SAMPLES} samples of noise: zeros outside the circle below "
-            f"10 Hz in {len(hit)} of {RECORDS}{where}; worst line off by {np.median(miss.max(axis=1)):.1f} dB, median line by "
+            f"{unit}, {name} from {RECORD_SAMPLES} samples of noise: zeros outside the circle below 10 Hz in {len(hit)} "
+            f"of {RECORDS}{where}; worst line off by {np.median(miss.max(axis=1)):.1f} dB, median line by "
             f"{np.median(miss):.1f} dB (medians of the records)"
         )
     return found
