@@ -98,7 +98,7 @@ def records(unit: str, seed: int, truth: np.ndarray) -> dict[str, list[tuple[np.
         every = np.concatenate([*hit, np.zeros(0)])
         where = f", {near} above {ARTEFACT_HZ:g} Hz, up to {every.max():.1f} Hz" if hit else ""
         print(
-            f"{unit}, {name} from {RECORD_SAMPLES} samples of noise: zeros outside the circle below 10 Hz in {len(hit)} "
+            f"{unit}, {name} from {RECORD_SAMPLES} samples of noise: zeros outside below 10 Hz in {len(hit)} "
             f"of {RECORDS}{where}; worst line off by {np.median(miss.max(axis=1)):.1f} dB, median line by "
             f"{np.median(miss):.1f} dB (medians of the records)"
         )
@@ -174,7 +174,7 @@ def draw(path: str, G: np.ndarray, H: np.ndarray, found: dict[str, list[tuple[np
 
 def measure(seed: int | None = None, figure: str | None = None) -> Iterator[tuple[str, str, str, bool]]:
     """Judge both units."""
-    seed = int(np.random.SeedSequence().entropy % 2**31) if seed is None else seed
+    seed = int(np.random.default_rng().integers(2**31)) if seed is None else seed
     for unit in ("ground", "flight"):
         yield from judge(unit, seed, figure if unit == "ground" else None)
 
