@@ -14,7 +14,7 @@ from ultraquiet.identify.fit import Fit
 from ultraquiet.identify.matrix import columns, in_threads
 from ultraquiet.identify.prediction_error import PolynomialMethod
 from ultraquiet.identify.starts import Channel
-from ultraquiet.linalg import prediction
+from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record
 
 STRUCTURES = ("arx", "armax", "output-error", "box-jenkins")
@@ -36,6 +36,7 @@ class Candidate:
         words: `(ny, nu)` verdicts.
         seconds: processor seconds of all channels' fits.
         models: `(ny, nu)` the fitted models.
+        samples: of each fitted record (the shortest).
     """
 
     method: PolynomialMethod
@@ -46,6 +47,11 @@ class Candidate:
     words: np.ndarray[Any, np.dtype[np.str_]]
     seconds: float
     models: np.ndarray[Any, np.dtype[np.object_]]
+    samples: int
+
+    def criteria(self) -> information.Criteria:
+        """Return FPE, AIC, AICc, BIC and MDL of every channel on the fitted data, `(ny, nu)` each."""
+        return information.criteria(self.loss, self.samples, self.method.structure().parameters(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +84,7 @@ class Sweep:
         return converged[_smallest_worth(converged, [float(v) for v in scores])]
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one plain row per candidate: structure, order, median and worst fit in percent, loss, seconds."""
+        """Return one plain row per candidate: structure, order, fits in percent, loss, criteria (medians), seconds."""
         return [
             {
                 "structure": c.method.name,
@@ -86,6 +92,7 @@ class Sweep:
                 "median_fit_percent": float(np.median(c.held_out_fit)),
                 "worst_fit_percent": float(np.min(c.held_out_fit)),
                 "median_loss": float(np.median(c.held_out_loss)),
+                **{name: float(np.median(value)) for name, value in c.criteria()._asdict().items()},
                 "ok": int(np.count_nonzero(c.words == "ok")),
                 "seconds": c.seconds,
             }
@@ -145,7 +152,8 @@ def sweep(
 
     found = in_threads("compare structures and orders", one, places, workers)
     shape = (len(fitted[0].sensors), len(fitted))
-    return _ranked([_candidate(m, n, found, shape) for n, m in enumerate(methods)], rank_by)
+    shortest = min(r.samples for r in fitted)
+    return _ranked([_candidate(m, n, found, shape, shortest) for n, m in enumerate(methods)], rank_by)
 
 
 def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
@@ -174,7 +182,9 @@ def _one_step_loss(y: FloatArray, u: FloatArray, fit: Fit) -> float:
     return float(np.mean(prediction.innovations(u, y, m.a, m.b, m.f, m.c, m.d) ** 2))
 
 
-def _candidate(method: PolynomialMethod, n: int, found: dict[Any, Any], shape: tuple[int, int]) -> Candidate:
+def _candidate(
+    method: PolynomialMethod, n: int, found: dict[Any, Any], shape: tuple[int, int], samples: int
+) -> Candidate:
     def table(pick: Callable[[Any], Any]) -> Any:
         return np.array([[pick(found[(i, k)][n]) for k in range(shape[1])] for i in range(shape[0])])
 
@@ -190,6 +200,7 @@ def _candidate(method: PolynomialMethod, n: int, found: dict[Any, Any], shape: t
         table(lambda x: x[0].status.word),
         float(np.sum(table(lambda x: x[3]))),
         models,
+        samples,
     )
 
 
