@@ -32,7 +32,8 @@ def as_it_is(drawn, rng):
 
 
 def cut(drawn, rng):
-    return with_outputs(drawn, np.clip(drawn.record.outputs, -1.2, 1.2))
+    limit = np.quantile(np.abs(drawn.record.outputs), 0.9)
+    return with_outputs(drawn, np.clip(drawn.record.outputs, -limit, limit))
 
 
 def drifting(drawn, rng):

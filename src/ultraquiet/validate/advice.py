@@ -21,6 +21,7 @@ from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
 CLIPPED_RUN, CLIPPED_PLACES = 3, 2
 OFFSET_SPREADS = 5.0  # a constant of so many standard deviations eats the sensor's range
 SEGMENTS = 8
+EXPLAINED_BY = {"delay", "trend", "stationarity", "feedback"}
 SLOW_LINES = 8  # the lowest lines of what the input does not explain: the noise a drift must stand out of
 
 
@@ -80,7 +81,9 @@ def advise(
         fitted, spread = fitted_directions(m, record.inputs, record.outputs[i], e[i], chosen, P)
         case = Case(record, i, m, e[i], P, fitted, spread)
         told = [Advice(*x) for check in CHECKS for x in check(case)]
-        found += told or [Advice(*x) for x in _order_too_low(case)]
+        # What else was found explains a residual that follows something; only then the order is not to blame.
+        blamed = {x.about for x in told} & EXPLAINED_BY
+        found += told if blamed else [*told, *(Advice(*x) for x in _order_too_low(case))]
     return tuple(found)
 
 
