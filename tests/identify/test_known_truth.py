@@ -47,8 +47,10 @@ def test_box_jenkins_meets_the_easy_truth(rng):
 
 @pytest.mark.slow
 def test_starts_hold_over_two_hundred_records(rng):
-    _, ratio, _ = campaign("suite_rate", rng, 200)
+    fits, ratio, ok = campaign("suite_rate", rng, 200)
     assert np.mean(ratio < SAME_LOSS) >= 0.98
+    assert not np.any(ok & (ratio >= SAME_LOSS))
+    assert np.median(fits) >= 97.0
 
 
 def test_a_model_too_small_is_never_ok(rng):
