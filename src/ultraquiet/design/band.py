@@ -103,7 +103,8 @@ class BandAttenuation:
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
         part = plant if self.structure == "full" else common_mode(plant)
-        settings = self if self.peak_db is None else replace(self, height=_height_for_peak(self, part, plant, self.peak_db))
+        wanted = self.height if self.peak_db is None else _height_for_peak(self, part, plant, self.peak_db)
+        settings = replace(self, height=wanted)
         found = settings.synthesis(part)
         law = found.controller
         if law is not None and part.D.shape != plant.D.shape:
