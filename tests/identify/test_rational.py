@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet.linalg import vector_fitting
+from ultraquiet.linalg import pole_residue, vector_fitting
 
 RATE_HZ = 3500.0
 
@@ -126,3 +126,37 @@ def test_refusals(rng):
 def test_more_zeros_than_poles_are_refused():
     with pytest.raises(uq.errors.InputError, match="zeros_at_dc"):
         uq.identify.Rational(order=2, zeros_at_dc=3)
+
+
+@pytest.mark.parametrize("pole", [0.5 + 0.2j, 0.5 + 0j])
+def test_a_pole_without_a_residue_takes_no_states(pole):
+    A, B, C = pole_residue.joined([pole_residue.block(pole, np.zeros((3, 2), complex), 1e-9)] * 2)
+    assert (A.shape, B.shape, C.shape) == ((0, 0), (0, 2), (3, 0))
+
+
+def test_spare_poles_of_an_exact_response_are_left_out_not_stumbled_over(rng):
+    plant, _ = random_modal(rng, 1, 2, 2)
+    f = np.linspace(2.0, 1200.0, 400)
+    found = uq.identify.Rational(order=9, rank_tolerance=0.01).identify_response(response(plant, f), RATE_HZ)
+    assert found.status.ok
+    print(f"{len(found.model.A)} states of order 9 kept")
+    assert len(found.model.A) < 9 * 2
+
+
+def test_a_response_blurred_by_leakage_is_no_good_model_of_its_record(rng):
+    lag = uq.StateSpace([[0.9998]], [[0.02]], [[1.0]], [[0.0]], RATE_HZ)
+    for _ in range(5):
+        u = rng.standard_normal((1, 12000))
+        found = uq.identify.Rational(order=1, iterations=4).identify(uq.Record(u, lag.simulate(u), RATE_HZ))
+        print(found.status, found.fit_percent)
+        assert not found.status.ok or found.fit_percent[0] > 0.0
+
+
+def test_noise_in_the_record_is_no_fault_of_the_model(rng):
+    plant = uq.StateSpace([[0.9, 0.3], [-0.3, 0.9]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], RATE_HZ)
+    u = rng.standard_normal((1, 8000))
+    y = plant.simulate(u)
+    noisy = uq.Record(u, y + 0.5 * y.std() * rng.standard_normal(y.shape), RATE_HZ)
+    found = uq.identify.Rational(order=2, floor=0.2).identify(noisy)
+    print(found.status, found.fit_percent)
+    assert found.status.word != "poor fit" or "simulated" not in found.status.sentence

@@ -30,8 +30,8 @@ def threefold_error(values: ComplexArray) -> FloatArray:
         values: response `(6, 6, nf)`, struts numbered round the hexapod, so that 1, 3 and 5 change places.
 
     Returns:
-        `(nf,)`, zero for a hexapod whose three pairs of struts are alike: its 36 functions are then 12, and with
-        reciprocity and mirror symmetry 6.
+        `(nf,)`, zero for a hexapod whose three pairs of struts are alike: its 36 functions are then 12, with mirror
+        symmetry (the struts of each pair change places) 6, and with reciprocity besides 5.
 
     >>> float(threefold_error(np.ones((6, 6, 1), dtype=complex))[0])
     0.0

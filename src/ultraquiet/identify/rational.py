@@ -10,7 +10,8 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify._abstract import Result, usable, worst
+from ultraquiet.identify.state_result import RESIDUAL_LAGS, SIGNIFICANCE, free_of_inputs
 from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
@@ -99,19 +100,21 @@ class Rational:
         found = self.identify_response(frf(record), record.rate_hz)
         simulated = found.model.simulate(record.inputs)
         residual = record.outputs - simulated
+        fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
+        statuses = [_simulated(found.status, p, e, record.inputs) for p, e in zip(fits, residual, strict=True)]
         ny = len(record.sensors)
         unknown = np.full(ny, np.nan)
         made = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
         return Result(
             found.model,
-            found.status,
-            np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
+            worst(statuses),
+            fits,
             np.mean(residual**2, axis=1),
             np.full((ny, 0, 0), np.nan),
             unknown,
             unknown,
             np.full(ny, self.iterations),
-            (found.status,) * ny,
+            tuple(statuses),
             made,
             {"order": found.order, "error": found.error},
         )
@@ -125,7 +128,8 @@ class Rational:
             rate_hz: sampling rate of the system wanted.
 
         Raises:
-            InputError: lines beyond half the rate, too few lines for the order, a response that is zero.
+            InputError: lines beyond half the rate, too few lines for the order, a response that is zero, or one of
+                which no residue reaches `rank_tolerance`.
         """
         f, G, weight = _checked(self, response, rate_hz)
         z = points(f, rate_hz)
@@ -203,6 +207,22 @@ def _verdict(error: float) -> Status:
     return Status("ok", f"Held-out lines are met within {100 * error:.2g} % of the response (RMS).")
 
 
+def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray) -> Status:
+    """Return the verdict on one output: a large simulated error that follows the inputs is no noise.
+
+    An error larger than the output needs no test: slow ones are too coloured for it.
+    """
+    if not status.ok or fit >= 100.0 * (1.0 - POOR):
+        return status
+    if fit > 0.0 and free_of_inputs(e, u, RESIDUAL_LAGS) >= SIGNIFICANCE:
+        return status
+    return Status(
+        "poor fit",
+        f"The simulated output fits by {fit:.0f} %, and what it misses is not noise alone: the response was blurred by "
+        f"leakage, or the order is too low; fit a periodic response, or take 'subspace'.",
+    )
+
+
 def _realised(
     method: Rational,
     fit: vector_fitting.Rational,
@@ -219,6 +239,11 @@ def _realised(
         reach = float(np.max(weight / np.abs(z - fit.poles[k])))
         blocks.append(pole_residue.block(fit.poles[k], fit.residues[:, :, k], method.rank_tolerance / reach))
         k += 1 if fit.poles[k].imag == 0 else 2
+    if not any(len(A) for A, _, _ in blocks):
+        raise InputError(
+            f"Rational: no residue of order {fit.poles.size} reaches {method.rank_tolerance:g} of the response, so "
+            f"nothing would be left; lower 'rank_tolerance', or measure a response that stands above its noise."
+        )
     ny, nu = response.values.shape[:2]
     A, B, C, D = pole_residue.delayed(*pole_residue.joined(blocks), np.zeros((ny, nu)), method.delay - 1)
     made = Provenance("rational", asdict(method), parents=response.provenance.parents, versions=versions())

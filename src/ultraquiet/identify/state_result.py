@@ -63,7 +63,7 @@ def judged(
     v = data.y - found.simulated(data.u) if found.stable() else np.full_like(data.y, np.inf)
     e = found.errors(data.u, data.y)
     tested = e if search.predicts else v
-    free = [_free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS) for x in tested]
+    free = [free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS) for x in tested]
     lags = min(TEST_LAGS, record.samples // 10)
     white = [portmanteau.ljung_box(x, lags).p_value for x in e]
     spare = spare_modes(found, data, search.predicts)
@@ -74,7 +74,7 @@ def judged(
     ]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     return Result(
-        _model(found, e, record, data, made),
+        modelled(found, e, record, data, made),
         worst(statuses),
         np.array([prediction.fit_percent(y, y - x) for y, x in zip(data.y, v, strict=True)]),
         loss,
@@ -88,7 +88,7 @@ def judged(
     )
 
 
-def _model(found: System, e: FloatArray, record: Record, data: Scaled, made: Provenance) -> InnovationForm:
+def modelled(found: System, e: FloatArray, record: Record, data: Scaled, made: Provenance) -> InnovationForm:
     """Return the system in units of the record, in real modal blocks."""
     B, C, K = found.B / data.u_size.T, found.C * data.y_size, found.K / data.y_size.T
     D = found.D * data.y_size / data.u_size.T
@@ -157,7 +157,8 @@ def growing(record: Record) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(growth(record.outputs) > GROWTH * level))
 
 
-def _free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
+def free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
+    """Return the p-value that e, `(n,)`, holds nothing of the inputs, itself coloured over `memory` samples."""
     if not np.all(np.isfinite(e)):
         return 0.0
     lags = min(TEST_LAGS, e.size // 10)

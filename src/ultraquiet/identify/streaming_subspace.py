@@ -191,7 +191,7 @@ def _judged(
     squares = np.diag(simulated.products()[0])[:ny] / n
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
-    model = state_result._model(found, like, data.record.part(0, 1), data.first(1), made)
+    model = state_result.modelled(found, like, data.record.part(0, 1), data.first(1), made)
     return Result(
         model,
         worst(statuses),

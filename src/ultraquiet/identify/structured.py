@@ -130,10 +130,10 @@ class Structured:
                     )
         for symbol, value in {**self.guess, **self.known}.items():
             positive(WHO, symbol, value, strut.UNITS[symbol])
-            low, high = self._bounds(symbol)
+            low, high = self.bounds_of(symbol)
             between(WHO, symbol, value, low, high, strut.UNITS[symbol])
         for symbol in self.bounds:
-            low, high = self._bounds(symbol)
+            low, high = self.bounds_of(symbol)
             if not 0 < low < high:
                 raise InputError(f"{WHO}: the bounds of '{symbol}' must rise from above zero, got {low:g} to {high:g}.")
         if not self.free:
@@ -197,7 +197,8 @@ class Structured:
             minimum = self._search(lines, minimum.x, polarity, delay, self.iterations)
         return self._judged(lines, minimum, polarity, delay, False, record)
 
-    def _bounds(self, symbol: str) -> tuple[float, float]:
+    def bounds_of(self, symbol: str) -> tuple[float, float]:
+        """Return the least and the largest value that the search gives a symbol, in its own unit."""
         if symbol in self.bounds:
             low, high = self.bounds[symbol]
             return float(low), float(high)
@@ -208,7 +209,7 @@ class Structured:
 
     def _start(self) -> dict[str, float]:
         """Return the guess of every free symbol, nominal ones moved into given bounds."""
-        return {s: float(np.clip(self.guess.get(s, strut.NOMINAL[s]), *self._bounds(s))) for s in self.free}
+        return {s: float(np.clip(self.guess.get(s, strut.NOMINAL[s]), *self.bounds_of(s))) for s in self.free}
 
     def _values(self, x: FloatArray) -> dict[str, float]:
         sought = dict(zip(self.free, np.exp(x).tolist(), strict=True))
@@ -254,16 +255,16 @@ class Structured:
         """Return a start whose gain meets the data, as far as K is free, and the polarity."""
         start = self._start()
         if "R_M" in start:
-            start["R_M"] = float(np.clip(corner * start["R_M"], *self._bounds("R_M")))
+            start["R_M"] = float(np.clip(corner * start["R_M"], *self.bounds_of("R_M")))
         x = np.log(list(start.values()))
         G = lines.scaled(lines.u * self._response(x, 1, delay, lines))
         share = float(G @ lines.scaled(lines.y)) / float(G @ G)
         if "K" in start and share != 0.0:
-            start["K"] = float(np.clip(abs(share) * start["K"], *self._bounds("K")))
+            start["K"] = float(np.clip(abs(share) * start["K"], *self.bounds_of("K")))
         return np.log(list(start.values())), 1 if share >= 0 else -1
 
     def _search(self, lines: Lines, x: FloatArray, polarity: int, delay: int, iterations: int) -> Minimum:
-        bounds = np.log([self._bounds(s) for s in self.free])
+        bounds = np.log([self.bounds_of(s) for s in self.free])
 
         def residual(x: FloatArray) -> FloatArray:
             r = lines.scaled(lines.y - lines.u * self._response(x, polarity, delay, lines))
@@ -348,7 +349,7 @@ def _verdict(
         if untold
         else ""
     )
-    bounds = np.log([method._bounds(s) for s in method.free])
+    bounds = np.log([method.bounds_of(s) for s in method.free])
     held = [s for s, x, (low, high) in zip(method.free, minimum.x, bounds, strict=True) if not low < x < high]
     if held:
         aside += f" {', '.join(held)} ended at a bound, where deviations do not hold."

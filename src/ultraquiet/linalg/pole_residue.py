@@ -11,7 +11,7 @@ Block = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def block(pole: complex, residue: ComplexArray, smallest: float) -> Block:
-    """Realise 2 Re(R / (z - p)), or R / (z - p) of a real pole, keeping singular values above `smallest`."""
+    """Realise 2 Re(R / (z - p)), or R / (z - p) of a real pole,, of the singular values above `smallest`."""
     real = pole.imag == 0
     U, s, Vh = np.linalg.svd(residue.real if real else residue)
     r = int(np.count_nonzero(s > smallest))
@@ -22,7 +22,7 @@ def block(pole: complex, residue: ComplexArray, smallest: float) -> Block:
     rotation = np.array([[pole.real, -pole.imag], [pole.imag, pole.real]])
     # The complex state x+ = p x + b u, y = 2 Re(c x), written with its real and imaginary parts.
     A = np.asarray(np.kron(np.eye(r), rotation), dtype=np.float64)
-    B = np.stack([b.real, b.imag], axis=1).reshape(2 * r, -1) * np.sqrt(2.0)
+    B = np.stack([b.real, b.imag], axis=1).reshape(2 * r, b.shape[1]) * np.sqrt(2.0)
     C = np.stack([c.real, -c.imag], axis=2).reshape(c.shape[0], 2 * r) * np.sqrt(2.0)
     return A, B, C
 
