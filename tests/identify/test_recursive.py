@@ -129,7 +129,8 @@ def test_without_forgetting_a_drift_is_averaged_and_said(rng):
     still = uq.identify.RecursiveBoxJenkins(order=2, start_samples=2000).identify(record)
     followed = uq.identify.RecursiveBoxJenkins(order=2, start_samples=2000, memory_s=2.0).identify(record)
     print(f"\ndrift of 6 Hz: {still.status.word} without forgetting, losses {still.loss[0] / followed.loss[0]:.2f}")
-    assert still.status.word == "not white"
+    # the averaged model is either told by its residual or, where it simulates nothing, by its fit
+    assert still.status.word in ("not white", "poor fit")
     assert still.loss[0] > followed.loss[0]
 
 
