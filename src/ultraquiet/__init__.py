@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ultraquiet import experiments as experiments
     from ultraquiet import files as files
     from ultraquiet import identify as identify
+    from ultraquiet import limits as limits
     from ultraquiet import reduce as reduce
     from ultraquiet import report as report
     from ultraquiet import signals as signals
@@ -47,6 +48,7 @@ __all__ = [
     "experiments",
     "files",
     "identify",
+    "limits",
     "reduce",
     "report",
     "signals",

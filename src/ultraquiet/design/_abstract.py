@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray
 from ultraquiet._base.provenance import Provenance
+from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
@@ -18,7 +19,9 @@ class DesignResult:
 
     Attributes:
         status: `ok`, or a word and a sentence about what went wrong.
-        controller: u = K y, its sign inside; None when the design was refused.
+        controller: u = K y, its sign inside; None when the design was refused. For a law that adapts, the linear law it
+            is while its parameters stand still.
+        law: what runs in the loop when that is not `controller`: an adaptive law, stepped sample by sample.
         gamma: the cost that the design claims for this controller (its norm where the method minimises one, else nan).
         achieved: the same cost computed again from the finished loop in the plant's own units.
         closed_loop_poles: eigenvalues of the loop with the design model, in z or rad/s.
@@ -39,6 +42,7 @@ class DesignResult:
     residuals: Mapping[str, float] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
+    law: Controller | None = None
 
 
 class DesignMethod(Protocol):
