@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from named_plants import bench_like, printed, slicot
+from named_plants import bench_like
+from slicot_examples import printed, slicot
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import h2_norm

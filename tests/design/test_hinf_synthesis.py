@@ -4,7 +4,8 @@ import time
 
 import numpy as np
 import pytest
-from named_plants import bench_like, printed, slicot
+from named_plants import bench_like
+from slicot_examples import printed, slicot
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
