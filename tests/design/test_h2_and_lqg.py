@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from named_plants import bench_like
-from slicot_examples import printed, slicot
 
+from slicot_examples import printed, slicot
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import h2_norm
 from ultraquiet.design import Lqg, synthesize_h2

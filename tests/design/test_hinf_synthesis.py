@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 from named_plants import bench_like
-from slicot_examples import printed, slicot
 
+from slicot_examples import printed, slicot
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import band_pass, four_block, high_pass, output_shaping, synthesize_hinf
