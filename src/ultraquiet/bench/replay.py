@@ -14,6 +14,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, checked_signals, limits
 from ultraquiet.bench.stepped import Stop
 from ultraquiet.values import Channel, Record
+from ultraquiet.values.channel import at_limits
 
 
 @register("bench", "replay")
@@ -119,7 +120,6 @@ class Replay:
 
 
 def _cut(record: Record, size: int, stop: Stop | None) -> Iterator[Block]:
-    low, high = limits(record.sensors)
     for start in range(0, record.samples, size):
         if stop is not None and stop():
             return
@@ -127,5 +127,4 @@ def _cut(record: Record, size: int, stop: Stop | None) -> Iterator[Block]:
         y = record.outputs[:, part]
         # A record does not tell which of its commands had been limited.
         unknown = np.zeros(len(record.actuators), dtype=np.int64)
-        met = np.count_nonzero((y <= low[:, None]) | (y >= high[:, None]), axis=1)
-        yield Block(record.inputs[:, part], y, unknown, met)
+        yield Block(record.inputs[:, part], y, unknown, at_limits(y, record.sensors))

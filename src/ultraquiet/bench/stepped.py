@@ -22,6 +22,7 @@ from ultraquiet.bench._abstract import (
     limits,
 )
 from ultraquiet.values import Channel, Controller, Record
+from ultraquiet.values.channel import at_limits
 
 Stop = Callable[[], bool]
 
@@ -125,7 +126,6 @@ class Loop:
     def __init__(self, setup: Setup, u: FloatArray, d: FloatArray, law: Controller | None) -> None:
         self.setup, self.law = setup, law
         self.low, self.high = limits(setup.actuators)
-        self.low_y, self.high_y = limits(setup.sensors)
         self.u, self.d = u, d
         self.gain = np.ones(u.shape[1])
         self.held = np.zeros(len(u))
@@ -187,7 +187,7 @@ class Loop:
             np.clip(asked, low, high),
             y,
             np.count_nonzero((asked < low) | (asked > high), axis=1),
-            np.count_nonzero((y <= self.low_y[:, None]) | (y >= self.high_y[:, None]), axis=1),
+            at_limits(y, self.setup.sensors),
             self.setup.plant.overruns(),
         )
 

@@ -18,7 +18,8 @@ from ultraquiet.experiments import journal
 from ultraquiet.experiments.listed import ExperimentList
 from ultraquiet.experiments.plan import Measurement, volts
 from ultraquiet.files import LogWriter, finalise, log_header, read_log
-from ultraquiet.values import Channel, Record
+from ultraquiet.values import Record
+from ultraquiet.values.channel import at_limits
 
 
 def _never() -> bool:
@@ -230,10 +231,5 @@ def _signals(bench: Any, step: Measurement) -> tuple[FloatArray, FloatArray | No
 
 def _block(record: Record) -> Block:
     """Return the whole run of a bench that does not stream."""
-    limited = (_at_limits(record.inputs, record.actuators), _at_limits(record.outputs, record.sensors))
+    limited = (at_limits(record.inputs, record.actuators), at_limits(record.outputs, record.sensors))
     return Block(record.inputs, record.outputs, *limited)
-
-
-def _at_limits(samples: FloatArray, channels: tuple[Channel, ...]) -> Any:
-    low, high = (np.array([getattr(c, end) for c in channels])[:, None] for end in ("low", "high"))
-    return np.count_nonzero((samples <= low) | (samples >= high), axis=1)

@@ -11,6 +11,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status
 
+# A verdict errs once in a thousand good models.
+SIGNIFICANCE = 1e-3
 # Fewer samples a parameter than this leave standard errors of a third and more of the estimate's size.
 SAMPLES_PER_PARAMETER = 10
 

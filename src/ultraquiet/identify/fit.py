@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.starts import Channel, starting_tables, table_of
 from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows, reduced
 from ultraquiet.linalg import portmanteau, prediction, realize
@@ -13,8 +14,6 @@ from ultraquiet.values import PolynomialModel, Status
 # The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
 # then stands within 3 % of its own standard deviation of the minimum.
 TOLERANCE = 1e-3
-# A verdict errs once in a thousand good models.
-SIGNIFICANCE = 1e-3
 TEST_LAGS = 40  # at 3.5 kHz 11 ms, over which a wrong 12 Hz pole leaves a visible residual correlation
 CONVERGED, RUNNING, STUCK = 1, 0, -1
 # The race of the starts: each runs so many steps in all, then so many of them go on, if within this ratio of the best

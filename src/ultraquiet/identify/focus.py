@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.fit import SIGNIFICANCE, Fit, Search, finished, fit_channel, modelled, run_search, simulated
-from ultraquiet.identify.starts import Channel, noise_start
-from ultraquiet.identify.structure import ROW_C, ROW_D, Structure, b_rows, f_rows
-from ultraquiet.values import PolynomialModel
+from ultraquiet.identify._abstract import SIGNIFICANCE
+from ultraquiet.identify.fit import Fit, Search, finished, fit_channel, modelled, run_search, simulated
+from ultraquiet.identify.starts import Channel, noise_start, table_of
+from ultraquiet.identify.structure import ROW_C, ROW_D, Structure
 
 FOCUSES = ("auto", "prediction", "simulation")
 # Points of simulated fit that the other focus must bring: the record's own scatter moves it by less.
@@ -40,7 +39,7 @@ def fit_simulated(data: Channel, structure: Structure, search: Search, rate_hz: 
     plant = fit_channel(data, output_error, search, rate_hz)
     if search.repair and data.clipped:
         data = data.repaired(simulated(data, plant.model, search))
-    held = run_search(data, output_error, search, _table(data, output_error, plant.model), 0)
+    held = run_search(data, output_error, search, table_of(data, output_error, plant.model), 0)
     table = structure.empty(data.u.shape[0])
     table[:, : held.table.shape[1]] = held.table[:, : table.shape[1]]
     c, d = noise_start(held.residual, structure.c, structure.d)
@@ -51,13 +50,3 @@ def fit_simulated(data: Channel, structure: Structure, search: Search, rate_hz: 
     found = replace(found, normal=unknown, iterations=found.iterations + plant.iterations)
     fit = finished(data, structure, search, model, found, plant.starts)
     return replace(fit, covariance=np.full_like(fit.covariance, np.nan))
-
-
-def _table(data: Channel, structure: Structure, model: PolynomialModel) -> FloatArray:
-    """Return the kernels' table of a model, in the channel's own units."""
-    nu = data.u.shape[0]
-    table = structure.empty(nu)
-    for j, (b, f) in enumerate(zip(b_rows(nu), f_rows(nu), strict=True)):
-        table[b, : structure.b] = model.b[j][structure.delay : structure.delay + structure.b] / data.gain[j]
-        table[f, : structure.f + 1] = model.f[j]
-    return table

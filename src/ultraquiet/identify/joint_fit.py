@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.fit import (
     CONVERGED,
     PROMISING,
     REPAIRS,
     SETTLED,
-    SIGNIFICANCE,
     TEST_LAGS,
     TOLERANCE,
     TRIAL_STEPS,

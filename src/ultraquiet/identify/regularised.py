@@ -10,7 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.identify import empirical_bayes
-from ultraquiet.identify._abstract import Result, exciting, usable, worst
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, exciting, usable, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.finite_response import HankelForm, response_of
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
@@ -23,7 +23,6 @@ ARX_LAGS = 30
 LEAST_LINES = 4  # parameters that an input must carry: a steady tone carries two, and the prior would invent the rest
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200  # of the error's own memory that enter the variance of its test
-SIGNIFICANCE = 1e-3
 RAN_OUT = 0.05  # of the response's norm in its last twentieth: it had not decayed
 LAST = 20
 

@@ -9,14 +9,13 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.identify._abstract import Result, worst
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.state_fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
 from ultraquiet.values import InnovationForm, Record, Status
 
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200  # the simulation error is coloured; this much of its memory enters the test's variance
-SIGNIFICANCE = 1e-3
 SHIFTS = 4  # samples before and after, at which an input is looked for in the others
 SAMPLES_PER_SHIFT = 10
 OWN_SHARE = 1e-6  # of an input's power that the others do not explain; below it, its column of B has no meaning

@@ -12,7 +12,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import fit as one_fit
-from ultraquiet.identify._abstract import Result
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result
 from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.structure import (
     ROW_A,
@@ -160,7 +160,7 @@ def _fit_output(
         if best is None or place.loss < best[0].loss:
             best = (place, iterations, state)
             evidence = _evidence(data, place, shape, structure, title)
-        if best[2] == one_fit.CONVERGED and min(evidence) >= one_fit.SIGNIFICANCE:
+        if best[2] == one_fit.CONVERGED and min(evidence) >= SIGNIFICANCE:
             break
     assert best is not None
     place, iterations, state = best

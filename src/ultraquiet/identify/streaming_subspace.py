@@ -12,7 +12,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import hankel, modal, state_fit, state_order, state_result
-from ultraquiet.identify._abstract import Result, usable, worst
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable, worst
 from ultraquiet.identify.survey import Survey, survey
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
@@ -235,7 +235,7 @@ def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> flo
 def _verdict(p: float, seen: Survey, output: int, record: LongRecord, steps: int, converged: bool) -> Status:
     if not converged:
         return Status("not converged", f"The search ended away from a minimum after {steps} steps.")
-    if p < state_result.SIGNIFICANCE:
+    if p < SIGNIFICANCE:
         return Status(
             "not white",
             f"The simulated error still holds something of the inputs (p = {p:.1e}): the order or the horizon leaves "

@@ -12,7 +12,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify import structured_strut as strut
-from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable
 from ultraquiet.identify.structured_data import Lines, of_record, of_response, parents
 from ultraquiet.identify.structured_record import fitted_to_record
 from ultraquiet.identify.structured_search import SHARE, Combination, Minimum, Told, chi_squared, search, told
@@ -25,7 +25,6 @@ CORNERS = (1.0, 0.2, 5.0)  # starts: the circuit's resistance times these
 TRIAL_STEPS = 12
 DELAYS = range(1, 5)  # tried when the delay is to be estimated
 LINES_PER_PARAMETER = 2
-SIGNIFICANCE = 1e-3
 DERIVED_STEP = 1e-6
 # Relative misfit beyond which a fit without known noise is called poor.
 POOR = 0.2

@@ -12,9 +12,9 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable
 from ultraquiet.identify.structured_data import Lines, of_record, of_response, parents
-from ultraquiet.identify.structured_modal_fit import SIGNIFICANCE, ModalFit, names, share, verdict
+from ultraquiet.identify.structured_modal_fit import ModalFit, names, share, verdict
 from ultraquiet.identify.structured_modes import SHARED, Channels, modes_of, residue_terms
 from ultraquiet.identify.structured_record import fitted_to_record
 from ultraquiet.identify.structured_search import Minimum, chi_squared, search, told

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.structured_data import Lines
 from ultraquiet.identify.structured_modes import SHARED, modes_of
 from ultraquiet.identify.structured_search import Minimum
 from ultraquiet.values import StateSpace, Status
 
-SIGNIFICANCE = 1e-3
 POOR = 0.2
 
 

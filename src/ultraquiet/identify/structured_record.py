@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import Result, worst
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, worst
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.prediction import fit_percent, repaired
 from ultraquiet.values import Record, StateSpace, Status
@@ -18,7 +18,6 @@ REPAIRS = 12
 SETTLED = 1e-3
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200
-SIGNIFICANCE = 1e-3
 SHORTEST = 1e-6  # poles nearer to zero are those of the delay
 
 

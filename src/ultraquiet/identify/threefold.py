@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.identify._abstract import worst
+from ultraquiet.identify._abstract import SIGNIFICANCE, worst
 from ultraquiet.identify.structured_data import smoothed
 from ultraquiet.identify.structured_modal import StructuredModal
 from ultraquiet.values import FrequencyResponse, StateSpace, Status
@@ -21,7 +21,6 @@ LOOPS = ("alike", "opposed", "sway and rock")
 PLACES = ((0,), (1,), (2, 3), (4, 5))
 FLIPS = 1999  # random signs drawn: p-values down to 1 in 2000
 SMOOTHED_LINES = 15
-SIGNIFICANCE = 1e-3
 LEAST_REALISATIONS = 4
 
 

@@ -11,7 +11,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import Result, exciting, usable
+from ultraquiet.identify._abstract import SIGNIFICANCE, Result, exciting, usable
 from ultraquiet.identify.response_data import WHO, Data, from_periods, from_record, from_response
 from ultraquiet.identify.response_model import WeightedFit
 from ultraquiet.linalg import portmanteau, section_start
@@ -34,8 +34,6 @@ TRIAL_STEPS = 15
 DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 15)
 # Poles and a fraction of a sample stand in for each other: whole delays are tried so far around the free one.
 DELAY_REACH = 3
-# A verdict errs once in a thousand good models.
-SIGNIFICANCE = 1e-3
 SMALLEST_P = 1e-12
 TEST_LAGS = 10
 

@@ -67,11 +67,17 @@ def innovations(
     v = np.asarray(lfilter(a, [1.0], y))
     for x, num, den in zip(u, b, f, strict=True):
         v = v - np.asarray(lfilter(num, den, x))
-    columns = [np.asarray(lfilter(d, c, x)) for den in f for x in free_responses(den, y.size)]
-    columns.append(np.asarray(lfilter(d, c, np.ones(y.size))))
+    e = filtered(v, d, c)
+    return e - _explained(e, nuisance_columns(a, b, f, c, d, y.size))
+
+
+def nuisance_columns(
+    a: FloatArray, b: Sequence[FloatArray], f: Sequence[FloatArray], c: FloatArray, d: FloatArray, n: int
+) -> list[FloatArray]:
+    """Return what a constant and the unknown past before the first sample can do to the residual, each `(n,)`."""
+    columns = [filtered(x, d, c) for den in f for x in free_responses(den, n)]
     past = max(c.size, a.size + d.size - 1, *(num.size for num, den in zip(b, f, strict=True) if den.size == 1), 1) - 1
-    e = np.asarray(lfilter(d, c, v))
-    return e - _explained(e, [*columns, *free_responses(c, y.size, past)])
+    return [filtered(np.ones(n), d, c), *columns, *free_responses(c, n, past)]
 
 
 def filtered(v: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:

@@ -6,19 +6,10 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.linalg.portmanteau import EXCITED_SHARE, Evidence, chi_squared
-from ultraquiet.linalg.prediction import filtered, free_responses
+from ultraquiet.linalg.prediction import filtered
 
 # Directions of fitted columns weaker than this share of the strongest are parallel to the others.
 PARALLEL = 1e-10
-
-
-def nuisance_columns(
-    a: FloatArray, b: Sequence[FloatArray], f: Sequence[FloatArray], c: FloatArray, d: FloatArray, n: int
-) -> FloatArray:
-    """Return what a constant and the unknown past before the first sample can do to the residual, `(n, q)`."""
-    columns = [filtered(x, d, c) for den in f for x in free_responses(den, n)]
-    past = max(c.size, a.size + d.size - 1, *(num.size for num, den in zip(b, f, strict=True) if den.size == 1), 1) - 1
-    return np.stack([filtered(np.ones(n), d, c), *columns, *free_responses(c, n, past)], axis=1)
 
 
 def gradient_columns(

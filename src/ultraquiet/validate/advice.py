@@ -11,7 +11,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.linalg import prediction, score
 from ultraquiet.validate import advice_model
-from ultraquiet.validate.advice_model import ALARM, Case
+from ultraquiet.validate.advice_model import ALARM, Case, Said
 from ultraquiet.validate.gradient import delay, matching
 from ultraquiet.validate.predict import innovations, single_rows
 from ultraquiet.validate.residuals import DEFAULT_LAGS, fitted_directions, origin_of
@@ -85,9 +85,6 @@ def advise(
         blamed = {x.about for x in told} & EXPLAINED_BY
         found += told if blamed else [*told, *(Advice(*x) for x in _order_too_low(case))]
     return tuple(found)
-
-
-Said = Iterator[tuple[str, str, str]]
 
 
 def _of_the_record(record: Record) -> Iterator[Advice]:

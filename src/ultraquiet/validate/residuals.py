@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, frozen, one_of, same_rate, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.linalg import portmanteau, score
+from ultraquiet.linalg import portmanteau, prediction, score
 from ultraquiet.validate.bands import root
 from ultraquiet.validate.gradient import delay, matching
 from ultraquiet.validate.predict import innovations, single_rows
@@ -136,7 +136,7 @@ def fitted_directions(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return what was fitted to this record (orthonormal columns), and what errors from another record put into e."""
     given = (m.a, m.b, m.f, m.c, m.d)
-    past = score.nuisance_columns(*given, y.size)
+    past = np.stack(prediction.nuisance_columns(*given, y.size), axis=1)
     if origin == "exact":
         return score.orthonormal(past), None
     gradient = score.gradient_columns(u, y, e, *given)

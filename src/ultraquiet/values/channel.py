@@ -3,6 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 
 
@@ -22,6 +26,12 @@ class Channel:
     def __post_init__(self) -> None:
         if not self.low < self.high:
             raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.high:g} {self.unit}.")
+
+
+def at_limits(samples: FloatArray, wires: Sequence[Channel]) -> NDArray[np.int64]:
+    """Return for each channel how many samples of `(channel, sample)` stand at or beyond its limits."""
+    low, high = (np.array([getattr(c, end) for c in wires])[:, None] for end in ("low", "high"))
+    return np.count_nonzero((samples <= low) | (samples >= high), axis=1)
 
 
 def channels(who: str, given: Sequence[Channel | str] | None, count: int, prefix: str) -> tuple[Channel, ...]:

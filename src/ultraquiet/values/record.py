@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, frozen, positive, signal_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, content_hash
-from ultraquiet.values.channel import Channel, channels
+from ultraquiet.values.channel import Channel, at_limits, channels
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -108,6 +108,4 @@ class Record:
 
     def clipped(self) -> tuple[int, ...]:
         """Return for each sensor how many samples stand at or beyond its limits."""
-        return tuple(
-            int(np.count_nonzero((y <= c.low) | (y >= c.high))) for y, c in zip(self.outputs, self.sensors, strict=True)
-        )
+        return tuple(int(count) for count in at_limits(self.outputs, self.sensors))
