@@ -8,23 +8,6 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet.cli.app import main
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run the command line in `tmp_path`; returns exit code and what it said on stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def command(*words):
-        monkeypatch.setattr(sys, "argv", ["ultraquiet", *map(str, words)])
-        try:
-            main()
-        except SystemExit as stop:
-            return stop.code or 0, capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
-    return command
 
 
 def record(rng, n=400, **changes):
@@ -66,7 +49,7 @@ def test_identify_refuses(run, tmp_path, rng, culprit):
     target.write_bytes(b"mine")
     method = () if "--method" in words else ("--method", "arx")
     order = () if "order=2.5" in words else ("--order", "2")
-    code, said = run("identify", path, *method, *order, "--out", target, "--force", *words)
+    code, _, said = run("identify", path, *method, *order, "--out", target, "--force", *words)
     print(said)
     assert code == 2
     assert named in said
@@ -78,7 +61,7 @@ def test_a_rate_that_contradicts_is_refused(run, tmp_path, rng):
     held = record(rng)
     uq.files.save(uq.Record(held["inputs"], held["outputs"], 100.0), tmp_path / "a.h5")
     uq.files.save(uq.Record(held["inputs"], held["outputs"], 250.0), tmp_path / "b.h5")
-    code, said = run("identify", "a.h5", "--method", "arx", "--order", "2", "--rate", "50", "--out", "m.h5")
+    code, _, said = run("identify", "a.h5", "--method", "arx", "--order", "2", "--rate", "50", "--out", "m.h5")
     print(said)
     assert code == 2
     assert "100 Hz" in said
@@ -86,7 +69,7 @@ def test_a_rate_that_contradicts_is_refused(run, tmp_path, rng):
     assert not (tmp_path / "m.h5").exists()
     assert run("identify", "a.h5", "--method", "arx", "--order", "2", "--out", "m.h5")[0] == 0
     assert run("validate", "m.h5", "a.h5")[0] == 0
-    code, said = run("validate", "m.h5", "b.h5")
+    code, _, said = run("validate", "m.h5", "b.h5")
     print(said)
     assert code == 2
     assert "250 Hz" in said
@@ -96,7 +79,7 @@ def test_identify_does_not_write_over_a_model(run, tmp_path, rng):
     path = put(tmp_path, record(rng))
     target = tmp_path / "model.h5"
     target.write_bytes(b"mine")
-    code, said = run("identify", path, "--method", "arx", "--order", "2", "--out", target)
+    code, _, said = run("identify", path, "--method", "arx", "--order", "2", "--out", target)
     assert code == 2
     assert "model.h5" in said
     assert target.read_bytes() == b"mine"
@@ -116,7 +99,7 @@ WRONG_SETTINGS = {
 def test_design_refuses_settings(run, tmp_path, culprit):
     setting, named = WRONG_SETTINGS[culprit]
     uq.files.save(uq.StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 3500.0), tmp_path / "plant.h5")
-    code, said = run("design", "plant.h5", "--method", "band-attenuation", "--set", setting, "--out", "law.h5")
+    code, _, said = run("design", "plant.h5", "--method", "band-attenuation", "--set", setting, "--out", "law.h5")
     print(said)
     assert code == 2
     assert named in said
@@ -149,7 +132,7 @@ tones_hz = [-5.0]
 def test_a_study_file_tells_all_its_mistakes(run, tmp_path):
     path = tmp_path / "study.toml"
     path.write_text(STUDY)
-    code, said = run("run", path)
+    code, _, said = run("run", path)
     print(said)
     assert code == 2
     for culprit in ("hexapodd", "period", "sensor_nois", "tones_hz"):
@@ -162,13 +145,13 @@ def test_ctrl_c_says_what_is_kept(run, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(uq.files, "load", stopped)
-    code, said = run("deploy", tmp_path / "law.h5")
+    code, _, said = run("deploy", tmp_path / "law.h5")
     assert code == 130
     assert "stopped" in said
 
 
 def test_a_missing_file_is_named(run, tmp_path):
-    code, said = run("run", tmp_path / "absent.toml")
+    code, _, said = run("run", tmp_path / "absent.toml")
     assert code == 2
     assert "absent.toml" in said
 

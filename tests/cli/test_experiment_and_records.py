@@ -17,7 +17,6 @@ from rich.console import Console
 from rich.text import Text
 
 from ultraquiet import experiments, files
-from ultraquiet.cli.app import main
 from ultraquiet.cli.watch import Board, Lines, Steady, watching
 from ultraquiet.experiments import journal
 
@@ -50,23 +49,9 @@ name = "quiet"
 """
 
 
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run the command line in `tmp_path`; returns exit code, stdout and stderr."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
+@pytest.fixture(autouse=True)
+def listed(run, tmp_path):
     (tmp_path / "short.toml").write_text(LIST)
-
-    def command(*words):
-        capsys.readouterr()  # what the test itself has printed
-        monkeypatch.setattr(sys, "argv", ["ultraquiet", *map(str, words)])
-        try:
-            main()
-        except SystemExit as stop:
-            return stop.code or 0, *capsys.readouterr()
-        return 0, *capsys.readouterr()
-
-    return command
 
 
 def test_a_dry_run_shows_every_step_and_touches_nothing(run, tmp_path):

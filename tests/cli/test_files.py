@@ -1,31 +1,14 @@
 """`convert` and `inspect`, as a user calls them."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ultraquiet import files
-from ultraquiet.cli.app import main
 from ultraquiet.values import Channel, Record
 
 DATA = Path(__file__).parents[1] / "data"
-
-
-@pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "110")
-
-    def command(*words):
-        monkeypatch.setattr(sys, "argv", ["ultraquiet", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        printed = capsys.readouterr()
-        return stop.value.code or 0, printed.out, printed.err
-
-    return command
 
 
 def test_convert_with_a_mapping(run, tmp_path):

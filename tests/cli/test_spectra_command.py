@@ -1,13 +1,11 @@
 """`ultraquiet spectra` on files: every kind of result, its averaging in words and in the picture."""
 
 import re
-import sys
 
 import numpy as np
 import pytest
 
 from ultraquiet import files, spectra
-from ultraquiet.cli.app import main
 from ultraquiet.values import Channel, Record
 
 RATE = 500.0
@@ -25,20 +23,6 @@ def record(rng, tmp_path):
     return path
 
 
-@pytest.fixture
-def run(monkeypatch, capsys):
-    monkeypatch.setenv("COLUMNS", "160")
-
-    def command(*words):
-        monkeypatch.setattr(sys, "argv", ["ultraquiet", "spectra", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        printed = capsys.readouterr()
-        return stop.value.code or 0, printed.out, printed.err
-
-    return command
-
-
 @pytest.mark.parametrize(
     ("show", "words"),
     [
@@ -50,7 +34,7 @@ def run(monkeypatch, capsys):
 )
 def test_every_kind_says_how_it_was_averaged(run, record, tmp_path, show, words):
     picture = tmp_path / "picture.svg"
-    code, printed, err = run(record, "--show", show, "--segment", 2048, "--out", picture, *words)
+    code, printed, err = run("spectra", record, "--show", show, "--segment", 2048, "--out", picture, *words)
     print(printed, err)
     assert code == 0
     assert AVERAGING in printed
@@ -59,9 +43,9 @@ def test_every_kind_says_how_it_was_averaged(run, record, tmp_path, show, words)
 
 
 def test_the_figures_are_right(run, record):
-    printed = run(record, "--show", "transmissibility", "--base", "base z", "--payload", "payload z")[1]
+    printed = run("spectra", record, "--show", "transmissibility", "--base", "base z", "--payload", "payload z")[1]
     assert -20.1 < float(re.search(r"│\s+(-\d+\.\d+) dB", printed)[1]) < -19.8
-    printed = run(record, "--show", "octaves", "--segment", 4096)[1]
+    printed = run("spectra", record, "--show", "octaves", "--segment", 4096)[1]
     # 5 µm/s over 250 Hz leaves 1.36 µm/s in the octave third at 80 Hz; the base has ten times that.
     assert "payload z meets VC-F" in printed
     assert "base z meets VC-B" in printed
@@ -70,7 +54,9 @@ def test_the_figures_are_right(run, record):
 def test_sensitivity_turns_volts_into_velocity(run, rng, tmp_path):
     path = tmp_path / "volts.h5"
     files.save(Record(np.zeros((1, 2**15)), 100 * 5e-6 * rng.standard_normal((1, 2**15)), RATE), path)
-    code, printed, _ = run(path, "--show", "octaves", "--segment", 4096, "--unit", "m/s", "--sensitivity", 100)
+    code, printed, _ = run(
+        "spectra", path, "--show", "octaves", "--segment", 4096, "--unit", "m/s", "--sensitivity", 100
+    )
     assert code == 0
     assert "meets VC-F" in printed
 
@@ -78,9 +64,9 @@ def test_sensitivity_turns_volts_into_velocity(run, rng, tmp_path):
 def test_without_a_velocity_the_levels_are_shown_and_the_criteria_are_not(run, rng, tmp_path):
     path = tmp_path / "volts.h5"
     files.save(Record(np.zeros((1, 2**13)), rng.standard_normal((1, 2**13)), RATE, sensors=[Channel("a", "V")]), path)
-    code, printed, _ = run(path, "--show", "octaves")
+    code, printed, _ = run("spectra", path, "--show", "octaves")
     assert (code, "no vibration criterion: channel 'a' is in V" in printed) == (0, True)
-    code, printed, _ = run(path, "--show", "octaves", "--unit", "m/s", "--segment", 256)
+    code, printed, _ = run("spectra", path, "--show", "octaves", "--unit", "m/s", "--segment", 256)
     assert (code, "cover no criterion; they need 4 to 80 Hz" in printed) == (0, True)
 
 
@@ -89,7 +75,7 @@ def test_a_dozen_channels_can_be_read_in_a_narrow_terminal(run, rng, tmp_path, m
     sensors = [Channel(f"geophone {k}", "m/s") for k in range(12)]
     files.save(Record(np.zeros((1, 2**12)), rng.standard_normal((12, 2**12)), RATE, sensors=sensors), path)
     monkeypatch.setenv("COLUMNS", "80")
-    printed = run(path, "--show", "octaves", "--out", tmp_path / "many.svg")[1]
+    printed = run("spectra", path, "--show", "octaves", "--out", tmp_path / "many.svg")[1]
     assert "…" not in printed
     assert all(f"geophone {k}" in printed for k in range(12))
 
@@ -102,7 +88,7 @@ def test_noise_beyond_the_excitation_is_no_largest_gain(run, rng, tmp_path):
     y = 2.0 * u + 1e-3 * rng.standard_normal(2**15)
     path = tmp_path / "narrow.h5"
     files.save(Record([u], [y], RATE, ["drive"], ["arm"]), path)
-    printed = run(path, "--show", "response", "--segment", 1024)[1]
+    printed = run("spectra", path, "--show", "response", "--segment", 1024)[1]
     gain_db, at_hz = map(float, re.search(r"│\s+(-?\d+\.\d+) dB +│ (\S+) Hz", printed).groups())
     found = spectra.frf(files.read_record(path), segment_samples=1024).magnitude_db.max()
     print(f"largest trusted gain {gain_db} dB at {at_hz} Hz, 6.02 dB true; the largest of all would be {found:.1f} dB")
@@ -115,7 +101,7 @@ def test_channels_by_a_mapping(run, rng, tmp_path):
     np.savetxt(tmp_path / "run.txt", rng.standard_normal((4096, 3)))
     text = 'rate_hz = 500.0\n[[inputs]]\ncolumn = 1\n[[outputs]]\ncolumn = 3\nname = "arm"\nunit = "g"\nscale = 2.0\n'
     (tmp_path / "map.toml").write_text(text)
-    code, printed, err = run(tmp_path / "run.txt", "--mapping", tmp_path / "map.toml")
+    code, printed, err = run("spectra", tmp_path / "run.txt", "--mapping", tmp_path / "map.toml")
     assert code == 0, err
     rms = float(re.search(r"arm +│ (\S+) g", printed)[1])
     assert rms == pytest.approx(2.0, rel=0.15)
@@ -135,7 +121,7 @@ def test_channels_by_a_mapping(run, rng, tmp_path):
     ],
 )
 def test_bad_words_are_one_sentence(run, record, words, sentence):
-    code, _, err = run(record, *words)
+    code, _, err = run("spectra", record, *words)
     assert code == 2
     assert sentence in err
     assert err.count("\n") == 1
