@@ -1,7 +1,5 @@
 """H-infinity synthesis for a given generalised plant."""
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -13,6 +11,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design import hinf_kernel as kernel
 from ultraquiet.design._abstract import DesignResult, is_stable, refused
 from ultraquiet.design.hinf_refusal import diagnose
+from ultraquiet.design.hinf_search import Bracket, given, search
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -20,19 +19,10 @@ from ultraquiet.values.status import Status
 
 FINEST = 1e-5  # relative width of the bracket around the optimum
 COARSENESS = 0.05  # the bracket is this share of the margin wide: a controller at 1.05 needs no optimum to six digits
-LARGEST = 1e12  # times the starting level: above it the assumptions of the theory must be violated
-PROBES = 60
 # Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
 BACK_OFF = (1.0, 1.0005, 1.005, 1.05, 1.2, 2.0)
 FASTEST = 1e12  # stands for infinite frequency, in units of the plant's own speed
 AGREEMENT = 1e-3  # reported and achieved norm must agree this well
-
-
-class _Bracket(NamedTuple):
-    best: kernel.Level
-    below: float
-    reason: str
-    probes: int
 
 
 @single_threaded
@@ -79,9 +69,9 @@ def synthesize_hinf(
         M = _continuous(P)
         plant = kernel.normalise(M, ny, nu)
         bracket = (
-            _search(plant, max(FINEST, COARSENESS * (margin - 1)))
+            search(plant, max(FINEST, COARSENESS * (margin - 1)))
             if gamma is None
-            else _given(plant, positive(who, "gamma", gamma))
+            else given(plant, positive(who, "gamma", gamma))
         )
         if bracket.best.reason:
             return refused(_sentence(P, ny, nu, gamma, bracket.best.reason))
@@ -95,61 +85,7 @@ def _continuous(P: StateSpace) -> kernel.Matrices:
     return M if P.rate_hz is None else bilinear_to_continuous(*M)
 
 
-def _given(plant: kernel.Plant, gamma: float) -> _Bracket:
-    bottom = kernel.floor(plant)
-    if gamma <= bottom:
-        none = np.zeros((0, 0))
-        reason = f"the direct term D11 alone gives {bottom:.6g}"
-        return _Bracket(kernel.Level(gamma, none, none, np.inf, (np.inf, np.inf), reason), gamma, "", 0)
-    return _Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1)
-
-
-def _search(plant: kernel.Plant, tolerance: float) -> _Bracket:
-    """Bracket the smallest level by secant steps on log rho(XY) over log gamma, bisection where that is infinite."""
-    bottom = kernel.floor(plant)
-    start = max(2 * bottom, _open_level(plant))
-    best, probes = kernel.attempt(plant, start), 1
-    while best.reason and best.gamma < LARGEST * start:
-        bottom, best, probes = best.gamma, kernel.attempt(plant, 10 * best.gamma), probes + 1
-    low, reason = bottom, "the direct term D11 sets the floor"
-    tried: list[kernel.Level] = [best]
-    while not best.reason and best.gamma > low * (1 + tolerance) and best.gamma > 1e-9 * start and probes < PROBES:
-        level = kernel.attempt(plant, _next(tried, low, best.gamma, tolerance), reason.startswith("filter"))
-        probes += 1
-        tried.append(level)
-        if level.reason:
-            low, reason = level.gamma, level.reason
-        else:
-            best = level
-    return _Bracket(best, low, reason, probes)
-
-
-def _next(tried: list[kernel.Level], low: float, high: float, tolerance: float) -> float:
-    """Return the next level to try, inside (low, high)."""
-    known = [t for t in tried[-3:] if np.isfinite(t.coupling) and t.coupling > 0]
-    floor = max(low, 1e-3 * high)
-    middle = float(np.sqrt(floor * high))
-    if not known or not np.isfinite(tried[-1].coupling):
-        return middle
-    slope = -2.0  # rho(XY) / gamma^2 when rho stands still
-    if len(known) > 1 and known[-1].gamma != known[-2].gamma:
-        slope = np.log(known[-1].coupling / known[-2].coupling) / np.log(known[-1].gamma / known[-2].gamma)
-    if not -50 < slope < -0.5:
-        return middle
-    guess = known[-1].gamma * float(np.exp(-np.log(known[-1].coupling) / slope))
-    # half a tolerance to the far side of the root, so that the bracket closes from both ends
-    guess *= 1 + 0.4 * tolerance * (1 if tried[-1].reason else -1)
-    inside = floor * (1 + 0.1 * tolerance) < guess < high * (1 - 0.1 * tolerance)
-    return guess if inside else middle
-
-
-def _open_level(plant: kernel.Plant) -> float:
-    """Return a first guess of the level from the sizes of the blocks."""
-    size = np.linalg.norm(plant.B1) * np.linalg.norm(plant.C1)
-    return float(max(size, np.linalg.norm(plant.D11), 1e-12))
-
-
-def _form(P: StateSpace, plant: kernel.Plant, found: _Bracket, ny: int, nu: int, margin: float) -> DesignResult:
+def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, margin: float) -> DesignResult:
     """Form, restore and verify controllers, first at the asked margin, then further from the optimum."""
     sentence = ""
     for factor in BACK_OFF:
@@ -171,7 +107,7 @@ def _form(P: StateSpace, plant: kernel.Plant, found: _Bracket, ny: int, nu: int,
 
 
 def _verified(
-    P: StateSpace, plant: kernel.Plant, level: kernel.Level, found: _Bracket, ny: int, nu: int
+    P: StateSpace, plant: kernel.Plant, level: kernel.Level, found: Bracket, ny: int, nu: int
 ) -> DesignResult:
     M = kernel.central(plant, level)
     K = M if P.rate_hz is None else bilinear_to_discrete(*M)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError
+from scipy.linalg import LinAlgError, block_diag
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
@@ -35,6 +35,7 @@ class Plant:
     out: Array  # u = out u_normalised
     D22: Array  # of the plant as it was given
     speed: float  # rad/s that were made one
+    form: balance.Coordinates
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
@@ -43,14 +44,17 @@ class Plant:
 
 
 class Level(NamedTuple):
-    """What one level gamma gave: the two solutions, rho(XY) / gamma^2, and why it fails (empty when it does not)."""
+    """What one level gamma gave: the two solutions, rho(XY) / gamma^2, and why it fails (empty when it does not).
+
+    X or Y are empty where they were not computed or do not exist; of the one that is indefinite, the matrix is kept.
+    """
 
     gamma: float
     X: Array
     Y: Array
-    coupling: float
-    residuals: tuple[float, float]
-    reason: str
+    coupling: float = np.inf
+    residuals: tuple[float, float] = (np.inf, np.inf)
+    reason: str = ""
 
 
 def normalise(M: Matrices, ny: int, nu: int) -> Plant:
@@ -61,21 +65,24 @@ def normalise(M: Matrices, ny: int, nu: int) -> Plant:
     """
     A, B, C, D = M
     speed = _speed(A)
-    form = balance.modal(A / speed, B / np.sqrt(speed), C / np.sqrt(speed))
     p, m = D.shape[0] - ny, D.shape[1] - nu
     z_side, u_side = _unit(D[:p, m:], "D12 (controls to performance outputs)", "columns")
     w_side, y_side = _unit(D[p:, :m].T, "D21 (disturbances to measurements)", "rows")
+    # units are gone before the states are scaled by the sizes of their inputs and outputs
+    inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
+    form = balance.modal(A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed))
     return Plant(
         A=form.A,
-        B1=form.B[:, :m] @ w_side,
-        B2=form.B[:, m:] @ u_side,
-        C1=z_side.T @ form.C[:p],
-        C2=y_side.T @ form.C[p:],
+        B1=form.B[:, :m],
+        B2=form.B[:, m:],
+        C1=form.C[:p],
+        C2=form.C[p:],
         D11=z_side.T @ D[:p, :m] @ w_side,
         into=y_side.T,
         out=u_side,
         D22=D[p:, m:],
         speed=speed,
+        form=form,
     )
 
 
@@ -91,26 +98,25 @@ def attempt(plant: Plant, gamma: float, filter_first: bool = False) -> Level:
 
     The equation named by `filter_first` is solved first, so that a search which knows where levels fail fails soon.
     """
-    equations = {"X": (_state_equation, plant.C1), "Y": (_filter_equation, plant.B1)}
-    found: dict[str, Array] = {"X": np.zeros((0, 0)), "Y": np.zeros((0, 0))}
-    residuals = {"X": np.inf, "Y": np.inf}
-    reason = ""
+    none = np.zeros((0, 0))
+    found, residuals, reason = {"X": none, "Y": none}, {"X": np.inf, "Y": np.inf}, ""
     for name in ("Y", "X") if filter_first else ("X", "Y"):
-        solve, source = equations[name]
         try:
-            found[name], residuals[name] = solve(plant, gamma)
+            solution = continuous_riccati(*equation(plant, gamma, name))
         except (NumericalError, LinAlgError) as error:
             reason = f"{EQUATIONS[name]} equation {name}: {error}"
             break
-        values = np.linalg.eigvalsh(found[name]) if plant.A.size else np.zeros(1)
+        found[name], residuals[name] = solution.X, solution.residual
+        values = np.linalg.eigvalsh(solution.X) if plant.A.size else np.zeros(1)
+        source = plant.C1 if name == "X" else plant.B1
         if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(source**2)):
             reason = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {values[0]:.2e}"
             break
     X, Y = found["X"], found["Y"]
-    if reason:
-        return Level(gamma, X, Y, np.inf, (residuals["X"], residuals["Y"]), reason)
-    coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0
-    reason = "" if coupling < 1 else f"the spectral radius of XY is {coupling:.6g} gamma^2"
+    coupling = np.inf
+    if not reason:
+        coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0
+        reason = "" if coupling < 1 else f"the spectral radius of XY is {coupling:.6g} gamma^2"
     return Level(gamma, X, Y, coupling, (residuals["X"], residuals["Y"]), reason)
 
 
@@ -171,34 +177,26 @@ def _restored(plant: Plant, A: Array, B: Array, C: Array, D: Array) -> Matrices:
     return A - B @ plant.D22 @ Cw, B - B @ plant.D22 @ Dw, Cw, Dw
 
 
-def _state_equation(plant: Plant, gamma: float) -> tuple[Array, float]:
-    m1 = plant.B1.shape[1]
-    B = np.hstack([plant.B1, plant.B2])
-    D = _row(plant)
-    R = D.T @ D
-    R[:m1, :m1] -= gamma**2 * np.eye(m1)
-    return _indefinite(plant.A, B, plant.C1, D, R)
+def equation(plant: Plant, gamma: float, name: str) -> tuple[Array, Array, Array]:
+    """Return A, G, Q of the equation A'X + X A - X G X + Q = 0 for X, or of its dual for Y."""
+    if name == "X":
+        D, outer = _row(plant), plant.B1.shape[1]
+        return _terms(plant.A, np.hstack([plant.B1, plant.B2]), plant.C1, D, outer, gamma)
+    D, outer = _column(plant).T, plant.C1.shape[0]
+    return _terms(plant.A.T, np.vstack([plant.C1, plant.C2]).T, plant.B1.T, D, outer, gamma)
 
 
-def _filter_equation(plant: Plant, gamma: float) -> tuple[Array, float]:
-    p1 = plant.C1.shape[0]
-    C = np.vstack([plant.C1, plant.C2])
-    D = _column(plant)
-    R = D @ D.T
-    R[:p1, :p1] -= gamma**2 * np.eye(p1)
-    return _indefinite(plant.A.T, C.T, plant.B1.T, D.T, R)
-
-
-def _indefinite(A: Array, B: Array, C: Array, D: Array, R: Array) -> tuple[Array, float]:
-    """Solve the Riccati equation of cost |C x + D v|^2 - gamma^2 |w|^2 with indefinite R."""
+def _terms(A: Array, B: Array, C: Array, D: Array, outer: int, gamma: float) -> tuple[Array, Array, Array]:
+    """Return the terms for the cost |C x + D v|^2 - gamma^2 |w|^2, w the first `outer` entries of v."""
     n = A.shape[0]
+    R = D.T @ D
+    R[:outer, :outer] -= gamma**2 * np.eye(outer)
     solved = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
     RDC, RB = solved[:, :n], solved[:, n:]
     G, Q = B @ RB, C.T @ (C - D @ RDC)
     if np.linalg.norm(Q) <= ROUND_OFF * np.sum(C**2):
         Q = np.zeros_like(Q)  # the whole cost can be met: the X or Y of a mixed-sensitivity problem is zero
-    found = continuous_riccati(A - B @ RDC, (G + G.T) / 2, (Q + Q.T) / 2)
-    return found.X, found.residual
+    return A - B @ RDC, (G + G.T) / 2, (Q + Q.T) / 2
 
 
 def _feedback_gain(plant: Plant, level: Level) -> Array:

@@ -1,0 +1,145 @@
+"""The smallest level at which an H-infinity problem has a solution: a bound from below, then few well-aimed probes."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet.design import hinf_kernel as kernel
+from ultraquiet.design.hinf_bound import lower_bound
+from ultraquiet.linalg.ordered import Array
+
+LARGEST = 1e12  # times the first level: above it the assumptions of the theory must be violated
+SMALLEST = 1e-9  # of the sizes of the blocks: an optimum below it is zero
+PROBES = 60
+GROWTH = (1.25, 1.6, 2.5, 10.0)  # factors from one level that fails to the next try, the last one repeated
+NEAREST = 4  # levels around the optimum whose measures are looked at
+REGULAR = 1e-7  # of the trace, added to the X that others are measured by
+PATIENCE = 3  # probes in which the bracket must halve, or bisection takes over
+OVERSHOOT = 0.4  # of the tolerance, to the far side of the root, so that the bracket closes from both ends
+OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds it at one frequency"
+
+
+class Bracket(NamedTuple):
+    """The best level solved, a level below it that fails, why that one does, and how many levels were tried.
+
+    `certain` is the part of `below` that frequency responses alone prove: no controller gets under it.
+    """
+
+    best: kernel.Level
+    below: float
+    reason: str
+    probes: int
+    certain: float
+
+
+def search(plant: kernel.Plant, tolerance: float) -> Bracket:
+    """Bracket the smallest level to a relative tolerance.
+
+    The bound from frequency responses is tried first; where it is not reached, each way to fail (X or Y turns
+    indefinite through infinity, rho(XY) passes gamma^2) has a measure that is smooth and zero at the failure, and the
+    largest of the roots that secants promise is tried next.
+    """
+    certain = max(kernel.floor(plant), lower_bound(plant).level)
+    size = _size(plant)
+    low, reason = certain, OUT_OF_REACH
+    best, tried = _first(plant, max(certain * (1 + tolerance), SMALLEST * size))
+    failed = [t for t in tried if t.reason]
+    if failed:
+        low, reason = failed[-1].gamma, failed[-1].reason
+    widths = [best.gamma / max(low, SMALLEST * size)]
+    while not best.reason and best.gamma > low * (1 + tolerance) and len(tried) < PROBES:
+        if best.gamma <= SMALLEST * size * (1 + tolerance):
+            break
+        level = kernel.attempt(
+            plant, _next(tried, max(low, SMALLEST * size), best.gamma, tolerance, widths), reason.startswith("filter")
+        )
+        tried.append(level)
+        if level.reason:
+            low, reason = level.gamma, level.reason
+        else:
+            best = level
+        widths.append(best.gamma / max(low, SMALLEST * size))
+    return Bracket(best, low, reason, len(tried), certain)
+
+
+def given(plant: kernel.Plant, gamma: float) -> Bracket:
+    """Try one level."""
+    certain = max(kernel.floor(plant), lower_bound(plant).level)
+    if gamma <= certain:
+        none = np.zeros((0, 0))
+        reason = f"at one frequency no controller gets below {certain:.6g}"
+        return Bracket(kernel.Level(gamma, none, none, reason=reason), gamma, "", 0, certain)
+    return Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1, certain)
+
+
+def _first(plant: kernel.Plant, start: float) -> tuple[kernel.Level, list[kernel.Level]]:
+    """Climb from a level until one is solved."""
+    tried = [kernel.attempt(plant, start)]
+    while tried[-1].reason and tried[-1].gamma < LARGEST * start:
+        last = tried[-1]
+        factor = GROWTH[min(len(tried), len(GROWTH)) - 1]
+        if np.isfinite(last.coupling):
+            # rho(XY) falls with gamma: where X and Y exist, this level keeps it below gamma^2
+            factor = min(factor, np.sqrt(last.coupling) * (1 + 1e-6)) if last.coupling > 1 else factor
+        tried.append(kernel.attempt(plant, last.gamma * factor, last.reason.startswith("filter")))
+    return tried[-1], tried
+
+
+def _next(tried: list[kernel.Level], low: float, high: float, tolerance: float, widths: list[float]) -> float:
+    """Return the next level to try, inside (low, high)."""
+    middle = float(np.sqrt(low * high))
+    if len(widths) > PATIENCE and np.log(widths[-1]) > np.log(widths[-1 - PATIENCE]) / 2:
+        return middle
+    nearest = sorted(tried, key=lambda t: abs(np.log(t.gamma / middle)))[:NEAREST]
+    first = next(t for t in tried if not t.reason)
+    roots = [r for m in (_room(first.X, "X"), _room(first.Y, "Y"), _spare) if np.isfinite(r := _root(nearest, m))]
+    if not roots:
+        return middle
+    edge = OVERSHOOT * tolerance
+    guess = max(roots) * (1 + edge * (1 if tried[-1].reason else -1))
+    return float(np.clip(guess, low * (1 + edge), high * (1 - edge)))
+
+
+def _root(tried: list[kernel.Level], measure: Callable[[kernel.Level], float]) -> float:
+    """Return where the secant through the two nearest values of a measure is zero; nan when it does not help."""
+    known = [(t.gamma, h) for t in tried if np.isfinite(h := measure(t))][:2]
+    if len(known) < 2:
+        return float("nan")
+    (g1, h1), (g2, h2) = known
+    if (h1 - h2) * (g1 - g2) <= 0:
+        return float("nan")
+    return g1 - h1 * (g1 - g2) / (h1 - h2)
+
+
+def _spare(level: kernel.Level) -> float:
+    """Return gamma^2 / rho(XY) - 1, nan where it is not known."""
+    return 1 / level.coupling - 1 if 0 < level.coupling < np.inf else float("nan")
+
+
+def _room(reference: Array, name: str) -> Callable[[kernel.Level], float]:
+    """Return a measure of X (or Y): the inverse of its eigenvalue farthest from zero, relative to one at a good level.
+
+    X grows without bound towards the level where it ceases to be of use and comes back from minus infinity below:
+    its inverse falls through zero. Relative to a good X every direction begins at one, so that none hides another.
+    """
+    n = reference.shape[0]
+    scale = float(np.trace(reference)) if n else 0.0
+    if scale <= 0:
+        return lambda _: float("nan")
+    root = np.linalg.inv(np.linalg.cholesky(reference + REGULAR * scale * np.eye(n)))
+
+    def measure(level: kernel.Level) -> float:
+        X = getattr(level, name)
+        if not X.size:
+            return float("nan")
+        values = np.linalg.eigvalsh(root @ X @ root.T)
+        return float(1 / (values[0] if name + " is indefinite" in level.reason else values[-1]))
+
+    return measure
+
+
+def _size(plant: kernel.Plant) -> float:
+    """Return a level of the right order from the sizes of the blocks."""
+    size = np.linalg.norm(plant.B1) * np.linalg.norm(plant.C1)
+    return float(max(size, np.linalg.norm(plant.D11), 1e-12))
