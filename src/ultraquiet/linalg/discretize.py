@@ -1,12 +1,13 @@
 """Changes of time: zero-order hold, the bilinear map in both directions, pure delay."""
 
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.ordered import Array, Matrices
 
 ROOT_TWO = np.sqrt(2.0)
+UNREACHABLE = 1e14  # condition of A + I or I - A beyond which an eigenvalue is at the point that goes to infinity
 
 
 def zero_order_hold(A: Array, B: Array, C: Array, D: Array, step_s: float) -> Matrices:
@@ -63,5 +64,6 @@ def delay(samples: int, channels: int) -> Matrices:
 
 
 def _reachable(M: Array, where: str) -> None:
-    if M.shape[0] and np.linalg.cond(M) > 1e14:
+    # balanced first, so that the units of the states do not count
+    if M.shape[0] and np.linalg.cond(matrix_balance(M, permute=False)[0]) > UNREACHABLE:
         raise NumericalError(f"bilinear map: the system has a pole at {where}; move it by a small amount first.")
