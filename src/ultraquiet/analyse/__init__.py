@@ -1,19 +1,28 @@
 """What can be said about a system or a loop without changing it: norms, zeros, margins, symmetry."""
 
+from ultraquiet.analyse.disk import DiskMargins, disk_margin, disk_margins, disk_ranges
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
-from ultraquiet.analyse.mu import disk_margin, mu_upper_bound
+from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak, mu_upper_bound
 from ultraquiet.analyse.norms import h2_norm, hinf_norm
 from ultraquiet.analyse.singular import singular_values
+from ultraquiet.analyse.structure import Block
 from ultraquiet.analyse.symmetry import reciprocity_error, threefold_error
 from ultraquiet.analyse.zeros import Roots, poles, roots, zeros
 
 __all__ = [
+    "Block",
+    "DiskMargins",
     "Margins",
+    "MuBounds",
     "Roots",
     "disk_margin",
+    "disk_margins",
+    "disk_ranges",
     "h2_norm",
     "hinf_norm",
     "loop_margins",
+    "mu_bounds",
+    "mu_peak",
     "mu_upper_bound",
     "peak_sensitivity",
     "poles",

@@ -1,16 +1,122 @@
-"""Margins of all loops at once: the structured singular value, bounded from above by diagonal scaling."""
+"""The structured singular value: how small a perturbation of a given structure may upset a loop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, one_of
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen
+from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import default_grid
-from ultraquiet.values.interconnect import append, gain, sensitivity
+from ultraquiet.analyse.mu_lower import lower_bound
+from ultraquiet.analyse.mu_upper import Upper, highest, upper_bound
+from ultraquiet.analyse.peaks import refined
+from ultraquiet.analyse.structure import Block, Structure, structure
+from ultraquiet.linalg.modal_response import residues
+from ultraquiet.linalg.response import points
+from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
-SWEEPS = 60  # of the balancing that starts the search
-DESCENTS = 200
-SETTLED = 1e-7  # relative gain of a descent below which the scaling stands
+Blocks = Sequence[int | tuple[int, int] | Block]
+
+
+@dataclass(frozen=True, eq=False)
+class MuBounds:
+    """Bounds of mu over frequency, with what proves each of them.
+
+    Attributes:
+        upper, lower: `(nf,)` lower <= mu <= upper.
+        D: `(nz, nz, nf)` scaling of the outputs; without real blocks the largest singular value of D M D_in^-1 is
+            `upper`. The last block's part has size one.
+        D_in: `(nw, nw, nf)` scaling of the inputs: for a full block the same number, for others the same matrix.
+        G: `(nw, nz, nf)` scaling of real blocks, zero without them:
+            upper^2 D_in' D_in - M' D' D M - j (G M - M' G') >= 0.
+        perturbation: `(nw, nz, nf)` Delta of the structure, of size 1 / lower, with det(I - M Delta) = 0; infinite
+            where lower is zero.
+        f_hz: `(nf,)` Hz; NaN when M came without frequencies.
+        blocks: the structure.
+        stable: False when M was a system that is unstable, of which no perturbation can be stood.
+    """
+
+    upper: FloatArray
+    lower: FloatArray
+    D: ComplexArray
+    D_in: ComplexArray
+    G: ComplexArray
+    perturbation: ComplexArray
+    f_hz: FloatArray
+    blocks: tuple[Block, ...]
+    stable: bool = True
+    _peak: tuple[float, float] = field(default=(np.nan, np.nan), repr=False)
+
+    @property
+    def peak(self) -> tuple[float, float]:
+        """Largest upper bound and its frequency in Hz, refined between the lines when M was a system."""
+        return self._peak
+
+    @property
+    def levels(self) -> FloatArray:
+        """Size of D block by block, `(blocks, nf)`; the last one's is one: what a D-K iteration fits."""
+        return _sizes(np.moveaxis(self.D, 2, 0), Structure(self.blocks))
+
+    @property
+    def gap(self) -> FloatArray:
+        """1 - lower / upper, `(nf,)`: what is not known of mu; zero where mu is zero."""
+        return np.where(self.upper > 0, 1 - self.lower / np.where(self.upper > 0, self.upper, 1.0), 0.0)
+
+
+def mu_bounds(
+    M: StateSpace | FrequencyResponse | ComplexArray, blocks: Blocks | None = None, f_hz: ArrayLike | None = None
+) -> MuBounds:
+    """Return bounds of the structured singular value, with scalings and the perturbation that prove them.
+
+    mu(M) = 1 / min { |Delta| : det(I - M Delta) = 0, Delta of the structure }, |.| the largest singular value.
+
+    Args:
+        M: what the perturbation sees: a system, a response, or an array `(nz, nw, nf)` (two dimensions: one frequency).
+        blocks: of Delta along its diagonal: a number k is any complex k x k matrix, a pair any one that takes (outputs,
+            inputs) of M, a `Block` a repeated or a real number. One complex number a channel when absent.
+        f_hz: lines in Hz; for a system log-spaced up to Nyquist when absent, for an array names of its lines only.
+
+    Returns:
+        `MuBounds`. A loop stands every perturbation smaller than 1 / upper at all frequencies, and is upset by one of
+        size 1 / lower. Both bounds meet for up to three full blocks; for more, gaps of a few per cent are common.
+        Real blocks: the lower bound is zero where no real eigenvalue was found.
+
+    Raises:
+        InputError: blocks that do not fit M, lines that do not fit the array.
+
+    >>> bounds = mu_bounds(np.array([[0.0, 10.0], [0.1, 0.0]]))
+    >>> float(bounds.upper[0].round(6)), float(bounds.lower[0].round(6)), bounds.levels[:, 0].round(6).tolist()
+    (1.0, 1.0, [0.1, 1.0])
+
+    Packard and Doyle 1993, doi:10.1016/0005-1098(93)90175-S; real blocks:
+    Fan, Tits and Doyle 1991, doi:10.1109/9.62265.
+    """
+    values, f, stable = _response(M, f_hz)
+    made = structure("mu_bounds", blocks, values.shape[:2])
+    stack = np.moveaxis(values, 2, 0)
+    # sizes far from one would overflow in their squares
+    size = np.abs(stack).max(axis=(1, 2), initial=0.0)
+    size[size == 0] = 1.0
+    unit = stack / size[:, None, None]
+    upper = upper_bound(unit, made)
+    lower, perturbation = lower_bound(unit, made, upper)
+    # both stand to rounding only: where they meet, the larger is the upper one
+    top = np.maximum(upper.value, lower) * size
+    peak = _peak(M, f, top, made) if stable else (np.inf, np.nan)
+    D, D_in, G = _normalised(upper, made)
+    arrays = (D, D_in, G * size[:, None, None], perturbation / size[:, None, None])
+    return MuBounds(
+        frozen(top),
+        frozen(lower * size),
+        *(frozen(np.moveaxis(a, 0, 2)) for a in arrays),
+        f_hz=frozen(f),
+        blocks=made.blocks,
+        stable=stable,
+        _peak=peak,
+    )
 
 
 def mu_upper_bound(M: ComplexArray) -> FloatArray:
@@ -28,94 +134,77 @@ def mu_upper_bound(M: ComplexArray) -> FloatArray:
 
     Packard and Doyle 1993, doi:10.1016/0005-1098(93)90175-S.
     """
-    return np.array([_bound(M[:, :, k]) for k in range(M.shape[2])])
+    values = _response(M, None)[0]
+    return upper_bound(np.moveaxis(values, 2, 0), structure("mu_upper_bound", None, values.shape[:2])).value
 
 
-def disk_margin(
-    plant: StateSpace, controller: StateSpace, side: str = "output", f_hz: ArrayLike | None = None
-) -> float:
-    """Return alpha, the symmetric disk of gain and phase changes that all loops stand at the same time.
+def mu_peak(M: StateSpace, blocks: Blocks | None = None, f_hz: ArrayLike | None = None) -> tuple[float, float]:
+    """Return the largest upper bound of mu over frequency and where, refined between the lines.
 
-    alpha = 1 / max over f of mu(S - I / 2), each channel multiplied by its own (1 + d / 2) / (1 - d / 2), |d| < alpha.
+    Much less work than `mu_bounds`: only lines that may hold the peak are bounded closely.
 
     Args:
-        plant: G.
-        controller: K, u = K y.
-        side: `output`, `input`, or `both` for perturbations at sensors and actuators together.
-        f_hz: grid, Hz; log-spaced up to Nyquist when absent.
+        M: stable system; infinity at NaN Hz for an unstable one.
+        blocks: as in `mu_bounds`.
+        f_hz: lines, Hz; log-spaced up to Nyquist when absent.
 
-    Returns:
-        alpha between 0 and 2 (0 for an unstable loop). Every channel's gain may vary by the factor
-        (1 + alpha / 2) / (1 - alpha / 2) either way, or its phase by 2 atan(alpha / 2), all of them independently.
-
-    >>> G = StateSpace([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], np.zeros((2, 2)))
-    >>> round(disk_margin(G, gain(-np.eye(2))), 3)
-    0.1
-
-    Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277.
+    >>> lag = StateSpace([[-1.0]], [[1.0]], [[2.0]], [[0.0]])
+    >>> round(mu_peak(lag)[0], 3)
+    2.0
     """
-    one_of("disk_margin", "side", side, ("output", "input", "both"))
-    if side == "both":
-        S = _both_sides(plant, controller)
-    else:
-        S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
-    if not S.is_stable():
-        return 0.0
-    f = default_grid(S) if f_hz is None else frequency_array("disk_margin", f_hz)
-    response = S.frequency_response(f) - 0.5 * np.eye(S.D.shape[0])[:, :, None]
-    # only the frequencies that can matter: the unscaled norm is above every scaled one
-    norms = np.linalg.norm(np.moveaxis(response, 2, 0), 2, axis=(1, 2))
-    worst = 0.0
-    for k in np.argsort(-norms):
-        if norms[k] <= worst:
-            break
-        worst = max(worst, _bound(response[:, :, k]))
-    return 1.0 / worst
+    made = structure("mu_peak", blocks, M.D.shape)
+    if not M.is_stable():
+        return np.inf, np.nan
+    f = default_grid(M) if f_hz is None else frequency_array("mu_peak", f_hz)
+    return _peak(M, f, None, made)
 
 
-def _both_sides(plant: StateSpace, controller: StateSpace) -> StateSpace:
-    """Return (I - L)^-1 for L = [0 G; K 0], the loop seen from outputs and inputs together."""
-    ny, nu = plant.D.shape
-    swap = np.block([[np.zeros((ny, nu)), np.eye(ny)], [np.eye(nu), np.zeros((nu, ny))]])
-    loop = append(controller, plant)  # inputs (y, u), outputs (u, y)
-    L = StateSpace(loop.A, loop.B, swap @ loop.C, swap @ loop.D, loop.rate_hz)
-    return sensitivity(L, gain(np.eye(ny + nu), plant.rate_hz))
+def _peak(
+    M: StateSpace | FrequencyResponse | ComplexArray, f: FloatArray, values: FloatArray | None, blocks: Structure
+) -> tuple[float, float]:
+    if not isinstance(M, StateSpace):
+        assert values is not None
+        k = int(np.argmax(values)) if values.size else 0
+        return (float(values[k]), float(f[k])) if values.size else (0.0, np.nan)
+    response = residues(M.A, M.B, M.C, M.D)
+
+    def at(lines: FloatArray) -> FloatArray:
+        return highest(np.moveaxis(response.at(points(lines, M.rate_hz)), 2, 0), blocks)
+
+    order = np.argsort(f)
+    return refined(at, f[order], (at(f) if values is None else values)[order])
 
 
-def _bound(M: ComplexArray) -> float:
-    """Balance rows against columns, then descend on the logarithms of D along the gradient of the singular value."""
-    x = _balanced(np.abs(M))
-    best, gradient = _value(M, x)
-    step = 0.5
-    for _ in range(DESCENTS):
-        trial = x - step * gradient
-        value, slope = _value(M, trial)
-        if value < best * (1 - SETTLED * step):
-            x, best, gradient, step = trial, value, slope, min(1.5 * step, 4.0)
-        else:
-            step *= 0.5
-            if step < SETTLED:
-                break
-    return best
+def _response(
+    M: StateSpace | FrequencyResponse | ComplexArray, f_hz: ArrayLike | None
+) -> tuple[ComplexArray, FloatArray, bool]:
+    """Return values `(nz, nw, nf)`, their frequencies, and whether they belong to a stable system."""
+    if isinstance(M, StateSpace):
+        f = default_grid(M) if f_hz is None else frequency_array("mu", f_hz)
+        return M.frequency_response(f), f, M.is_stable()
+    if isinstance(M, FrequencyResponse):
+        return M.values, np.array(M.f_hz), True
+    values = np.asarray(M, dtype=np.complex128)
+    if values.ndim == 2:
+        values = values[:, :, None]
+    if values.ndim != 3 or not np.isfinite(values).all():
+        raise InputError(
+            f"mu: M must be a finite array (nz, nw, nf), a response or a system, got shape {values.shape}."
+        )
+    f = np.full(values.shape[2], np.nan) if f_hz is None else frequency_array("mu", f_hz)
+    if f.size != values.shape[2]:
+        raise InputError(f"mu: M has {values.shape[2]} lines, 'f_hz' has {f.size}.")
+    return values, f, True
 
 
-def _value(M: ComplexArray, x: FloatArray) -> tuple[float, FloatArray]:
-    """Return the largest singular value of D M D^-1, D = diag(exp x), and the gradient of its logarithm."""
-    d = np.exp(x)
-    U, s, Vh = np.linalg.svd(d[:, None] * M / d[None, :])
-    return float(s[0]), np.abs(U[:, 0]) ** 2 - np.abs(Vh[0]) ** 2
+def _normalised(upper: Upper, blocks: Structure) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return roots of D and G with the last block at one."""
+    D, D_in = (np.linalg.cholesky(D).conj().swapaxes(1, 2) for D in (upper.out, upper.into))
+    unit = _sizes(D, blocks)[-1]
+    return D / unit[:, None, None], D_in / unit[:, None, None], upper.G / unit[:, None, None] ** 2
 
 
-def _balanced(A: FloatArray) -> FloatArray:
-    """Return log D by Osborne's iteration, which makes off-diagonal rows and columns equally long."""
-    A, x = A - np.diag(np.diag(A)), np.zeros(A.shape[0])
-    for _ in range(SWEEPS):
-        rows, columns = np.linalg.norm(A, axis=1), np.linalg.norm(A, axis=0)
-        safe = (rows > 0) & (columns > 0)
-        change = np.zeros_like(x)
-        change[safe] = 0.25 * np.log(columns[safe] / rows[safe])
-        x = x + change
-        A = A * np.exp(change)[:, None] / np.exp(change)[None, :]
-        if np.abs(change).max(initial=0.0) < SETTLED:
-            break
-    return x
+def _sizes(D: ComplexArray, blocks: Structure) -> FloatArray:
+    """Return the root mean square of D over each block, `(blocks, nf)`, from `(nf, nz, nz)`."""
+    power = np.abs(D) ** 2
+    return np.array([np.sqrt(power[:, p, p].sum(axis=(1, 2)) / (p.stop - p.start)) for p in blocks.outputs])

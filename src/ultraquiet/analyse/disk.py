@@ -1,0 +1,202 @@
+"""Disk margins: how much gain and phase may change, in one loop or in all loops at the same time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of
+from ultraquiet.analyse.margins import default_grid
+from ultraquiet.analyse.mu import mu_bounds, mu_peak
+from ultraquiet.analyse.peaks import refined
+from ultraquiet.linalg.modal_response import residues
+from ultraquiet.linalg.response import points
+from ultraquiet.values.interconnect import append, gain, sensitivity
+from ultraquiet.values.state_space import StateSpace
+
+SIDES = ("output", "input", "both")
+SKEW = 10.0  # beyond it a disk is nothing but a gain
+
+
+@dataclass(frozen=True, eq=False)
+class DiskMargins:
+    """Disk margins of every loop by itself and of all together.
+
+    A channel's factor is (2 + (1 - skew) d) / (2 - (1 + skew) d), |d| < alpha.
+
+    Attributes:
+        alpha: what all channels stand at the same time, each with a factor of its own; 0 for an unstable loop.
+        f_hz: where it is reached, Hz.
+        alpha_at_most: a margin that is surely not kept: `factors` upset the loop. Equals `alpha` up to three channels.
+        factors: `(channels,)` complex factors, one a channel, that bring the loop to the verge at `f_hz`.
+        loop_alpha, loop_f_hz: `(channels,)` the same for each channel by itself, the others as they are.
+        side, skew: as asked for; channels of `both` are the outputs, then the inputs.
+        stable: whether the loop is.
+    """
+
+    alpha: float
+    f_hz: float
+    alpha_at_most: float
+    factors: ComplexArray
+    loop_alpha: FloatArray
+    loop_f_hz: FloatArray
+    side: str
+    skew: float
+    stable: bool
+
+    @property
+    def gain_range(self) -> tuple[float, float]:
+        """Factors between which every channel's gain may lie at the same time."""
+        low, high, _ = disk_ranges(self.alpha, self.skew)
+        return float(low), float(high)
+
+    @property
+    def phase_deg(self) -> float:
+        """Phase that every channel may lose or gain at the same time, degrees."""
+        return float(disk_ranges(self.alpha, self.skew)[2])
+
+
+def disk_ranges(alpha: ArrayLike, skew: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the real factors (lowest, highest) inside a disk and the phase in degrees that it allows.
+
+    low = (2 - alpha (1 - skew)) / (2 + alpha (1 + skew)), high = (2 + alpha (1 - skew)) / (2 - alpha (1 + skew)),
+    cos(phase) = (1 + low high) / (low + high).
+
+    Args:
+        alpha: size of the disk, any shape.
+        skew: 0 balances gain up and down; 1 is the disk of T, -1 that of S.
+
+    Returns:
+        Lowest factor (negative: a sign may turn), highest factor (infinite when the disk has opened to a half plane or
+        the outside of a circle), phase (180 when every phase is allowed).
+
+    >>> low, high, phase = disk_ranges(0.46)
+    >>> low.round(2), high.round(2), phase.round(1)
+    (np.float64(0.63), np.float64(1.6), np.float64(25.9))
+
+    Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277, equations (9) and (10).
+    """
+    a = np.asarray(alpha, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low = np.where(np.isinf(a), -(1 - skew) / (1 + skew), (2 - a * (1 - skew)) / (2 + a * (1 + skew)))
+        other = np.where(np.isinf(a), low, (2 + a * (1 - skew)) / (2 - a * (1 + skew)))
+        cosine = np.where(np.isinf(other), low, (1 + low * other) / (low + other))
+    opened = a * (1 + skew) >= 2
+    high = np.where(opened, np.inf, other)
+    phase = np.degrees(np.arccos(np.clip(np.nan_to_num(cosine, nan=-1.0), -1.0, 1.0)))
+    return low, high, np.where(a == 0, 0.0, phase)
+
+
+def disk_margin(
+    plant: StateSpace,
+    controller: StateSpace,
+    side: str = "output",
+    f_hz: ArrayLike | None = None,
+    skew: float = 0.0,
+) -> float:
+    """Return alpha, the disk of gain and phase changes that all loops stand at the same time.
+
+    alpha = 1 / max over f of mu(S + (skew - 1) / 2 I), each channel multiplied by its own factor
+    (2 + (1 - skew) d) / (2 - (1 + skew) d), |d| < alpha.
+
+    Args:
+        plant: G.
+        controller: K, u = K y.
+        side: `output`, `input`, or `both` for perturbations at sensors and actuators together.
+        f_hz: grid, Hz, between whose lines the peak is refined; log-spaced up to Nyquist when absent.
+        skew: 0 balances gain up and down.
+
+    Returns:
+        alpha (0 for an unstable loop). With skew 0 every channel's gain may vary by the factor
+        (1 + alpha / 2) / (1 - alpha / 2) either way, or its phase by 2 atan(alpha / 2), all of them independently.
+
+    >>> G = StateSpace([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], np.zeros((2, 2)))
+    >>> round(disk_margin(G, gain(-np.eye(2))), 4)
+    0.0998
+
+    Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277.
+    """
+    seen = _seen("disk_margin", plant, controller, side, skew)
+    return _inverse(mu_peak(seen, f_hz=f_hz)[0])
+
+
+def disk_margins(
+    plant: StateSpace,
+    controller: StateSpace,
+    side: str = "output",
+    f_hz: ArrayLike | None = None,
+    skew: float = 0.0,
+) -> DiskMargins:
+    """Return the disk margins of each loop by itself and of all at the same time, and what upsets the loop.
+
+    Args:
+        plant: G.
+        controller: K, u = K y.
+        side: as in `disk_margin`.
+        f_hz: grid, Hz.
+        skew: of the disk.
+
+    Returns:
+        `DiskMargins`; all zero for an unstable loop.
+
+    A loop at a time may look perfect while all together are on the verge: the spinning satellite.
+
+    >>> G = StateSpace([[0.0, 10.0], [-10.0, 0.0]], np.eye(2), [[1.0, 10.0], [-10.0, 1.0]], np.zeros((2, 2)))
+    >>> found = disk_margins(G, gain(-np.eye(2)))
+    >>> found.loop_alpha.round(3).tolist(), round(found.alpha, 4), [round(g, 2) for g in found.gain_range]
+    ([2.0, 2.0], 0.0998, [0.9, 1.1])
+
+    Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277.
+    """
+    seen = _seen("disk_margins", plant, controller, side, skew)
+    count = seen.D.shape[0]
+    if not seen.is_stable():
+        nothing = frozen(np.zeros(count))
+        return DiskMargins(0.0, np.nan, 0.0, frozen(np.ones(count, complex)), nothing, nothing, side, skew, False)
+    f = np.sort(default_grid(seen) if f_hz is None else frequency_array("disk_margins", f_hz))
+    loops = _each(seen, f)
+    largest, at = mu_peak(seen, f_hz=f)
+    here = mu_bounds(seen.frequency_response([at]))
+    d = np.diagonal(here.perturbation[:, :, 0])
+    factors = (2 + (1 - skew) * d) / (2 - (1 + skew) * d)
+    at_most = _inverse(float(here.lower[0]))
+    return DiskMargins(_inverse(largest), at, at_most, frozen(factors), *loops, side=side, skew=skew, stable=True)
+
+
+def _each(seen: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return alpha and its frequency for each channel alone."""
+    response = residues(seen.A, seen.B, seen.C, seen.D)
+
+    def one(i: int) -> tuple[float, float]:
+        def at(lines: FloatArray) -> FloatArray:
+            return np.abs(response.at(points(lines, seen.rate_hz))[i, i])
+
+        return refined(at, f, sizes[i])
+
+    sizes = np.abs(np.einsum("iif->if", response.at(points(f, seen.rate_hz))))
+    found = [one(i) for i in range(seen.D.shape[0])]
+    return frozen(np.array([_inverse(v) for v, _ in found])), frozen(np.array([at for _, at in found]))
+
+
+def _inverse(largest: float) -> float:
+    return 1.0 / largest if largest > 0 else np.inf
+
+
+def _seen(who: str, plant: StateSpace, controller: StateSpace, side: str, skew: float) -> StateSpace:
+    """Return S + (skew - 1) / 2 I at the side asked for: what the disk's d meets."""
+    one_of(who, "side", side, SIDES)
+    between(who, "skew", skew, -SKEW, SKEW)
+    if side == "both":
+        S = _both_sides(plant, controller)
+    else:
+        S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
+    return StateSpace(S.A, S.B, S.C, S.D + 0.5 * (skew - 1) * np.eye(S.D.shape[0]), S.rate_hz)
+
+
+def _both_sides(plant: StateSpace, controller: StateSpace) -> StateSpace:
+    """Return (I - L)^-1 for L = [0 G; K 0], the loop seen from outputs and inputs together."""
+    ny, nu = plant.D.shape
+    swap = np.block([[np.zeros((ny, nu)), np.eye(ny)], [np.eye(nu), np.zeros((nu, ny))]])
+    loop = append(controller, plant)  # inputs (y, u), outputs (u, y)
+    L = StateSpace(loop.A, loop.B, swap @ loop.C, swap @ loop.D, loop.rate_hz)
+    return sensitivity(L, gain(np.eye(ny + nu), plant.rate_hz))
