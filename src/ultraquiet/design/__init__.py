@@ -4,6 +4,7 @@ from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.band import BandAttenuation, common_mode, worst_attenuation_db
 from ultraquiet.design.h2 import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.loop_shaping import LoopShaping
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
 from ultraquiet.design.weights import band_pass, high_pass, peak
@@ -13,6 +14,7 @@ __all__ = [
     "BandAttenuation",
     "DesignMethod",
     "DesignResult",
+    "LoopShaping",
     "Lqg",
     "MixedSensitivity",
     "band_pass",

@@ -1,0 +1,224 @@
+"""Loop shaping: the loop's gain drawn first, then stabilised as robustly as that gain allows."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from ultraquiet._base.constraints import FloatArray, positive
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.margins import default_grid
+from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.analyse.singular import singular_values
+from ultraquiet.design import loop_shaping_kernel as kernel
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import judged
+from ultraquiet.design.weight_given import Weight, weight
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, peak, rational
+from ultraquiet.linalg.balance import modal
+from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
+from ultraquiet.values.generalised import four_block
+from ultraquiet.values.interconnect import append, gain, lft, series
+from ultraquiet.values.state_space import StateSpace
+
+WHO = "LoopShaping"
+AGREEMENT = 1e-3  # the achieved norm may pass the level designed for by this share
+WEAKEST = 1e-3  # directions weaker than this share of the strongest are not raised when the plant is aligned
+FALL = 0.1  # what the numbers' weight falls to beyond the roll-off, where it has one slope
+
+
+@register("design", "loop-shaping")
+@dataclass(frozen=True)
+class LoopShaping:
+    """The controller that keeps a drawn loop shape and stands the largest coprime-factor uncertainty.
+
+    Gs = W2 G W1 = M^-1 N, M M* + N N* = I. Ks minimises ||[I; K] (I - Gs K)^-1 M^-1||, whose smallest value is
+    gamma_min = sqrt(1 + rho(X Z)) in closed form; K = W1 Ks W2.
+
+    Args:
+        pre: W1 at the plant's inputs, `(1, 1)`, `(nu, nu)` or numbers (see `weight`); integrators are welcome. Absent,
+            it is made from the numbers below.
+        post: W2 at the plant's outputs, `(1, 1)`, `(ny, ny)` or numbers; one when absent.
+        band_hz: corners of the band where the loop is to be high, Hz.
+        height: geometric mean of the loop's gains over the band and all directions.
+        align: whether W1 starts with the real matrix that makes the plant nearest to one at the band's centre, so that
+            the loop is as high in its weak directions as in its strong ones; square plants only.
+        floor: share of it that is left far outside the band.
+        order: states of the band-pass per channel, even.
+        integral_hz: below this frequency the loop rises like an integrator, Hz; none when absent.
+        roll_off_hz: beyond this frequency the loop falls by 20 dB per decade more, Hz; 0.4 of the rate at most.
+        tones_hz: frequencies at which the loop has peaks besides, Hz.
+        tone_height: extra gain at each tone.
+        tone_zeta: half the relative width of the peaks.
+        margin: the controller is formed at margin times gamma_min. One gives the optimal controller, which has fewer
+            states and very fast modes.
+
+    >>> lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> result = LoopShaping(pre=1.0).design(lag)
+    >>> round(result.details["gamma_min"], 4)
+    1.0824
+
+    A margin epsilon = 1 / gamma above 0.25 means that the drawn shape survives: the loop Gs Ks then stays within a
+    factor of gamma of Gs wherever Gs is high or low, and the plant may be off by that share in gap metric.
+
+    McFarlane and Glover 1992, doi:10.1109/9.256330; Skogestad and Postlethwaite 2005, section 9.4.
+    """
+
+    pre: Weight | None = None
+    post: Weight | None = None
+    band_hz: tuple[float, float] = (9.0, 108.0)
+    height: float = 4.0
+    floor: float = 0.05
+    align: bool = True
+    order: int = 4
+    integral_hz: float | None = None
+    roll_off_hz: float = 500.0
+    tones_hz: tuple[float, ...] = ()
+    tone_height: float = 100.0
+    tone_zeta: float = 0.002
+    margin: float = 1.1
+
+    def __post_init__(self) -> None:
+        for name in ("height", "floor", "roll_off_hz", "tone_height", "tone_zeta"):
+            positive(WHO, name, getattr(self, name))
+        if not self.margin >= 1:
+            raise InputError(f"{WHO}: 'margin' must be at least one, got {self.margin!r}.")
+
+    @single_threaded
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the controller u = K y of a plant, continuous or discrete, stable or not.
+
+        `gamma` is the norm with the coprime factor M, `achieved` that of [I; Ks] (I - Gs Ks)^-1 [I, Gs], which is the
+        same number by another way. `details` holds `gamma_min` and `gamma_min_mapped`, the same through the bilinear
+        map; `epsilon`, the stability margin reached; `f_hz`, `wanted` and `loop`, the singular values of Gs and Gs Ks
+        over frequency; `weights`; `shaped`, Gs; `stabiliser`, Ks; `observer`, its gains F and H.
+        """
+        weights = self.weights(plant)
+        shaped = _even(series(series(weights["pre"], plant), weights["post"]))
+        M = (shaped.A, shaped.B, shaped.C, shaped.D)
+        try:
+            found = self._stabilised(M, shaped.rate_hz is not None)
+            law = StateSpace(*found.controller, rate_hz=shaped.rate_hz)
+            gamma = hinf_norm(lft(_coprime(shaped, found), law))[0]
+            achieved = hinf_norm(lft(_gang(shaped), law))[0]
+        except (NumericalError, LinAlgError) as error:
+            return refused(f"{WHO}: the shaped plant W2 G W1 ({shaped.states} states) cannot be stabilised: {error}")
+        level = self.margin * found.gamma_min
+        if not achieved <= level * (1 + AGREEMENT):
+            return refused(
+                f"{WHO}: the loop reaches {achieved:.6g} where {level:.6g} was designed for; scale the plant."
+            )
+        details = {
+            "gamma_min": found.gamma_min,
+            "gamma_min_mapped": _mapped(M, shaped.rate_hz is not None),
+            "level": level,
+            "epsilon": 1 / achieved,
+            "weights": weights,
+            "shaped": shaped,
+            "stabiliser": law,
+            "observer": {"F": found.feedback, "H": found.injection},
+            "conditions": found.conditions,
+            **_shapes(shaped, law),
+        }
+        residuals = {"X": found.residuals[0], "Z": found.residuals[1]}
+        K = series(series(weights["post"], law), weights["pre"])
+        return judged(plant, K, self, gamma, achieved, residuals, details)
+
+    def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
+        """Return W1 as `pre` and W2 as `post`, in full size at the plant's rate."""
+        ny, nu = plant.D.shape
+        post = weight(WHO, "post", 1.0 if self.post is None else self.post, ny, plant.rate_hz, integrators=True)
+        if self.pre is not None:
+            return {"pre": weight(WHO, "pre", self.pre, nu, plant.rate_hz, integrators=True), "post": post}
+        seen = series(plant, post)
+        square = seen.D.shape == (nu, nu)
+        mix = gain(_aligning(seen, float(np.sqrt(np.prod(self.band_hz)))) if self.align and square else np.eye(nu))
+        mix = StateSpace(mix.A, mix.B, mix.C, mix.D, plant.rate_hz)
+        shape = self._shape(series(mix, seen))
+        return {"pre": series(append(*[shape] * nu), mix), "post": post}
+
+    def _shape(self, plant: StateSpace) -> StateSpace:
+        """Return the weight of one channel that the numbers describe, scaled to the height asked for."""
+        rate = plant.rate_hz
+        shape = band_pass(self.band_hz, 1.0, self.floor, self.order, rate)
+        shape = series(shape, high_pass(below_nyquist(self.roll_off_hz, rate), 1.0, FALL, 1, rate))
+        if self.integral_hz is not None:
+            w = 2 * np.pi * positive(WHO, "integral_hz", self.integral_hz, "Hz")
+            shape = series(shape, rational(1.0, (-w,), (0.0,), rate, 1))
+        f = np.geomspace(*self.band_hz, 100)
+        sizes = singular_values(plant, f) * np.abs(shape.frequency_response(f)[0, 0])
+        if not np.all(sizes[0] > 0):
+            raise InputError(f"{WHO}: the plant has no gain over 'band_hz'; no loop can be shaped there.")
+        # directions that the plant cannot move at all are left out of the mean
+        mean = float(np.exp(np.mean(np.log(np.maximum(sizes, 1e-6 * sizes[0])))))
+        for tone_hz in self.tones_hz:
+            shape = series(shape, peak(tone_hz, self.tone_height, self.tone_zeta, rate))
+        return series(shape, gain([[self.height / mean]], rate))
+
+    def _stabilised(self, M: kernel.Matrices, discrete: bool) -> kernel.Stabiliser:
+        if not discrete:
+            return kernel.continuous(M, self.margin)
+        if self.margin - 1 >= kernel.OPTIMAL:
+            return kernel.discrete(M, self.margin)
+        # the discrete formulas are singular at the optimum, those beyond the bilinear map are not
+        found = kernel.continuous(bilinear_to_continuous(*M), 1.0)
+        _, _, Z, _ = kernel.smallest_level(M, discrete=True)
+        seen = kernel.discrete(M, 2.0)
+        return found._replace(
+            controller=bilinear_to_discrete(*found.controller),
+            Z=Z,
+            injection=seen.injection,
+            innovation=seen.innovation,
+        )
+
+
+def _aligning(plant: StateSpace, f_hz: float) -> FloatArray:
+    """Return the real matrix X that brings G(f) X nearest to one, up to a phase that all channels share."""
+    G = plant.frequency_response([f_hz])[:, :, 0]
+    turned = np.exp(-0.5j * np.angle(np.sum(G**2))) * G  # the phase at which G is most nearly real
+    return np.linalg.pinv(turned.real, rcond=WEAKEST)
+
+
+def _even(system: StateSpace) -> StateSpace:
+    """Return a system in modal coordinates, whose states all weigh alike, in blocks of repeated poles too."""
+    form = modal(system.A, system.B, system.C)
+    return StateSpace(*kernel.evened((form.A, form.B, form.C, system.D)), rate_hz=system.rate_hz)
+
+
+def _mapped(M: kernel.Matrices, discrete: bool) -> float:
+    """Return gamma_min of the system on the other side of the bilinear map, nan when a pole cannot be mapped."""
+    try:
+        if discrete:
+            return kernel.smallest_level(bilinear_to_continuous(*M), discrete=False)[0]
+        # s = 1 is moved to the speed of the plant, where the map bends least
+        A, B, C, D = M
+        speed = max(float(np.abs(np.linalg.eigvals(A)).mean()), 1e-300) if A.size else 1.0
+        root = np.sqrt(speed)
+        return kernel.smallest_level(bilinear_to_discrete(A / speed, B / root, C / root, D), discrete=True)[0]
+    except (NumericalError, LinAlgError):
+        return float("nan")
+
+
+def _gang(shaped: StateSpace) -> StateSpace:
+    """Return the system from (d, n, u) to (y, u, y), whose loop is [I; K] (I - G K)^-1 [G, I]."""
+    ny, nu = shaped.D.shape
+    one = [gain(np.eye(n), shaped.rate_hz) for n in (ny, nu)]
+    return four_block(shaped, *one, disturbance=np.eye(nu), noise=np.eye(ny))
+
+
+def _coprime(shaped: StateSpace, found: kernel.Stabiliser) -> StateSpace:
+    """Return the system from (w, u) to (y, u, y) with y = M^-1 w + G u, M from the filter equation."""
+    ny, nu = shaped.D.shape
+    C = np.vstack([shaped.C, np.zeros((nu, shaped.states)), shaped.C])
+    seen = np.hstack([found.innovation, shaped.D])
+    D = np.vstack([seen, np.hstack([np.zeros((nu, ny)), np.eye(nu)]), seen])
+    return StateSpace(shaped.A, np.hstack([-found.injection @ found.innovation, shaped.B]), C, D, shaped.rate_hz)
+
+
+def _shapes(shaped: StateSpace, law: StateSpace) -> dict[str, FloatArray]:
+    f: Any = default_grid(shaped)
+    f = f[f > 0]
+    return {"f_hz": f, "wanted": singular_values(shaped, f), "loop": singular_values(series(law, shaped), f)}
