@@ -110,9 +110,9 @@ def test_recovery_works_without_delay_and_is_reported_to_fail_with_it(rng):
     assert stuck > 0.5
 
 
-def test_recovery_at_the_input_needs_its_noise_there():
+def test_recovery_factors_below_one_are_refused():
     with pytest.raises(InputError, match="recovery"):
-        Lqg(recovery=10.0)
+        Lqg(recovery=0.5)
 
 
 def test_continuous_plants_are_refused():

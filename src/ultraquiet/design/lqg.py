@@ -1,35 +1,42 @@
 """Linear-quadratic-Gaussian control in discrete time, with frequency-shaped cost and loop transfer recovery."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, one_of, positive
+from ultraquiet._base.constraints import FloatArray, between, frozen, one_of, positive, real_array
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._refusal import lost_modes, stable_weight
 from ultraquiet.design._verify import judged
-from ultraquiet.design.h2_kernel import Problem, Solution, solve
-from ultraquiet.design.ltr import recovery_error
-from ultraquiet.design.weights import band_pass
+from ultraquiet.design.h2 import AGREEMENT
+from ultraquiet.design.h2_kernel import Problem, solve
+from ultraquiet.design.lqg_problem import Parts, generalised, integrator, regular_noise, shaped, unreachable_integrator
+from ultraquiet.design.ltr import recovery
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass
+from ultraquiet.linalg import balance
+from ultraquiet.values.generalised import full
 from ultraquiet.values.interconnect import append, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
 
-RECOVERY_POINTS = 200
+RISE = 10.0  # in gain, of the weight on u above `control_hz`
 
 
 @register("design", "lqg")
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lqg:
-    """The controller of least mean square weighted output and control, for white disturbance and sensor noise.
+    """The controller of least mean square weighted output and control, for disturbance and sensor noise of any colour.
 
-    min E[|W y|^2 + rho |u|^2] with x+ = A x + B (u + w), y = C x + D (u + w) + v.
+    min E[|W y|^2 + |Wu u|^2] with x+ = A x + B (u + d), y = C x + D (u + d) + v.
 
     Args:
-        control_weight: rho, squared output units per squared volt.
-        disturbance: variance of w per input (volts squared) when it enters at the plant's input, of the output
+        control_weight: rho = Wu^2, squared output units per squared volt.
+        control_hz: corner from which on Wu rises, tenfold at most; None for a constant.
+        disturbance: variance of d per input (volts squared) when it enters at the plant's input, of the output
             disturbance (output units squared) when `disturbance_at` is `output`.
         disturbance_at: `output` or `input`. White noise at the input, as in the paper's section 4.2, is mostly noise at
             the plant's resonances, and that is where the controller then works; at the output, all frequencies of the
@@ -39,9 +46,18 @@ class Lqg:
         band_hz: corner frequencies of the band-pass W; None weights all frequencies alike.
         band_order: order of W, even.
         floor: gain of W outside the band, one inside it.
-        recovery: LTR: factor on the disturbance (recovery at the input) or on 1 / control_weight (at the output).
+        band_at: `cost`, or `loop`: W becomes a part of the controller, whose gain then follows its shape.
+        integral_hz: corner below which every measurement is integrated, inside the controller; None for no integrator.
+        integral_leak_hz: where the rise towards low frequency ends; 0 is a pure integrator, pole at z = 1.
+        recovery: LTR: at the input, noise of `recovery - 1` times `disturbance` is added there; at the output, the
+            weight on u is divided by it. Large factors recover the target loop of minimum-phase plants without delay.
         recovery_at: `input` or `output`.
         estimator: `current` uses y[k] for u[k], `predicted` only what came before (D of the controller is zero).
+        output_weight: W as a system, `(1, 1)` or `(ny, ny)`, in place of the band.
+        input_weight: Wu as a system, `(1, 1)` or `(nu, nu)`, in place of `control_weight` and `control_hz`.
+        disturbance_model: in place of `disturbance`, a covariance matrix or a filter that shapes white noise of unit
+            variance, with as many outputs as the place of the disturbance has channels.
+        noise_model: likewise for v, in place of `sensor_noise`.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
     >>> result = Lqg(control_weight=0.01, band_hz=None).design(plant)
@@ -61,86 +77,120 @@ class Lqg:
     recovery: float = 1.0
     recovery_at: str = "input"
     estimator: str = "current"
+    control_hz: float | None = None
+    band_at: str = "cost"
+    integral_hz: float | None = None
+    integral_leak_hz: float = 0.0
+    output_weight: StateSpace | None = None
+    input_weight: StateSpace | None = None
+    disturbance_model: StateSpace | FloatArray | None = None
+    noise_model: StateSpace | FloatArray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("control_weight", "disturbance", "sensor_noise", "recovery"):
+        for name in ("control_weight", "disturbance", "sensor_noise"):
             positive("Lqg", name, getattr(self, name))
+        between("Lqg", "recovery", self.recovery, 1.0, np.finfo(float).max)
         for name in ("disturbance_at", "recovery_at"):
             one_of("Lqg", name, getattr(self, name), ("input", "output"))
-        if self.recovery != 1.0 and self.recovery_at == "input" and self.disturbance_at == "output":
-            raise InputError("Lqg: recovery at the input needs 'disturbance_at' to be 'input', got 'output'.")
         one_of("Lqg", "estimator", self.estimator, ("current", "predicted"))
+        one_of("Lqg", "band_at", self.band_at, ("cost", "loop"))
         between("Lqg", "floor", self.floor, 0.0, 1.0)
+        for name in ("disturbance_model", "noise_model"):
+            given: Any = getattr(self, name)
+            if given is not None and not isinstance(given, StateSpace):
+                object.__setattr__(self, name, frozen(real_array("Lqg", name, given, 2)))
 
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a discrete plant.
 
         `gamma` is the standard deviation of the weighted cost that the two Riccati equations promise, `achieved` the H2
-        norm of the finished loop; `details["recovery"]` holds sigma(L - L_target) over frequency, `details["weights"]`
-        the weights of one channel.
+        norm of the finished loop, both with the noise that recovery adds; `details["recovery"]` holds
+        sigma(L - L_target) over frequency, `details["weights"]` the weights of one channel.
 
         Raises:
-            InputError: the plant is in continuous time.
+            InputError: the plant is in continuous time; a weight or a noise model does not fit it, or is not stable.
         """
         if plant.rate_hz is None:
             raise InputError("Lqg: the plant is in continuous time; discretise it first.")
-        P = self.generalised(plant)
+        parts = self.parts(plant)
+        sentence = lost_modes("Lqg", plant) or unreachable_integrator("Lqg", plant, parts.loop)
+        if sentence:
+            return refused(sentence)
+        # equations are solved in modal coordinates: the units in which a plant comes may differ by many decades
+        form = balance.modal(plant.A, plant.B, plant.C)
+        even = StateSpace(form.A, form.B, form.C, plant.D, plant.rate_hz)
+        P = generalised(even, parts)
         ny, nu = plant.D.shape
         try:
             found = solve(Problem.of(P, ny, nu), discrete=True)
-        except NumericalError as error:
+            core = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=plant.rate_hz)
+            achieved = h2_norm(lft(P, core))
+        except (NumericalError, InputError) as error:
             return refused(f"Lqg: {error}")
-        K = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=plant.rate_hz)
-        achieved = h2_norm(lft(P, K))
         promised = found.cost() if self.estimator == "current" else achieved
-        details = {"recovery": self._recovery(plant, P, K, found), "weights": self.weights(plant)}
+        if not abs(promised - achieved) <= AGREEMENT * achieved:
+            return refused(f"Lqg: the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}.")
+        recovered = recovery(self.recovery_at, even, parts.loop, core, P, found)
+        details = {"recovery": recovered, "weights": self.weights(plant)}
+        K = core if parts.loop is None else series(parts.loop, core)
         return judged(plant, K, self, promised, achieved, found.residuals, details)
 
     def generalised(self, plant: StateSpace) -> StateSpace:
-        """Return the system from (w, v, u) to (W y, sqrt(rho) u, y), all noises of unit variance."""
+        """Return the system from (d, probe, v, u) to (W y, Wu u, y), all noises of unit variance.
+
+        With integral action or a band in the loop, y is what that filter makes of the measurement.
+        """
+        return generalised(plant, self.parts(plant))
+
+    def parts(self, plant: StateSpace) -> Parts:
+        """Return all that stands around a discrete plant: noise models, weights, the filter in the loop."""
         ny, nu = plant.D.shape
-        boost = self.recovery if self.recovery_at == "input" else 1.0
-        rho = self.control_weight / (self.recovery if self.recovery_at == "output" else 1.0)
-        v = np.sqrt(self.sensor_noise) * np.eye(ny)
-        if self.disturbance_at == "input":
-            Bw, Dw = plant.B * np.sqrt(self.disturbance * boost), plant.D * np.sqrt(self.disturbance * boost)
-        else:
-            Bw, Dw = np.zeros((plant.states, ny)), np.sqrt(self.disturbance * boost) * np.eye(ny)
-        m = Bw.shape[1]
-        open_loop = StateSpace(
-            plant.A,
-            np.hstack([Bw, np.zeros((plant.states, ny)), plant.B]),
-            np.vstack([plant.C, np.zeros((nu, plant.states)), plant.C]),
-            np.block(
-                [
-                    [Dw, np.zeros((ny, ny)), plant.D],
-                    [np.zeros((nu, m + ny)), np.sqrt(rho) * np.eye(nu)],
-                    [Dw, v, plant.D],
-                ]
+        assert plant.rate_hz is not None
+        weights = self.weights(plant)
+        at_input = self.disturbance_at == "input"
+        given = self.disturbance if self.disturbance_model is None else self.disturbance_model
+        disturbance = shaped("Lqg", "disturbance_model", given, nu if at_input else ny, plant.rate_hz)
+        given = self.sensor_noise if self.noise_model is None else self.noise_model
+        noise = shaped("Lqg", "noise_model", given, ny, plant.rate_hz)
+        extra = (self.recovery - 1) * self.disturbance if self.recovery_at == "input" else 0.0
+        ease = 1 / np.sqrt(self.recovery) if self.recovery_at == "output" else 1.0
+        control = full(weights["control"], nu, "input_weight")
+        return Parts(
+            stable_weight("Lqg", "disturbance_model", disturbance, plant),
+            at_input,
+            shaped("Lqg", "recovery", extra, nu, plant.rate_hz) if extra else gain(np.zeros((nu, 0)), plant.rate_hz),
+            regular_noise("Lqg", "noise_model", stable_weight("Lqg", "noise_model", noise, plant)),
+            self._loop(ny, plant.rate_hz),
+            stable_weight("Lqg", "output_weight", full(weights["performance"], ny, "output_weight"), plant),
+            stable_weight(
+                "Lqg", "input_weight", series(control, gain(ease * np.eye(control.D.shape[0]), control.rate_hz)), plant
             ),
-            plant.rate_hz,
         )
-        W = append(*[self.weights(plant)["performance"]] * ny)
-        return series(open_loop, append(W, gain(np.eye(nu + ny), plant.rate_hz)))
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
-        """Return the weights of one channel: `performance` W and `control` sqrt(rho)."""
+        """Return the weights: `performance` W and `control` Wu, of one channel unless given for all of them."""
         rate = plant.rate_hz
         one = gain(np.eye(1), rate)
-        W = one if self.band_hz is None else band_pass(self.band_hz, 1.0, self.floor, self.band_order, rate)
-        return {"performance": W, "control": gain(np.sqrt([[self.control_weight]]), rate)}
+        size = float(np.sqrt(self.control_weight))
+        W = one if self.band_hz is None or self.band_at == "loop" else self._band(rate)
+        U = gain([[size]], rate)
+        if self.control_hz is not None:
+            U = high_pass(below_nyquist(self.control_hz, rate), size, RISE * size, 1, rate)
+        return {"performance": self.output_weight or W, "control": self.input_weight or U}
 
-    def _recovery(
-        self, plant: StateSpace, P: StateSpace, K: StateSpace, found: Solution
-    ) -> dict[str, FloatArray | str]:
-        assert plant.rate_hz is not None
-        f = np.geomspace(plant.rate_hz / 5000, plant.rate_hz / 2, RECOVERY_POINTS)
-        ny, nu = plant.D.shape
-        if self.recovery_at == "input":
-            target = StateSpace(P.A, P.B[:, -nu:], -found.F, np.zeros((nu, nu)), P.rate_hz)
-            error = recovery_error(series(plant, K), target, f)
-        else:
-            target = StateSpace(P.A, found.L, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
-            error = recovery_error(series(K, plant), target, f)
-        return {"at": self.recovery_at, "f_hz": f, "error": error[0], "relative_error": error[1]}
+    def _loop(self, channels: int, rate_hz: float) -> StateSpace | None:
+        """Return the filter that the controller carries on each measurement, None when there is none."""
+        chain = []
+        if self.band_hz is not None and self.band_at == "loop":
+            chain.append(self._band(rate_hz))
+        if self.integral_hz is not None:
+            chain.append(integrator("Lqg", self.integral_hz, self.integral_leak_hz, rate_hz))
+        if not chain:
+            return None
+        one = chain[0] if len(chain) == 1 else series(*chain)
+        return append(*[one] * channels)
+
+    def _band(self, rate_hz: float | None) -> StateSpace:
+        assert self.band_hz is not None
+        return band_pass(self.band_hz, 1.0, self.floor, self.band_order, rate_hz)

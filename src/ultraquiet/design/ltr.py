@@ -3,7 +3,41 @@
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.design.h2_kernel import Solution
+from ultraquiet.values.interconnect import series
 from ultraquiet.values.state_space import StateSpace
+
+POINTS = 200
+SPAN = 2500.0  # between the ends of the grid of frequencies, whose upper one is Nyquist
+
+
+def recovery(
+    at: str, plant: StateSpace, loop: StateSpace | None, core: StateSpace, P: StateSpace, found: Solution
+) -> dict[str, FloatArray | str]:
+    """Return where the loop was to be recovered and how far it is from its target over frequency.
+
+    At the input: L = K G against F (zI - A)^-1 B, full state feedback. At the output: L = G K against C (zI - A)^-1 L,
+    the filter; where the controller carries a filter of its own, the loop is broken behind it.
+
+    Args:
+        at: `input` or `output`.
+        plant: G.
+        loop: the filter in the controller, None without one.
+        core: the rest of the controller.
+        P: generalised plant, its last inputs and outputs those of `core`.
+        found: solution of both Riccati equations.
+    """
+    assert plant.rate_hz is not None
+    f = np.geomspace(plant.rate_hz / 2 / SPAN, plant.rate_hz / 2, POINTS)
+    seen = plant if loop is None else series(plant, loop)
+    ny, nu = seen.D.shape
+    if at == "input":
+        target = StateSpace(P.A, P.B[:, -nu:], -found.F, np.zeros((nu, nu)), P.rate_hz)
+        error = recovery_error(series(seen, core), target, f)
+    else:
+        target = StateSpace(P.A, found.L, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
+        error = recovery_error(series(core, seen), target, f)
+    return {"at": at, "f_hz": f, "error": error[0], "relative_error": error[1]}
 
 
 def recovery_error(loop: StateSpace, target: StateSpace, f_hz: FloatArray) -> tuple[FloatArray, FloatArray]:

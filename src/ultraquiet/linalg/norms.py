@@ -32,8 +32,13 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
         worst = poles[np.argmax(growth)]
         return np.inf, float(abs(np.angle(worst)) if discrete else abs(worst.imag))
     if discrete:
-        gain, w = _peak(*bilinear_to_continuous(A, B, C, D), tolerance)
-        return gain, float(2 * np.arctan(w))
+        form = modal(A, B, C)
+        # z -> -z keeps every gain and turns the spectrum round: no pole is then near the point that goes to infinity
+        turned = poles.size and np.abs(poles + 1).min() < np.abs(poles - 1).min()
+        a, b = (-form.A, -form.B) if turned else (form.A, form.B)
+        gain, w = _peak(*bilinear_to_continuous(a, b, form.C, D), tolerance)
+        angle = float(2 * np.arctan(w))
+        return gain, np.pi - angle if turned else angle
     return _peak(A, B, C, D, tolerance)
 
 

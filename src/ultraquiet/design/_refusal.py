@@ -1,0 +1,64 @@
+"""Why a plant cannot be stabilised: modes that its inputs do not reach or its outputs do not show."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet.linalg.ordered import Array
+from ultraquiet.values.state_space import StateSpace
+
+RANK = 1e-9  # relative; a pencil with a singular value below it has lost rank
+BORDER = 1e-11  # a pole nearer to the stability boundary than this counts as unstable: integrators in round-off
+
+
+def lost_modes(who: str, plant: StateSpace, inputs: str = "B", outputs: str = "C") -> str:
+    """Return one sentence about the unstable modes that no controller can move, naming B or C; empty when none is lost.
+
+    Hautus: a mode z is out of reach when [A - zI, B] loses rank, unseen when [A' - zI, C'] does.
+    """
+    poles = plant.poles()
+    unstable = poles[poles.real >= -BORDER if plant.rate_hz is None else np.abs(poles) >= 1 - BORDER]
+    for told, A, B, wires in (
+        ("is out of reach of the inputs", plant.A, plant.B, inputs),
+        ("does not show in the outputs", plant.A.T, plant.C.T, outputs),
+    ):
+        lost = [z for z in unstable if loses_rank(np.hstack([A - z * np.eye(len(A)), B]))]
+        if lost:
+            return (
+                f"{who}: an unstable mode of the plant, {place(lost[0], plant.rate_hz)}, {told} ({wires}), so no "
+                "controller can stabilise it; remove it from the model or act on it."
+            )
+    return ""
+
+
+def stable_weight(who: str, name: str, weight: StateSpace, plant: StateSpace) -> StateSpace:
+    """Return a weight or shaping filter at the plant's rate, all its poles inside the stability region.
+
+    Raises:
+        InputError: a pole lies on the boundary or beyond, which no controller moves, for it stands outside the loop.
+    """
+    same_rate(who, "the plant", plant.rate_hz, f"'{name}'", weight.rate_hz)
+    poles = weight.poles()
+    gap = -poles.real if weight.rate_hz is None else 1 - np.abs(poles)
+    if gap.size and gap.min() <= BORDER:
+        worst = poles[np.argmin(gap)]
+        raise InputError(
+            f"{who}: '{name}' has a pole on or beyond the stability boundary, {place(worst, weight.rate_hz)}; "
+            "move it inside, or ask for integral action in the loop."
+        )
+    return weight
+
+
+def loses_rank(pencil: Array) -> bool:
+    """Return whether the rows of a matrix are dependent, each taken at unit size."""
+    if not pencil.size:
+        return False
+    s = np.linalg.svd(pencil / np.maximum(np.linalg.norm(pencil, axis=1, keepdims=True), 1e-300), compute_uv=False)
+    return bool(len(s) < len(pencil) or s[-1] < RANK * s[0])
+
+
+def place(z: complex, rate_hz: float | None) -> str:
+    """Return where a pole lies, in words."""
+    if rate_hz is None:
+        return f"at {z.real:.3g}{z.imag:+.3g}j rad/s"
+    return f"at {abs(np.angle(z)) * rate_hz / (2 * np.pi):.4g} Hz with |z| = {abs(z):.6g}"

@@ -1,0 +1,125 @@
+"""What the Riccati equations of continuous and discrete time share: the outcome, its choice, doubling, scaling."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError, matrix_balance
+
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg.lyapunov import DOUBLINGS, symmetric
+from ultraquiet.linalg.ordered import Array
+
+ACCEPTED_RESIDUAL = 1e-8  # relative; a Newton step follows above it, a refusal if that does not help
+POLISHED_RESIDUAL = 1e-11  # no Newton step is taken below it
+NEWTON_STEPS = 2
+# Newton's method halves the error of a far start, and squares it near the end: 60 halvings outlast double precision.
+LONG_NEWTON = 60
+SINGULAR = 1e12  # condition of E above which its inverse says nothing
+
+
+class Riccati(NamedTuple):
+    """A stabilising solution: X, its relative residual, and how far the closed loop is from instability.
+
+    `margin` is minus the largest real part (continuous) or one minus the largest modulus (discrete) of the closed-loop
+    poles, positive when stable.
+    """
+
+    X: Array
+    residual: float
+    margin: float
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it stabilises and fulfils its equation."""
+        return self.margin > 0 and self.residual <= ACCEPTED_RESIDUAL
+
+
+NOTHING = Riccati(np.zeros((0, 0)), np.inf, -np.inf)
+
+
+def better(held: Riccati | None, new: Riccati) -> Riccati:
+    """Return the one that stabilises, then the one with the smaller residual."""
+    if held is None or (new.margin > 0 >= held.margin):
+        return new
+    return new if (new.margin > 0) == (held.margin > 0) and new.residual < held.residual else held
+
+
+def refusal(time: str, n: int, found: Riccati | None) -> NumericalError:
+    """Return the error that says what the best rung came to."""
+    who = f"Riccati equation ({time}, {n} states)"
+    if found is None or not np.isfinite(found.residual):
+        said = "no stabilising solution exists, or none could be separated; modes lie on the stability boundary."
+    elif not found.margin > 0:
+        said = f"the solution found does not stabilise (margin {found.margin:.2e}); a mode cannot be moved."
+    else:
+        said = f"the relative residual {found.residual:.1e} is above {ACCEPTED_RESIDUAL:.0e}; scale the problem."
+    return NumericalError(f"{who}: {said}")
+
+
+def symplectic_scale(A: Array, G: Array, Q: Array) -> Array:
+    """Return d, powers of two, such that the states x / d make the Hamiltonian's rows and columns alike (Benner 2001).
+
+    The powers of two that LAPACK finds for the 2n-by-2n matrix are halved into a symplectic scaling.
+
+    Raises:
+        NumericalError: a matrix is not finite.
+    """
+    n = A.shape[0]
+    H = np.abs(np.block([[A, -G], [-Q, -A.T]]))
+    if not np.isfinite(H).all():
+        raise NumericalError(f"Riccati equation ({n} states): its matrices overflow; scale the problem.")
+    np.fill_diagonal(H, 0.0)
+    _, (scale, _) = matrix_balance(H, permute=False, separate=True)
+    s = np.log2(scale)
+    return np.exp2(np.round((s[:n] - s[n:]) / 2))
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+def double(E: Array, G: Array, H: Array) -> Array | None:
+    """Double (E, G, H) until H stands still at the solution; None when it does not."""
+    identity = np.eye(E.shape[0])
+    for _ in range(DOUBLINGS):
+        W = identity + G @ H
+        try:
+            WE, WG = np.split(np.linalg.solve(W, np.hstack([E, G])), 2, axis=1)
+        except LinAlgError:
+            return None
+        step = E.T @ H @ WE
+        G = symmetric(G + E @ WG @ E.T)
+        E = E @ WE
+        H = symmetric(H + step)
+        size = np.linalg.norm(H)
+        if not np.isfinite(size) or not np.all(np.isfinite(E)):
+            return None
+        if np.linalg.norm(step) <= 1e-15 * size:
+            return H
+    return None
+
+
+def without_descriptor(E: Array | None, A: Array, B: Array) -> tuple[Array, Array]:
+    """Return E^-1 A and E^-1 B, for which E'XE is what X is otherwise.
+
+    Raises:
+        NumericalError: E is singular to working precision, rows and columns taken at unit size.
+    """
+    if E is None or not A.shape[0]:
+        return A, B
+    rows = np.linalg.norm(E, axis=1, keepdims=True)
+    unit = E / np.where(rows > 0, rows, 1)
+    columns = np.linalg.norm(unit, axis=0, keepdims=True)
+    condition = np.linalg.cond(unit / np.where(columns > 0, columns, 1))
+    if not condition < SINGULAR:
+        raise NumericalError(
+            f"Riccati equation ({A.shape[0]} states): E is singular to working precision (condition {condition:.1e}); "
+            "remove the algebraic equations first."
+        )
+    AB = np.linalg.solve(unit, np.hstack([A, B]) / np.where(rows > 0, rows, 1))
+    return AB[:, : A.shape[0]], AB[:, A.shape[0] :]
+
+
+def with_descriptor(E: Array | None, X: Array) -> Array:
+    """Return E^-T X E^-1."""
+    if E is None or not X.shape[0]:
+        return X
+    half = np.linalg.solve(E.T, X)
+    return symmetric(np.linalg.solve(E.T, half.T))

@@ -1,0 +1,160 @@
+"""The Riccati equation of continuous time."""
+
+import numpy as np
+from scipy.linalg import LinAlgError, lu_factor, lu_solve
+
+from ultraquiet.linalg.lyapunov import lyapunov, symmetric
+from ultraquiet.linalg.ordered import Array, ordered_schur, real_schur
+from ultraquiet.linalg.riccati import (
+    LONG_NEWTON,
+    NEWTON_STEPS,
+    POLISHED_RESIDUAL,
+    Riccati,
+    better,
+    double,
+    refusal,
+    symplectic_scale,
+    with_descriptor,
+    without_descriptor,
+)
+
+AXIS = 1e-9  # an eigenvalue with a real part below this share of its modulus lies on the axis
+UNSPLIT = np.full((1, 1), np.nan)  # what the Schur rung returns for a spectrum that cannot be split
+
+
+def continuous_riccati(A: Array, G: Array, Q: Array) -> Riccati:
+    """Solve A'X + X A - X G X + Q = 0 for the X that makes A - G X stable; G and Q symmetric, of any sign.
+
+    The ladder: ordered real Schur form of the balanced Hamiltonian, structured doubling, each polished by Newton steps,
+    then Newton's method with line search from whatever stabilises. What a rung returns is accepted only for its
+    residual and its stability, both computed here. A Hamiltonian with eigenvalues on the axis ends the ladder at once:
+    no method can split them.
+
+    Raises:
+        NumericalError: no rung gave a stabilising solution, as when the Hamiltonian has eigenvalues on the axis.
+    """
+    n = A.shape[0]
+    if n == 0:
+        return Riccati(np.zeros((0, 0)), 0.0, np.inf)
+    if not np.any(Q) and np.linalg.eigvals(A).real.max() < 0:
+        # X = 0: the Y equation of every mixed-sensitivity problem with a stable plant, which SciPy refuses
+        return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()))
+    d = symplectic_scale(A, G, Q)
+    As, Gs, Qs = A * d / d[:, None], G / np.outer(d, d), Q * np.outer(d, d)
+    found = None
+    for rung in (_schur, _doubled):
+        X = rung(As, Gs, Qs)
+        if X is UNSPLIT:
+            break
+        if X is not None:
+            found = better(found, _polished(As, Gs, Qs, X, NEWTON_STEPS))
+            if found.accepted:
+                return found._replace(X=found.X / np.outer(d, d))
+    if found is not None and found.margin > 0:
+        found = better(found, _polished(As, Gs, Qs, found.X, LONG_NEWTON))
+        if found.accepted:
+            return found._replace(X=found.X / np.outer(d, d))
+    raise refusal("continuous", n, found)
+
+
+def continuous_regulator(
+    A: Array, B: Array, Q: Array, R: Array, S: Array | None = None, E: Array | None = None
+) -> Riccati:
+    """Solve A'XE + E'XA - (E'XB + S) R^-1 (B'XE + S') + Q = 0 for the X that makes A - B R^-1 (B'XE + S') stable.
+
+    `residual` and `margin` are those of the equation without E, which is solved.
+
+    Raises:
+        NumericalError: R or E is singular, or there is no stabilising solution.
+    """
+    A, B = without_descriptor(E, A, B)
+    cross: Array = np.zeros(B.shape) if S is None else S
+    RB = _solved(R, np.hstack([B.T, cross.T]))
+    n = A.shape[0]
+    found = continuous_riccati(A - B @ RB[:, n:], symmetric(B @ RB[:, :n]), symmetric(Q - cross @ RB[:, n:]))
+    return found._replace(X=with_descriptor(E, found.X))
+
+
+def continuous_residual(A: Array, G: Array, Q: Array, X: Array) -> float:
+    """Return the size of A'X + XA - XGX + Q relative to its terms."""
+    AX, XGX = A.T @ X, X @ G @ X
+    size = 2 * np.linalg.norm(AX) + np.linalg.norm(XGX) + np.linalg.norm(Q)
+    return float(np.linalg.norm(AX + AX.T - XGX + Q) / size) if size else 0.0
+
+
+def _solved(R: Array, right: Array) -> Array:
+    """Return R^-1 times the right side; R is symmetric, taken at unit diagonal."""
+    d = np.sqrt(np.abs(np.diag(R)))
+    d = np.where(d > 0, d, 1.0)
+    try:
+        return np.linalg.solve(R / np.outer(d, d), right / d[:, None]) / d[:, None]
+    except LinAlgError:
+        raise refusal("continuous, R singular", right.shape[1], None) from None
+
+
+def _doubled(A: Array, G: Array, Q: Array) -> Array | None:
+    """Structured doubling after a Cayley transformation (Chu, Fan and Lin 2005, doi:10.1016/j.laa.2004.10.010)."""
+    n = A.shape[0]
+    moduli = np.abs(np.linalg.eigvals(A))
+    shift = float(np.exp(np.mean(np.log(np.maximum(moduli, 1e-12 * max(moduli.max(), 1e-300))))))
+    shift = max(shift, 1e-6 * np.linalg.norm(A, 2), 1e-300)
+    try:
+        shifted = A - shift * np.eye(n)
+        AG = np.linalg.solve(shifted, G)
+        QA = np.linalg.solve(shifted.T, Q).T
+        W = lu_factor(shifted.T + Q @ AG)
+    except (LinAlgError, ValueError):
+        return None
+    E = np.eye(n) + 2 * shift * lu_solve(W, np.eye(n)).T
+    H = 2 * shift * lu_solve(W, QA)
+    G0 = 2 * shift * lu_solve(W, AG.T, trans=1).T
+    return double(E, symmetric(G0), symmetric(H))
+
+
+def _schur(A: Array, G: Array, Q: Array) -> Array | None:
+    """Stable invariant subspace of the Hamiltonian by ordered real Schur form (Laub 1979)."""
+    n = A.shape[0]
+    H = np.block([[A, -G], [-Q, -A.T]])
+    try:
+        T, U, split = ordered_schur(H, "lhp")
+        if split == n:
+            return symmetric(np.linalg.solve(U[:n, :n].T, U[n:, :n].T).T)
+    except (LinAlgError, ValueError):
+        T = real_schur(H)[0]
+    values = np.linalg.eigvals(T)
+    moduli, real = np.abs(values), values.real
+    return UNSPLIT if np.any(np.abs(real) <= AXIS * np.maximum(moduli, AXIS * moduli.max())) else None
+
+
+def _polished(A: Array, G: Array, Q: Array, X: Array, steps: int) -> Riccati:
+    held = _judged(A, G, Q, X)
+    for _ in range(steps):
+        if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
+            break
+        closed = A - G @ held.X
+        AX = A.T @ held.X
+        residual = symmetric(AX + AX.T - held.X @ G @ held.X + Q)
+        direction = lyapunov(closed.T, residual)
+        step = _judged(A, G, Q, held.X + _length(residual, direction @ G @ direction) * direction)
+        if not (step.residual < held.residual and step.margin > 0):
+            break
+        held = step
+    return held
+
+
+def _length(residual: Array, bend: Array) -> float:
+    """Return the t in [0, 2] that makes |(1 - t) residual - t^2 bend| least (Benner and Byers 1998)."""
+    a, b, c = np.sum(residual**2), np.sum(residual * bend), np.sum(bend**2)
+    if not np.isfinite(c) or c == 0:
+        return 1.0
+    # (1 - t)^2 a - 2 (1 - t) t^2 b + t^4 c
+    turns = np.roots([4 * c, 6 * b, 2 * a - 4 * b, -2 * a])
+    candidates = np.concatenate([[2.0], turns.real[(np.abs(turns.imag) < 1e-9) & (turns.real > 0) & (turns.real < 2)]])
+    cost = (1 - candidates) ** 2 * a - 2 * (1 - candidates) * candidates**2 * b + candidates**4 * c
+    return float(candidates[np.argmin(cost)])
+
+
+def _judged(A: Array, G: Array, Q: Array, X: Array) -> Riccati:
+    if not np.all(np.isfinite(X)):
+        return Riccati(X, np.inf, -np.inf)
+    return Riccati(X, continuous_residual(A, G, Q, X), -float(np.linalg.eigvals(A - G @ X).real.max()))

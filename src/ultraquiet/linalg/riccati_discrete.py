@@ -1,0 +1,155 @@
+"""The Riccati equation of discrete time."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg.lyapunov import stein, symmetric
+from ultraquiet.linalg.ordered import Array
+from ultraquiet.linalg.riccati import (
+    LONG_NEWTON,
+    NEWTON_STEPS,
+    NOTHING,
+    POLISHED_RESIDUAL,
+    Riccati,
+    better,
+    double,
+    refusal,
+    symplectic_scale,
+    with_descriptor,
+    without_descriptor,
+)
+
+ILL = 1e12  # condition of R above which its inverse is not used to find a scale
+
+
+class _Terms(NamedTuple):
+    A: Array
+    B: Array
+    Q: Array
+    R: Array
+    S: Array
+
+
+def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = None, E: Array | None = None) -> Riccati:
+    """Solve E'XE = A'XA - (A'XB + S)(R + B'XB)^-1 (B'XA + S') + Q for the X that makes A - B K, pencil with E, stable.
+
+    The ladder: structure-preserving doubling, then SciPy's QZ of the extended pencil, each polished by Newton steps,
+    then Newton's method (Hewer 1971) from whatever stabilises: the best of the rungs above, or nothing at all when A is
+    stable. What a rung returns is accepted only for its residual and its stability, both computed here.
+
+    Raises:
+        NumericalError: E is singular, or no rung gave a stabilising solution.
+    """
+    A, B = without_descriptor(E, A, B)
+    if A.shape[0] == 0:
+        return Riccati(np.zeros((0, 0)), 0.0, 1.0)
+    terms = _Terms(A, B, Q, R, np.zeros(B.shape) if S is None else S)
+    d = _scale(terms)
+    scaled = _Terms(A * d / d[:, None], B / d[:, None], Q * np.outer(d, d), R, terms.S * d[:, None])
+    found = _ladder(scaled)
+    if found is None or not found.accepted:
+        raise refusal("discrete", A.shape[0], found)
+    return found._replace(X=with_descriptor(E, found.X / np.outer(d, d)))
+
+
+def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
+    """Return K = (R + B'XB)^-1 (B'XA + S'), the gain of u = -K x."""
+    W, right = R + B.T @ X @ B, B.T @ X @ A + S.T
+    d = np.sqrt(np.abs(np.diag(W)))
+    d = np.where(d > 0, d, 1.0)
+    return np.linalg.solve(W / np.outer(d, d), right / d[:, None]) / d[:, None]
+
+
+def _ladder(terms: _Terms) -> Riccati | None:
+    found = None
+    for rung in (_doubled, _qz):
+        X = rung(terms)
+        if X is not None:
+            found = better(found, _polished(terms, X, NEWTON_STEPS))
+            if found.accepted:
+                return found
+    if found is not None and found.margin > 0:
+        found = better(found, _polished(terms, found.X, LONG_NEWTON))
+        if found.accepted:
+            return found
+    if np.abs(np.linalg.eigvals(terms.A)).max() < 1:
+        found = better(found, _from_rest(terms))
+    return found
+
+
+def _scale(terms: _Terms) -> Array:
+    A, B, Q, R, S = terms
+    if not np.linalg.cond(R) < ILL:
+        return np.ones(A.shape[0])
+    RB = np.linalg.solve(R, np.hstack([B.T, S.T]))
+    n = A.shape[0]
+    return symplectic_scale(A - B @ RB[:, n:], B @ RB[:, :n], Q - S @ RB[:, n:])
+
+
+def _doubled(terms: _Terms) -> Array | None:
+    """Structure-preserving doubling (Chu, Fan, Lin and Wang 2004, doi:10.1080/00207170410001714988)."""
+    A, B, Q, R, S = terms
+    try:
+        RB = np.linalg.solve(R, np.hstack([B.T, S.T]))
+    except LinAlgError:
+        return None
+    n = A.shape[0]
+    return double(A - B @ RB[:, n:], symmetric(B @ RB[:, :n]), symmetric(Q - S @ RB[:, n:]))
+
+
+def _qz(terms: _Terms) -> Array | None:
+    from scipy.linalg import solve_discrete_are
+
+    try:
+        return solve_discrete_are(terms.A, terms.B, terms.Q, terms.R, s=terms.S)
+    except (LinAlgError, ValueError):
+        return None
+
+
+def _from_rest(terms: _Terms) -> Riccati:
+    """Take Newton's steps from no control at all, which a stable A allows; for a convex cost they cannot diverge."""
+    try:
+        start = _judged(terms, stein(terms.A.T, terms.Q))
+    except NumericalError:
+        return NOTHING
+    return _polished(terms, start.X, LONG_NEWTON, falling=False)
+
+
+def _polished(terms: _Terms, X: Array, steps: int, falling: bool = True) -> Riccati:
+    """Take Newton's steps while they stabilise and, when `falling`, while each makes the residual smaller."""
+    held = best = _judged(terms, X)
+    for _ in range(steps):
+        if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
+            break
+        step = _judged(terms, _newton(terms, held.X))
+        if not step.margin > 0 or (falling and not step.residual < held.residual):
+            break
+        held, best = step, better(best, step)
+    return best
+
+
+def _newton(terms: _Terms, X: Array) -> Array:
+    A, B, Q, R, S = terms
+    K = discrete_gain(A, B, R, S, X)
+    cost = Q - S @ K - K.T @ S.T + K.T @ R @ K
+    try:
+        return stein((A - B @ K).T, symmetric(cost))
+    except NumericalError:
+        return np.full(X.shape, np.nan)
+
+
+def _judged(terms: _Terms, X: Array) -> Riccati:
+    A, B, Q, R, S = terms
+    if not np.all(np.isfinite(X)):
+        return Riccati(X, np.inf, -np.inf)
+    try:
+        K = discrete_gain(A, B, R, S, X)
+    except LinAlgError:
+        return Riccati(X, np.inf, -np.inf)
+    AXA, pull = A.T @ X @ A, (A.T @ X @ B + S) @ K
+    size = np.linalg.norm(AXA) + np.linalg.norm(pull) + np.linalg.norm(Q) + np.linalg.norm(X)
+    residual = float(np.linalg.norm(AXA - pull + Q - X) / size) if size else 0.0
+    return Riccati(X, residual, 1.0 - float(np.abs(np.linalg.eigvals(A - B @ K)).max()))
