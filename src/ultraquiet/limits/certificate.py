@@ -1,0 +1,125 @@
+"""A level that no stable Q can reach, by Nehari's theorem: what makes a limit a limit and not the best of a basis.
+
+At every frequency, weights that add up to one merge the demands |a_i + b_i Q| <= h_i into one disc
+sum w_i |a_i + b_i Q|^2 / h_i^2 <= 1, that is |Q - centre| <= radius. A stable Q inside all discs exists if and only if the
+Hankel norm of the unstable part of centre / o is at most one, where o is the outer function with |o| = radius (Nehari 1957;
+Helton and Merino 1998, "Classical Control Using H-infinity Methods"). Any weights give a true statement; those of the
+convex programme's multipliers give the sharpest.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+
+# Jumps of limits and weights are smoothed over so many points of the circle, always towards larger discs.
+SMOOTHED = 16
+LARGEST_TAIL = 2e-3  # of the last Fourier coefficients kept, relative to the largest: the circle is fine enough
+LANCZOS = 40
+BISECTIONS = 9
+DEEPEST_DB = 20.0  # how far above what a basis reaches a bound is sought
+LEAST_DISC = 1e-12
+
+
+def ramp(angles: FloatArray, first: float, last: float) -> FloatArray:
+    """Return one between two angles, falling smoothly to zero at both, inside them."""
+    width = SMOOTHED * (angles[1] - angles[0])
+    x = np.clip(np.minimum(angles - first, last - angles) / width, 0, 1)
+    return x**3 * (10 - 15 * x + 6 * x * x)
+
+
+def weights_at(
+    angles: FloatArray, found_angles: FloatArray, multipliers: Sequence[FloatArray], active: Sequence[np.ndarray]
+) -> FloatArray:
+    """Return the weights `(demands, angles)` of the multipliers found on another grid, smoothed, adding up to one."""
+    from scipy.ndimage import gaussian_filter1d
+
+    logs = []
+    for held, on in zip(multipliers, active, strict=True):
+        at = found_angles[on]
+        density = np.maximum(held[on], 1e-300) / np.maximum(np.gradient(at), 1e-12)
+        logs.append(gaussian_filter1d(np.interp(angles, at, np.log(density)), SMOOTHED / 2, mode="reflect"))
+    level = np.array(logs)
+    share = np.exp(np.clip(level - level.max(axis=0), -30, 0))
+    return share / share.sum(axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Merged:
+    """One demand on equal angles from 0 to pi: |a + b Q| <= limit * level^share."""
+
+    a: ComplexArray
+    b: ComplexArray
+    limit: FloatArray
+    share: FloatArray | float = 0.0
+
+
+def lowest_level(demands: Sequence[Merged], weights: FloatArray, reached: float) -> float:
+    """Return the highest level found that no stable Q can meet; nan when the circle is too coarse to tell.
+
+    Args:
+        demands: on equal angles from 0 to pi.
+        weights: `(demands, angles)`, adding up to one.
+        reached: a level that some Q meets.
+    """
+    norm, tail = hankel_measure(demands, weights, reached)
+    if norm > 1 or tail > LARGEST_TAIL:
+        return float("nan")
+    low, high = reached * 10 ** (-DEEPEST_DB / 20), reached
+    if hankel_measure(demands, weights, low)[0] <= 1:
+        return 0.0
+    for _ in range(BISECTIONS):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if hankel_measure(demands, weights, middle)[0] > 1 else (low, middle)
+    return float(low)
+
+
+def hankel_measure(demands: Sequence[Merged], weights: FloatArray, level: float) -> tuple[float, float]:
+    """Return the Hankel norm, above one when no stable Q meets all demands at this level, and the tail left out."""
+    shares = [w / (d.limit * level**d.share) ** 2 for d, w in zip(demands, weights, strict=True)]
+    pairs = list(zip(shares, demands, strict=True))
+    P = np.maximum(sum(s * np.abs(d.b) ** 2 for s, d in pairs), np.finfo(float).tiny)
+    R = sum(s * d.b.conj() * d.a for s, d in pairs) / P
+    radius2 = (1 - sum(s * np.abs(d.a) ** 2 for s, d in pairs)) / P + np.abs(R) ** 2
+    if radius2.min() <= 0:
+        return np.inf, 0.0
+    return _hankel_norm(_around(-R) / outer(np.sqrt(radius2)))
+
+
+def outer(size: FloatArray) -> ComplexArray:
+    """Return the outer function of w^-1 round the whole circle with this modulus on equal angles from 0 to pi."""
+    cepstrum = np.fft.ifft(_around(np.log(size))).real
+    half = cepstrum.size // 2
+    cepstrum[1:half] *= 2
+    cepstrum[half + 1 :] = 0
+    return np.exp(np.fft.fft(cepstrum))
+
+
+def _around(half: np.ndarray) -> np.ndarray:
+    return np.concatenate([half, half[-2:0:-1].conj()])
+
+
+def _hankel_norm(F: ComplexArray) -> tuple[float, float]:
+    """Return the norm of the Hankel matrix of the coefficients of w, w^2, ... and the size of the last ones kept."""
+    from scipy.sparse.linalg import LinearOperator, eigsh
+
+    h = (np.fft.fft(F).real / F.size)[1 : F.size // 2]
+    size = float(np.abs(h).max())
+    if size < LEAST_DISC:
+        return size, 0.0
+    tail = float(np.abs(h[-h.size // 4 :]).max()) / size
+    n = h.size // 2
+    length = next_fast_len(3 * n, real=True)
+    spectrum = np.fft.rfft(h[: 2 * n - 1], length)
+
+    def product(x: FloatArray) -> FloatArray:
+        return np.fft.irfft(spectrum * np.fft.rfft(x.ravel()[::-1], length), length)[n - 1 : 2 * n - 1]
+
+    # a symmetric start, so that the same question has the same answer
+    start = np.cos(np.arange(n) * 0.7) + 1.0 / (1 + np.arange(n))
+    operator = LinearOperator((n, n), matvec=product, dtype=np.float64)
+    values = eigsh(operator, k=1, which="LM", tol=1e-5, ncv=LANCZOS, v0=start, return_eigenvectors=False)
+    return float(abs(values[0])), tail

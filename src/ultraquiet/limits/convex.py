@@ -1,0 +1,93 @@
+"""The best flat attenuation of a band that any linear controller can reach."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import between, positive, whole
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.limits._limit import Limit, refused
+from ultraquiet.limits.delays import delayed
+from ultraquiet.limits.demands import WHO, Wishes, checked_band, checked_uncertainty, largest_control
+from ultraquiet.limits.loops import stabilised
+from ultraquiet.limits.search import Search
+from ultraquiet.values.state_space import StateSpace
+
+NO_PATH = 1e-12
+
+
+@single_threaded
+def best_flat_attenuation(
+    plant: StateSpace,
+    band_hz: tuple[float, float],
+    peak_db: float = 6.0,
+    *,
+    control_gain: float | None = None,
+    noise_gain: float | None = None,
+    delay_s: float = 0.0,
+    uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | None" = None,
+    basis: int = 100,
+    certify: bool = True,
+) -> Limit:
+    """Return the best flat attenuation over a band that any linear controller can reach, and a proof from both sides.
+
+    min t over stable Q:  |S| <= t in the band,  |S| <= peak everywhere,  |K S| <= control_gain,
+    ||K S||_2 <= noise_gain,  |W T| <= 1;  S = I + G Q, K S = Q for a stable G, Youla's lines for an unstable one.
+
+    Args:
+        plant: G, one input and one output, continuous or discrete; for several see `by_direction`.
+        band_hz: the band to be quiet, Hz.
+        peak_db: largest amplification allowed at any frequency, dB.
+        control_gain: largest |K S|, output units of the controller per unit of disturbance at the plant's output. None
+            allows 10^4 times what cancelling in the band takes.
+        noise_gain: largest RMS of the control per RMS of white sensor noise, ||K S||_2; discrete time only.
+        delay_s: delay besides the plant's own; whole samples are exact, fractions an all-pass of first order.
+        uncertainty: W of a multiplicative uncertainty, as a scalar system or a table `(f_hz, size)`.
+        basis: states of Q besides those of the plant. More come nearer to the bound.
+        certify: compute `bound_db` too (about as long again).
+
+    Returns:
+        `Limit`. `attenuation_db` is reached by `controller`, which keeps every demand on a grid four times as fine as that
+        of the programme; `bound_db` is reached by none, whatever its order (the noise gain is left out of it).
+
+    Raises:
+        InputError: the plant is not scalar, the band is empty or beyond Nyquist, a number makes no sense.
+
+    An honest specification lies below the attenuation; one above the bound cannot be met and no method should be blamed.
+
+    >>> G = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
+    >>> limit = best_flat_attenuation(G, (5.0, 50.0), 6.0, control_gain=20.0, basis=40)
+    >>> bool(limit.attenuation_db < limit.bound_db < limit.attenuation_db + 1)
+    True
+
+    Boyd and Barratt 1991, "Linear Controller Design: Limits of Performance", chapters 7 and 15; the bound by Nehari's
+    theorem, see `certificate`.
+    """
+    whole(WHO, "basis", basis, 7)
+    band = checked_band(WHO, band_hz, plant.rate_hz)
+    between(WHO, "peak_db", peak_db, -300.0, 300.0, "dB")
+    if plant.D.shape != (1, 1):
+        ny, nu = plant.D.shape
+        raise InputError(f"{WHO}: the plant must have one input and one output, got {nu} and {ny}; use by_direction.")
+    if noise_gain is not None:
+        positive(WHO, "noise_gain", noise_gain)
+        if plant.rate_hz is None:
+            raise InputError(f"{WHO}: 'noise_gain' is for white noise in discrete time; sample the plant first.")
+    weight = checked_uncertainty(plant, uncertainty)
+    plant = delayed(WHO, plant, delay_s)
+    try:
+        search = Search(stabilised(plant), band, basis)
+    except NumericalError as error:
+        return refused(f"{WHO}: {error}.")
+    if np.abs(search.lines.b[search.inside]).max() < NO_PATH:
+        return refused(
+            f"{WHO}: the plant does not answer in {band[0]:g}-{band[1]:g} Hz; nothing can be attenuated there."
+        )
+    if peak_db < 0 and not np.any(plant.D):
+        return refused(
+            f"{WHO}: a peak of {peak_db:g} dB cannot be kept: a loop without direct path has S = 1 at infinity, and by the "
+            "maximum principle at least 0 dB somewhere."
+        )
+    gain = largest_control(control_gain, search.lines, search.inside)
+    wishes = Wishes(band, 10 ** (peak_db / 20), gain, weight)
+    return search.limit(wishes, noise_gain, certify)

@@ -1,0 +1,92 @@
+"""The demands of a limit, checked, and as limits over frequency."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, positive, real_array, same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet.limits.loops import Lines
+from ultraquiet.limits.programme import TIGHTENED, Demand
+from ultraquiet.values.state_space import StateSpace
+
+WHO = "best_flat_attenuation"
+IN_BAND, PEAK, CONTROL, ROBUST = "attenuation", "peak of S", "control gain", "uncertainty"
+# Without a limit on the control, |K S| may still not exceed this many times what cancelling in the band takes.
+FREE_CONTROL = 1e4
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """Band, peak of |S| and the bounds that hold at all frequencies."""
+
+    band_hz: tuple[float, float]
+    peak: float
+    control_gain: float
+    uncertainty: "StateSpace | tuple[FloatArray, FloatArray] | None" = None
+
+    def demands(self, f_hz: FloatArray, lines: Lines) -> list[Demand]:
+        """Return the demands on a grid, that on the band first."""
+        low, high = self.band_hz
+        inside = (f_hz >= low) & (f_hz <= high)
+        never = np.full(f_hz.size, np.inf)
+        # S = 1 is what no control gives: a peak little above it is tightened by a share of what it allows beyond
+        tight = 1 - (1 - TIGHTENED) * min(1.0, max(self.peak - 1, 0.0) if self.peak >= 1 else 1.0)
+        found = [
+            Demand(IN_BAND, lines.a, lines.b, np.where(inside, 1.0, never), sought=True),
+            Demand(PEAK, lines.a, lines.b, np.full(f_hz.size, self.peak), tight=tight),
+            Demand(CONTROL, lines.c, lines.d, np.full(f_hz.size, self.control_gain)),
+        ]
+        if self.uncertainty is not None:
+            found.append(Demand(ROBUST, lines.a - 1, lines.b, 1 / self.weight(f_hz)))
+        return found
+
+    def weight(self, f_hz: FloatArray) -> FloatArray:
+        """Return |W| of the uncertainty on a grid; outside a table's frequencies, its ends."""
+        W = self.uncertainty
+        if isinstance(W, StateSpace):
+            size = np.abs(W.frequency_response(f_hz)[0, 0])
+        else:
+            assert W is not None
+            size = np.exp(np.interp(np.log(np.maximum(f_hz, 1e-12)), np.log(W[0]), np.log(W[1])))
+        return np.maximum(size, 1e-9)  # a weight of zero asks nothing
+
+
+def checked_band(who: str, band_hz: tuple[float, float], rate_hz: float | None) -> tuple[float, float]:
+    """Return the band, or say what is wrong with it."""
+    band = real_array(who, "band_hz", band_hz, 1)
+    if band.size != 2 or not 0 < band[0] < band[1]:
+        raise InputError(f"{who}: 'band_hz' must be two rising frequencies above zero, got {tuple(band.tolist())}.")
+    if rate_hz is not None and band[1] >= rate_hz / 2:
+        raise InputError(
+            f"{who}: the band ends at {band[1]:g} Hz, at or above the Nyquist frequency of {rate_hz / 2:g} Hz; end it lower."
+        )
+    return float(band[0]), float(band[1])
+
+
+def checked_uncertainty(
+    plant: StateSpace, uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | None"
+) -> "StateSpace | tuple[FloatArray, FloatArray] | None":
+    """Return the uncertainty as a stable scalar weight or as a table of frequencies and sizes."""
+    if uncertainty is None:
+        return None
+    if isinstance(uncertainty, StateSpace):
+        same_rate(WHO, "the plant", plant.rate_hz, "the uncertainty", uncertainty.rate_hz)
+        if uncertainty.D.shape != (1, 1):
+            raise InputError(f"{WHO}: the uncertainty must be scalar, got {uncertainty.D.shape}.")
+        return uncertainty
+    f, size = (real_array(WHO, f"uncertainty[{k}]", part, 1) for k, part in enumerate(uncertainty))
+    if f.size != size.size or f.size == 0 or f.min() <= 0 or size.min() <= 0 or np.any(np.diff(f) <= 0):
+        raise InputError(
+            f"{WHO}: a table of uncertainty is (f_hz, size): as many of both, all above zero, f_hz rising."
+        )
+    return f, size
+
+
+def largest_control(control_gain: float | None, lines: Lines, inside: np.ndarray) -> float:
+    """Return the limit on |K S|, a very high one where none is given."""
+    if control_gain is not None:
+        return positive(WHO, "control_gain", control_gain)
+    needed = np.abs(lines.a[inside] / np.maximum(np.abs(lines.b[inside]), np.finfo(float).tiny))
+    return FREE_CONTROL * float(needed.max())

@@ -1,0 +1,137 @@
+"""The convex programme: the smallest level of |S| in the band over all Q of a basis, by cones on a growing grid."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+
+FIRST_POINTS = 250  # of the first grid
+TIGHTENED = 0.998
+VIOLATED = 1.0005  # beyond this share of the tightened demand a point joins the grid
+GROSSLY = 1.01
+ROUNDS = 10
+SOLVED = ("Solved", "AlmostSolved")
+
+
+@dataclass(frozen=True, eq=False)
+class Demand:
+    """|a + b Q| <= limit at some frequencies; a limit of infinity asks nothing there.
+
+    It is put `tight` times tighter than meant, so that it holds between the points of a grid too. `sought` marks the demand whose limit is the unknown level t: there `limit` is a factor of t.
+    """
+
+    name: str
+    a: ComplexArray
+    b: ComplexArray
+    limit: FloatArray
+    sought: bool = False
+    tight: float = TIGHTENED
+
+    def reached(self, q: ComplexArray, level: float) -> FloatArray:
+        """Return |a + b q| over its limit."""
+        return np.abs(self.a + self.b * q) / (self.limit * (level if self.sought else 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A solution: weights of the basis, the level t, one multiplier for each demand and point (zero where not put)."""
+
+    weights: FloatArray
+    level: float
+    multipliers: Sequence[FloatArray]
+    active: Sequence[np.ndarray]
+    status: str
+    rounds: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether the solver found an optimum."""
+        return self.status in SOLVED
+
+
+def solve(functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None = None) -> Found:
+    """Solve on a first grid, add the points at which a demand is broken, and again until none is.
+
+    Args:
+        functions: `(size, nf)` the basis at all candidate frequencies.
+        demands: on the same frequencies.
+        noise: `(rows, size + 1)` matrix whose product with the weights and a last one must not exceed one in norm.
+    """
+    nf = functions.shape[1]
+    first = np.zeros(nf, dtype=bool)
+    first[:: max(1, nf // FIRST_POINTS)] = True
+    for demand in demands:
+        edges = np.flatnonzero(np.diff(np.isfinite(demand.limit).astype(int)))
+        first[edges] = first[edges + 1] = True
+    active = [first & np.isfinite(d.limit) for d in demands]
+    found = solve_on(functions, demands, active, noise)
+    for rounds in range(2, ROUNDS + 1):
+        if not found.ok:
+            break
+        q = found.weights @ functions
+        new = [_broken(d, q, found.level) & ~a for d, a in zip(demands, active, strict=True)]
+        if not any(n.any() for n in new):
+            break
+        active = [a | n for a, n in zip(active, new, strict=True)]
+        found = solve_on(functions, demands, active, noise, rounds)
+    return found
+
+
+def solve_on(
+    functions: ComplexArray,
+    demands: Sequence[Demand],
+    active: Sequence[np.ndarray],
+    noise: FloatArray | None = None,
+    rounds: int = 1,
+) -> Found:
+    """Solve with each demand put at its active points only."""
+    import clarabel
+    from scipy.sparse import csc_matrix
+
+    size = functions.shape[0]
+    blocks = [_cones(functions, d, np.flatnonzero(a)) for d, a in zip(demands, active, strict=True)]
+    cones = [clarabel.SecondOrderConeT(3)] * sum(len(b[1]) // 3 for b in blocks)
+    if noise is not None:
+        rows = np.vstack([np.zeros(size + 1), np.pad(-noise[:, :-1], ((0, 0), (0, 1)))])
+        blocks.append((rows, np.concatenate([[TIGHTENED], noise[:, -1]])))
+        cones.append(clarabel.SecondOrderConeT(len(noise) + 1))
+    A, b = (np.concatenate([block[k] for block in blocks]) for k in (0, 1))
+    cost = np.zeros(size + 1)
+    cost[-1] = 1.0
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    none = csc_matrix((size + 1, size + 1))
+    solution = clarabel.DefaultSolver(none, cost, csc_matrix(A), b, cones, settings).solve()
+    x, z, at, multipliers = np.array(solution.x), np.array(solution.z), 0, []
+    for demand, on in zip(demands, active, strict=True):
+        held = np.zeros(on.size)
+        count = int(on.sum())
+        held[on] = z[at : at + 3 * count : 3] * (x[-1] if demand.sought else 1.0)
+        multipliers.append(held)
+        at += 3 * count
+    return Found(x[:-1], float(x[-1]), multipliers, active, str(solution.status), rounds)
+
+
+def _cones(functions: ComplexArray, demand: Demand, at: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """Return rows and right sides of (limit, Re, Im) at each point, scaled such that the limit is one (or t)."""
+    size, scale = functions.shape[0], 1 / demand.limit[at]
+    line = (functions[:, at] * (demand.b[at] * scale)).T
+    offset = demand.a[at] * scale
+    A, b = np.zeros((at.size, 3, size + 1)), np.zeros((at.size, 3))
+    if demand.sought:
+        A[:, 0, size] = -1.0
+    else:
+        b[:, 0] = demand.tight
+    A[:, 1, :size], A[:, 2, :size] = -line.real, -line.imag
+    b[:, 1], b[:, 2] = offset.real, offset.imag
+    return A.reshape(-1, size + 1), b.ravel()
+
+
+def _broken(demand: Demand, q: ComplexArray, level: float) -> np.ndarray:
+    """Return the points at which the demand is most broken, and all where it is broken grossly."""
+    r = demand.reached(q, level) / (1.0 if demand.sought else demand.tight)
+    peak = np.ones(r.size, dtype=bool)
+    peak[1:-1] = (r[1:-1] >= r[:-2]) & (r[1:-1] >= r[2:])
+    return (r > VIOLATED) & (peak | (r > GROSSLY))

@@ -1,0 +1,178 @@
+"""One search for a limit: grid, basis and lines of a scalar loop, the programme on them, and its proof."""
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.limits import certificate, places
+from ultraquiet.limits._limit import Limit, refused
+from ultraquiet.limits.basis import chain
+from ultraquiet.limits.circle import Circle
+from ultraquiet.limits.demands import IN_BAND, WHO, Wishes
+from ultraquiet.limits.loops import Loops
+from ultraquiet.limits.programme import Demand, Found, solve, solve_on
+from ultraquiet.linalg.zeros import invariant_zeros
+from ultraquiet.values.status import Status
+
+# Points from 0 to pi for the certificate; the next number is taken where one is too small.
+CIRCLE_POINTS = (1 << 14, 1 << 15, 1 << 16)
+USED_UP = 0.99  # share of a demand from which on it binds
+FINER = 4
+QUADRATURE = 1 << 13
+NEGLIGIBLE = 1e-3  # share of a demand by which it may be exceeded between points
+NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
+
+Stretches = tuple[tuple[float, float], ...]
+
+
+class Search:
+    """Everything that depends on plant, band and basis, but not on the demands."""
+
+    def __init__(self, loops: Loops, band_hz: tuple[float, float], basis: int) -> None:
+        plant = loops.plant
+        self.loops, self.band_hz = loops, band_hz
+        self.circle = Circle(plant.rate_hz, float(np.sqrt(band_hz[0] * band_hz[1])))
+        zeros = invariant_zeros(plant.A, plant.B, plant.C, plant.D)
+        self.roots = self.circle.half_plane(np.concatenate([plant.poles(), zeros, *self._regulated()]))
+        self.poles = places.basis_poles(self.roots, self.circle, band_hz, basis)
+        self.basis = chain(self.poles)
+        self.f_hz = places.frequencies(self.roots, self.circle, band_hz)
+        self.lines = loops.at(self.f_hz)
+        self.inside = (self.f_hz >= band_hz[0]) & (self.f_hz <= band_hz[1])
+
+    def _regulated(self) -> list[ComplexArray]:
+        """Return the poles that a Youla parametrisation brings in."""
+        G, F, H = self.loops.plant, self.loops.F, self.loops.H
+        return [
+            np.linalg.eigvals(M).astype(np.complex128) for M in (G.A + G.B @ F, G.A + H @ G.C) if F.any() or H.any()
+        ]
+
+    def limit(self, wishes: Wishes, noise_gain: float | None, certify: bool) -> Limit:
+        """Return the limit under these demands."""
+        scale = wishes.control_gain
+        functions = scale * self.basis.at(self.circle.angles(self.f_hz))
+        demands = wishes.demands(self.f_hz, self.lines)
+        noise = None if noise_gain is None else self._noise(scale, noise_gain)
+        found = solve(functions, demands, noise)
+        if not found.ok:
+            return refused(self._why(functions, demands, noise, found))
+        bound = self._bound(wishes, demands, found) if certify else float("nan")
+        return self._told(wishes, found, found.weights * scale, bound, self._half(functions, demands, found))
+
+    def _noise(self, scale: float, noise_gain: float) -> FloatArray:
+        """Return R with |R (theta, 1)| = ||K S||_2 / noise_gain, the mean square over all frequencies."""
+        rate_hz = self.circle.rate_hz
+        assert rate_hz is not None
+        edges = np.unique(np.concatenate([np.linspace(0, rate_hz / 2, QUADRATURE), self.f_hz]))
+        f, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+        lines = self.loops.at(f)
+        rows = np.vstack([self.basis.at(self.circle.angles(f)) * lines.d * scale, lines.c]).T
+        rows *= np.sqrt(width / width.sum())[:, None] / noise_gain
+        return np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r")
+
+    def _half(self, functions: ComplexArray, demands: Sequence[Demand], found: Found) -> float:
+        """Return the attenuation in dB of every other section of the basis, on the same points, without the noise."""
+        half = chain(self.poles[::2])
+        less = float(functions[0, 0].real) * half.at(self.circle.angles(self.f_hz))
+        again = solve_on(less, demands, found.active)
+        return attenuation(again.level) if again.ok else float("nan")
+
+    def _bound(self, wishes: Wishes, demands: Sequence[Demand], found: Found) -> float:
+        """Return the attenuation in dB that no controller reaches; nan where no circle was fine enough."""
+        angles_found = self.circle.angles(self.f_hz)
+        merged = [[0, 1], *([k] for k in range(2, len(demands)))]  # the band's demand and the peak's are one, of S
+        multipliers = [sum((found.multipliers[k] for k in ks), np.zeros(angles_found.size)) for ks in merged]
+        active = [np.any([found.active[k] for k in ks], axis=0) for ks in merged]
+        edges = self.circle.angles(np.array(self.band_hz))
+        for count in CIRCLE_POINTS:
+            angles = np.linspace(0, np.pi, count + 1)
+            share = certificate.ramp(angles, *edges)
+            wanted = wishes.demands(self.circle.frequencies(angles), self.loops.at(self.circle.frequencies(angles)))[1:]
+            levels = [share, *np.zeros(len(wanted) - 1)]
+            discs = [certificate.Merged(d.a, d.b, d.limit ** (1 - s), s) for d, s in zip(wanted, levels, strict=True)]
+            weights = certificate.weights_at(angles, angles_found, multipliers, active)
+            level = certificate.lowest_level(discs, weights, found.level)
+            if np.isfinite(level):
+                return attenuation(level) if level else np.inf
+        return float("nan")
+
+    def _told(self, wishes: Wishes, found: Found, weights: FloatArray, bound_db: float, half_db: float) -> Limit:
+        """Judge the solution on a finer grid and word it."""
+        f = _finer(self.f_hz)
+        lines = self.loops.at(f)
+        q = weights @ self.basis.at(self.circle.angles(f))
+        S, size = np.abs(lines.a + lines.b * q), np.abs(lines.c + lines.d * q)
+        inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
+        level = float(S[inside].max())
+        reached = {d.name: d.reached(q, level) for d in wishes.demands(f, lines)}
+        over = max(float(r.max()) for r in reached.values()) - 1
+        binding = {name: _stretches(f, r >= USED_UP) for name, r in reached.items()}
+        law = self.loops.controller(self.circle.unwarped(self.basis.realised(weights)))
+        values = attenuation(level), bound_db, 20 * float(np.log10(S.max())), float(size.max())
+        status = Status("ok", self._sentence(found, *values[:2], over, half_db, binding))
+        return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0))
+
+    def _sentence(
+        self,
+        found: Found,
+        attenuation_db: float,
+        bound_db: float,
+        over: float,
+        half_db: float,
+        binding: Mapping[str, Stretches],
+    ) -> str:
+        low, high = self.band_hz
+        bound = f"none exceeds {bound_db:.1f} dB" if np.isfinite(bound_db) else "no bound was certified"
+        used = [f"{name} over {_words(spans)}" for name, spans in binding.items() if name != IN_BAND and spans]
+        kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
+        return (
+            f"A controller attenuates {low:g}-{high:g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
+            f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; solver: {found.status}, "
+            f"{found.rounds} grids, {self.basis.size} functions ({half_db:.1f} dB with half of them)."
+        )
+
+    def _why(self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, found: Found) -> str:
+        """Name the demands without which there is a solution."""
+        if "Infeasible" not in found.status:
+            return f"{WHO}: the solver gave up ({found.status}); ask for less basis or a milder demand."
+        guilty = [
+            demand.name
+            for k, demand in enumerate(demands)
+            if not demand.sought and solve(functions, [*demands[:k], *demands[k + 1 :]], noise).ok
+        ]
+        if noise is not None and solve(functions, demands).ok:
+            guilty.append("noise gain")
+        named = (
+            f"give way in: {' or '.join(guilty)}"
+            if guilty
+            else "no single demand is to blame, several exclude each other"
+        )
+        return f"{WHO}: no stabilising controller keeps all demands; {named}."
+
+
+def attenuation(level: float) -> float:
+    """Return a level of |S| as attenuation in dB."""
+    return -20 * float(np.log10(max(level, NO_LEVEL)))
+
+
+def _finer(f_hz: FloatArray) -> FloatArray:
+    """Return the grid with three points more between every two."""
+    at = np.arange(f_hz.size * FINER - FINER + 1) / FINER
+    return np.interp(at, np.arange(f_hz.size), f_hz)
+
+
+def _stretches(f_hz: FloatArray, on: np.ndarray) -> Stretches:
+    """Return the intervals over which `on` holds; those a semitone or a few points apart are one."""
+    spans: list[list[int]] = []
+    for k in np.flatnonzero(on):
+        if spans and (k - spans[-1][1] <= 3 * FINER or f_hz[k] <= f_hz[spans[-1][1]] * 2 ** (1 / 12)):
+            spans[-1][1] = int(k)
+        else:
+            spans.append([int(k), int(k)])
+    return tuple((float(f_hz[first]), float(f_hz[last])) for first, last in spans)
+
+
+def _words(spans: Stretches) -> str:
+    return " and ".join(f"{low:.3g}-{high:.3g} Hz" if high > low else f"{low:.3g} Hz" for low, high in spans[:4])
