@@ -1,22 +1,30 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
+from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.band import BandAttenuation, common_mode, worst_attenuation_db
+from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.h2 import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.loop_shaping import LoopShaping
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
+from ultraquiet.design.tonal import Resonators
 from ultraquiet.design.weights import band_pass, high_pass, peak
+from ultraquiet.design.youla import YoulaKucera
 from ultraquiet.values.generalised import four_block, output_shaping
 
 __all__ = [
+    "AdaptiveFeedforward",
     "BandAttenuation",
     "DesignMethod",
     "DesignResult",
+    "FilteredXLms",
     "LoopShaping",
     "Lqg",
     "MixedSensitivity",
+    "Resonators",
+    "YoulaKucera",
     "band_pass",
     "common_mode",
     "four_block",

@@ -1,0 +1,163 @@
+"""What every adaptive law shares: a linear law inside, limits, and a watch that brings it to rest when it does harm."""
+
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet.design._around import Inner
+from ultraquiet.linalg import balance
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+RAMP_S = 0.1  # from the last good command to zero
+PATIENCE_S = 1.0  # at a limit, before the law is doubted
+PROBE_S = 1.0  # at rest, to hear whether that is quieter
+MEAN_S = 0.25  # of the running power of the readings
+NEGLIGIBLE = 1e-3  # Hankel values below this share of the largest leave the models that make regressors
+WORSE = 1.25  # power with the law against power at rest, above which it did harm
+
+Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+
+class AdaptiveLaw:
+    """u = K0 y + v, sample by sample; v adapts. A subclass fills in `_start` and `_adapt`.
+
+    `status` is `ok`, `limited` (some command stood at its limit for a second, but at rest it was louder), or
+    `diverged`: readings or states were no longer finite, or a second at a limit was louder than the rest that followed.
+    Then v goes to zero within a tenth of a second and stays there until `reset`; K0 goes on while it is finite.
+
+    Args:
+        who: opens the sentences.
+        inner: K0 and the plant that v meets.
+        law: the linear law that this one is while its parameters stand still.
+        limit_v: largest |v|, volts, `(nu,)`.
+    """
+
+    def __init__(self, who: str, inner: Inner, law: StateSpace, limit_v: FloatArray) -> None:
+        assert inner.seen.rate_hz is not None
+        self.law, self.limit_v = law, limit_v
+        self._who, self._inner, self._rate = who, inner, inner.seen.rate_hz
+        self._first = contiguous(inner.first)
+        self._mean = 1.0 / (MEAN_S * self._rate)
+        self.reset()
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate in Hz."""
+        return self._rate
+
+    @property
+    def status(self) -> Status:
+        """How the law feels."""
+        return self._status
+
+    def reset(self) -> None:
+        """Return to rest and forget."""
+        nu, ny = self._inner.first.D.shape
+        self._status = Status("ok", f"{self._who}: adapting.")
+        self._x, self._work = np.zeros(self._inner.first.states), np.zeros(self._inner.first.states)
+        self._base, self._v, self._y0 = np.zeros(nu), np.zeros(nu), np.zeros(ny)
+        self._last, self._sent, self._fade = np.zeros(nu), np.zeros(nu), -1
+        self._power, self._at_limit, self._probe, self._with_law = 0.0, 0, 0, 0.0
+        self._trusted = False
+        self._start()
+
+    def _start(self) -> None:
+        """Return what adapts to rest."""
+        raise NotImplementedError
+
+    def _adapt(self, y: FloatArray) -> int:
+        """Fill `_v` and `_y0` for the readings of this sample; return how many limits were met."""
+        raise NotImplementedError
+
+    def step(self, y: Any) -> FloatArray:
+        """Return the commands `(nu,)` for the readings `(ny,)` of this sample; always finite.
+
+        Raises:
+            InputError: another number of readings.
+        """
+        given = np.asarray(y, dtype=np.float64).reshape(-1)
+        if given.size != self._inner.first.D.shape[1]:
+            raise InputError(f"{self._who}: takes {self._inner.first.D.shape[1]} readings, got {given.size}.")
+        sound = bool(np.isfinite(given).all())
+        base = self._linear(given) if sound else None
+        if base is None:
+            self._diverged("a reading or the law around which it was put was no longer finite")
+            return self._faded(self._sent)
+        self._power += self._mean * (float(given @ given) - self._power)
+        if self._fade >= 0:
+            self._listen()
+            return base + self._faded(self._last)
+        met = self._adapt(given)
+        if not np.isfinite(self._v).all():
+            self._diverged("its parameters were no longer finite")
+            return base + self._faded(self._last)
+        self._watch(met)
+        self._last = self._v.copy()
+        self._sent = base + self._last
+        return self._sent.copy()
+
+    def _linear(self, y: FloatArray) -> FloatArray | None:
+        from ultraquiet.design.tonal_kernels import linear_step
+
+        if not self._x.size:
+            return self._first[3] @ y
+        linear_step(self._first, self._x, self._work, y, self._base)
+        return self._base.copy() if np.isfinite(self._base).all() else None
+
+    def _watch(self, met: int) -> None:
+        """Doubt the law once it has been at a limit for long, and try what rest would be like."""
+        self._at_limit = self._at_limit + 1 if met else max(self._at_limit - 1, 0)
+        if self._at_limit > PATIENCE_S * self._rate and not self._trusted:
+            self._with_law, self._fade, self._probe = self._power, 0, round(PROBE_S * self._rate)
+
+    def _listen(self) -> None:
+        """Count down the rest; then stay there when it is quieter, else begin again."""
+        if self._probe == 0:
+            return
+        self._probe -= 1
+        if self._probe:
+            return
+        if self._with_law > WORSE * self._power:
+            ratio = 10 * np.log10(self._with_law / max(self._power, np.finfo(float).tiny))
+            self._diverged(f"at its limit it was {ratio:.1f} dB louder than at rest")
+            return
+        self._status = Status("limited", f"{self._who}: commands stand at their limit; the tone is only made smaller.")
+        self._fade, self._at_limit, self._trusted = -1, 0, True
+        self._start()
+
+    def _diverged(self, why: str) -> None:
+        if self._status.word != "diverged":
+            self._status = Status("diverged", f"{self._who}: brought to rest, because {why}.")
+            self._fade = max(self._fade, 0)
+        self._probe = 0
+
+    def _faded(self, last: FloatArray) -> FloatArray:
+        """Return the command on the way from `last` to rest."""
+        share = max(1.0 - self._fade / (RAMP_S * self._rate), 0.0)
+        self._fade += 1
+        return share * last
+
+
+def contiguous(system: StateSpace) -> Matrices:
+    """Return A, B, C, D as the kernels take them."""
+    A, B, C, D = (np.array(m, order="C") for m in (system.A, system.B, system.C, system.D))
+    return A, B, C, D
+
+
+def limits_v(who: str, limit_v: float | tuple[float, ...], nu: int) -> FloatArray:
+    """Return one limit per actuator, volts."""
+    given = np.atleast_1d(np.asarray(limit_v, dtype=np.float64))
+    if given.size not in (1, nu) or not np.all(given > 0):
+        raise InputError(f"{who}: 'limit_v' must be one voltage above zero, or {nu}, got {limit_v!r}.")
+    return np.ascontiguousarray(np.broadcast_to(given, (nu,)), dtype=np.float64)
+
+
+def without_faint_states(system: StateSpace) -> StateSpace:
+    """Return a stable system without the states that hardly matter: dozens of copies of it may run beside the loop."""
+    P, Q = balance.gramians(system.A, system.B, system.C, discrete=True)
+    values = balance.balancing(P, Q, 0)[2]
+    left, right, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
+    return StateSpace(*balance.truncate((system.A, system.B, system.C, system.D), left, right), system.rate_hz)
