@@ -9,6 +9,8 @@ from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.loop_shaping import LoopShaping
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
+from ultraquiet.design.specification import Score, Specification
+from ultraquiet.design.structured import FixedStructure
 from ultraquiet.design.tonal import Resonators
 from ultraquiet.design.weights import band_pass, high_pass, peak
 from ultraquiet.design.youla import YoulaKucera
@@ -20,10 +22,13 @@ __all__ = [
     "DesignMethod",
     "DesignResult",
     "FilteredXLms",
+    "FixedStructure",
     "LoopShaping",
     "Lqg",
     "MixedSensitivity",
     "Resonators",
+    "Score",
+    "Specification",
     "YoulaKucera",
     "band_pass",
     "common_mode",

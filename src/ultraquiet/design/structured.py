@@ -1,0 +1,214 @@
+"""Controllers of a structure given beforehand: few states, one law for all struts, a law for each, a constant transform."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, one_of, whole
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import judged
+from ultraquiet.design.band import common_mode
+from ultraquiet.design.specification import Specification, specified
+from ultraquiet.design.structured_elements import Element, Sections, from_system
+from ultraquiet.design.structured_layout import Layout, alike, apart
+from ultraquiet.design.structured_layout import whole as one_element
+from ultraquiet.design.structured_problem import Plane, Problem, plane_of
+from ultraquiet.design.structured_search import balanced, lowest
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+STRUCTURES = ("alike", "apart", "full")
+STEPS = 200
+ROUNDS = 6
+QUIETER = 0.7  # a start that is unstable with the plant is turned down by this factor, again and again
+TURNS = 40
+SPREAD = 0.3  # of the random starts around the first, relative
+
+
+@register("design", "fixed-structure")
+@dataclass(frozen=True)
+class FixedStructure:
+    """The best law of a few states, the same on every channel or one for each, for a specification.
+
+    min over theta of max over f of sigma(S) / s(f), subject to sigma(S) <= peak, sigma(K S) <= limit, ...
+
+    Args:
+        states: of the law of one channel (of the whole law when `full`).
+        structure: `alike` one scalar law used on every channel, `apart` a law for each, `full` one law for all.
+        specification: what is asked, also as a table of its settings. Absent, the attenuation in the default's band is
+            a wish and no demand.
+        starts: how many points the search starts from: the reduced H-infinity design, then others near it at random.
+        seed: of the random starts.
+
+    >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    >>> result = FixedStructure(states=2).design(plant)
+    >>> result.status.ok, result.controller.states, result.peak_sensitivity_db <= 8
+    (True, 2, True)
+
+    Apkarian and Noll 2006, doi:10.1109/TAC.2005.860290; Burke, Henrion, Lewis and Overton 2006 (HIFOO),
+    doi:10.3182/20060705-3-FR-2907.00059.
+    """
+
+    states: int = 12
+    structure: str = "alike"
+    specification: Specification | Mapping[str, Any] | None = None
+    starts: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        who = "FixedStructure"
+        one_of(who, "structure", self.structure, STRUCTURES)
+        whole(who, "states", self.states, 0)
+        whole(who, "starts", self.starts, 1)
+        object.__setattr__(self, "specification", specified(self.specification))
+
+    @single_threaded
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the controller u = K y; its status is `short` when the specification is not met by the best law found.
+
+        `details["score"]` says how each requirement stands, `details["full_order"]` how the H-infinity law does that
+        the search began with, `gamma` and `achieved` are the greatest requirement over its bound.
+
+        Raises:
+            InputError: a plant that is not square, frequencies above Nyquist.
+        """
+        wanted = self.specification if isinstance(self.specification, Specification) else Specification()
+        wanted.fits("FixedStructure", plant)
+        begun = self._begin(plant, wanted)
+        return tuned(plant, begun, wanted, self, self.starts, self.seed, demanded=self.specification is not None)
+
+    def _begin(self, plant: StateSpace, wanted: Specification) -> "Start":
+        """Return the layout and the reduced H-infinity design in it."""
+        part = plant if self.structure == "full" else common_mode(plant)
+        plane = plane_of(plant)
+        try:
+            full = wanted.weighted().synthesis(part).controller
+        except UltraquietError:
+            full = None
+        element, theta = _reduced(full, self.states, plane, part.D.shape)
+        n = plant.D.shape[0]
+        if self.structure == "full":
+            return Start(one_element(element), theta, full)
+        if self.structure == "alike":
+            layout = alike(element, n)
+            if n > 1:  # the search is a hundred times quicker on the function that all channels share
+                theta = _first_on_part(part, one_element(element), theta, wanted)
+            return Start(layout, theta, full)
+        first = _first_on_part(part, one_element(element), theta, wanted)
+        return Start(apart((element,) * n, n), np.tile(first, n), full)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A layout, parameters to begin with, and the law of full order they came from."""
+
+    layout: Layout
+    theta: FloatArray
+    full_order: StateSpace | None = None
+
+
+def tuned(
+    plant: StateSpace, start: Start, wanted: Specification, settings: Any, starts: int, seed: int, demanded: bool
+) -> DesignResult:
+    """Tune a layout to a specification and judge what comes out on the plant itself."""
+    who = type(settings).__name__
+    problem = posed(plant, start.layout, wanted)
+    points = _points(problem, start.theta, starts, np.random.default_rng(seed))
+    found = lowest(problem, points, STEPS, 2)
+    if found is None:
+        return refused(f"{who}: no start gave a stable loop; try another structure, more states or more starts.")
+    theta, _ = balanced(problem, found[0], STEPS, ROUNDS)
+    levels = problem.measured(theta)
+    controller = problem.plane.from_plane(start.layout.system(theta))
+    score = wanted.score(plant, controller)
+    details = {
+        "score": score,
+        "levels": dict(zip([r.name for r in problem.requirements], levels.tolist(), strict=True)),
+        "theta": theta,
+        "parameters": theta.size,
+        "specification": wanted,
+        "full_order": start.full_order,
+        "points": problem.samples.w.size,
+    }
+    result = judged(plant, controller, settings, float(levels.max()), _achieved(wanted, score), {}, details)
+    return worded(result, score, demanded)
+
+
+def posed(plant: StateSpace, layout: Layout, wanted: Specification) -> Problem:
+    """Return the problem of a specification on a plant."""
+    P, requirements = wanted.requirements(plant)
+    return Problem(P, plant, layout, requirements, more_hz=wanted.grid_hz())
+
+
+def worded(result: DesignResult, score: Any, demanded: bool) -> DesignResult:
+    """Say in the status whether a specification is met; what is only wished cannot fail."""
+    missing = {k for k, v in score.shortfall.items() if v > 0}
+    if not result.status.ok or not (missing if demanded else missing - {"attenuation_db"}):
+        return result
+    return replace(result, status=Status("short", f"{score.sentence} This is the best found."))
+
+
+def _achieved(wanted: Specification, score: Any) -> float:
+    """Return the greatest requirement over its bound, from the norms measured on the finished loop."""
+    got = score.measured
+    ratios = [
+        10 ** ((wanted.attenuation_db - got["attenuation_db"]) / 20),
+        10 ** ((got["peak_db"] - wanted.peak_db) / 20),
+        got["control_gain"] / wanted.control_limit,
+    ]
+    if wanted.disk_margin is not None:
+        ratios.append(wanted.disk_margin / got["disk_margin"])
+    if wanted.roll_off_hz is not None:
+        ratios.append(10 ** ((wanted.roll_off_db - got["roll_off_db"]) / 20))
+    return max(ratios + [10 ** ((wanted.tone_db - got[f"tone_{f:g}_hz_db"]) / 20) for f in wanted.tones_hz])
+
+
+def _points(problem: Problem, theta: FloatArray, starts: int, rng: np.random.Generator) -> list[FloatArray]:
+    """Return the start, turned down until the loop is stable, and others around it."""
+    out = [_calmed(problem, theta)]
+    for _ in range(starts - 1):
+        out.append(_calmed(problem, theta * (1 + SPREAD * rng.standard_normal(theta.size))))
+    return out
+
+
+def _calmed(problem: Problem, theta: FloatArray) -> FloatArray:
+    trial = theta.copy()
+    for _ in range(TURNS):
+        if problem.stability(trial) < 0:
+            return trial
+        trial = np.concatenate(
+            [
+                e.turned_down(t, QUIETER)
+                for e, t in zip(problem.layout.elements, problem.layout.parts(trial), strict=True)
+            ]
+        )
+    return theta
+
+
+def _first_on_part(part: StateSpace, layout: Layout, theta: FloatArray, wanted: Specification) -> FloatArray:
+    problem = posed(part, layout, wanted)
+    found = lowest(problem, [_calmed(problem, theta)], STEPS, 2)
+    return theta if found is None else balanced(problem, found[0], STEPS, ROUNDS)[0]
+
+
+def _reduced(law: StateSpace | None, states: int, plane: Plane, shape: tuple[int, int]) -> tuple[Element, FloatArray]:
+    """Return a law balanced and truncated to some states as an element; a random one when that cannot be."""
+    if law is not None and states and law.is_stable():
+        M: Matrices = plane.to_plane(law)
+        P, Q = balance.gramians(*M[:3], discrete=False)
+        left, right, _ = balance.balancing(P, Q, states)
+        found = from_system(balance.truncate(M, left, right)) if left.shape[0] == states else None
+        if found is not None:
+            return found
+    element = Sections(states, shape[1], shape[0], np.ones(states))
+    low, high = (
+        float(w) for w in plane.of_hz(np.array([5.0, 500.0 if plane.rate_hz is None else 0.2 * plane.rate_hz]))
+    )
+    return element, element.start(np.random.default_rng(0), low, high)

@@ -1,0 +1,94 @@
+"""Where tunable elements stand in a controller: K = sum over places of L k R, elements shared between places or not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.design.structured_elements import Element
+from ultraquiet.linalg.ordered import Matrices
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Element number `element` between rows R `(c, ny)` of the readings and columns L `(nu, r)` of the commands."""
+
+    element: int
+    left: FloatArray
+    right: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A controller K = sum L k_e(theta) R; the parameters of all elements follow each other in theta."""
+
+    elements: tuple[Element, ...]
+    places: tuple[Place, ...]
+
+    @property
+    def edges(self) -> list[int]:
+        """Where the parameters of each element begin and the last ends."""
+        return [0, *np.cumsum([e.size for e in self.elements]).tolist()]
+
+    def parts(self, theta: FloatArray) -> list[FloatArray]:
+        """Return the parameters of each element."""
+        edges = self.edges
+        return [theta[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+
+    def response(self, theta: FloatArray, s: ComplexArray) -> ComplexArray:
+        """Return K `(frequency, nu, ny)`."""
+        own = [e.response(t, s) for e, t in zip(self.elements, self.parts(theta), strict=True)]
+        first = self.places[0]
+        K = np.zeros((s.size, first.left.shape[0], first.right.shape[1]), dtype=np.complex128)
+        for p in self.places:
+            K += p.left @ own[p.element] @ p.right
+        return K
+
+    def gradient(self, theta: FloatArray, s: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
+        """Return left (dK / dtheta) right for each frequency, left `(nf, nu)`, right `(nf, ny)`."""
+        out, parts, edges = np.zeros((s.size, theta.size), dtype=np.complex128), self.parts(theta), self.edges
+        for p in self.places:
+            e = p.element
+            slopes = self.elements[e].gradient(parts[e], s, left @ p.left, right @ p.right.T)
+            out[:, edges[e] : edges[e + 1]] += slopes
+        return out
+
+    def system(self, theta: FloatArray) -> Matrices:
+        """Return A, B, C, D of the whole controller, place after place."""
+        own = [e.system(t) for e, t in zip(self.elements, self.parts(theta), strict=True)]
+        sizes = [own[p.element][0].shape[0] for p in self.places]
+        A, at = np.zeros((sum(sizes), sum(sizes))), 0
+        for p, n in zip(self.places, sizes, strict=True):
+            A[at : at + n, at : at + n] = own[p.element][0]
+            at += n
+        B = np.vstack([own[p.element][1] @ p.right for p in self.places])
+        C = np.hstack([p.left @ own[p.element][2] for p in self.places])
+        D = np.sum([p.left @ own[p.element][3] @ p.right for p in self.places], axis=0)
+        return A, B, C, D
+
+    def abscissa(self, theta: FloatArray) -> float:
+        """Return the largest real part of the controller's own poles; minus infinity without states."""
+        poles = [np.linalg.eigvals(e.system(t)[0]).real for e, t in zip(self.elements, self.parts(theta), strict=True)]
+        return float(max((p.max() for p in poles if p.size), default=-np.inf))
+
+    def start(self, rng: np.random.Generator, low: float, high: float) -> FloatArray:
+        """Return a random start."""
+        return np.concatenate([e.start(rng, low, high) for e in self.elements])
+
+
+def whole(element: Element) -> Layout:
+    """Return the controller that is one element."""
+    r, c = element.shape
+    return Layout((element,), (Place(0, np.eye(r), np.eye(c)),))
+
+
+def alike(element: Element, channels: int, transform: FloatArray | None = None) -> Layout:
+    """Return the same scalar element on each channel, or on each column of an orthonormal transform."""
+    T = np.eye(channels) if transform is None else transform
+    return Layout((element,), tuple(Place(0, T[:, [k]], T[:, [k]].T) for k in range(channels)))
+
+
+def apart(elements: tuple[Element, ...], channels: int) -> Layout:
+    """Return an element of its own on each channel."""
+    one = np.eye(channels)
+    return Layout(elements, tuple(Place(k, one[:, [k]], one[[k]]) for k in range(channels)))

@@ -1,0 +1,196 @@
+"""Minimising a maximum of peaks: BFGS with a weak Wolfe search, then steps on all peaks at once."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.design.structured_problem import Problem, abscissa
+
+# weak Wolfe: sufficient decrease, sufficient increase of the slope (Lewis and Overton 2013)
+DECREASE, CURVATURE = 1e-4, 0.5
+BISECTIONS = 30
+STAGNANT = 1e-5  # relative decrease over PATIENCE steps below which BFGS hands over
+PATIENCE = 8
+ACTIVE = 0.15  # peaks within this share of the greatest enter the model
+MOST = 80
+ACCEPTED = 0.05  # of the promised decrease
+FIRST = 1e-2
+SMALLEST, LARGEST = 1e-10, 1e8  # of the damping
+ENOUGH = 1e-6  # relative decrease of a model step below which a point counts as stationary
+LEVEL = 3e-3  # of the greatest requirement around one, where the balance of hard and soft is found
+
+Value = Callable[[FloatArray, float], float]
+
+
+def bfgs(
+    value: Value, gradient: Callable[[FloatArray], FloatArray], x: FloatArray, steps: int
+) -> tuple[FloatArray, float]:
+    """Minimise a function smooth almost everywhere.
+
+    Lewis and Overton 2013, doi:10.1007/s10107-012-0514-2: with a search that bisects for the weak Wolfe conditions, BFGS
+    converges on non-smooth functions too, its matrix learning the kink.
+    """
+    f, g = value(x, np.inf), gradient(x)
+    H = np.eye(x.size) / max(float(np.linalg.norm(g)), 1e-12) * max(0.1 * float(np.linalg.norm(x)), 0.1)
+    history = [f]
+    for step in range(steps):
+        d = -H @ g
+        slope = float(g @ d)
+        if slope >= 0:
+            break
+        found = _wolfe(value, gradient, x, f, d, slope)
+        if found is None:
+            break
+        t, x, f, new = found
+        s, y = t * d, new - g
+        g, sy = new, float(s @ y)
+        if sy > 0:
+            if step == 0:
+                H = np.eye(x.size) * sy / float(y @ y)
+            V = np.eye(x.size) - np.outer(s, y) / sy
+            H = V @ H @ V.T + np.outer(s, s) / sy
+        history.append(f)
+        if len(history) > PATIENCE and history[-1 - PATIENCE] - f < STAGNANT * abs(f):
+            break
+    return x, f
+
+
+def _wolfe(
+    value: Value, gradient: Callable[[FloatArray], FloatArray], x: FloatArray, f: float, d: FloatArray, slope: float
+) -> tuple[float, FloatArray, float, FloatArray] | None:
+    low, high, t, kept = 0.0, np.inf, 1.0, None
+    for _ in range(BISECTIONS):
+        ceiling = f + DECREASE * t * slope
+        trial = value(x + t * d, ceiling)
+        if not trial < ceiling:
+            high = t
+        else:
+            g = gradient(x + t * d)
+            kept = (t, x + t * d, trial, g)
+            if float(g @ d) >= CURVATURE * slope:
+                return kept
+            low = t
+        t = (low + high) / 2 if np.isfinite(high) else 2 * t
+        if kept is not None and high - low < 1e-3 * high:
+            return kept
+    return kept
+
+
+def minimax(problem: Problem, x: FloatArray, steps: int) -> tuple[FloatArray, float]:
+    """Descend on the model max_i (f_i + g_i d) + mu |d|^2 / 2 of all peaks near the greatest.
+
+    The step of Levenberg with a maximum in place of squares; peaks that would rise are held down before they do, and
+    where as many peaks are level as there are parameters it converges as fast as Newton's method.
+    """
+    f, mu = problem.value(x), FIRST
+    for _ in range(steps):
+        f = problem.value(x)  # the grid may have grown
+        values, slopes = problem.peaks(x, ACTIVE, MOST)
+        refused = False
+        while True:
+            d = _model_step(values, slopes, mu)
+            promised = f - float(np.max(values + slopes @ d))
+            if promised < ENOUGH * f:
+                # too short a step, unless steps twice as long have just failed
+                if refused or mu <= SMALLEST:
+                    return x, f
+                mu /= 10
+                continue
+            trial = problem.value(x + d, f)
+            if f - trial > ACCEPTED * promised:
+                mu = max(mu * (0.2 if f - trial > 0.5 * promised else 1.0), SMALLEST)
+                x, f = x + d, trial
+                break
+            refused, mu = True, 4 * mu
+            if mu > LARGEST:
+                return x, f
+    return x, f
+
+
+def _model_step(values: FloatArray, slopes: FloatArray, mu: float) -> FloatArray:
+    """Return argmin over d of max(values + slopes d) + mu max(values) |d|^2 / 2, by its dual over the simplex."""
+    import clarabel
+    from scipy import sparse
+
+    m, top = values.size, float(values.max())
+    G = slopes / top
+    # dual: min |G' l|^2 / (2 mu) - values' l over l >= 0, sum l = 1; then d = -G' l / mu
+    Q = sparse.csc_matrix(np.triu(G @ G.T / mu + 1e-13 * np.eye(m)))
+    A = sparse.csc_matrix(np.vstack([np.ones((1, m)), -np.eye(m)]))
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    cones = [clarabel.ZeroConeT(1), clarabel.NonnegativeConeT(m)]
+    solved = clarabel.DefaultSolver(Q, -values / top, A, np.append(1.0, np.zeros(m)), cones, settings).solve()
+    share = np.maximum(np.array(solved.x), 0.0)
+    if not np.all(np.isfinite(share)) or share.sum() == 0:
+        share = np.zeros(m)
+        share[int(np.argmax(values))] = 1.0
+    return -(G.T @ (share / share.sum())) / mu
+
+
+def stabilised(problem: Problem, x: FloatArray, steps: int = 200) -> FloatArray | None:
+    """Return parameters near x with which the loop is stable (phase one), or None."""
+    if problem.stability(x) < 0:
+        return x
+
+    def value(point: FloatArray, ceiling: float) -> float:
+        del ceiling
+        try:
+            return float(np.linalg.eigvals(problem.closed(point)).real.max(initial=-np.inf))
+        except np.linalg.LinAlgError:
+            return np.inf
+
+    def gradient(point: FloatArray) -> FloatArray:
+        return abscissa(problem, point)[1]
+
+    # in bursts: as soon as the loop is stable, the norm is what counts
+    for _ in range(max(1, steps // 20)):
+        x, worst = bfgs(value, gradient, x, 20)
+        if worst < 0 and problem.stability(x) < 0:
+            return x
+    return x if problem.stability(x) < 0 else None
+
+
+def lowest(problem: Problem, starts: list[FloatArray], steps: int, rounds: int) -> tuple[FloatArray, float] | None:
+    """Return the best of several starts, its grid refined until no peak hides between the points."""
+    ends: list[tuple[float, FloatArray]] = []
+    for start in starts:
+        x = stabilised(problem, start)
+        if x is None or not np.isfinite(problem.value(x)):
+            continue
+        x, f = bfgs(problem.value, problem.gradient, x, steps)
+        x, f = minimax(problem, x, steps // 4)
+        ends.append((f, x))
+    if not ends:
+        return None
+    x = min(ends, key=lambda e: e[0])[1]
+    for _ in range(rounds):
+        hidden = problem.refine(x)
+        old = problem.value(x)
+        if not np.isfinite(old):
+            break
+        x, f = minimax(problem, x, steps)
+        x, f = bfgs(problem.value, problem.gradient, x, steps)
+        x, f = minimax(problem, x, steps)
+        if hidden < 1e-4 and old - f < 1e-4 * old:
+            break
+    return x, problem.value(x)
+
+
+def balanced(problem: Problem, x: FloatArray, steps: int, rounds: int) -> tuple[FloatArray, float]:
+    """Return parameters at which what is hard is met and what is soft is as small as that allows.
+
+    max(soft weight * soft, hard) is minimised, and the weight moved until the greatest of all is one.
+    """
+    f = problem.value(x)
+    for _ in range(rounds):
+        problem.soft /= f
+        x, _ = minimax(problem, x, steps)
+        x, _ = bfgs(problem.value, problem.gradient, x, steps)
+        x, _ = minimax(problem, x, steps)
+        problem.refine(x)
+        f = problem.value(x)
+        if abs(f - 1) < LEVEL:
+            break
+    return x, f
