@@ -64,6 +64,9 @@ def delay(samples: int, channels: int) -> Matrices:
 
 
 def _reachable(M: Array, where: str) -> None:
-    # balanced first, so that the units of the states do not count
-    if M.shape[0] and np.linalg.cond(matrix_balance(M, permute=False)[0]) > UNREACHABLE:
+    if not M.shape[0]:
+        return
+    with np.errstate(invalid="ignore"):  # SciPy turns scale factors into integers, which large ones overflow
+        balanced = matrix_balance(M, permute=False)[0]  # so that the units of the states do not count
+    if np.linalg.cond(balanced) > UNREACHABLE:
         raise NumericalError(f"bilinear map: the system has a pole at {where}; move it by a small amount first.")

@@ -69,7 +69,8 @@ def symplectic_scale(A: Array, G: Array, Q: Array) -> Array:
     if not np.isfinite(H).all():
         raise NumericalError(f"Riccati equation ({n} states): its matrices overflow; scale the problem.")
     np.fill_diagonal(H, 0.0)
-    _, (scale, _) = matrix_balance(H, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # SciPy also turns the scale factors into integers, which large ones overflow
+        _, (scale, _) = matrix_balance(H, permute=False, separate=True)
     s = np.log2(scale)
     return np.exp2(np.round((s[:n] - s[n:]) / 2))
 
