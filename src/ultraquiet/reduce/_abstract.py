@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
@@ -14,6 +16,7 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
 METHODS = ("truncation", "perturbation")
+Weights = Mapping[str, StateSpace] | StateSpace | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +24,14 @@ class ReductionResult:
     """The outcome of a reduction.
 
     Attributes:
-        status: `ok` when the loop is stable with the reduced system (or when no loop was asked for).
+        status: `ok` when the loop is stable with the reduced system (or when no loop was asked for) and no more was
+            lost than allowed; else `unstable` or `loss`.
         controller: the reduced system.
         hankel: the (weighted) Hankel values by which states were kept, largest first.
         cost_before: closed-loop norm with the full controller; nan where no loop was given.
-        cost_after: the same with the reduced one.
-        details: everything else, by name.
+        cost_after: the same with the reduced one, computed again from the finished controller.
+        details: everything else, by name; `certificate` holds `stable`, `norm`, `before`, `after`, `loss_percent`,
+            `allowed_percent`, `states`, `multiply_adds` and `budget`.
         provenance: settings and parents.
     """
 
@@ -41,7 +46,34 @@ class ReductionResult:
     @property
     def loss(self) -> float:
         """Relative growth of the closed-loop norm."""
-        return self.cost_after / self.cost_before - 1
+        return self.cost_after / self.cost_before - 1 if self.cost_before else 0.0
+
+
+class Parts(NamedTuple):
+    """A system split in two: matrices to be reduced, and A, B, C of the part that is kept as it is."""
+
+    reducible: Matrices
+    kept: tuple[FloatArray, FloatArray, FloatArray]
+
+
+def split(system: StateSpace, slowest_hz: float = 0.0) -> Parts:
+    """Split off the part that is unstable or decays slower than exp(-2 pi slowest_hz t)."""
+    decay = 2 * np.pi * slowest_hz
+    discrete = system.rate_hz is not None
+    # the border of decay becomes the border of stability
+    shifted = system.A * np.exp(decay / system.rate_hz) if system.rate_hz else system.A + decay * np.eye(system.states)
+    T, inverse, count = balance.stable_first(shifted, discrete)
+    A, B, C = inverse @ system.A @ T, inverse @ system.B, system.C @ T
+    return Parts((A[:count, :count], B[:count], C[:, :count], system.D), (A[count:, count:], B[count:], C[:, count:]))
+
+
+def joined(reduced: Matrices, kept: tuple[FloatArray, FloatArray, FloatArray]) -> Matrices:
+    """Return the reduced part and the kept one side by side."""
+    a, b, c, d = reduced
+    if not kept[0].shape[0]:
+        return reduced
+    whole = np.asarray(block_diag(a, kept[0])) if a.shape[0] else kept[0]
+    return whole, np.vstack([b, kept[1]]), np.hstack([c, kept[2]]), d
 
 
 def project(
@@ -51,16 +83,24 @@ def project(
 
     `truncation` drops the other states, `perturbation` replaces them by their steady state, which keeps the gain at
     0 Hz (Liu and Anderson 1989, doi:10.1080/00207178908953437).
+
+    Raises:
+        NumericalError: the states to be left out have no steady state.
     """
     left, right, values = balance.balancing(P, Q, order)
-    if method == "truncation" or left.shape[0] in {0, M[0].shape[0]}:
+    if method == "truncation" or left.shape[0] == M[0].shape[0]:
         return balance.truncate(M, left, right), values
     # the states left out: the null space of `left`, and that of `right` transposed made its dual
     beside = _null(left)
-    dual = np.linalg.solve(_null(right.T).T @ beside, _null(right.T).T)
-    T, inverse = np.hstack([right, beside]), np.vstack([left, dual])
-    whole = (inverse @ M[0] @ T, inverse @ M[1], M[2] @ T, M[3])
-    return balance.residualize(whole, left.shape[0], discrete), values
+    try:
+        dual = np.linalg.solve(_null(right.T).T @ beside, _null(right.T).T)
+        T, inverse = np.hstack([right, beside]), np.vstack([left, dual])
+        whole = (inverse @ M[0] @ T, inverse @ M[1], M[2] @ T, M[3])
+        return balance.residualize(whole, left.shape[0], discrete), values
+    except np.linalg.LinAlgError:
+        raise NumericalError(
+            "reduce: the states to be left out have no steady state; take method='truncation' or keep more states."
+        ) from None
 
 
 def renamed(M: Matrices, like: StateSpace, made: Provenance) -> StateSpace:

@@ -1,20 +1,17 @@
 """Balanced reduction without regard to the loop."""
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
-from ultraquiet._base.constraints import one_of, whole
+from ultraquiet._base.constraints import between, one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.ordered import Matrices
-from ultraquiet.reduce._abstract import METHODS, ReductionResult, project, renamed
-from ultraquiet.values.interconnect import sensitivity
+from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
+from ultraquiet.reduce.certificate import certified, fits, judging_plant
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
 
 
 @register("reduce", "balanced")
@@ -27,6 +24,7 @@ class Balanced:
     Args:
         states: states to keep, the unstable ones included.
         method: `truncation` (exact at infinite frequency when continuous) or `perturbation` (exact at 0 Hz).
+        slowest_hz: what decays slower than exp(-2 pi slowest_hz t) is kept as it is, like the unstable part.
 
     >>> G = StateSpace([[0.9, 0.0], [0.0, 0.1]], [[1.0], [0.01]], [[1.0, 0.01]], [[0.0]], rate_hz=1.0)
     >>> result = Balanced(states=1).reduce(G)
@@ -38,37 +36,31 @@ class Balanced:
 
     states: int = 36
     method: str = "truncation"
+    slowest_hz: float = 0.0
 
     def __post_init__(self) -> None:
         whole("Balanced", "states", self.states, 0)
         one_of("Balanced", "method", self.method, METHODS)
+        between("Balanced", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
-    def reduce(self, controller: StateSpace, plant: StateSpace | None = None, weights: Any = None) -> ReductionResult:
+    @single_threaded
+    def reduce(
+        self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None
+    ) -> ReductionResult:
         """Return the reduced system; the loop does not steer it, which is this method's weakness.
 
         With a plant the loop is looked at afterwards, and a lost one is called `unstable`. `details["bound"]` is the
         a-priori bound on the H-infinity norm of the error.
         """
-        del weights
+        if plant is not None:
+            fits("Balanced", controller, plant)
         discrete = controller.rate_hz is not None
-        T, inverse, count = balance.stable_first(controller.A, discrete)
-        A, B, C = inverse @ controller.A @ T, inverse @ controller.B, controller.C @ T
-        stable = (A[:count, :count], B[:count], C[:, :count], controller.D)
+        stable, kept = split(controller, self.slowest_hz)
         P, Q = balance.gramians(*stable[:3], discrete)
-        keep = max(0, min(self.states - (controller.states - count), count))
-        (a, b, c, d), hankel = project(stable, P, Q, keep, discrete, self.method)
-        whole_system: Matrices = (
-            block_diag(a, A[count:, count:]) if count < controller.states else a,
-            np.vstack([b, B[count:]]),
-            np.hstack([c, C[:, count:]]),
-            d,
-        )
+        keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
+        reduced, hankel = project(stable, P, Q, keep, discrete, self.method)
         bound = 2 * float(np.sum(hankel[keep:]))
-        settings = {"states": self.states, "method": self.method}
-        made = Provenance("Balanced", settings, parents=(controller.hash,), versions=versions())
-        small = renamed(whole_system, controller, made)
-        kept = f"{small.states} of {controller.states} states kept; the error is at most {bound:.3g}"
-        status = Status("ok", f"{kept}.")
-        if plant is not None and not sensitivity(plant, small).is_stable():
-            status = Status("unstable", f"{kept}, and the loop is lost; keep more or weigh by the loop.")
-        return ReductionResult(status, small, hankel, details={"bound": bound}, provenance=made)
+        made = Provenance("Balanced", asdict(self), parents=(controller.hash,), versions=versions())
+        small = renamed(joined(reduced, kept), controller, made)
+        P_loop = None if plant is None else judging_plant(plant, weights)
+        return certified(controller, small, hankel, P=P_loop, details={"bound": bound})

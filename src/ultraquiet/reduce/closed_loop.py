@@ -1,25 +1,21 @@
 """Reduction of a controller by what its states do for the closed loop."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
-import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
-from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.constraints import one_of, positive, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.linalg import balance
-from ultraquiet.reduce import alike
-from ultraquiet.reduce._abstract import METHODS, ReductionResult, project, renamed
-from ultraquiet.values.generalised import four_block, full, output_shaping
-from ultraquiet.values.interconnect import gain, lft
+from ultraquiet.linalg.cost import largest_order
+from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, renamed
+from ultraquiet.reduce.candidates import Candidate, Candidates
+from ultraquiet.reduce.certificate import NORMS, certified, fits, judging_plant
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
 
-Weights = Mapping[str, StateSpace] | StateSpace | None
+# Allowed relative growth of the norm where nothing else is asked for, and what counts as none: no tuning below it.
+USUAL_LOSS, NO_LOSS = 0.05, 0.01
 
 
 @register("reduce", "closed-loop-weighted")
@@ -29,13 +25,19 @@ class ClosedLoopWeighted:
 
     F(P, K + dK) - F(P, K) = P12 (I - K P22)^-1 dK (I - P22 K)^-1 P21 to first order: the reduction is weighted by both
     factors. The controllability weight is the covariance of K's state in the loop, the observability weight the energy
-    that K's state leaves in the cost of the loop.
+    that K's state leaves in the cost of the loop. Where that costs more than is allowed, the reduced controller's
+    parameters are moved downhill, first on this error, then on the norm of the loop itself.
 
     Args:
         states: states to keep, rounded down to a multiple of the copies when the controller is the same law on several
-            channels (it stays that); None finds the fewest that cost no more than `loss`.
-        loss: relative growth of the closed-loop norm allowed when `states` is None.
-        method: `perturbation` (gain at 0 Hz kept) or `truncation`.
+            channels (it stays that). None leaves the order to `budget` and `loss`.
+        budget: multiply-adds that a step of the law may cost, n (ny + nu + 2) + ny nu in modal form: the largest order
+            within it is taken, or with `loss` the smallest that keeps the loss, and that must fit.
+        loss: relative growth of the closed-loop norm allowed. Alone it finds the fewest states; 0.05 when none of
+            `states`, `budget` and `loss` is given. A result that costs more has the status `loss`.
+        method: `perturbation` (gain at 0 Hz kept) or `truncation`, whichever is tried first.
+        norm: `peak` (H-infinity) or `mean-square` (H2, what LQG minimises).
+        steps: most steps of each descent; 0 leaves the projection as it is.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=100.0)
     >>> A, B, C = [[0.5, 0.0], [0.0, 0.3]], [[1.0], [1e-4]], [[-1.0, 1e-4]]
@@ -46,18 +48,31 @@ class ClosedLoopWeighted:
     Enns 1984; Anderson and Liu 1989, doi:10.1109/9.29422; Wortelboer 1994.
     """
 
-    states: int | None = 36
-    loss: float = 0.05
+    states: int | None = None
+    budget: int | None = None
+    loss: float | None = None
     method: str = "perturbation"
+    norm: str = "peak"
+    steps: int = 150
 
     def __post_init__(self) -> None:
+        who = "ClosedLoopWeighted"
         if self.states is not None:
-            whole("ClosedLoopWeighted", "states", self.states, 0)
-        positive("ClosedLoopWeighted", "loss", self.loss)
-        one_of("ClosedLoopWeighted", "method", self.method, METHODS)
+            whole(who, "states", self.states, 0)
+        if self.budget is not None:
+            whole(who, "budget", self.budget, 1)
+        if self.states is not None and self.budget is not None:
+            raise InputError(f"{who}: give 'states' or 'budget', got {self.states} and {self.budget}.")
+        if self.loss is not None:
+            positive(who, "loss", self.loss)
+        one_of(who, "method", self.method, METHODS)
+        one_of(who, "norm", self.norm, NORMS)
+        whole(who, "steps", self.steps, 0)
 
     @single_threaded
-    def reduce(self, controller: StateSpace, plant: StateSpace, weights: Weights = None) -> ReductionResult:
+    def reduce(
+        self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None
+    ) -> ReductionResult:
         """Return the reduced controller with the norms of the loop before and after.
 
         Args:
@@ -68,112 +83,66 @@ class ClosedLoopWeighted:
                 the bare four-block cost.
 
         Returns:
-            A `ReductionResult`; its status is `unstable` when the loop is not stable with so few states.
+            A `ReductionResult`; its status is `unstable` when the loop is not stable with so few states, `loss` when
+            it costs more than allowed.
 
         Raises:
-            InputError: the loop with the full controller is not stable, or the weights do not fit.
+            InputError: no plant, the loop with the full controller is not stable, the weights do not fit, or the budget
+                does not even hold the direct term.
         """
-        P = judging_plant(plant, weights)
-        loop = lft(P, controller)
-        if not loop.is_stable():
-            raise InputError("ClosedLoopWeighted: the loop with the full controller is unstable; nothing can be kept.")
-        pairs = _gramian_pairs(P, controller, loop)
-        before = hinf_norm(loop)[0]
-        count = self._fewest(P, controller, pairs, before) if self.states is None else self.states
-        small, hankel, after = _best(P, controller, pairs, count, self.method)
-        settings = {"states": self.states, "loss": self.loss, "method": self.method}
-        made = Provenance("ClosedLoopWeighted", settings, parents=(controller.hash, plant.hash), versions=versions())
-        result = renamed((small.A, small.B, small.C, small.D), controller, made)
-        poles = lft(P, small).poles()
-        return ReductionResult(
-            _verdict(controller, small, before, after), result, hankel, before, after, {"poles": poles}, made
+        if plant is None:
+            raise InputError("ClosedLoopWeighted: the loop decides what is kept; give the plant, or take Balanced.")
+        fits("ClosedLoopWeighted", controller, plant)
+        tried = Candidates(judging_plant(plant, weights), controller, self.method, self.norm)
+        nothing = self.states is None and self.budget is None and self.loss is None
+        allowed = USUAL_LOSS if nothing else self.loss
+        best = self._chosen(tried, controller, allowed)
+        made = Provenance("ClosedLoopWeighted", asdict(self), (controller.hash, plant.hash), versions=versions())
+        small = renamed((best.system.A, best.system.B, best.system.C, best.system.D), controller, made)
+        return certified(
+            controller,
+            small,
+            best.hankel,
+            P=tried.P,
+            norm=self.norm,
+            before=tried.before,
+            allowed=allowed,
+            budget=self.budget,
+            details={"way": best.way},
         )
 
-    def _fewest(self, P: StateSpace, K: StateSpace, pairs: "Pairs", before: float) -> int:
+    def _chosen(self, tried: Candidates, controller: StateSpace, allowed: float | None) -> Candidate:
+        nu, ny = controller.D.shape
+        most = controller.states
+        if self.budget is not None:
+            fitting = largest_order(self.budget, ny, nu)
+            if fitting < 0:
+                raise InputError(
+                    f"ClosedLoopWeighted: a budget of {self.budget} multiply-adds does not hold the direct term of"
+                    f" {nu} x {ny} = {nu * ny}; give more."
+                )
+            most = min(most, fitting)
+        if self.states is not None:
+            return self._at(tried, self.states, NO_LOSS if allowed is None else allowed)
+        if allowed is None:
+            return self._at(tried, most, NO_LOSS)
+        return self._fewest(tried, most, allowed)
+
+    def _at(self, tried: Candidates, count: int, allowed: float) -> Candidate:
+        """Return the best controller of an order: projected, and tuned where that is not enough."""
+        best = tried.projected(count)
+        if best.cost <= 1 + allowed or not self.steps:
+            return best
+        return min(best, tried.tuned(count, self.steps, allowed), key=lambda c: c.cost)
+
+    def _fewest(self, tried: Candidates, most: int, allowed: float) -> Candidate:
         """Return the fewest states within the allowed loss, by bisection (the loss falls with the states, nearly)."""
-        low, high = 0, K.states
-        while high - low > 1:
+        low, high, best = -1, most, self._at(tried, most, allowed)
+        while high - low > 1 and best.cost <= 1 + allowed:
             middle = (low + high) // 2
-            if _best(P, K, pairs, middle, self.method)[2] <= before * (1 + self.loss):
-                high = middle
+            found = tried.projected(middle)
+            if found.cost <= 1 + allowed:
+                high, best = middle, found
             else:
                 low = middle
-        return high
-
-
-Pairs = list[tuple[FloatArray, FloatArray]]
-
-
-def judging_plant(plant: StateSpace, weights: Weights) -> StateSpace:
-    """Return the generalised plant by which a loop is judged."""
-    ny, nu = plant.D.shape
-    one = gain(np.eye(1), plant.rate_hz)
-    if isinstance(weights, Mapping):
-        third = weights.get("complementary")
-        return output_shaping(
-            plant,
-            full(weights["performance"], ny, "performance"),
-            full(weights.get("control", one), nu, "control"),
-            None if third is None else full(third, ny, "complementary"),
-        )
-    if weights is not None and weights.D.shape[0] > ny and weights.D.shape[1] > nu:
-        return weights
-    on_output = full(weights if weights is not None else one, ny, "weights")
-    return four_block(plant, on_output, full(one, nu, "control"), np.eye(nu), np.eye(ny))
-
-
-def _gramian_pairs(P: StateSpace, K: StateSpace, loop: StateSpace) -> Pairs:
-    """Return pairs of Gramians of K's state: inside the loop, and Enns's cascade where K is stable by itself."""
-    n = P.states
-    discrete = P.rate_hz is not None
-    Pc, Qo = balance.gramians(loop.A, loop.B, loop.C, discrete)
-    pairs = [(Pc[n:, n:], Qo[n:, n:])]
-    if K.is_stable():
-        cascade = _output_cascade(P, K)
-        Q = balance.gramians(cascade.A, cascade.B, cascade.C, discrete)[1]
-        pairs.append((Pc[n:, n:], Q[: K.states, : K.states]))
-    return pairs
-
-
-def _output_cascade(P: StateSpace, K: StateSpace) -> StateSpace:
-    """Return K followed by P12 (I - K P22)^-1, the way from a change of K to the cost."""
-    nu, ny = K.D.shape
-    p = P.D.shape[0] - ny
-    outer = StateSpace(
-        P.A,
-        np.hstack([P.B[:, -nu:], P.B[:, -nu:]]),
-        P.C,
-        np.hstack([P.D[:, -nu:], P.D[:, -nu:]]),
-        P.rate_hz,
-    )
-    after = lft(outer, K)
-    A = np.block([[K.A, np.zeros((K.states, after.states))], [after.B @ K.C, after.A]])
-    B = np.vstack([K.B, after.B @ K.D])
-    C = np.hstack([after.D @ K.C, after.C])
-    return StateSpace(A, B, C, np.zeros((p, ny)), P.rate_hz)
-
-
-def _best(P: StateSpace, K: StateSpace, pairs: Pairs, count: int, method: str) -> tuple[StateSpace, FloatArray, float]:
-    """Reduce by every pair and return the controller with the smallest closed-loop norm, its Hankel values and norm."""
-    tries = []
-    K, copies = alike.one_of_many(K)
-    count //= copies
-    for Pc, Qo in (tuple(alike.averaged(W, copies) for W in pair) for pair in pairs):
-        for way in dict.fromkeys((method, "truncation")):
-            try:
-                M, hankel = project((K.A, K.B, K.C, K.D), Pc, Qo, count, P.rate_hz is not None, way)
-                small = StateSpace(*M, rate_hz=K.rate_hz)
-                small = alike.joined(small, copies)
-                tries.append((small, hankel, hinf_norm(lft(P, small), tolerance=1e-4)[0]))
-            except (np.linalg.LinAlgError, InputError, NumericalError):
-                continue
-    if not tries:
-        raise NumericalError(f"ClosedLoopWeighted: no projection to {count} states could be formed; keep more states.")
-    return min(tries, key=lambda t: t[2])
-
-
-def _verdict(full_size: StateSpace, small: StateSpace, before: float, after: float) -> Status:
-    kept = f"{small.states} of {full_size.states} states kept"
-    if not np.isfinite(after):
-        return Status("unstable", f"{kept}; the loop is unstable with so few, keep more.")
-    return Status("ok", f"{kept}; the loop is stable, its weighted norm moves from {before:.4g} to {after:.4g}.")
+        return best

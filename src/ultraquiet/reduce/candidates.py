@@ -1,0 +1,165 @@
+"""Small controllers that might do for a large one: projected from Gramians of the loop, tuned on a grid, compared."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.reduce import alike
+from ultraquiet.reduce._abstract import joined, project, split
+from ultraquiet.reduce.certificate import loop_norm
+from ultraquiet.reduce.grid import grid_of
+from ultraquiet.reduce.tuning import Descent, Shape, matrices, packed
+from ultraquiet.reduce.weighting import input_gramian, output_gramian
+from ultraquiet.values.interconnect import lft
+from ultraquiet.values.state_space import StateSpace
+
+# Exponents of the smooth peak, one descent after the other: the first sees the whole band, the last the peak alone.
+POWERS = (8, 32, 100, 100)
+
+
+class Candidate(NamedTuple):
+    """A reduced controller, the values by which states were kept, its cost over the full one's, and how it was made."""
+
+    system: StateSpace
+    hankel: FloatArray
+    cost: float
+    way: str
+
+
+class _Source(NamedTuple):
+    """A part of the controller with its Gramians, and the part that is kept beside it."""
+
+    name: str
+    M: Matrices
+    P: FloatArray
+    Q: FloatArray
+    kept: tuple[FloatArray, FloatArray, FloatArray]
+
+
+class Candidates:
+    """All that a reduction by the closed loop needs to know of the loop, computed once.
+
+    Raises:
+        InputError: the loop with the full controller is not stable.
+    """
+
+    def __init__(self, P: StateSpace, K: StateSpace, method: str, norm: str) -> None:
+        self.P, self._K, self._method, self._norm = P, K, method, norm
+        loop = lft(P, K)
+        poles = loop.poles()
+        self._discrete = P.rate_hz is not None
+        if not _inside(poles, self._discrete):
+            raise InputError("ClosedLoopWeighted: the loop with the full controller is unstable; nothing can be kept.")
+        self.before = loop_norm(loop, norm)
+        if not np.isfinite(self.before):
+            raise InputError("ClosedLoopWeighted: the mean square of this loop is infinite; take norm='peak'.")
+        self._one, self._copies = alike.one_of_many(K)
+        self._sources = self._gramians(loop)
+        self._grid = grid_of(P, K, poles)
+        self._full = self._grid.norm(self._grid.K, norm)
+
+    def projected(self, count: int) -> Candidate:
+        """Return the best projection to `count` states."""
+        if count >= self._K.states:
+            return Candidate(self._K, np.zeros(0), 1.0, "whole")
+        tries = self._projections(count)
+        if not tries:
+            raise NumericalError(f"ClosedLoopWeighted: no projection to {count} states could be formed; keep more.")
+        return min(tries, key=lambda t: t.cost)
+
+    def tuned(self, count: int, steps: int, allowed: float) -> Candidate:
+        """Return the best controller of `count` states after descents from every projection; stops when good enough."""
+        order = count // self._copies
+        shape = Shape(order, *self._one.D.shape, self._copies)
+        descent = Descent(self._grid, shape, self._norm, self._discrete)
+        starts = []
+        for start in self._projections(count):
+            one = alike.one_of_many(start.system)[0] if self._copies > 1 else start.system
+            x = packed((one.A, one.B, one.C, one.D), shape, self._discrete) if one.states == order else None
+            if x is None:
+                continue
+            x = descent.towards_full(x, steps)
+            found = self._seen(matrices(x, shape), start.hankel, f"{start.way}, tuned")
+            if np.isfinite(found.cost):
+                x = descent.on_loop(x, steps, POWERS[0])
+                starts += [(found, x), (self._seen(matrices(x, shape), start.hankel, found.way), x)]
+        if not starts:
+            return Candidate(self._K, np.zeros(0), np.inf, "none")
+        best, x = min(starts, key=lambda s: s[0].cost)
+        for power in POWERS[1:]:
+            if best.cost <= 1 + allowed:
+                break
+            x = descent.on_loop(x, steps, power)
+            best = min(best, self._seen(matrices(x, shape), best.hankel, best.way), key=lambda c: c.cost)
+        return best
+
+    def _projections(self, count: int) -> list[Candidate]:
+        tries = []
+        for source in self._sources:
+            keep = count // self._copies - source.kept[0].shape[0]
+            if keep < 0 or keep > source.M[0].shape[0]:
+                continue
+            for way in dict.fromkeys((self._method, "truncation")):
+                try:
+                    M, hankel = project(source.M, source.P, source.Q, keep, self._discrete, way)
+                except (np.linalg.LinAlgError, NumericalError):
+                    continue
+                tries.append(self._seen(joined(M, source.kept), hankel, f"{source.name}, {way}"))
+        return tries
+
+    def _seen(self, M: Matrices, hankel: FloatArray, way: str) -> Candidate:
+        """Judge a controller on the grid, and by the poles of its loop."""
+        small = alike.joined(StateSpace(*M, rate_hz=self._K.rate_hz), self._copies)
+        try:
+            poles = lft(self.P, small).poles()
+        except InputError:
+            return Candidate(small, hankel, np.inf, way)
+        if not _inside(poles, self._discrete):
+            return Candidate(small, hankel, np.inf, way)
+        seen = np.moveaxis(_response(small, self._grid.points), 2, 0)
+        cost = self._grid.norm(seen, self._norm) / self._full if self._full else 1.0
+        return Candidate(small, hankel, cost, way)
+
+    def _gramians(self, loop: StateSpace) -> list[_Source]:
+        """Return Gramians of K's state inside the loop, and those of Enns's cascade for the stable part of K."""
+        K, copies, n = self._one, self._copies, self.P.states
+        Pc, Qo = balance.gramians(loop.A, loop.B, loop.C, self._discrete)
+        M: Matrices = (K.A, K.B, K.C, K.D)
+        none = (np.zeros((0, 0)), np.zeros((0, K.D.shape[1])), np.zeros((K.D.shape[0], 0)))
+        pairs = (alike.averaged(W[n:, n:], copies) for W in (Pc, Qo))
+        sources = [_Source("loop", M, *pairs, none)]
+        stable, kept = split(self._K)
+        if copies > 1 and kept[0].shape[0]:
+            return sources
+        before, after = _factors(self.P, self._K)
+        if copies > 1:
+            stable, kept = (self._K.A, self._K.B, self._K.C, self._K.D), none
+        P, Q = input_gramian(stable, before, self._discrete), output_gramian(stable, after, self._discrete)
+        if copies > 1:
+            stable = M
+        return [*sources, _Source("cascade", stable, alike.averaged(P, copies), alike.averaged(Q, copies), kept)]
+
+
+def _factors(P: StateSpace, K: StateSpace) -> tuple[Matrices, Matrices]:
+    """Return (I - P22 K)^-1 P21 and P12 (I - K P22)^-1, what stands before and behind a change of K."""
+    nu, ny = K.D.shape
+    p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
+    C2, D2 = P.C[p:], P.D[p:]
+    seen = lft(StateSpace(P.A, P.B, np.vstack([C2, C2]), np.vstack([D2, D2]), P.rate_hz), K)
+    B2, D12 = P.B[:, m:], P.D[:, m:]
+    felt = lft(StateSpace(P.A, np.hstack([B2, B2]), P.C, np.hstack([D12, D12]), P.rate_hz), K)
+    return (seen.A, seen.B, seen.C, seen.D), (felt.A, felt.B, felt.C, felt.D)
+
+
+def _response(system: StateSpace, points: FloatArray) -> FloatArray:
+    from ultraquiet.linalg import response
+
+    return response.frequency_response(system.A, system.B, system.C, system.D, points)
+
+
+def _inside(poles: FloatArray, discrete: bool) -> bool:
+    return bool(np.all(np.abs(poles) < 1) if discrete else np.all(poles.real < 0))

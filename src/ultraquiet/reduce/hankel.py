@@ -1,0 +1,112 @@
+"""Optimal Hankel-norm approximation."""
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, between, whole
+from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
+from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.reduce._abstract import ReductionResult, Weights, joined, renamed, split
+from ultraquiet.reduce.certificate import certified, fits, judging_plant
+from ultraquiet.values.state_space import StateSpace
+
+MINIMAL = 1e-11  # states with Hankel values below this share of the largest are round-off
+EQUAL = 1e-7  # Hankel values as near as this, relatively, count as one
+
+
+@register("reduce", "hankel")
+@dataclass(frozen=True)
+class HankelNorm:
+    """Keep as many states as asked for with the smallest possible Hankel norm of the error: s_r+1, and no less.
+
+    ||G - Gr||_H = s_r+1, and ||G - Gr|| <= s_r+1 + 2 (s_r+2 + ... + s_n) in the H-infinity norm.
+
+    Args:
+        states: states to keep, the unstable ones included; those are kept as they are.
+        slowest_hz: what decays slower than exp(-2 pi slowest_hz t) is kept as it is, like the unstable part.
+
+    The error is as large at all frequencies, high ones included: the direct term moves. Where the law must fall at high
+    frequency, take `Balanced`.
+
+    >>> G = StateSpace([[-1.0, 0.0], [0.0, -9.0]], [[1.0], [1.0]], [[1.0, 0.1]], [[0.0]])
+    >>> result = HankelNorm(states=1).reduce(G)
+    >>> result.controller.states, result.details["bound"] == result.hankel[1]
+    (1, True)
+
+    Glover 1984, doi:10.1080/00207178408933239; discrete systems go through the bilinear map, which keeps Hankel norms.
+    """
+
+    states: int = 36
+    slowest_hz: float = 0.0
+
+    def __post_init__(self) -> None:
+        whole("HankelNorm", "states", self.states, 0)
+        between("HankelNorm", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
+
+    @single_threaded
+    def reduce(
+        self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None
+    ) -> ReductionResult:
+        """Return the reduced system; with a plant the loop is looked at afterwards.
+
+        `details["bound"]` bounds the H-infinity norm of the error.
+        """
+        if plant is not None:
+            fits("HankelNorm", controller, plant)
+        stable, kept = split(controller, self.slowest_hz)
+        keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
+        discrete = controller.rate_hz is not None
+        continuous = bilinear_to_continuous(*stable) if discrete else stable
+        reduced, hankel, bound = hankel_approximation(continuous, keep)
+        reduced = bilinear_to_discrete(*reduced) if discrete else reduced
+        made = Provenance("HankelNorm", asdict(self), parents=(controller.hash,), versions=versions())
+        small = renamed(joined(reduced, kept), controller, made)
+        P_loop = None if plant is None else judging_plant(plant, weights)
+        return certified(controller, small, hankel, P=P_loop, details={"bound": bound})
+
+
+def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray, float]:
+    """Return the best approximation of a stable continuous system, its Hankel values, and a bound on the error."""
+    P, Q = balance.gramians(*M[:3], discrete=False)
+    left, right, hankel = balance.balancing(P, Q, M[0].shape[0])
+    count = int(np.sum(hankel > MINIMAL * hankel[0])) if hankel.size else 0
+    A, B, C, D = balance.truncate(M, left[:count], right[:, :count])
+    if order >= count:
+        return (A, B, C, D), hankel, 2 * float(np.sum(hankel[count:]))
+    level = hankel[order]
+    alike = np.abs(hankel[:count] - level) <= EQUAL * level
+    whole_error = _allpass((A, B, C, D), hankel[:count], alike)
+    T, inverse, stable = balance.stable_first(whole_error[0], discrete=False)
+    a, b, c = inverse @ whole_error[0] @ T, inverse @ whole_error[1], whole_error[2] @ T
+    keep = min(stable, int(np.argmax(alike)))
+    smaller = hankel[int(np.argmax(alike)) + int(np.sum(alike)) :]
+    bound = float(level + 2 * np.sum(smaller))
+    return (a[:keep, :keep], b[:keep], c[:, :keep], whole_error[3]), hankel, bound
+
+
+def _allpass(M: Matrices, hankel: FloatArray, alike: FloatArray) -> Matrices:
+    """Return the system whose difference from a balanced one has all singular values equal to one Hankel value.
+
+    Its stable part is the approximation (Glover 1984, theorem 6.3). Inputs or outputs are filled up with zeros to a
+    square system, for which the orthogonal U with B2 = -C2' U exists.
+    """
+    A, B, C, D = M
+    p, m = D.shape
+    size = max(p, m)
+    B, C = np.pad(B, ((0, 0), (0, size - m))), np.pad(C, ((0, size - p), (0, 0)))
+    rest, s = ~alike, float(np.mean(hankel[alike]))
+    Z, _, Yt = np.linalg.svd(C[:, alike] @ B[alike])
+    U = -Z @ Yt
+    S = hankel[rest]
+    A1, B1, C1 = A[np.ix_(rest, rest)], B[rest], C[:, rest]
+    inverse = 1 / (S * S - s * s)[:, None]
+    a = inverse * (s * s * A1.T + S[:, None] * A1 * S - s * C1.T @ U @ B1.T)
+    b = inverse * (S[:, None] * B1 + s * C1.T @ U)
+    c = C1 * S + s * U @ B1.T
+    d = np.pad(D, ((0, size - p), (0, size - m))) - s * U
+    return a, b[:, :m], c[:p], d[:p, :m]
