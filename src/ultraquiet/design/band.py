@@ -13,12 +13,15 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf import synthesize_hinf
-from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, peak
+from ultraquiet.design.robust import stands, tallest
+from ultraquiet.design.weight_given import Weight, weight
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.linalg import balance
 from ultraquiet.values.generalised import output_shaping
-from ultraquiet.values.interconnect import append, series
+from ultraquiet.values.interconnect import append
 from ultraquiet.values.state_space import StateSpace
 
+WHO = "BandAttenuation"
 T_WEIGHT = 0.4  # |T| may reach gamma / 0.4 below the roll-off
 RISE = 10.0  # the weights on KS and T grow by this factor, one decade in frequency
 HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
@@ -47,6 +50,10 @@ class BandAttenuation:
         tone_height: extra gain of W1 at each tone; 40 dB of it cost about 0.5 dB of peak when they are narrow.
         tone_zeta: half the relative width of the peaks.
         peak_db: when given, `height` is chosen such that the peak of S is this, within a tenth of a decibel or so.
+        uncertainty: a bound on the plant's relative error at its outputs, G_true = (I + E) G with ||E|| <= |W|: a
+            system as `validate.from_covariance(...).weight(rate_hz).system` gives it, or numbers `(low, corner_hz,
+            high)`. It takes the place of W3; without a `peak_db` the height is lowered until the loop stands every such
+            error.
         structure: `full` designs one controller for all channels; `alike` one scalar controller, used on each of them,
             for the function that the plant shows when all channels move together (the heave of a hexapod).
         margin: the controller is formed at margin times the smallest norm; where that controller is unstable by itself,
@@ -72,6 +79,7 @@ class BandAttenuation:
     tone_height: float = 100.0
     tone_zeta: float = 0.002
     peak_db: float | None = None
+    uncertainty: Weight | None = None
     structure: str = "full"
     margin: float = 1.05
 
@@ -94,7 +102,8 @@ class BandAttenuation:
         """Return the controller u = K y of a square plant; peak, margins and poles are those with the whole plant.
 
         `details` holds `attenuation_db` and `tones_db`, the worst direction over the band and at each tone on the
-        design model, the `height` used and the `weights`.
+        design model, the `height` used and the `weights`; with an `uncertainty` also `robust_stability`, max ||W T||,
+        and the status is `not robust` where that is not below one.
 
         Raises:
             InputError: the plant is not square.
@@ -102,18 +111,27 @@ class BandAttenuation:
         ny, nu = plant.D.shape
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
+        bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, ny, plant.rate_hz)
         part = plant if self.structure == "full" else common_mode(plant)
-        wanted = self.height if self.peak_db is None else _height_for_peak(self, part, plant, self.peak_db)
-        settings = replace(self, height=wanted)
-        found = settings.synthesis(part)
+        if self.peak_db is not None:
+            height = _height_for_peak(self, part, plant, self.peak_db)
+            return stands(plant, replace(self, height=height)._made(plant, part, self), bound)
+        if bound is None:
+            return self._made(plant, part, self)
+        return tallest(plant, bound, self.height, lambda h: replace(self, height=h)._made(plant, part, self))
+
+    def _made(self, plant: StateSpace, part: StateSpace, asked: "BandAttenuation") -> DesignResult:
+        """Return the design at this height for the part, judged on the plant; `asked` are the caller's settings."""
+        ny = plant.D.shape[0]
+        found = self.synthesis(part)
         law = found.controller
         if law is not None and part.D.shape != plant.D.shape:
             law = append(*[law] * ny)
-        details: dict[str, Any] = {"height": settings.height, "weights": settings.weights(plant)}
+        details: dict[str, Any] = {"height": self.height, "weights": self.weights(plant)}
         if law is not None:
             details["tones_db"] = {f: worst_attenuation_db(plant, law, (f, f)) for f in self.tones_hz}
             details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band())
-        return from_synthesis(plant, found, self, details, law)
+        return from_synthesis(plant, found, asked, details, law)
 
     def synthesis(self, plant: StateSpace) -> DesignResult:
         """Return the first stable controller over rising margins, or the first one when none is stable."""
@@ -128,20 +146,31 @@ class BandAttenuation:
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the generalised plant, inputs (w, u), outputs (W1 S w, W2 K S w, W3 T w, y)."""
-        n, weights = plant.D.shape[0], self.weights(plant)
-        return output_shaping(plant, *(append(*[w] * n) for w in weights.values()))
+        n = plant.D.shape[0]
+        return output_shaping(
+            plant, *(w if w.D.shape[1] == n else append(*[w] * n) for w in self.weights(plant).values())
+        )
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
-        """Return the weights of one channel: `performance` W1, `control` W2, `complementary` W3."""
+        """Return the weights of one channel: `performance` W1, `control` W2, `complementary` W3.
+
+        An uncertainty in full size stays so.
+        """
         rate, limit = plant.rate_hz, self.control_limit
         performance = band_pass(self.band_hz, self.height, self.floor, self.order, rate)
-        for tone_hz in self.tones_hz:
-            performance = series(performance, peak(tone_hz, self.tone_height, self.tone_zeta, rate))
+        end = high_pass(below_nyquist(self.roll_off_hz, rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate)
         return {
-            "performance": performance,
+            "performance": with_tones(performance, self.tones_hz, self.tone_height, self.tone_zeta),
             "control": high_pass(below_nyquist(self.control_hz, rate), 1 / limit, RISE / limit, 1, rate),
-            "complementary": high_pass(below_nyquist(self.roll_off_hz, rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate),
+            "complementary": end if self.uncertainty is None else self._bound(plant),
         }
+
+    def _bound(self, plant: StateSpace) -> StateSpace:
+        """Return the uncertainty's weight: of one channel where that is how it was given."""
+        given = self.uncertainty
+        assert given is not None
+        full = isinstance(given, StateSpace) and given.D.shape != (1, 1)
+        return weight(WHO, "uncertainty", given, plant.D.shape[0] if full else 1, plant.rate_hz)
 
     def _quiet_band(self) -> tuple[float, float]:
         # the corners of a Butterworth edge lie where half of the weight's height is lost: a tenth inside it is whole

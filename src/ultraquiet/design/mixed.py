@@ -1,22 +1,27 @@
 """Mixed-sensitivity design: the paper's cost as printed, the general S/KS/T, and the four-block form."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf import synthesize_hinf
-from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, rational
-from ultraquiet.values.generalised import four_block, full, output_shaping
-from ultraquiet.values.interconnect import gain
+from ultraquiet.design.robust import stands, tallest
+from ultraquiet.design.weight_given import Weight, weight
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, rational, with_tones
+from ultraquiet.values.generalised import four_block, output_shaping
 from ultraquiet.values.state_space import StateSpace
 
-FORMS = ("four-block", "skst", "paper")
+WHO = "MixedSensitivity"
+FORMS = ("four-block", "skst", "sks", "paper")
 # Eqs. (16) and (17): W1 = 1e-4 (s + 10) / ((s + 1) (s + 100)), W2 = 1e-5.
 PAPER_W1 = (1e-4, (-10.0,), (-1.0, -100.0))
 PAPER_W2 = 1e-5
@@ -31,18 +36,28 @@ class MixedSensitivity:
 
     four-block: min || [W1; W2 K] (I - G K)^-1 [G Vd, Vn] ||, disturbance at the plant's input and at the sensors.
     skst: min || [W1 S; W2 K S; W3 T] ||, eq. (15) with a weight on T.
+    sks: min || [W1 S; W2 K S] ||.
     paper: min || [W2 K S; T; W1 S] ||, eqs. (15)-(17) as printed.
 
+    A weight is a `StateSpace`, `(1, 1)` or in full size, at the plant's rate; or a gain; or `(low, corner_hz, high)`
+    with an order behind if it is not one: a gain that leaves `low` for `high` from the corner on.
+
     Args:
-        form: `four-block`, `skst` or `paper`. S/KS/T inverts lightly damped modes of the plant, which leaves them
-            ringing under disturbances at its input; the four-block form damps them.
-        performance: W1 on every output, `(1, 1)` or `(ny, ny)`; absent, a band-pass from the numbers below.
+        form: `four-block`, `skst`, `sks` or `paper`. S/KS/T inverts lightly damped modes of the plant, which leaves
+            them ringing under disturbances at its input; the four-block form damps them.
+        performance: W1 on every output; absent, a band-pass from the numbers below.
         control: W2 on every input; absent, a gain that rises at high frequency.
         complementary: W3 on every output, for `skst`; absent, likewise.
+        uncertainty: a bound on the plant's relative error at its outputs, G_true = (I + E) G with ||E|| <= |W| at each
+            frequency, as `validate.from_covariance(...).weight(rate_hz).system` gives it. It is W3 in `skst`. Where W1
+            comes from numbers, its height is lowered until the loop stands every such error, ||W T|| < 1.
         band_hz: corners of the band to be quiet, Hz.
         height: gain of W1 in the band.
         floor: gain of W1 outside it.
         order: states of W1 per channel, even.
+        tones_hz: frequencies at which W1 has peaks besides, Hz, also a W1 that is given.
+        tone_height: extra gain of W1 at each tone.
+        tone_zeta: half the relative width of the peaks.
         control_limit: allowed gain from sensor to actuator at low frequency, V/V; W2 is its inverse there and rises.
         roll_off_hz: where control is to end, Hz (`skst`; the four-block weight rises from 30 Hz with two slopes).
         disturbance: Vd, volts at every input. At a third of a volt and above, W2 also weights T at the plant's input.
@@ -53,18 +68,25 @@ class MixedSensitivity:
     >>> result = MixedSensitivity(form="paper").design(plant)
     >>> result.achieved < 1.1e-5  # as printed, the optimum is to do nothing
     True
+    >>> robust = MixedSensitivity(form="skst", uncertainty=(0.2, 300.0, 5.0)).design(plant)
+    >>> robust.details["robust_stability"] < 1
+    True
 
-    Skogestad and Postlethwaite 2005, section 9.3; the paper, eqs. (15)-(17).
+    Skogestad and Postlethwaite 2005, sections 7.5 and 9.3; the paper, eqs. (15)-(17).
     """
 
     form: str = "four-block"
-    performance: StateSpace | None = None
-    control: StateSpace | None = None
-    complementary: StateSpace | None = None
+    performance: Weight | None = None
+    control: Weight | None = None
+    complementary: Weight | None = None
+    uncertainty: Weight | None = None
     band_hz: tuple[float, float] = (9.0, 108.0)
     height: float = 12.0
     floor: float = 0.6
     order: int = 8
+    tones_hz: tuple[float, ...] = ()
+    tone_height: float = 100.0
+    tone_zeta: float = 0.002
     control_limit: float = 1000.0
     roll_off_hz: float = 500.0
     disturbance: float = 0.3
@@ -72,43 +94,47 @@ class MixedSensitivity:
     margin: float = 1.05
 
     def __post_init__(self) -> None:
-        one_of("MixedSensitivity", "form", self.form, FORMS)
-        for name in ("height", "floor", "control_limit", "roll_off_hz", "disturbance", "noise", "margin"):
-            positive("MixedSensitivity", name, getattr(self, name))
+        one_of(WHO, "form", self.form, FORMS)
+        for name in (
+            "height",
+            "floor",
+            "tone_height",
+            "tone_zeta",
+            "control_limit",
+            "roll_off_hz",
+            "disturbance",
+            "noise",
+            "margin",
+        ):
+            positive(WHO, name, getattr(self, name))
+        if self.uncertainty is not None and self.form == "skst" and self.complementary is not None:
+            raise InputError(f"{WHO}: give 'uncertainty' or 'complementary', both are the weight on T.")
 
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a plant, continuous or discrete.
 
         `gamma` and `achieved` are the norm of the weighted loop; `details["weights"]` are the weights used and
-        `details["norm_without_control"]` is the norm that K = 0 gives, to be compared with.
+        `details["norm_without_control"]` is the norm that K = 0 gives, to be compared with. With an `uncertainty`,
+        `details["robust_stability"]` is max ||W T||, below one where the loop stands it, and `details["height"]` the
+        height that was left; a loop that does not stand it has the status `not robust`.
         """
-        weights = self.weights(plant)
-        P = self.generalised(plant, weights)
-        ny, nu = plant.D.shape
-        found = synthesize_hinf(P, ny, nu, margin=self.margin)
-        idle = StateSpace(P.A, P.B[:, :-nu], P.C[:-ny], P.D[:-ny, :-nu], P.rate_hz)
-        details = {"weights": weights, "norm_without_control": hinf_norm(idle)[0]}
-        return from_synthesis(plant, found, self, details)
+        bound = self._bound(plant)
+        if bound is None or self.performance is not None or self.form == "paper":
+            return stands(plant, self._made(plant), bound)
+        return tallest(plant, bound, self.height, lambda height: replace(self, height=height)._made(plant))
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate."""
         ny, nu = plant.D.shape
-        rate = plant.rate_hz
-        if self.form == "paper":
-            return {
-                "performance": self.performance or rational(*PAPER_W1, rate, ny),
-                "control": self.control or gain(PAPER_W2 * np.eye(nu), rate),
-                "complementary": gain(np.eye(ny), rate),
-            }
-        w1 = self.performance or band_pass(self.band_hz, self.height, self.floor, self.order, rate)
-        w2 = self.control or self._control(rate)
-        w3 = self.complementary or high_pass(below_nyquist(self.roll_off_hz, rate), 0.4, 4.0, 1, rate)
-        return {
-            "performance": full(w1, ny, "performance"),
-            "control": full(w2, nu, "control"),
-            "complementary": full(w3, ny, "complementary"),
+        given: Mapping[str, tuple[Weight, int]] = {
+            "performance": (self._performance(plant.rate_hz), ny),
+            "control": (self._control(plant.rate_hz) if self.control is None else self.control, nu),
+            "complementary": (self._complementary(plant.rate_hz), ny),
         }
+        made = {k: weight(WHO, k, w, n, plant.rate_hz) for k, (w, n) in given.items()}
+        made["performance"] = with_tones(made["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
+        return made
 
     def generalised(self, plant: StateSpace, weights: dict[str, StateSpace]) -> StateSpace:
         """Return the generalised plant of the form, its inputs (w, u) and outputs (z, y)."""
@@ -121,11 +147,43 @@ class MixedSensitivity:
                 disturbance=self.disturbance * np.eye(nu),
                 noise=self.noise * np.eye(ny),
             )
-        return output_shaping(plant, weights["performance"], weights["control"], weights["complementary"])
+        on_t = None if self.form == "sks" else weights["complementary"]
+        return output_shaping(plant, weights["performance"], weights["control"], on_t)
 
-    def _control(self, rate_hz: float | None) -> StateSpace:
-        if self.form == "skst":
+    def _made(self, plant: StateSpace) -> DesignResult:
+        weights = self.weights(plant)
+        P = self.generalised(plant, weights)
+        ny, nu = plant.D.shape
+        found = synthesize_hinf(P, ny, nu, margin=self.margin)
+        idle = StateSpace(P.A, P.B[:, :-nu], P.C[:-ny], P.D[:-ny, :-nu], P.rate_hz)
+        details: dict[str, Any] = {"weights": weights, "norm_without_control": hinf_norm(idle)[0]}
+        if self.performance is None and self.form != "paper":
+            details["height"] = self.height
+        return from_synthesis(plant, found, self, details)
+
+    def _bound(self, plant: StateSpace) -> StateSpace | None:
+        if self.uncertainty is None:
+            return None
+        return weight(WHO, "uncertainty", self.uncertainty, plant.D.shape[0], plant.rate_hz)
+
+    def _performance(self, rate_hz: float | None) -> Weight:
+        if self.performance is not None:
+            return self.performance
+        if self.form == "paper":
+            return rational(*PAPER_W1, rate_hz, 1)
+        return band_pass(self.band_hz, self.height, self.floor, self.order, rate_hz)
+
+    def _control(self, rate_hz: float | None) -> Weight:
+        if self.form == "paper":
+            return PAPER_W2
+        if self.form in ("skst", "sks"):
             corner = below_nyquist(self.roll_off_hz, rate_hz)
             return high_pass(corner, 1 / self.control_limit, 10 / self.control_limit, 1, rate_hz)
         # without a block for T, the weight on u rises early and far enough to end the loop as well
         return high_pass(RISE_HZ, 1 / self.control_limit, ROLL_OFF, 2, rate_hz)
+
+    def _complementary(self, rate_hz: float | None) -> Weight:
+        if self.form == "paper":
+            return 1.0
+        given = self.uncertainty if self.complementary is None else self.complementary
+        return high_pass(below_nyquist(self.roll_off_hz, rate_hz), 0.4, 4.0, 1, rate_hz) if given is None else given

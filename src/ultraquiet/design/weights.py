@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
 from ultraquiet.linalg.discretize import tustin
 from ultraquiet.linalg.ordered import Array
-from ultraquiet.values.interconnect import append
+from ultraquiet.values.interconnect import append, series
 from ultraquiet.values.state_space import StateSpace
 
 HIGHEST = 0.4  # of the sampling rate; nearer to Nyquist a corner has no room to rise
@@ -124,11 +124,40 @@ def rational(
     rate_hz: float | None,
     channels: int,
 ) -> StateSpace:
-    """Return gain prod(s - zero) / prod(s - pole) on each channel, sampled by Tustin's rule when a rate is given."""
+    """Return gain prod(s - zero) / prod(s - pole) on each channel, sampled by Tustin's rule when a rate is given.
+
+    Raises:
+        InputError: more zeros than poles: a weight must be proper.
+    """
+    if len(zeros_rad_s) > len(poles_rad_s):
+        raise InputError(
+            f"rational: a weight must be proper, got {len(zeros_rad_s)} zeros and {len(poles_rad_s)} poles; add a pole "
+            "beyond the band."
+        )
     num: Array = gain * np.atleast_1d(np.poly(np.array(zeros_rad_s))).real
     den: Array = np.atleast_1d(np.poly(np.array(poles_rad_s))).real
     M = realize.sections(np.concatenate([np.zeros(len(den) - len(num)), num]), den)
     return _copies(M, rate_hz, None, channels)
+
+
+def with_tones(
+    weight: StateSpace, tones_hz: tuple[float, ...], height: float = 100.0, zeta: float = 0.002
+) -> StateSpace:
+    """Return a weight with a peak at each of several tones on every output.
+
+    Args:
+        weight: any, at its own rate.
+        tones_hz: where the peaks stand, Hz.
+        height: gain of the peaks.
+        zeta: half the relative width of the peaks.
+
+    >>> W = with_tones(peak(25.0, height=3.0, rate_hz=3500.0), (100.0,), height=50.0)
+    >>> round(float(abs(W.frequency_response([100.0])[0, 0, 0])))
+    50
+    """
+    for tone_hz in tones_hz:
+        weight = series(weight, peak(tone_hz, height, zeta, weight.rate_hz, weight.D.shape[0]))
+    return weight
 
 
 def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:

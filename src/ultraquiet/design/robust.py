@@ -1,0 +1,73 @@
+"""Robust stability under a bound on the plant's relative error: measured on the finished loop, and designed for."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.design._abstract import DesignResult
+from ultraquiet.values.interconnect import lft, series
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+LOWEST = 0.02  # of the height asked for: below this share nothing worth calling performance is left
+STEPS = 6  # halvings of the logarithm of that range: 6 % in height
+
+
+def robust_stability(plant: StateSpace, controller: StateSpace, bound: StateSpace) -> float:
+    """Return max over f of ||W T||, T = G K (I - G K)^-1: below one, no error within the bound unsettles the loop.
+
+    Args:
+        plant: G.
+        controller: K, u = K y, which stabilises it.
+        bound: W, the relative error at the plant's outputs, G_true = (I + E) G with ||E|| <= |W|.
+
+    >>> from ultraquiet.values.interconnect import gain
+    >>> G, K = (gain([[k]]) for k in (1.0, -3.0))
+    >>> robust_stability(G, K, gain([[0.5]]))
+    0.375
+
+    Skogestad and Postlethwaite 2005, section 8.6.
+    """
+    ny = plant.D.shape[0]
+    one = np.eye(ny)
+    P = StateSpace(
+        plant.A,
+        np.hstack([np.zeros((plant.states, ny)), plant.B]),
+        np.vstack([plant.C, plant.C]),
+        np.block([[0 * one, plant.D], [one, plant.D]]),
+        plant.rate_hz,
+    )
+    return hinf_norm(series(lft(P, controller), bound))[0]
+
+
+def stands(plant: StateSpace, result: DesignResult, bound: StateSpace | None) -> DesignResult:
+    """Return a result with `robust_stability` in its details; a loop that does not stand the bound is `not robust`."""
+    if bound is None or result.controller is None or not result.status.ok:
+        return result
+    size = robust_stability(plant, result.controller, bound)
+    details = {**result.details, "robust_stability": size}
+    if size < 1:
+        told = f"{result.status.sentence} It stands every error within the uncertainty: ||W T|| = {size:.3g} < 1."
+        return replace(result, status=Status("ok", told), details=details)
+    told = (
+        f"The loop is stable with the design model but need not be with the plant: ||W T|| reaches {size:.3g} where "
+        "the uncertainty allows less than one; ask for less, or identify the plant better where the weight is high."
+    )
+    return replace(result, status=Status("not robust", told), details=details)
+
+
+def tallest(plant: StateSpace, bound: StateSpace, height: float, made: Callable[[float], DesignResult]) -> DesignResult:
+    """Return the design of the largest height, at most the one asked for, whose loop stands the bound."""
+    first = stands(plant, made(height), bound)
+    if first.status.word != "not robust":
+        return first
+    low, high, best = np.log(LOWEST), 0.0, stands(plant, made(LOWEST * height), bound)
+    if not best.status.ok:
+        return first
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        trial = stands(plant, made(height * float(np.exp(middle))), bound)
+        low, high, best = (middle, high, trial) if trial.status.ok else (low, middle, best)
+    return best
