@@ -6,6 +6,7 @@ from ultraquiet.design.band import BandAttenuation, common_mode, worst_attenuati
 from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.h2 import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.hinf_opinion import Opinion, verify_level
 from ultraquiet.design.loop_shaping import LoopShaping
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
@@ -26,6 +27,7 @@ __all__ = [
     "LoopShaping",
     "Lqg",
     "MixedSensitivity",
+    "Opinion",
     "Resonators",
     "Score",
     "Specification",
@@ -38,5 +40,6 @@ __all__ = [
     "peak",
     "synthesize_h2",
     "synthesize_hinf",
+    "verify_level",
     "worst_attenuation_db",
 ]

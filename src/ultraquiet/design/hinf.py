@@ -1,5 +1,7 @@
 """H-infinity synthesis for a given generalised plant."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.linalg import LinAlgError
 
@@ -10,6 +12,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design import hinf_kernel as kernel
 from ultraquiet.design._abstract import DesignResult, is_stable, refused
+from ultraquiet.design.hinf_opinion import verify_level
 from ultraquiet.design.hinf_refusal import diagnose
 from ultraquiet.design.hinf_search import Bracket, given, search
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
@@ -22,12 +25,19 @@ COARSENESS = 0.05  # the bracket is this share of the margin wide: a controller 
 # Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
 BACK_OFF = (1.0, 1.0005, 1.005, 1.05, 1.2, 2.0)
 FASTEST = 1e12  # stands for infinite frequency, in units of the plant's own speed
+SMALL = 40  # states up to which the second opinion comes without asking
+LEAST = 0.5  # of the optimum: lowest level the second opinion is asked about
 AGREEMENT = 1e-3  # reported and achieved norm must agree this well
 
 
 @single_threaded
 def synthesize_hinf(
-    P: StateSpace, measurements: int, controls: int, gamma: float | None = None, margin: float = 1.00003
+    P: StateSpace,
+    measurements: int,
+    controls: int,
+    gamma: float | None = None,
+    margin: float = 1.00003,
+    second_opinion: bool | None = None,
 ) -> DesignResult:
     """Return the controller that minimises the H-infinity norm of a closed loop.
 
@@ -41,12 +51,15 @@ def synthesize_hinf(
         gamma: level to reach; None searches for the smallest.
         margin: the controller is formed at margin times the optimum. Values just above one give the optimal level and
             controllers with very fast modes; 1.05 is the better choice for a controller to be built.
+        second_opinion: whether the optimum is to be found again by `verify_level`; None asks for plants of up to 40
+            states.
 
     Returns:
         A `DesignResult`: `gamma` is the norm that the returned controller gives in the coordinates of the synthesis,
         `achieved` the norm of F(P, K) computed again in the units of P; `details` holds `optimum`, the bracket of the
-        smallest level, `bound`, the level of the equations solved, and why levels below fail. Without a solution the
-        status is `refused`, its sentence names the block at fault, and there is no controller.
+        smallest level, `below`, why levels under it fail, `certain`, the level that frequency responses alone prove
+        out of reach, `bound`, the level of the equations solved, their `conditions`, and `second_opinion`. Without a
+        solution the status is `refused`, its sentence names the block at fault, and there is no controller.
 
     Raises:
         InputError: sizes that do not fit the plant.
@@ -75,7 +88,9 @@ def synthesize_hinf(
         )
         if bracket.best.reason:
             return refused(_sentence(P, ny, nu, gamma, bracket.best.reason))
-        return _form(P, plant, bracket, ny, nu, margin if gamma is None else 1.0)
+        result = _form(P, plant, bracket, ny, nu, margin if gamma is None else 1.0)
+        wanted = P.states <= SMALL if second_opinion is None else second_opinion
+        return _seconded(P, result, bracket) if wanted and gamma is None and result.status.ok else result
     except NumericalError as error:
         return refused(str(error))
 
@@ -83,6 +98,18 @@ def synthesize_hinf(
 def _continuous(P: StateSpace) -> kernel.Matrices:
     M = (P.A, P.B, P.C, P.D)
     return M if P.rate_hz is None else bilinear_to_continuous(*M)
+
+
+def _seconded(P: StateSpace, result: DesignResult, found: Bracket) -> DesignResult:
+    """Add the second opinion on the optimum, and a word of it to the verdict when it differs."""
+    settings = result.provenance.settings
+    ny, nu = int(settings["measurements"]), int(settings["controls"])
+    low = max(found.below, LEAST * found.best.gamma)
+    opinion = verify_level(P, ny, nu, found.best.gamma, below=low)
+    status = result.status
+    if not opinion.agrees:
+        status = Status(status.word, f"{status.sentence} The second opinion differs: {opinion.sentence}")
+    return replace(result, status=status, details={**result.details, "second_opinion": opinion})
 
 
 def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, margin: float) -> DesignResult:
@@ -126,16 +153,23 @@ def _verified(
         "bound": level.gamma,
         "optimum": (found.below, found.best.gamma),
         "below": found.reason,
+        "certain": found.certain,
         "probes": found.probes,
         "achieved_hz": f_hz,
         "coupling": level.coupling,
-        "condition": float(np.linalg.cond(np.eye(plant.A.shape[0]) - level.Y @ level.X / level.gamma**2)),
+        "conditions": _conditions(plant, level),
     }
     status = Status("ok", f"The loop is stable and its norm is {achieved:.5g}, at most {level.gamma:.5g} as designed.")
     residuals = {"X": level.residuals[0], "Y": level.residuals[1]}
     return DesignResult(
         status, controller, gamma, achieved, poles, residuals=residuals, details=details, provenance=made_by
     )
+
+
+def _conditions(plant: kernel.Plant, level: kernel.Level) -> dict[str, float]:
+    """Return the condition numbers of X, Y and I - Y X / gamma^2; X or Y may be singular, as where they vanish."""
+    matrices = {"X": level.X, "Y": level.Y, "I - YX/g2": np.eye(plant.A.shape[0]) - level.Y @ level.X / level.gamma**2}
+    return {name: float(np.linalg.cond(m)) if m.size else 1.0 for name, m in matrices.items()}
 
 
 def _own_norm(plant: kernel.Plant, controller: kernel.Matrices, w: float) -> float:

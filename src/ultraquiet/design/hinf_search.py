@@ -16,6 +16,7 @@ GROWTH = (1.25, 1.6, 2.5, 10.0)  # factors from one level that fails to the next
 NEAREST = 4  # levels around the optimum whose measures are looked at
 REGULAR = 1e-7  # of the trace, added to the X that others are measured by
 PATIENCE = 3  # probes in which the bracket must halve, or bisection takes over
+BLURRED = 1e-4  # tolerance once an equation cannot be solved though its bound allows it: round-off is near
 OVERSHOOT = 0.4  # of the tolerance, to the far side of the root, so that the bracket closes from both ends
 OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds it at one frequency"
 
@@ -57,6 +58,7 @@ def search(plant: kernel.Plant, tolerance: float) -> Bracket:
         tried.append(level)
         if level.reason:
             low, reason = level.gamma, level.reason
+            tolerance = max(tolerance, BLURRED) if not (level.X.size or level.Y.size) else tolerance
         else:
             best = level
         widths.append(best.gamma / max(low, SMALLEST * size))
@@ -91,9 +93,10 @@ def _next(tried: list[kernel.Level], low: float, high: float, tolerance: float, 
     middle = float(np.sqrt(low * high))
     if len(widths) > PATIENCE and np.log(widths[-1]) > np.log(widths[-1 - PATIENCE]) / 2:
         return middle
-    nearest = sorted(tried, key=lambda t: abs(np.log(t.gamma / middle)))[:NEAREST]
+    nearest = sorted(tried, key=lambda t: min(abs(np.log(t.gamma / low)), abs(np.log(t.gamma / high))))[:NEAREST]
     first = next(t for t in tried if not t.reason)
-    roots = [r for m in (_room(first.X, "X"), _room(first.Y, "Y"), _spare) if np.isfinite(r := _root(nearest, m))]
+    measures = (_room(first.X, "X"), _room(first.Y, "Y"), _spare)
+    roots = [r for m in measures if np.isfinite(r := _root(nearest, m, low, high))]
     if not roots:
         return middle
     edge = OVERSHOOT * tolerance
@@ -101,15 +104,20 @@ def _next(tried: list[kernel.Level], low: float, high: float, tolerance: float, 
     return float(np.clip(guess, low * (1 + edge), high * (1 - edge)))
 
 
-def _root(tried: list[kernel.Level], measure: Callable[[kernel.Level], float]) -> float:
-    """Return where the secant through the two nearest values of a measure is zero; nan when it does not help."""
-    known = [(t.gamma, h) for t in tried if np.isfinite(h := measure(t))][:2]
-    if len(known) < 2:
-        return float("nan")
-    (g1, h1), (g2, h2) = known
-    if (h1 - h2) * (g1 - g2) <= 0:
-        return float("nan")
-    return g1 - h1 * (g1 - g2) / (h1 - h2)
+def _root(tried: list[kernel.Level], measure: Callable[[kernel.Level], float], low: float, high: float) -> float:
+    """Return where a secant of a measure is zero inside (low, high); nan when none is.
+
+    The secant through the two smallest values converges fast; the one through the smallest of either sign is safe.
+    """
+    known = sorted(((t.gamma, h) for t in tried if np.isfinite(h := measure(t))), key=lambda known: abs(known[1]))
+    pairs = [known[:2], [k for k in known if k[1] > 0][:1] + [k for k in known if k[1] <= 0][:1]]
+    for pair in pairs:
+        if len(pair) == 2 and (pair[0][1] - pair[1][1]) * (pair[0][0] - pair[1][0]) > 0:
+            (g1, h1), (g2, h2) = pair
+            root = g1 - h1 * (g1 - g2) / (h1 - h2)
+            if low < root < high:
+                return root
+    return float("nan")
 
 
 def _spare(level: kernel.Level) -> float:
