@@ -70,8 +70,6 @@ def symplectic_scale(A: Array, G: Array, Q: Array) -> Array:
         raise NumericalError(f"Riccati equation ({n} states): its matrices overflow; scale the problem.")
     np.fill_diagonal(H, 0.0)
     with np.errstate(invalid="ignore"):  # SciPy also turns the scale factors into integers, which large ones overflow
-        with np.errstate(invalid="ignore"):
-        # SciPy casts scalings to the integers of a permutation, which none is asked of; above 2^63 that warns
         _, (scale, _) = matrix_balance(H, permute=False, separate=True)
     s = np.log2(scale)
     return np.exp2(np.round((s[:n] - s[n:]) / 2))
