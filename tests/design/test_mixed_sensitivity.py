@@ -1,4 +1,4 @@
-"""S/KS/T with weights of every kind: textbook levels, weights refused by name, tones, numbers as study files give them."""
+"""S/KS/T with weights of every kind: textbook levels, weights refused by name, tones, numbers from study files."""
 
 import numpy as np
 import pytest
