@@ -1,7 +1,9 @@
 """What can be said about a system or a loop without changing it: norms, zeros, margins, symmetry."""
 
 from ultraquiet.analyse.disk import DiskMargins, disk_margin, disk_margins, disk_ranges
+from ultraquiet.analyse.gang import Gang, Peak, gang_of_four, gang_of_six, peak_gain
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
+from ultraquiet.analyse.monte_carlo import MonteCarlo, monte_carlo, wilson_interval
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak, mu_upper_bound
 from ultraquiet.analyse.norms import h2_norm, hinf_norm
 from ultraquiet.analyse.singular import singular_values
@@ -12,23 +14,31 @@ from ultraquiet.analyse.zeros import Roots, poles, roots, zeros
 __all__ = [
     "Block",
     "DiskMargins",
+    "Gang",
     "Margins",
+    "MonteCarlo",
     "MuBounds",
+    "Peak",
     "Roots",
     "disk_margin",
     "disk_margins",
     "disk_ranges",
+    "gang_of_four",
+    "gang_of_six",
     "h2_norm",
     "hinf_norm",
     "loop_margins",
+    "monte_carlo",
     "mu_bounds",
     "mu_peak",
     "mu_upper_bound",
+    "peak_gain",
     "peak_sensitivity",
     "poles",
     "reciprocity_error",
     "roots",
     "singular_values",
     "threefold_error",
+    "wilson_interval",
     "zeros",
 ]

@@ -196,31 +196,60 @@ def _centred(F: Array, basis: _Basis, t: Array, y: Array) -> Array:
 def _newton(F: Array, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
     """Return a step and the Newton decrement of the barrier -log det X - log det D at each frequency.
 
-    Every term is homogeneous, so that the linear term `weight trace D` holds the scale of D without a constraint.
+    Every term is homogeneous, so that a linear term in the trace of D holds the scale without a constraint.
     """
-    n = F.shape[-1]
-    mean = np.einsum("paa->p", basis.into).real / n
-    floor = LEAST_D * mean[:, None, None] * np.eye(n)
-    cones = [t[:, None, None, None] * basis.into - F, np.broadcast_to(basis.into - floor, F.shape)]
-    if np.any(basis.G):
-        cones += [np.broadcast_to(LARGEST_G * basis.into + sign * basis.G, F.shape) for sign in (1.0, -1.0)]
-    pull = len(cones) * n * mean
-    gradient = np.broadcast_to(pull, y.shape).copy()
-    hessian = np.zeros((*y.shape, y.shape[1]))
-    roots = []
-    for cone in cones:
-        X = np.einsum("fp,fpab->fab", y, cone, optimize=True)
-        L = np.linalg.inv(np.linalg.cholesky(X))[:, None]
-        Z = L @ cone @ L.conj().swapaxes(2, 3)
-        gradient -= np.einsum("fpaa->fp", Z).real
-        flat = Z.reshape(*Z.shape[:2], n * n)
-        hessian += (flat @ flat.conj().swapaxes(1, 2)).real
-        roots.append(Z)
+    fixed, pull = _cones(basis)
+    gradient, hessian, root = _terms(t[:, None, None, None] * basis.into - F, y)
+    gradient += pull
+    parts = [_terms(cone, y) if cone.ndim == 3 else _diagonal_terms(cone, y) for cone in fixed]
+    for more, bent, _ in parts:
+        gradient += more
+        hessian += bent
     step = -_solved(hessian, gradient)
     decrement = np.sqrt(np.maximum(-np.einsum("fp,fp->f", step, gradient), 0.0))
-    moves = [np.linalg.eigvalsh(np.einsum("fp,fpab->fab", step, Z, optimize=True)) for Z in roots]
+    moves = [_moves(t[:, None, None, None] * basis.into - F, root, step)]
+    moves += [_moves(cone, part[2], step) for cone, part in zip(fixed, parts, strict=True)]
     length = _line(np.concatenate(moves, axis=1), step @ pull)
     return length[:, None] * step, decrement
+
+
+def _cones(basis: _Basis) -> tuple[list[Array], Array]:
+    """Return directions of what must stay positive at every frequency, D and the bounds of G, and the linear term.
+
+    Directions are `(p, nw, nw)`, or `(p, nw)` where all are diagonal.
+    """
+    n = basis.into.shape[-1]
+    mean = np.einsum("paa->p", basis.into).real / n
+    cones = [basis.into - LEAST_D * mean[:, None, None] * np.eye(n)]
+    if np.any(basis.G):
+        cones += [LARGEST_G * basis.into + sign * basis.G for sign in (1.0, -1.0)]
+    if not np.any(basis.into * (1 - np.eye(n))):
+        cones = [np.einsum("paa->pa", cone).real for cone in cones]
+    return cones, (1 + len(cones)) * n * mean
+
+
+def _terms(cone: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Return gradient and Hessian of -log det X, X = sum of y times directions, and L with L X L* = I."""
+    X = np.einsum("fp,fpab->fab", y, np.broadcast_to(cone, (*y.shape, *cone.shape[-2:])), optimize=True)
+    L = np.linalg.inv(np.linalg.cholesky(X))
+    Z = (L.conj().swapaxes(1, 2) @ L)[:, None] @ cone
+    flat, turned = (z.reshape(*y.shape, -1) for z in (Z, Z.swapaxes(2, 3)))
+    return -np.einsum("fpaa->fp", Z).real, (flat @ turned.swapaxes(1, 2)).real, L
+
+
+def _diagonal_terms(cone: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Do the same where X is diagonal; L is the vector 1 / X."""
+    inverse = 1.0 / (y @ cone)
+    share = cone * inverse[:, None, :]
+    return -share.sum(axis=2), share @ share.swapaxes(1, 2), inverse
+
+
+def _moves(cone: Array, root: Array, step: Array) -> Array:
+    """Return the eigenvalues `(nf, nw)` of L dX L*: how far a step of one goes in each direction of the cone."""
+    if root.ndim == 2:
+        return (step @ cone) * root
+    moved = np.einsum("fp,fpab->fab", step, np.broadcast_to(cone, (*step.shape, *cone.shape[-2:])), optimize=True)
+    return np.linalg.eigvalsh(root @ moved @ root.conj().swapaxes(1, 2))
 
 
 def _solved(hessian: Array, gradient: Array) -> Array:

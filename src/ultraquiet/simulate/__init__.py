@@ -5,6 +5,7 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 """
 
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
+from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.loop import LoopCheck, check_stability, disturb
 from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
 
@@ -13,7 +14,9 @@ __all__ = [
     "LoopCheck",
     "MeasuredSensitivity",
     "attenuation",
+    "campaign",
     "check_stability",
     "disturb",
+    "drawn_benches",
     "measure_sensitivity",
 ]

@@ -4,6 +4,7 @@ from ultraquiet.validate.advice import Advice, advise
 from ultraquiet.validate.bands import ResponseBand, response_band
 from ultraquiet.validate.compare import BodeAgreement, Comparison, bode_agreement, compare
 from ultraquiet.validate.criteria import Selection, information_criteria, select
+from ultraquiet.validate.draws import drawn_plants
 from ultraquiet.validate.predict import innovations, predicted, simulated
 from ultraquiet.validate.residuals import ResidualTest, residual_test
 from ultraquiet.validate.uncertainty import Uncertainty, UncertaintyWeight, combined, from_covariance, from_spread
@@ -21,6 +22,7 @@ __all__ = [
     "bode_agreement",
     "combined",
     "compare",
+    "drawn_plants",
     "from_covariance",
     "from_spread",
     "information_criteria",
