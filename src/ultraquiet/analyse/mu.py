@@ -32,8 +32,8 @@ class MuBounds:
         D_in: `(nw, nw, nf)` scaling of the inputs: for a full block the same number, for others the same matrix.
         G: `(nw, nz, nf)` scaling of real blocks, zero without them:
             upper^2 D_in' D_in - M' D' D M - j (G M - M' G') >= 0.
-        perturbation: `(nw, nz, nf)` Delta of the structure, of size 1 / lower, with det(I - M Delta) = 0; infinite
-            where lower is zero.
+        perturbation: `(nw, nz, nf)` Delta of the structure, of size 1 / lower, with det(I - M Delta) = 0; NaN where
+            lower is zero.
         f_hz: `(nf,)` Hz; NaN when M came without frequencies.
         blocks: the structure.
         stable: False when M was a system that is unstable, of which no perturbation can be stood.
@@ -102,12 +102,15 @@ def mu_bounds(
     size[size == 0] = 1.0
     unit = stack / size[:, None, None]
     upper = upper_bound(unit, made)
-    lower, perturbation = lower_bound(unit, made, upper)
+    lower, Q = lower_bound(unit, made, upper)
+    perturbation = np.full(Q.shape, np.nan, dtype=np.complex128)
+    found = lower > 0
+    perturbation[found] = Q[found] / (lower * size)[found, None, None]
     # both stand to rounding only: where they meet, the larger is the upper one
     top = np.maximum(upper.value, lower) * size
     peak = _peak(M, f, top, made) if stable else (np.inf, np.nan)
     D, D_in, G = _normalised(upper, made)
-    arrays = (D, D_in, G * size[:, None, None], perturbation / size[:, None, None])
+    arrays = (D, D_in, G * size[:, None, None], perturbation)
     return MuBounds(
         frozen(top),
         frozen(lower * size),

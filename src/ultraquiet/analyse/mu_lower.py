@@ -17,25 +17,26 @@ RANDOM = 4  # starts from anywhere
 STEPS = 40  # of the power iteration, all starts
 POLISH = 60  # turns by exact eigenvectors, best start
 SETTLED = 1e-10  # relative gain of a turn below which a frequency is done
-REAL = 1e-7  # imaginary share below which an eigenvalue counts as real, where blocks are real
+TURNS = 8  # of complex blocks until an eigenvalue is real, where other blocks are
+REAL = 1e-9  # imaginary share below which an eigenvalue counts as real, where blocks are real
 SEED = 0  # of the starts: the bound is the same every time
 TINY = np.finfo(float).tiny
 
 
 def lower_bound(M: Array, blocks: Structure, upper: Upper) -> tuple[Array, Array]:
-    """Return the bound `(nf,)` and the smallest perturbation found `(nf, nw, nz)`, infinite where the bound is zero."""
+    """Return the bound `(nf,)` and Q of norm one `(nf, nw, nz)`, which has it as an eigenvalue of Q M."""
     nf = M.shape[0]
     a, b, w = _iterated(M, blocks, _starts(M, upper))
     Q = _perturbations(a, b, w, blocks)
+    if blocks.has_real:
+        Q = _turned_real(M, blocks, Q)
     size, turn = _spectral(Q @ M[:, None], blocks)
     best = np.argmax(size, axis=1)
     pick = np.arange(nf), best
     size, Q = size[pick], Q[pick] * turn[pick][:, None, None]
     if not blocks.has_real:
         size, Q = _polished(M, blocks, size, Q)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        perturbation = np.where(size[:, None, None] > 0, Q / size[:, None, None], np.inf)
-    return size, perturbation
+    return size, Q
 
 
 def _starts(M: Array, upper: Upper) -> tuple[Array, Array]:
@@ -146,6 +147,30 @@ def _spectral(QM: Array, blocks: Structure) -> tuple[Array, Array]:
     size = np.abs(top)
     turn = np.where(size > TINY, np.conj(top) / np.maximum(size, TINY), 1.0)
     return size, np.sign(np.real(turn)) + 0j if blocks.has_real else turn
+
+
+def _turned_real(M: Array, blocks: Structure, Q: Array) -> Array:
+    """Turn all complex blocks together until the largest eigenvalue of Q M is real: Newton's method on its angle."""
+    nf, starts, nw, nz = Q.shape
+    Q, behind = Q.reshape(nf * starts, nw, nz).copy(), np.repeat(M, starts, axis=0)
+    free = np.ones((nw, nz))
+    for block, out, into in zip(blocks.blocks, blocks.outputs, blocks.inputs, strict=True):
+        if block.kind == "real":
+            free[into, out] = 0.0
+    if not free.any():
+        return Q.reshape(nf, starts, nw, nz)
+    for _ in range(TURNS):
+        values, right = np.linalg.eig(Q @ behind)
+        # a real eigenvalue of nearly the same size is worth more than a larger complex one
+        k = np.argmax(np.abs(values) - np.abs(values.imag), axis=1)
+        top = np.take_along_axis(values, k[:, None], axis=1)[:, 0]
+        b = np.take_along_axis(right, k[:, None, None], axis=2)[:, :, 0]
+        w = _left_vector(right, k).conj()
+        slope = np.einsum("fi,fij,fj->f", w, 1j * (free * Q) @ behind, b) / np.einsum("fi,fi->f", w, b)
+        moving = np.abs(slope.imag) > REAL * np.abs(top)
+        angle = np.where(moving, -top.imag / np.where(moving, slope.imag, 1.0), 0.0)
+        Q = np.where(free > 0, Q * np.exp(1j * np.clip(angle, -1.0, 1.0))[:, None, None], Q)
+    return Q.reshape(nf, starts, nw, nz)
 
 
 def _polished(M: Array, blocks: Structure, size: Array, Q: Array) -> tuple[Array, Array]:
