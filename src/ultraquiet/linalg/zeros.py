@@ -32,7 +32,7 @@ def invariant_zeros(A: Array, B: Array, C: Array, D: Array) -> Array:
 
 def _row_compressed(A: Array, B: Array, C: Array, D: Array) -> tuple[Array, ...]:
     """Remove the states that outputs without feedthrough tie to zero, until D has full row rank."""
-    tiny = RANK * max(float(np.abs(M).max()) for M in (A, B, C, D) if M.size)
+    tiny = RANK * max((float(np.abs(M).max()) for M in (A, B, C, D) if M.size), default=0.0)
     while C.shape[0]:
         U, s, _ = np.linalg.svd(D) if D.shape[1] else (np.eye(D.shape[0]), np.zeros(0), None)
         rank = int(np.sum(s > tiny))
