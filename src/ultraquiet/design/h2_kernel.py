@@ -5,10 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.equations import Riccati, continuous_riccati, discrete_riccati
+from ultraquiet.linalg.equations import Riccati, continuous_riccati, discrete_least_squares
 from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.values.state_space import StateSpace
 
+ROUND_OFF = 1e-14  # singular values of D12 and D21 below this share of the largest are none
 RANK = 1e-12  # of D12'D12 and D21 D21' (continuous), relative
 
 
@@ -33,8 +34,15 @@ class Problem(NamedTuple):
         return cls(P.A, P.B[:, :m], P.B[:, m:], P.C[:p], P.C[p:], D[:p, :m], D[:p, m:], D[p:, :m], D[p:, m:])
 
 
+class Units(NamedTuple):
+    """Controls and measurements in which D12 and D21 have orthonormal columns and rows: u = into ~u, ~y = out y."""
+
+    into: Array
+    out: Array
+
+
 class Solution(NamedTuple):
-    """Gains of the optimal law u = -F x - N e, x' = A x + B2 u + L e, e = y - C2 x - D22 u."""
+    """Gains of the optimal law u = -F x - N e, x' = A x + B2 u + L e, e = y - C2 x - D22 u, in units of their own."""
 
     problem: Problem
     regulator: Riccati
@@ -43,6 +51,17 @@ class Solution(NamedTuple):
     L: Array
     N: Array
     discrete: bool
+    units: Units
+
+    @property
+    def feedback(self) -> Array:
+        """F in the units of the plant's controls."""
+        return self.units.into @ self.F
+
+    @property
+    def injection(self) -> Array:
+        """L in the units of the plant's measurements."""
+        return self.L @ self.units.out
 
     @property
     def residuals(self) -> dict[str, float]:
@@ -57,7 +76,9 @@ class Solution(NamedTuple):
         # u (I - N D22) = -(F - N C2) x - N y
         u = np.linalg.solve(np.eye(N.shape[0]) - N @ p.D22, np.hstack([-(self.F - N @ p.C2), -N]))
         drive = p.B2 - self.L @ p.D22
-        return p.A - self.L @ p.C2 + drive @ u[:, :n], self.L + drive @ u[:, n:], u[:, :n], u[:, n:]
+        into, out = self.units
+        B, C, D = (self.L + drive @ u[:, n:]) @ out, into @ u[:, :n], into @ u[:, n:] @ out
+        return p.A - self.L @ p.C2 + drive @ u[:, :n], B, C, D
 
     def cost(self) -> float:
         """Return the H2 norm that the equations promise, by the optimal cost and the price of not knowing the state."""
@@ -84,24 +105,45 @@ def solve(p: Problem, discrete: bool) -> Solution:
         NumericalError: an equation has no stabilising solution; in continuous time also when D12 or D21 lacks rank or
             D11 is not zero.
     """
+    if not discrete:
+        _ranks(p, p.D12.T @ p.D12, p.D21 @ p.D21.T)
+    p, units = _normalised(p)
     Rx, Ry = p.D12.T @ p.D12, p.D21 @ p.D21.T
     Sx, Sy = p.C1.T @ p.D12, p.B1 @ p.D21.T
     if discrete:
-        X = discrete_riccati(p.A, p.B2, p.C1.T @ p.C1, Rx, Sx)
-        Y = discrete_riccati(p.A.T, p.C2.T, p.B1 @ p.B1.T, Ry, Sy)
+        X = discrete_least_squares(p.A, p.B2, p.C1, p.D12)
+        Y = discrete_least_squares(p.A.T, p.C2.T, p.B1.T, p.D21.T)
         R, S = Rx + p.B2.T @ X.X @ p.B2, Ry + p.C2 @ Y.X @ p.C2.T
         F = np.linalg.solve(R, p.B2.T @ X.X @ p.A + Sx.T)
         L = np.linalg.solve(S, p.C2 @ Y.X @ p.A.T + Sy.T).T
         # of x and of w, the part that this sample's innovation tells
         told = np.linalg.solve(R, p.B2.T @ X.X @ p.B1 + p.D12.T @ p.D11) @ p.D21.T
         N = np.linalg.solve(S, (F @ Y.X @ p.C2.T + told).T).T
-        return Solution(p, X, Y, F, L, N, True)
-    _ranks(p, Rx, Ry)
+        return Solution(p, X, Y, F, L, N, True, units)
     X = _continuous(p.A, p.B2, p.C1.T @ p.C1, Rx, Sx)
     Y = _continuous(p.A.T, p.C2.T, p.B1 @ p.B1.T, Ry, Sy)
     F = np.linalg.solve(Rx, p.B2.T @ X.X + Sx.T)
     L = np.linalg.solve(Ry, p.C2 @ Y.X + Sy.T).T
-    return Solution(p, X, Y, F, L, np.zeros((F.shape[0], p.C2.shape[0])), False)
+    return Solution(p, X, Y, F, L, np.zeros((F.shape[0], p.C2.shape[0])), False, units)
+
+
+def _normalised(p: Problem) -> tuple[Problem, Units]:
+    """Choose units of controls and measurements such that D12'D12 and D21 D21' are unit matrices.
+
+    Squaring D12 first would lose what is small in it. A D12 or D21 without full rank is left as it is.
+    """
+    into, D12 = _unit(p.D12)
+    out, D21 = _unit(p.D21.T)
+    out = out.T
+    return p._replace(B2=p.B2 @ into, D12=D12, C2=out @ p.C2, D21=D21.T, D22=out @ p.D22 @ into), Units(into, out)
+
+
+def _unit(D: Array) -> tuple[Array, Array]:
+    """Return T and D T with orthonormal columns; the unit matrix and D itself when D lacks rank."""
+    U, s, Vt = np.linalg.svd(D, full_matrices=False)
+    if D.shape[0] < D.shape[1] or not s[-1] > ROUND_OFF * s[0]:
+        return np.eye(D.shape[1]), D
+    return Vt.T / s, U
 
 
 def _continuous(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Riccati:

@@ -19,10 +19,12 @@ from ultraquiet.design.lqg_problem import Parts, generalised, integrator, regula
 from ultraquiet.design.ltr import recovery
 from ultraquiet.design.weights import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.norms import peak_gain
 from ultraquiet.values.generalised import full
-from ultraquiet.values.interconnect import append, gain, lft, series
+from ultraquiet.values.interconnect import append, feedback, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
 
+CHEAP = 1e-6  # weight on u against the gain from u to the cost, below which half of the digits are gone
 RISE = 10.0  # in gain, of the weight on u above `control_hz`
 
 
@@ -127,13 +129,17 @@ class Lqg:
             core = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=plant.rate_hz)
             achieved = h2_norm(lft(P, core))
         except (NumericalError, InputError) as error:
-            return refused(f"Lqg: {error}")
+            return refused(f"Lqg: {error}{_advice(P, ny, nu)}")
         promised = found.cost() if self.estimator == "current" else achieved
         if not abs(promised - achieved) <= AGREEMENT * achieved:
-            return refused(f"Lqg: the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}.")
+            said = f"the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}."
+            return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
+        K = core if parts.loop is None else series(parts.loop, core)
+        if not feedback(K, plant).is_stable():
+            said = "the loop hangs on rounding errors: stable where it is closed at the outputs, not at the inputs."
+            return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
         recovered = recovery(self.recovery_at, even, parts.loop, core, P, found)
         details = {"recovery": recovered, "weights": self.weights(plant)}
-        K = core if parts.loop is None else series(parts.loop, core)
         return judged(plant, K, self, promised, achieved, found.residuals, details)
 
     def generalised(self, plant: StateSpace) -> StateSpace:
@@ -194,3 +200,13 @@ class Lqg:
     def _band(self, rate_hz: float | None) -> StateSpace:
         assert self.band_hz is not None
         return band_pass(self.band_hz, 1.0, self.floor, self.band_order, rate_hz)
+
+
+def _advice(P: StateSpace, ny: int, nu: int) -> str:
+    """Return what to do when control costs next to nothing against what it moves: the usual cause of lost digits."""
+    B, C, D = P.B[:, -nu:], P.C[:-ny], P.D[:-ny, -nu:]
+    cost = np.linalg.svd(D, compute_uv=False)[-1]
+    moved, _ = peak_gain(P.A, B, C, D, discrete=True)
+    if cost > CHEAP * moved:
+        return ""
+    return f" The weight on u, {cost:.1e}, is small against what u moves, {moved:.1e}; raise 'control_weight'."

@@ -32,10 +32,10 @@ def recovery(
     seen = plant if loop is None else series(plant, loop)
     ny, nu = seen.D.shape
     if at == "input":
-        target = StateSpace(P.A, P.B[:, -nu:], -found.F, np.zeros((nu, nu)), P.rate_hz)
+        target = StateSpace(P.A, P.B[:, -nu:], -found.feedback, np.zeros((nu, nu)), P.rate_hz)
         error = recovery_error(series(seen, core), target, f)
     else:
-        target = StateSpace(P.A, found.L, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
+        target = StateSpace(P.A, found.injection, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
         error = recovery_error(series(core, seen), target, f)
     return {"at": at, "f_hz": f, "error": error[0], "relative_error": error[1]}
 

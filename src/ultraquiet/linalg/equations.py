@@ -3,7 +3,7 @@
 from ultraquiet.linalg.lyapunov import lyapunov, stein
 from ultraquiet.linalg.riccati import Riccati
 from ultraquiet.linalg.riccati_continuous import continuous_regulator, continuous_residual, continuous_riccati
-from ultraquiet.linalg.riccati_discrete import discrete_gain, discrete_riccati
+from ultraquiet.linalg.riccati_discrete import discrete_gain, discrete_least_squares, discrete_riccati
 
 __all__ = [
     "Riccati",
@@ -11,6 +11,7 @@ __all__ = [
     "continuous_residual",
     "continuous_riccati",
     "discrete_gain",
+    "discrete_least_squares",
     "discrete_riccati",
     "lyapunov",
     "stein",

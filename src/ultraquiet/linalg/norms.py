@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ultraquiet.linalg.balance import gramians, modal
+from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous
+from ultraquiet.linalg.equations import lyapunov, stein
 from ultraquiet.linalg.modal_response import Residues, split
 from ultraquiet.linalg.ordered import Array
 
@@ -49,7 +50,9 @@ def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
         return np.inf
     if not discrete and np.any(D != 0):
         return np.inf
-    _, Q = gramians(A, B, C, discrete)
+    form = modal(A, B, C)  # even blocks: a lightly damped mode beside a large coupling would lose its digits
+    B = form.B
+    Q = (stein if discrete else lyapunov)(form.A.T, form.C.T @ form.C)
     total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)
     return float(np.sqrt(max(total, 0.0)))
 

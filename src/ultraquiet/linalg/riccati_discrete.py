@@ -31,6 +31,28 @@ class _Terms(NamedTuple):
     Q: Array
     R: Array
     S: Array
+    C: Array | None = None  # of the cost |C x + D u|^2, where it is given as a sum of squares
+    D: Array | None = None
+
+    def cost(self, K: Array) -> Array:
+        """Return what u = -K x costs: by squares where they are known, for differences of large terms lose digits."""
+        if self.C is not None and self.D is not None:
+            left = self.C - self.D @ K
+            return left.T @ left
+        return symmetric(self.Q - self.S @ K - K.T @ self.S.T + K.T @ self.R @ K)
+
+    def scaled(self, d: Array) -> "_Terms":
+        """Return the equation in the states x / d."""
+        C = None if self.C is None else self.C * d
+        Q, S = self.Q * np.outer(d, d), self.S * d[:, None]
+        return _Terms(self.A * d / d[:, None], self.B / d[:, None], Q, self.R, S, C, self.D)
+
+    def without_cross(self) -> tuple[Array, Array, Array]:
+        """Return A - B K, B R^-1 B' and the cost of K = R^-1 S', of the equation whose cost has no cross term."""
+        n = self.A.shape[0]
+        RB = np.linalg.solve(self.R, np.hstack([self.B.T, self.S.T]))
+        K = RB[:, n:]
+        return self.A - self.B @ K, symmetric(self.B @ RB[:, :n]), self.cost(K)
 
 
 def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = None, E: Array | None = None) -> Riccati:
@@ -46,13 +68,21 @@ def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = N
     A, B = without_descriptor(E, A, B)
     if A.shape[0] == 0:
         return Riccati(np.zeros((0, 0)), 0.0, 1.0)
-    terms = _Terms(A, B, Q, R, np.zeros(B.shape) if S is None else S)
-    d = _scale(terms)
-    scaled = _Terms(A * d / d[:, None], B / d[:, None], Q * np.outer(d, d), R, terms.S * d[:, None])
-    found = _ladder(scaled)
-    if found is None or not found.accepted:
-        raise refusal("discrete", A.shape[0], found)
-    return found._replace(X=with_descriptor(E, found.X / np.outer(d, d)))
+    found = _solved(_Terms(A, B, Q, R, np.zeros(B.shape) if S is None else S))
+    return found._replace(X=with_descriptor(E, found.X))
+
+
+def discrete_least_squares(A: Array, B: Array, C: Array, D: Array) -> Riccati:
+    """Solve the equation of the cost |C x + D u|^2 for the stabilising X: Q = C'C, S = C'D, R = D'D.
+
+    The squares keep digits that Q - S K - K'S' + K'R K loses where control is cheap.
+
+    Raises:
+        NumericalError: as `discrete_riccati`.
+    """
+    if A.shape[0] == 0:
+        return Riccati(np.zeros((0, 0)), 0.0, 1.0)
+    return _solved(_Terms(A, B, C.T @ C, D.T @ D, C.T @ D, C, D))
 
 
 def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
@@ -61,6 +91,14 @@ def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
     d = np.sqrt(np.abs(np.diag(W)))
     d = np.where(d > 0, d, 1.0)
     return np.linalg.solve(W / np.outer(d, d), right / d[:, None]) / d[:, None]
+
+
+def _solved(terms: _Terms) -> Riccati:
+    d = _scale(terms)
+    found = _ladder(terms.scaled(d))
+    if found is None or not found.accepted:
+        raise refusal("discrete", terms.A.shape[0], found)
+    return found._replace(X=found.X / np.outer(d, d))
 
 
 def _ladder(terms: _Terms) -> Riccati | None:
@@ -81,23 +119,17 @@ def _ladder(terms: _Terms) -> Riccati | None:
 
 
 def _scale(terms: _Terms) -> Array:
-    A, B, Q, R, S = terms
-    if not np.linalg.cond(R) < ILL:
-        return np.ones(A.shape[0])
-    RB = np.linalg.solve(R, np.hstack([B.T, S.T]))
-    n = A.shape[0]
-    return symplectic_scale(A - B @ RB[:, n:], B @ RB[:, :n], Q - S @ RB[:, n:])
+    if not np.linalg.cond(terms.R) < ILL:
+        return np.ones(terms.A.shape[0])
+    return symplectic_scale(*terms.without_cross())
 
 
 def _doubled(terms: _Terms) -> Array | None:
     """Structure-preserving doubling (Chu, Fan, Lin and Wang 2004, doi:10.1080/00207170410001714988)."""
-    A, B, Q, R, S = terms
     try:
-        RB = np.linalg.solve(R, np.hstack([B.T, S.T]))
+        return double(*terms.without_cross())
     except LinAlgError:
         return None
-    n = A.shape[0]
-    return double(A - B @ RB[:, n:], symmetric(B @ RB[:, :n]), symmetric(Q - S @ RB[:, n:]))
 
 
 def _qz(terms: _Terms) -> Array | None:
@@ -132,24 +164,23 @@ def _polished(terms: _Terms, X: Array, steps: int, falling: bool = True) -> Ricc
 
 
 def _newton(terms: _Terms, X: Array) -> Array:
-    A, B, Q, R, S = terms
-    K = discrete_gain(A, B, R, S, X)
-    cost = Q - S @ K - K.T @ S.T + K.T @ R @ K
+    K = discrete_gain(terms.A, terms.B, terms.R, terms.S, X)
     try:
-        return stein((A - B @ K).T, symmetric(cost))
+        return stein((terms.A - terms.B @ K).T, terms.cost(K))
     except NumericalError:
         return np.full(X.shape, np.nan)
 
 
 def _judged(terms: _Terms, X: Array) -> Riccati:
-    A, B, Q, R, S = terms
+    """Return X with the residual of X = (A - BK)'X(A - BK) + cost(K), the equation's own with K = K(X)."""
     if not np.all(np.isfinite(X)):
         return Riccati(X, np.inf, -np.inf)
     try:
-        K = discrete_gain(A, B, R, S, X)
+        K = discrete_gain(terms.A, terms.B, terms.R, terms.S, X)
     except LinAlgError:
         return Riccati(X, np.inf, -np.inf)
-    AXA, pull = A.T @ X @ A, (A.T @ X @ B + S) @ K
-    size = np.linalg.norm(AXA) + np.linalg.norm(pull) + np.linalg.norm(Q) + np.linalg.norm(X)
-    residual = float(np.linalg.norm(AXA - pull + Q - X) / size) if size else 0.0
-    return Riccati(X, residual, 1.0 - float(np.abs(np.linalg.eigvals(A - B @ K)).max()))
+    closed, cost = terms.A - terms.B @ K, terms.cost(K)
+    kept = closed.T @ X @ closed
+    size = np.linalg.norm(kept) + np.linalg.norm(cost) + np.linalg.norm(X)
+    residual = float(np.linalg.norm(kept + cost - X) / size) if size else 0.0
+    return Riccati(X, residual, 1.0 - float(np.abs(np.linalg.eigvals(closed)).max()))
