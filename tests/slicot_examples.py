@@ -8,7 +8,7 @@ import numpy as np
 from ultraquiet.values import StateSpace
 
 SLICOT = Path(__file__).parent / "data" / "slicot"
-NUMBER = re.compile(r"[-+]?\d*\.?\d+(?:[DEe][-+]\d+)?$")
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[DEe][-+]?\d+)?$")
 
 
 def numbers(text):

@@ -3,6 +3,16 @@
 from ultraquiet.reduce._abstract import ReductionResult
 from ultraquiet.reduce.balanced import Balanced
 from ultraquiet.reduce.closed_loop import ClosedLoopWeighted
+from ultraquiet.reduce.coprime import CoprimeFactors, reduce_observer_based
 from ultraquiet.reduce.hankel import HankelNorm
+from ultraquiet.reduce.weighted import FrequencyWeighted
 
-__all__ = ["Balanced", "ClosedLoopWeighted", "HankelNorm", "ReductionResult"]
+__all__ = [
+    "Balanced",
+    "ClosedLoopWeighted",
+    "CoprimeFactors",
+    "FrequencyWeighted",
+    "HankelNorm",
+    "ReductionResult",
+    "reduce_observer_based",
+]

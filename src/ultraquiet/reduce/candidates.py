@@ -6,8 +6,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, NumericalError
-from ultraquiet.linalg import balance
-from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.linalg import balance, response
+from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.reduce import alike
 from ultraquiet.reduce._abstract import joined, project, split
 from ultraquiet.reduce.certificate import loop_norm
@@ -74,7 +74,7 @@ class Candidates:
     def tuned(self, count: int, steps: int, allowed: float) -> Candidate:
         """Return the best controller of `count` states after descents from every projection; stops when good enough."""
         order = count // self._copies
-        shape = Shape(order, *self._one.D.shape, self._copies)
+        shape = Shape(order, self._one.D.shape[0], self._one.D.shape[1], self._copies)
         descent = Descent(self._grid, shape, self._norm, self._discrete)
         starts = []
         for start in self._projections(count):
@@ -130,8 +130,8 @@ class Candidates:
         Pc, Qo = balance.gramians(loop.A, loop.B, loop.C, self._discrete)
         M: Matrices = (K.A, K.B, K.C, K.D)
         none = (np.zeros((0, 0)), np.zeros((0, K.D.shape[1])), np.zeros((K.D.shape[0], 0)))
-        pairs = (alike.averaged(W[n:, n:], copies) for W in (Pc, Qo))
-        sources = [_Source("loop", M, *pairs, none)]
+        inside, cost = (alike.averaged(W[n:, n:], copies) for W in (Pc, Qo))
+        sources = [_Source("loop", M, inside, cost, none)]
         stable, kept = split(self._K)
         if copies > 1 and kept[0].shape[0]:
             return sources
@@ -155,11 +155,9 @@ def _factors(P: StateSpace, K: StateSpace) -> tuple[Matrices, Matrices]:
     return (seen.A, seen.B, seen.C, seen.D), (felt.A, felt.B, felt.C, felt.D)
 
 
-def _response(system: StateSpace, points: FloatArray) -> FloatArray:
-    from ultraquiet.linalg import response
-
+def _response(system: StateSpace, points: Array) -> Array:
     return response.frequency_response(system.A, system.B, system.C, system.D, points)
 
 
-def _inside(poles: FloatArray, discrete: bool) -> bool:
+def _inside(poles: Array, discrete: bool) -> bool:
     return bool(np.all(np.abs(poles) < 1) if discrete else np.all(poles.real < 0))

@@ -2,7 +2,6 @@
 
 from dataclasses import asdict, dataclass
 
-
 from ultraquiet._base.constraints import one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
@@ -97,7 +96,9 @@ class ClosedLoopWeighted:
         nothing = self.states is None and self.budget is None and self.loss is None
         allowed = USUAL_LOSS if nothing else self.loss
         best = self._chosen(tried, controller, allowed)
-        made = Provenance("ClosedLoopWeighted", asdict(self), (controller.hash, plant.hash), versions=versions())
+        made = Provenance(
+            "ClosedLoopWeighted", asdict(self), parents=(controller.hash, plant.hash), versions=versions()
+        )
         small = renamed((best.system.A, best.system.B, best.system.C, best.system.D), controller, made)
         return certified(
             controller,

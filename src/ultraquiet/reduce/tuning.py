@@ -122,7 +122,7 @@ class Descent:
         z = self._grid.points[:, None]
         a, b, c, d = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 0], blocks[:, 1, 1]
         R = np.array([[z - d, b + 0 * z], [c + 0 * z, z - a]]) / ((z - a) * (z - d) - b * c)
-        R = np.moveaxis(R, (0, 1), (2, 3))
+        R: Array = np.moveaxis(R, (0, 1), (2, 3))
         count, k, n = len(z), self._shape.blocks, 2 * self._shape.blocks
         RB = (R @ B.reshape(k, 2, -1)).reshape(count, n, -1)
         CR = np.einsum("ubi,kbij->kubj", C.reshape(-1, k, 2), R).reshape(count, -1, n)
