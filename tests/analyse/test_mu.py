@@ -202,7 +202,7 @@ def test_peak_is_refined_between_the_lines(rng):
     print(f"peak {peak:.9g} at {at:.6g} Hz; exact {norm:.9g} at {f_hz:.6g} Hz")
     if 0.01 < f_hz < 10:
         assert peak == pytest.approx(norm, rel=1e-7)
-    assert mu_peak(G, [2])[0] == pytest.approx(norm, rel=1e-3)
+    assert mu_peak(G, [2])[0] == pytest.approx(norm, rel=1e-7)
     apart = mu_bounds(G, f_hz=f)
     assert mu_peak(G, f_hz=f)[0] == pytest.approx(apart.peak[0], rel=1e-6)
     assert apart.peak[0] >= apart.upper.max() * (1 - 1e-12)

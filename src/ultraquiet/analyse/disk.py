@@ -8,9 +8,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
-from ultraquiet.analyse.peaks import refined
-from ultraquiet.linalg.modal_response import residues
-from ultraquiet.linalg.response import points
+from ultraquiet.analyse.peaks import ends, refined, response_at
 from ultraquiet.values.interconnect import append, gain, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -154,26 +152,23 @@ def disk_margins(
         nothing = frozen(np.zeros(count))
         return DiskMargins(0.0, np.nan, 0.0, frozen(np.ones(count, complex)), nothing, nothing, side, skew, False)
     f = np.sort(default_grid(seen) if f_hz is None else frequency_array("disk_margins", f_hz))
-    loops = _each(seen, f)
-    largest, at = mu_peak(seen, f_hz=f)
-    here = mu_bounds(seen.frequency_response([at]))
+    loops = _each(seen, f, ends(seen.rate_hz) if f_hz is None else None)
+    largest, at = mu_peak(seen, f_hz=f_hz)
+    here = mu_bounds(response_at(seen)(np.array([at])))
     d = np.diagonal(here.perturbation[:, :, 0])
     factors = (2 + (1 - skew) * d) / (2 - (1 + skew) * d)
     at_most = _inverse(float(here.lower[0]))
     return DiskMargins(_inverse(largest), at, at_most, frozen(factors), *loops, side=side, skew=skew, stable=True)
 
 
-def _each(seen: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _each(seen: StateSpace, f: FloatArray, beside: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return alpha and its frequency for each channel alone."""
-    response = residues(seen.A, seen.B, seen.C, seen.D)
+    response = response_at(seen)
 
     def one(i: int) -> tuple[float, float]:
-        def at(lines: FloatArray) -> FloatArray:
-            return np.abs(response.at(points(lines, seen.rate_hz))[i, i])
+        return refined(lambda lines: np.abs(response(lines)[i, i]), f, sizes[i], beside)
 
-        return refined(at, f, sizes[i])
-
-    sizes = np.abs(np.einsum("iif->if", response.at(points(f, seen.rate_hz))))
+    sizes = np.abs(np.einsum("iif->if", response(f)))
     found = [one(i) for i in range(seen.D.shape[0])]
     return frozen(np.array([_inverse(v) for v, _ in found])), frozen(np.array([at for _, at in found]))
 

@@ -1,5 +1,6 @@
 """How far a loop is from instability: peak sensitivity, loop-at-a-time margins, disk margins."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +8,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.analyse.peaks import refined
-from ultraquiet.linalg.modal_response import Residues, residues
-from ultraquiet.linalg.response import points
+from ultraquiet.analyse.peaks import ends, refined, response_at
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -86,22 +85,21 @@ def loop_margins(
     if not S.is_stable():
         return Margins(*(np.zeros(loops) for _ in range(5)))
     f = default_grid(S) if f_hz is None else np.sort(frequency_array("loop_margins", f_hz))
-    system = residues(S.A, S.B, S.C, S.D)
-    response = system.at(points(f, S.rate_hz))
+    at = response_at(S)
+    response = at(f)
+    beside = ends(S.rate_hz) if f_hz is None else None
     rows = [_crossings(1 / response[i, i] - 1, f) for i in range(loops)]
     # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277)
-    disk = [1.0 / _peak_beside_half(system, S.rate_hz, i, f, response[i, i]) for i in range(loops)]
+    disk = [1.0 / _peak_off_half(at, i, f, response[i, i], beside) for i in range(loops)]
     up, down, phase, delay = (np.array(column) for column in zip(*rows, strict=True))
     return Margins(up, down, phase, delay, np.array(disk))
 
 
-def _peak_beside_half(system: Residues, rate_hz: float | None, i: int, f: FloatArray, S: ComplexArray) -> float:
+def _peak_off_half(
+    at: Callable[[FloatArray], ComplexArray], i: int, f: FloatArray, S: ComplexArray, beside: FloatArray | None
+) -> float:
     """Return the largest |S_ii - 1/2|, between the lines of the grid too."""
-
-    def at(lines: FloatArray) -> FloatArray:
-        return np.abs(system.at(points(lines, rate_hz))[i, i] - 0.5)
-
-    return refined(at, f, np.abs(S - 0.5))[0]
+    return refined(lambda lines: np.abs(at(lines)[i, i] - 0.5), f, np.abs(S - 0.5), beside)[0]
 
 
 def _crossings(L: ComplexArray, f: FloatArray) -> tuple[float, float, float, float]:

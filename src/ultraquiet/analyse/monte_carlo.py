@@ -12,9 +12,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet.analyse.disk import disk_margin
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
-from ultraquiet.analyse.peaks import refined
-from ultraquiet.linalg.modal_response import residues
-from ultraquiet.linalg.response import points
+from ultraquiet.analyse.peaks import refined, response_at
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -183,10 +181,10 @@ def _least(sides: list[Margins], name: str) -> float:
 def _worst_in_band(S: StateSpace, low: float, high: float) -> float:
     """Return the reduction in dB of the worst direction over a band."""
     top = high if S.rate_hz is None else min(high, S.rate_hz / 2)
-    response = residues(S.A, S.B, S.C, S.D)
+    response = response_at(S)
 
     def at(f: FloatArray) -> FloatArray:
-        return np.linalg.norm(np.moveaxis(response.at(points(f, S.rate_hz)), 2, 0), 2, axis=(1, 2))
+        return np.linalg.norm(np.moveaxis(response(f), 2, 0), 2, axis=(1, 2))
 
     poles = S.poles()
     own = np.abs(poles.imag) if S.rate_hz is None else np.abs(np.angle(poles)) * S.rate_hz

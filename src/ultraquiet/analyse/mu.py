@@ -11,10 +11,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu_lower import lower_bound
 from ultraquiet.analyse.mu_upper import Upper, highest, upper_bound
-from ultraquiet.analyse.peaks import refined
+from ultraquiet.analyse.peaks import ends, refined, response_at
 from ultraquiet.analyse.structure import Block, Structure, structure
-from ultraquiet.linalg.modal_response import residues
-from ultraquiet.linalg.response import points
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
@@ -108,7 +106,8 @@ def mu_bounds(
     perturbation[found] = Q[found] / (lower * size)[found, None, None]
     # both stand to rounding only: where they meet, the larger is the upper one
     top = np.maximum(upper.value, lower) * size
-    peak = _peak(M, f, top, made) if stable else (np.inf, np.nan)
+    beside = ends(M.rate_hz) if isinstance(M, StateSpace) and f_hz is None else None
+    peak = _peak(M, f, top, made, beside) if stable else (np.inf, np.nan)
     D, D_in, G = _normalised(upper, made)
     arrays = (D, D_in, G * size[:, None, None], perturbation)
     return MuBounds(
@@ -159,23 +158,27 @@ def mu_peak(M: StateSpace, blocks: Blocks | None = None, f_hz: ArrayLike | None 
     if not M.is_stable():
         return np.inf, np.nan
     f = default_grid(M) if f_hz is None else frequency_array("mu_peak", f_hz)
-    return _peak(M, f, None, made)
+    return _peak(M, f, None, made, ends(M.rate_hz) if f_hz is None else None)
 
 
 def _peak(
-    M: StateSpace | FrequencyResponse | ComplexArray, f: FloatArray, values: FloatArray | None, blocks: Structure
+    M: StateSpace | FrequencyResponse | ComplexArray,
+    f: FloatArray,
+    values: FloatArray | None,
+    blocks: Structure,
+    beside: FloatArray | None,
 ) -> tuple[float, float]:
     if not isinstance(M, StateSpace):
         assert values is not None
         k = int(np.argmax(values)) if values.size else 0
         return (float(values[k]), float(f[k])) if values.size else (0.0, np.nan)
-    response = residues(M.A, M.B, M.C, M.D)
+    response = response_at(M)
 
     def at(lines: FloatArray) -> FloatArray:
-        return highest(np.moveaxis(response.at(points(lines, M.rate_hz)), 2, 0), blocks)
+        return highest(np.moveaxis(response(lines), 2, 0), blocks)
 
     order = np.argsort(f)
-    return refined(at, f[order], (at(f) if values is None else values)[order])
+    return refined(at, f[order], (at(f) if values is None else values)[order], beside)
 
 
 def _response(

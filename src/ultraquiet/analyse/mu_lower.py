@@ -162,13 +162,13 @@ def _turned_real(M: Array, blocks: Structure, Q: Array) -> Array:
     for _ in range(TURNS):
         values, right = np.linalg.eig(Q @ behind)
         # a real eigenvalue of nearly the same size is worth more than a larger complex one
-        k = np.argmax(np.abs(values) - np.abs(values.imag), axis=1)
+        k = np.argmax(np.abs(values) - np.abs(np.imag(values)), axis=1)
         top = np.take_along_axis(values, k[:, None], axis=1)[:, 0]
         b = np.take_along_axis(right, k[:, None, None], axis=2)[:, :, 0]
         w = _left_vector(right, k).conj()
         slope = np.einsum("fi,fij,fj->f", w, 1j * (free * Q) @ behind, b) / np.einsum("fi,fi->f", w, b)
         moving = np.abs(slope.imag) > REAL * np.abs(top)
-        angle = np.where(moving, -top.imag / np.where(moving, slope.imag, 1.0), 0.0)
+        angle = np.where(moving, -np.imag(top) / np.where(moving, slope.imag, 1.0), 0.0)
         Q = np.where(free > 0, Q * np.exp(1j * np.clip(angle, -1.0, 1.0))[:, None, None], Q)
     return Q.reshape(nf, starts, nw, nz)
 
