@@ -13,7 +13,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design import hinf_kernel as kernel
 from ultraquiet.design._abstract import DesignResult, is_stable, refused
 from ultraquiet.design.hinf_opinion import verify_level
-from ultraquiet.design.hinf_refusal import diagnose
+from ultraquiet.design.hinf_refusal import WHO, out_of_reach, zeros_on_boundary
 from ultraquiet.design.hinf_search import Bracket, given, search
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values.interconnect import lft
@@ -78,17 +78,24 @@ def synthesize_hinf(
     nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
     if margin < 1:
         raise InputError(f"{who}: 'margin' must be at least one, got {margin:g}.")
+    sentence = out_of_reach(P, ny, nu)
+    if sentence:
+        return refused(sentence)
     try:
-        M = _continuous(P)
-        plant = kernel.normalise(M, ny, nu)
+        plant = kernel.normalise(_continuous(P), ny, nu)
+        sentence = zeros_on_boundary(plant, P.rate_hz)
+        if sentence:
+            return refused(sentence)
         bracket = (
             search(plant, max(FINEST, COARSENESS * (margin - 1)))
             if gamma is None
             else given(plant, positive(who, "gamma", gamma))
         )
         if bracket.best.reason:
-            return refused(_sentence(P, ny, nu, gamma, bracket.best.reason))
-        result = _form(P, plant, bracket, ny, nu, margin if gamma is None else 1.0)
+            return refused(_sentence(gamma, bracket.best.reason))
+        # a level that was asked for is kept or refused, the search's own may be left for a safer one
+        factors = [margin * f for f in BACK_OFF] if gamma is None else [1.0]
+        result = _form(P, plant, bracket, ny, nu, factors)
         wanted = P.states <= SMALL if second_opinion is None else second_opinion
         return _seconded(P, result, bracket) if wanted and gamma is None and result.status.ok else result
     except NumericalError as error:
@@ -112,13 +119,11 @@ def _seconded(P: StateSpace, result: DesignResult, found: Bracket) -> DesignResu
     return replace(result, status=status, details={**result.details, "second_opinion": opinion})
 
 
-def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, margin: float) -> DesignResult:
+def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, factors: list[float]) -> DesignResult:
     """Form, restore and verify controllers, first at the asked margin, then further from the optimum."""
     sentence = ""
-    for factor in BACK_OFF:
-        level = found.best
-        if margin * factor > 1:
-            level = kernel.attempt(plant, found.best.gamma * margin * factor)
+    for factor in factors:
+        level = kernel.attempt(plant, found.best.gamma * factor) if factor > 1 else found.best
         if level.reason:
             sentence = level.reason
             continue
@@ -130,7 +135,7 @@ def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, 
         if result.status.ok:
             return result
         sentence = result.status.sentence
-    return refused(f"H-infinity synthesis: no controller passed its verification; the last try: {sentence}")
+    return refused(f"{WHO}: no controller passed its verification; the last try: {sentence}")
 
 
 def _verified(
@@ -191,9 +196,6 @@ def _normalised_frequency(plant: kernel.Plant, f_hz: float, rate_hz: float | Non
     return min(float(w) / plant.speed, FASTEST)
 
 
-def _sentence(P: StateSpace, ny: int, nu: int, gamma: float | None, reason: str) -> str:
-    block = diagnose(P, ny, nu)
-    if block:
-        return block
+def _sentence(gamma: float | None, reason: str) -> str:
     level = "any level" if gamma is None else f"level {gamma:g}"
-    return f"H-infinity synthesis: no controller reaches {level}: {reason}."
+    return f"{WHO}: no controller reaches {level}: {reason}."

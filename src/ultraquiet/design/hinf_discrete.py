@@ -6,12 +6,12 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from ultraquiet._base.errors import NumericalError
+from ultraquiet.design.hinf_kernel import with_direct_term
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import Riccati, discrete_riccati
 from ultraquiet.linalg.ordered import Array, Matrices
 
 INDEFINITE = 1e-7  # X may be this share of its largest eigenvalue below zero
-ILL_POSED = 1e12  # condition of I + D D22
 
 
 class Game(NamedTuple):
@@ -54,14 +54,8 @@ def central(M: Matrices, ny: int, nu: int, gamma: float) -> tuple[Matrices, dict
     Z = np.linalg.solve(np.eye(X.shape[0]) - Y @ X, Y)
     g = _without_worst(left.dual, (Z + Z.T) / 2, "filter equation Y").dual
     A, B, C, D = _nulling(g)
-    B, C, D = B @ into, out @ C, out @ D @ into
-    wrap = np.eye(nu) + D @ D22
-    if np.linalg.cond(wrap) > ILL_POSED:
-        raise NumericalError("H-infinity synthesis: the direct term D22 makes the loop ill-posed; delay it a sample.")
-    n = A.shape[0]
-    CD = np.linalg.solve(wrap, np.hstack([C, D]))
-    whole = np.hstack([A, B]) - B @ D22 @ CD
-    return (whole[:, :n], whole[:, n:], CD[:, :n], CD[:, n:]), {"X": state.residual, "Y": filtering.residual}
+    K = with_direct_term((A, B @ into, out @ C, out @ D @ into), D22)
+    return K, {"X": state.residual, "Y": filtering.residual}
 
 
 def _nulling(g: Game) -> Matrices:

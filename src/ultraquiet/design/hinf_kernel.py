@@ -18,6 +18,7 @@ EQUATIONS = {"X": "state-feedback", "Y": "filter"}
 RANK = 1e-10  # a singular value of D12 or D21 below this share of the largest counts as zero
 # What is left of C'C after a cancellation that should be complete, relative to C'C.
 ROUND_OFF = 1e-12
+ILL_POSED = 1e9  # 1 / singular value of I + Dk D22 beyond which more than half of the digits of the loop are gone
 INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below zero
 
 
@@ -167,14 +168,23 @@ def _restored(plant: Plant, A: Array, B: Array, C: Array, D: Array) -> Matrices:
     """Undo the scaling of inputs, outputs and frequency and the removal of D22."""
     root = np.sqrt(plant.speed)
     A, B, C, D = A * plant.speed, B @ plant.into * root, plant.out @ C * root, plant.out @ D @ plant.into
-    # with y = y0 + D22 u:  u = K0 (y - D22 u)
-    wrap = np.eye(D.shape[0]) + D @ plant.D22
-    if np.linalg.cond(wrap) > 1e12:
+    return with_direct_term((A, B, C, D), plant.D22)
+
+
+def with_direct_term(M: Matrices, D22: Array) -> Matrices:
+    """Return K that does to y = y0 + D22 u what a controller K0 does to y0: u = K0 (y - D22 u).
+
+    Raises:
+        NumericalError: the loop is ill-posed.
+    """
+    A, B, C, D = M
+    wrap = np.eye(D.shape[0]) + D @ D22
+    if np.linalg.norm(wrap, -2) * ILL_POSED < 1 + np.linalg.norm(D, 2) * np.linalg.norm(D22, 2):
         raise NumericalError("H-infinity synthesis: the direct term D22 makes the loop ill-posed; delay it a sample.")
     CD = np.linalg.solve(wrap, np.hstack([C, D]))
     n = A.shape[0]
-    Cw, Dw = CD[:, :n], CD[:, n:]
-    return A - B @ plant.D22 @ Cw, B - B @ plant.D22 @ Dw, Cw, Dw
+    state = np.hstack([A, B]) - B @ D22 @ CD
+    return state[:, :n], state[:, n:], CD[:, :n], CD[:, n:]
 
 
 def equation(plant: Plant, gamma: float, name: str) -> tuple[Array, Array, Array]:

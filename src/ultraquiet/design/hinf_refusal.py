@@ -1,60 +1,70 @@
-"""Why an H-infinity problem has no solution: the assumptions of the theory, tested one by one."""
+"""Why an H-infinity problem has no solution: the assumptions of the theory, tested one by one before it is used."""
 
 import numpy as np
 
+from ultraquiet.design.hinf_kernel import Plant, direct_terms
 from ultraquiet.linalg.ordered import Array
-from ultraquiet.linalg.response import points
 from ultraquiet.values.state_space import StateSpace
 
 RANK = 1e-9  # relative; a pencil with a singular value below it has lost rank
+# Poles and zeros this near the stability boundary are on it: in 1 - |z|, or relative to the fastest pole. A pole at
+# 1e-6 Hz sampled at 10 kHz is a hundred times farther away.
+ON_CIRCLE = 1e-12
+ON_AXIS = 1e-13
+# A double zero on the axis is computed this far from it; the rank of the pencil on the axis then decides.
+NEAR_AXIS = 1e-6
+RANK_AT_ZERO = 1e-12
 WHO = "H-infinity synthesis"
 
 
-def diagnose(P: StateSpace, ny: int, nu: int) -> str:
-    """Return one sentence naming the block at fault, empty when every assumption holds."""
+def out_of_reach(P: StateSpace, ny: int, nu: int) -> str:
+    """Return a sentence on modes that are not stable and cannot be moved or seen, empty when there are none."""
     p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
-    B2, C2 = P.B[:, m:], P.C[p:]
-    poles = np.linalg.eigvals(P.A)
-    unstable = poles[poles.real >= 0 if P.rate_hz is None else np.abs(poles) >= 1]
-    for what, matrix, wires in (("stabilised", np.hstack([P.A, B2]), "B2"), ("seen", np.hstack([P.A.T, C2.T]), "C2")):
-        lost = [z for z in unstable if _loses_rank(matrix, z)]
+    poles = np.linalg.eigvals(P.A) if P.states else np.zeros(0)
+    size = np.abs(poles)
+    unstable = poles[poles.real >= -ON_AXIS * size.max(initial=0.0) if P.rate_hz is None else size >= 1 - ON_CIRCLE]
+    for what, A, B, wires in (("stabilised", P.A, P.B[:, m:], "B2"), ("seen", P.A.T, P.C[p:].T, "C2")):
+        lost = [z for z in unstable if _loses_rank(A, B, z)]
         if lost:
             return (
                 f"{WHO}: {len(lost)} unstable mode{'s' * (len(lost) > 1)} of A, the first {_place(lost[0], P)}, cannot "
-                f"be {what} through {wires}; move it out of the plant (a weight with an integrator is a common cause)."
+                f"be {what} through {wires}; move it out of the plant or into the stable region (a weight with an "
+                "integrator or without damping is a common cause)."
             )
-    return _axis_zeros(P, p, m)
+    return ""
 
 
-def _loses_rank(matrix: Array, z: complex) -> bool:
-    n = matrix.shape[0]
-    shifted = matrix.astype(np.complex128)
-    shifted[:, :n] -= z * np.eye(n)
-    s = np.linalg.svd(shifted / np.maximum(np.linalg.norm(shifted, axis=1, keepdims=True), 1e-300), compute_uv=False)
-    return bool(s[-1] < RANK * s[0])
+def zeros_on_boundary(plant: Plant, rate_hz: float | None) -> str:
+    """Return a sentence on zeros of P12 or P21 on the stability boundary, empty when there are none.
 
-
-def _axis_zeros(P: StateSpace, p: int, m: int) -> str:
-    """Test P12 and P21 for zeros on the stability boundary, near the poles' frequencies and at the ends of the axis."""
-    f = np.unique(np.concatenate([[0.0], _frequencies(P)]))
-    for z, f_hz in zip(points(f, P.rate_hz), f, strict=True):
-        for name, B, C, D in (
-            ("P12 (controls to performance outputs)", P.B[:, m:], P.C[:p], P.D[:p, m:]),
-            ("P21 (disturbances to measurements)", P.C[p:].T, P.B[:, :m].T, P.D[p:, :m].T),
-        ):
-            A = P.A if name.startswith("P12") else P.A.T
-            pencil = np.block([[A - z * np.eye(P.states), B], [C, D]])
-            s = np.linalg.svd(pencil / np.maximum(np.linalg.norm(pencil, axis=0), 1e-300), compute_uv=False)
-            if s[-1] < RANK * s[0]:
+    Zeros of P12 are the eigenvalues of A - B2 D12' C1 that the outputs out of the controls' reach do not show.
+    """
+    D12, D21 = direct_terms(plant)
+    for name, A, B2, C1, D in (
+        ("P12 (controls to performance outputs)", plant.A, plant.B2, plant.C1, D12),
+        ("P21 (disturbances to measurements)", plant.A.T, plant.C2.T, plant.B1.T, D21.T),
+    ):
+        held = A - B2 @ D.T @ C1
+        rest = C1 - D @ D.T @ C1
+        zeros = np.linalg.eigvals(held) if held.size else np.zeros(0)
+        for z in zeros[(np.abs(zeros.real) <= NEAR_AXIS * np.maximum(1.0, np.abs(zeros))) & (zeros.imag >= 0)]:
+            w = float(z.imag) if z.imag > NEAR_AXIS else 0.0
+            if _loses_rank(held.T, rest.T, 1j * w, RANK_AT_ZERO):
+                f_hz = _hertz(w * plant.speed, rate_hz)
                 return f"{WHO}: {name} has a zero on the stability boundary at {f_hz:.4g} Hz; weight that frequency."
     return ""
 
 
-def _frequencies(P: StateSpace) -> Array:
-    poles: Array = np.linalg.eigvals(P.A)
-    if P.rate_hz is None:
-        return np.abs(poles.imag) / (2 * np.pi)
-    return np.concatenate([np.abs(np.angle(poles)) * P.rate_hz / (2 * np.pi), [P.rate_hz / 2]])
+def _loses_rank(A: Array, B: Array, z: complex, rank: float = RANK) -> bool:
+    """Return whether [A - z I, B] lacks row rank."""
+    shifted = np.hstack([A - z * np.eye(A.shape[0]), B])
+    s = np.linalg.svd(shifted / np.maximum(np.linalg.norm(shifted, axis=1, keepdims=True), 1e-300), compute_uv=False)
+    return bool(s[-1] <= rank * s[0])
+
+
+def _hertz(w: float, rate_hz: float | None) -> float:
+    """Return the frequency of a point on the (mapped) imaginary axis."""
+    return w / (2 * np.pi) if rate_hz is None else float(np.arctan(w)) * rate_hz / np.pi
 
 
 def _place(z: complex, P: StateSpace) -> str:
