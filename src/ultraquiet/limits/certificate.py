@@ -1,22 +1,21 @@
 """A level that no stable Q can reach, by Nehari's theorem: what makes a limit a limit and not the best of a basis.
 
 At every frequency, weights that add up to one merge the demands |a_i + b_i Q| <= h_i into one disc
-sum w_i |a_i + b_i Q|^2 / h_i^2 <= 1, that is |Q - centre| <= radius. A stable Q inside all discs exists if and only if the
-Hankel norm of the unstable part of centre / o is at most one, where o is the outer function with |o| = radius (Nehari 1957;
-Helton and Merino 1998, "Classical Control Using H-infinity Methods"). Any weights give a true statement; those of the
-convex programme's multipliers give the sharpest.
+sum w_i |a_i + b_i Q|^2 / h_i^2 <= 1, that is |Q - centre| <= radius. A stable Q inside all discs exists if and only if
+the Hankel norm of the unstable part of centre / o is at most one, where o is the outer function with |o| = radius
+(Nehari 1957; Helton and Merino 1998, "Classical Control Using H-infinity Methods"). Any weights give a true statement;
+those of the convex programme's multipliers give the sharpest.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 from scipy.fft import next_fast_len
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 
-# Jumps of limits and weights are smoothed over so many points of the circle, always towards larger discs.
-SMOOTHED = 16
 LARGEST_TAIL = 2e-3  # of the last Fourier coefficients kept, relative to the largest: the circle is fine enough
 LANCZOS = 40
 BISECTIONS = 9
@@ -24,15 +23,19 @@ DEEPEST_DB = 20.0  # how far above what a basis reaches a bound is sought
 LEAST_DISC = 1e-12
 
 
-def ramp(angles: FloatArray, first: float, last: float) -> FloatArray:
-    """Return one between two angles, falling smoothly to zero at both, inside them."""
-    width = SMOOTHED * (angles[1] - angles[0])
+def ramp(angles: FloatArray, first: float, last: float, smoothed: int) -> FloatArray:
+    """Return one between two angles, falling to zero at both over so many points inside: larger discs."""
+    width = smoothed * (angles[1] - angles[0])
     x = np.clip(np.minimum(angles - first, last - angles) / width, 0, 1)
     return x**3 * (10 - 15 * x + 6 * x * x)
 
 
 def weights_at(
-    angles: FloatArray, found_angles: FloatArray, multipliers: Sequence[FloatArray], active: Sequence[np.ndarray]
+    angles: FloatArray,
+    smoothed: int,
+    found_angles: FloatArray,
+    multipliers: Sequence[FloatArray],
+    active: Sequence[np.ndarray],
 ) -> FloatArray:
     """Return the weights `(demands, angles)` of the multipliers found on another grid, smoothed, adding up to one."""
     from scipy.ndimage import gaussian_filter1d
@@ -41,7 +44,7 @@ def weights_at(
     for held, on in zip(multipliers, active, strict=True):
         at = found_angles[on]
         density = np.maximum(held[on], 1e-300) / np.maximum(np.gradient(at), 1e-12)
-        logs.append(gaussian_filter1d(np.interp(angles, at, np.log(density)), SMOOTHED / 2, mode="reflect"))
+        logs.append(gaussian_filter1d(np.interp(angles, at, np.log(density)), smoothed / 2, mode="reflect"))
     level = np.array(logs)
     share = np.exp(np.clip(level - level.max(axis=0), -30, 0))
     return share / share.sum(axis=0)
@@ -104,8 +107,7 @@ def _around(half: np.ndarray) -> np.ndarray:
 
 def _hankel_norm(F: ComplexArray) -> tuple[float, float]:
     """Return the norm of the Hankel matrix of the coefficients of w, w^2, ... and the size of the last ones kept."""
-    from scipy.sparse.linalg import LinearOperator, eigsh
-
+    sparse = import_module("scipy.sparse.linalg")
     h = (np.fft.fft(F).real / F.size)[1 : F.size // 2]
     size = float(np.abs(h).max())
     if size < LEAST_DISC:
@@ -120,6 +122,6 @@ def _hankel_norm(F: ComplexArray) -> tuple[float, float]:
 
     # a symmetric start, so that the same question has the same answer
     start = np.cos(np.arange(n) * 0.7) + 1.0 / (1 + np.arange(n))
-    operator = LinearOperator((n, n), matvec=product, dtype=np.float64)
-    values = eigsh(operator, k=1, which="LM", tol=1e-5, ncv=LANCZOS, v0=start, return_eigenvectors=False)
+    operator = sparse.LinearOperator((n, n), matvec=product, dtype=np.float64)
+    values = sparse.eigsh(operator, k=1, which="LM", tol=1e-5, ncv=LANCZOS, v0=start, return_eigenvectors=False)
     return float(abs(values[0])), tail

@@ -1,8 +1,8 @@
 """The unit disc on which limits are computed: frequency warped so that the band takes a good share of the circle.
 
-s = 2 rate (z - 1) / (z + 1) takes discrete time to a half-plane, w = (k + s) / (k - s) takes the half-plane back to a disc
-in which the frequency k lies at a right angle. Both keep stability, gains and state counts: what is best there is best
-in the plant's own time, and 5 Hz at 3.5 kHz is no longer a speck beside w = 1.
+s = 2 rate (z - 1) / (z + 1) takes discrete time to a half-plane, w = (k + s) / (k - s) takes the half-plane back to a
+disc in which the frequency k lies at a right angle. Both keep stability, gains and state counts: what is best there is
+best in the plant's own time, and 5 Hz at 3.5 kHz is no longer a speck beside w = 1.
 """
 
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.limits.half_plane import speeds
 from ultraquiet.linalg import discretize
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
-
 
 # The angle that stands for pi, which is infinity in the half-plane: 10^6 times the frequency in the middle.
 LAST = np.pi - 2e-6
@@ -29,11 +29,11 @@ class Circle:
     @property
     def speed(self) -> float:
         """The constant k in rad/s of the half-plane."""
-        return float(self._half_plane(np.array([self.centre_hz]))[0])
+        return float(speeds(np.array([self.centre_hz]), self.rate_hz)[0])
 
     def angles(self, f_hz: FloatArray) -> FloatArray:
         """Return the angles of frequencies, 0 to pi."""
-        return 2 * np.arctan(self._half_plane(f_hz) / self.speed)
+        return 2 * np.arctan(speeds(f_hz, self.rate_hz) / self.speed)
 
     def frequencies(self, angles: FloatArray) -> FloatArray:
         """Return the frequencies in Hz of angles from 0 to pi."""
@@ -47,10 +47,6 @@ class Circle:
         """Return where points of the half-plane (rad/s) lie in the disc."""
         return (self.speed + s) / (self.speed - s)
 
-    def half_plane(self, roots: ComplexArray) -> ComplexArray:
-        """Return where poles or zeros of the plant (in z or rad/s) lie in the half-plane, rad/s."""
-        return roots if self.rate_hz is None else 2 * self.rate_hz * (roots - 1) / (roots + 1)
-
     def unwarped(self, M: Matrices) -> StateSpace:
         """Return the system in the plant's own time of matrices on the warped circle."""
         A, B, C, D = discretize.bilinear_to_continuous(*M)
@@ -59,8 +55,3 @@ class Circle:
         if self.rate_hz is not None:
             A, B, C, D = discretize.bilinear_to_discrete(A, B, C, D)
         return StateSpace(A, B, C, D, rate_hz=self.rate_hz)
-
-    def _half_plane(self, f_hz: FloatArray) -> FloatArray:
-        if self.rate_hz is None:
-            return 2 * np.pi * np.asarray(f_hz, dtype=np.float64)
-        return 2 * self.rate_hz * np.tan(np.pi * np.asarray(f_hz, dtype=np.float64) / self.rate_hz)

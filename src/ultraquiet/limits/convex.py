@@ -26,7 +26,7 @@ def best_flat_attenuation(
     noise_gain: float | None = None,
     delay_s: float = 0.0,
     uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | None" = None,
-    basis: int = 100,
+    basis: int = 80,
     certify: bool = True,
 ) -> Limit:
     """Return the best flat attenuation over a band that any linear controller can reach, and a proof from both sides.
@@ -47,13 +47,13 @@ def best_flat_attenuation(
         certify: compute `bound_db` too (about as long again).
 
     Returns:
-        `Limit`. `attenuation_db` is reached by `controller`, which keeps every demand on a grid four times as fine as that
-        of the programme; `bound_db` is reached by none, whatever its order (the noise gain is left out of it).
+        `Limit`. `attenuation_db` is reached by `controller`, which keeps every demand on a grid four times as fine as
+        that of the programme; `bound_db` is reached by none, whatever its order (the noise gain is left out of it).
 
     Raises:
         InputError: the plant is not scalar, the band is empty or beyond Nyquist, a number makes no sense.
 
-    An honest specification lies below the attenuation; one above the bound cannot be met and no method should be blamed.
+    An honest specification lies below the attenuation; one above the bound cannot be met, by no method whatever.
 
     >>> G = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
     >>> limit = best_flat_attenuation(G, (5.0, 50.0), 6.0, control_gain=20.0, basis=40)
@@ -85,8 +85,8 @@ def best_flat_attenuation(
         )
     if peak_db < 0 and not np.any(plant.D):
         return refused(
-            f"{WHO}: a peak of {peak_db:g} dB cannot be kept: a loop without direct path has S = 1 at infinity, and by the "
-            "maximum principle at least 0 dB somewhere."
+            f"{WHO}: a peak of {peak_db:g} dB cannot be kept: a loop without direct path has S = 1 at infinity, "
+            "and by the maximum principle at least 0 dB somewhere."
         )
     gain = largest_control(control_gain, search.lines, search.inside)
     wishes = Wishes(band, 10 ** (peak_db / 20), gain, weight)

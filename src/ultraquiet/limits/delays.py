@@ -16,9 +16,8 @@ PADE_ORDER = 4
 def delayed(who: str, plant: StateSpace, delay_s: float) -> StateSpace:
     """Return plant times delay.
 
-    Whole samples are exact. What is left, or half a sample more, is Thiran's all-pass of first order: its phase is that of
-    the delay at low frequency, and within 2 degrees of it up to a tenth of the rate. In continuous time the delay is
-    Pade's all-pass of fourth order, within 1 degree up to 0.5 / delay_s.
+    Whole samples are exact. What is left is Thiran's all-pass of first order, whose phase is that of the delay at low
+    frequency. In continuous time the delay is Pade's all-pass of fourth order.
     """
     between(who, "delay_s", delay_s, 0.0, np.inf if plant.rate_hz is None else MOST_SAMPLES / plant.rate_hz, "s")
     if delay_s == 0:
@@ -29,10 +28,9 @@ def delayed(who: str, plant: StateSpace, delay_s: float) -> StateSpace:
         return series(_pade(delay_s), plant)
     samples = delay_s * plant.rate_hz
     whole = round(samples)
-    rest = samples - whole
-    if abs(rest) > WHOLE * max(1.0, samples):
-        if rest < 0 and whole > 0:
-            whole, rest = whole - 1, rest + 1
+    if abs(samples - whole) > WHOLE * max(1.0, samples):
+        whole = max(0, whole - 1)
+        rest = samples - whole  # between 0.5 and 1.5 where the delay is that long: there the all-pass is at its best
         plant = series(_thiran(rest, plant.rate_hz), plant)
     return series(StateSpace(*discretize.delay(whole, 1), rate_hz=plant.rate_hz), plant) if whole else plant
 

@@ -60,7 +60,7 @@ def checked_band(who: str, band_hz: tuple[float, float], rate_hz: float | None) 
         raise InputError(f"{who}: 'band_hz' must be two rising frequencies above zero, got {tuple(band.tolist())}.")
     if rate_hz is not None and band[1] >= rate_hz / 2:
         raise InputError(
-            f"{who}: the band ends at {band[1]:g} Hz, at or above the Nyquist frequency of {rate_hz / 2:g} Hz; end it lower."
+            f"{who}: the band ends at {band[1]:g} Hz, not below Nyquist's {rate_hz / 2:g} Hz; end it lower."
         )
     return float(band[0]), float(band[1])
 

@@ -10,6 +10,7 @@ from ultraquiet.limits.circle import Circle
 EDGE, EDGE_STEP = 0.7, 0.5
 BROAD = np.exp(1j * np.radians(120))  # damping 0.5 of the poles that are spread over the axis
 LEAST_DAMPING = 0.01
+ALIKE = 0.02
 SPREAD_BELOW, SPREAD_ABOVE = 4.0, 0.9  # of the lower edge; of the Nyquist frequency
 CONTINUOUS_ABOVE = 100.0  # times the upper edge, where there is no Nyquist frequency
 NEAREST = 1e-4  # of an edge's frequency, the nearest pole; the grid comes a hundred times nearer
@@ -25,9 +26,8 @@ def basis_poles(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float
         band_hz: the band.
         size: wanted number of states; the plant's own come on top.
     """
-    own = roots[np.isfinite(roots) & (roots.imag >= 0)]
-    own = np.where(own.real > 0, -own.conj(), own)
-    own = np.where(own.real > -LEAST_DAMPING * np.abs(own), -LEAST_DAMPING * np.abs(own) + 1j * own.imag, own)
+    own = _apart(roots[np.isfinite(roots) & (roots.imag >= 0)])
+    own = -np.maximum(np.abs(own.real), LEAST_DAMPING * np.abs(own)) + 1j * own.imag
     # of three pairs and a bit, one goes to each edge and one over the axis; the rest are samples of delay
     pairs = max(1, size // 7)
     shares = np.geomspace(EDGE, max(NEAREST, EDGE * EDGE_STEP ** (pairs - 1)), pairs)
@@ -35,7 +35,7 @@ def basis_poles(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float
     top = CONTINUOUS_ABOVE * band_hz[1] if circle.rate_hz is None else SPREAD_ABOVE * circle.rate_hz / 2
     spread = BROAD * _rad(circle, np.geomspace(band_hz[0] / SPREAD_BELOW, top, pairs + pairs // 3))
     quick = np.full(max(1, size - 6 * pairs), -_quickest(circle, top), dtype=np.complex128)
-    return circle.roots(np.concatenate([own[own != 0], edges, spread, quick]))
+    return circle.roots(np.concatenate([own, edges, spread, quick]))
 
 
 def frequencies(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float]) -> FloatArray:
@@ -46,12 +46,21 @@ def frequencies(roots: ComplexArray, circle: Circle, band_hz: tuple[float, float
     near = np.geomspace(NEAREST / 100, 0.5, AROUND_EDGE)
     parts = [even, np.geomspace(band_hz[0] / 30, top, EVEN), np.array(band_hz)]
     parts += [e * (1 + sign * near) for e in band_hz for sign in (-1, 1)]
-    for s in roots[np.isfinite(roots) & (roots.imag > 0)]:
+    for s in _apart(roots[np.isfinite(roots) & (roots.imag > 0)]):
         width = max(abs(s.real / abs(s)), 1e-3)
         at = _hertz(circle, abs(s) * (1 + width * np.linspace(-4, 4, AROUND_ROOT)))
         parts.append(at)
     f = np.unique(np.concatenate(parts))
     return f[(f >= 0) & (f <= even[-1])]
+
+
+def _apart(roots: ComplexArray) -> ComplexArray:
+    """Return one of every group of roots that hardly differ."""
+    kept: list[complex] = []
+    for s in roots:
+        if s and all(abs(s - other) > ALIKE * abs(s) for other in kept):
+            kept.append(complex(s))
+    return np.array(kept, dtype=np.complex128)
 
 
 def _quickest(circle: Circle, top_hz: float) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 
 import numpy as np
 
@@ -19,7 +20,8 @@ SOLVED = ("Solved", "AlmostSolved")
 class Demand:
     """|a + b Q| <= limit at some frequencies; a limit of infinity asks nothing there.
 
-    It is put `tight` times tighter than meant, so that it holds between the points of a grid too. `sought` marks the demand whose limit is the unknown level t: there `limit` is a factor of t.
+    It is put `tight` times tighter than meant, so that it holds between the points of a grid too. `sought` marks the
+    demand whose limit is the unknown level t: there `limit` is a factor of t.
     """
 
     name: str
@@ -87,9 +89,8 @@ def solve_on(
     rounds: int = 1,
 ) -> Found:
     """Solve with each demand put at its active points only."""
-    import clarabel
-    from scipy.sparse import csc_matrix
-
+    clarabel = import_module("clarabel")  # it ships no types; as a plain module it is what it says
+    csc_matrix = import_module("scipy.sparse").csc_matrix
     size = functions.shape[0]
     blocks = [_cones(functions, d, np.flatnonzero(a)) for d, a in zip(demands, active, strict=True)]
     cones = [clarabel.SecondOrderConeT(3)] * sum(len(b[1]) // 3 for b in blocks)

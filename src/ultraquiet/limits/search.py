@@ -1,23 +1,22 @@
 """One search for a limit: grid, basis and lines of a scalar loop, the programme on them, and its proof."""
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.limits import certificate, places
+from ultraquiet.limits import certificate, half_plane, places
 from ultraquiet.limits._limit import Limit, refused
-from ultraquiet.limits.basis import chain
+from ultraquiet.limits.basis import Basis, chain
 from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.demands import IN_BAND, WHO, Wishes
-from ultraquiet.limits.loops import Loops
+from ultraquiet.limits.loops import Lines, Loops
 from ultraquiet.limits.programme import Demand, Found, solve, solve_on
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.status import Status
 
-# Points from 0 to pi for the certificate; the next number is taken where one is too small.
-CIRCLE_POINTS = (1 << 14, 1 << 15, 1 << 16)
+# Points from 0 to pi for the certificate, and over how many a jump is smoothed; the next where one is too coarse.
+CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30))
 USED_UP = 0.99  # share of a demand from which on it binds
 FINER = 4
 QUADRATURE = 1 << 13
@@ -35,7 +34,7 @@ class Search:
         self.loops, self.band_hz = loops, band_hz
         self.circle = Circle(plant.rate_hz, float(np.sqrt(band_hz[0] * band_hz[1])))
         zeros = invariant_zeros(plant.A, plant.B, plant.C, plant.D)
-        self.roots = self.circle.half_plane(np.concatenate([plant.poles(), zeros, *self._regulated()]))
+        self.roots = half_plane.half_plane(np.concatenate([plant.poles(), zeros, *self._regulated()]), plant.rate_hz)
         self.poles = places.basis_poles(self.roots, self.circle, band_hz, basis)
         self.basis = chain(self.poles)
         self.f_hz = places.frequencies(self.roots, self.circle, band_hz)
@@ -54,45 +53,49 @@ class Search:
         scale = wishes.control_gain
         functions = scale * self.basis.at(self.circle.angles(self.f_hz))
         demands = wishes.demands(self.f_hz, self.lines)
-        noise = None if noise_gain is None else self._noise(scale, noise_gain)
+        noise = None if noise_gain is None else self._noise(self.basis, scale, noise_gain)
         found = solve(functions, demands, noise)
         if not found.ok:
             return refused(self._why(functions, demands, noise, found))
-        bound = self._bound(wishes, demands, found) if certify else float("nan")
-        return self._told(wishes, found, found.weights * scale, bound, self._half(functions, demands, found))
+        bound = float("nan")
+        if certify:
+            # the noise gain is no demand at single frequencies: the bound is that of the others
+            others = found if noise is None else solve_on(functions, demands, found.active)
+            bound = self.bound(wishes, demands, others, self.loops.at)
+        half = chain(self.poles[::2])
+        less = None if noise_gain is None else self._noise(half, scale, noise_gain)
+        again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, found.active, less)
+        half_db = attenuation(again.level) if again.ok else float("nan")
+        return self._told(wishes, found, found.weights * scale, bound, half_db)
 
-    def _noise(self, scale: float, noise_gain: float) -> FloatArray:
+    def _noise(self, basis: Basis, scale: float, noise_gain: float) -> FloatArray:
         """Return R with |R (theta, 1)| = ||K S||_2 / noise_gain, the mean square over all frequencies."""
         rate_hz = self.circle.rate_hz
         assert rate_hz is not None
         edges = np.unique(np.concatenate([np.linspace(0, rate_hz / 2, QUADRATURE), self.f_hz]))
         f, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
         lines = self.loops.at(f)
-        rows = np.vstack([self.basis.at(self.circle.angles(f)) * lines.d * scale, lines.c]).T
+        rows = np.vstack([basis.at(self.circle.angles(f)) * lines.d * scale, lines.c]).T
         rows *= np.sqrt(width / width.sum())[:, None] / noise_gain
-        return np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r")
+        return np.asarray(np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r"))
 
-    def _half(self, functions: ComplexArray, demands: Sequence[Demand], found: Found) -> float:
-        """Return the attenuation in dB of every other section of the basis, on the same points, without the noise."""
-        half = chain(self.poles[::2])
-        less = float(functions[0, 0].real) * half.at(self.circle.angles(self.f_hz))
-        again = solve_on(less, demands, found.active)
-        return attenuation(again.level) if again.ok else float("nan")
-
-    def _bound(self, wishes: Wishes, demands: Sequence[Demand], found: Found) -> float:
-        """Return the attenuation in dB that no controller reaches; nan where no circle was fine enough."""
+    def bound(
+        self, wishes: Wishes, demands: Sequence[Demand], found: Found, lines: Callable[[FloatArray], Lines]
+    ) -> float:
+        """Return the attenuation in dB that no Q reaches on `lines`; nan where no circle was fine enough."""
         angles_found = self.circle.angles(self.f_hz)
         merged = [[0, 1], *([k] for k in range(2, len(demands)))]  # the band's demand and the peak's are one, of S
         multipliers = [sum((found.multipliers[k] for k in ks), np.zeros(angles_found.size)) for ks in merged]
         active = [np.any([found.active[k] for k in ks], axis=0) for ks in merged]
         edges = self.circle.angles(np.array(self.band_hz))
-        for count in CIRCLE_POINTS:
+        for count, smoothed in CIRCLES:
             angles = np.linspace(0, np.pi, count + 1)
-            share = certificate.ramp(angles, *edges)
-            wanted = wishes.demands(self.circle.frequencies(angles), self.loops.at(self.circle.frequencies(angles)))[1:]
+            share = certificate.ramp(angles, edges[0], edges[1], smoothed)
+            f_hz = self.circle.frequencies(angles)
+            wanted = wishes.demands(f_hz, lines(f_hz))[1:]
             levels = [share, *np.zeros(len(wanted) - 1)]
             discs = [certificate.Merged(d.a, d.b, d.limit ** (1 - s), s) for d, s in zip(wanted, levels, strict=True)]
-            weights = certificate.weights_at(angles, angles_found, multipliers, active)
+            weights = certificate.weights_at(angles, smoothed, angles_found, multipliers, active)
             level = certificate.lowest_level(discs, weights, found.level)
             if np.isfinite(level):
                 return attenuation(level) if level else np.inf
