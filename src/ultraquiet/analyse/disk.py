@@ -26,7 +26,8 @@ class DiskMargins:
         alpha: what all channels stand at the same time, each with a factor of its own; 0 for an unstable loop.
         f_hz: where it is reached, Hz.
         alpha_at_most: a margin that is surely not kept: `factors` upset the loop. Equals `alpha` up to three channels.
-        factors: `(channels,)` complex factors, one a channel, that bring the loop to the verge at `f_hz`.
+        factors: `(channels,)` complex factors, one a channel, that bring the loop to the verge at `f_hz`; NaN where
+            nothing does.
         loop_alpha, loop_f_hz: `(channels,)` the same for each channel by itself, the others as they are.
         side, skew: as asked for; channels of `both` are the outputs, then the inputs.
         stable: whether the loop is.
@@ -76,7 +77,8 @@ def disk_ranges(alpha: ArrayLike, skew: float = 0.0) -> tuple[FloatArray, FloatA
     """
     a = np.asarray(alpha, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        low = np.where(np.isinf(a), -(1 - skew) / (1 + skew), (2 - a * (1 - skew)) / (2 + a * (1 + skew)))
+        limit = np.float64(skew - 1) / np.float64(1 + skew)
+        low = np.where(np.isinf(a), limit, (2 - a * (1 - skew)) / (2 + a * (1 + skew)))
         other = np.where(np.isinf(a), low, (2 + a * (1 - skew)) / (2 - a * (1 + skew)))
         cosine = np.where(np.isinf(other), low, (1 + low * other) / (low + other))
     opened = a * (1 + skew) >= 2
@@ -156,7 +158,8 @@ def disk_margins(
     largest, at = mu_peak(seen, f_hz=f_hz)
     here = mu_bounds(response_at(seen)(np.array([at])))
     d = np.diagonal(here.perturbation[:, :, 0])
-    factors = (2 + (1 - skew) * d) / (2 - (1 + skew) * d)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factors = (2 + (1 - skew) * d) / (2 - (1 + skew) * d)
     at_most = _inverse(float(here.lower[0]))
     return DiskMargins(_inverse(largest), at, at_most, frozen(factors), *loops, side=side, skew=skew, stable=True)
 
