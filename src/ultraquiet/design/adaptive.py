@@ -87,8 +87,7 @@ class AdaptiveLaw:
             self._diverged("a reading or the law around which it was put was no longer finite")
             return self._faded(self._sent)
         self._power += self._mean * (float(given @ given) - self._power)
-        if self._fade >= 0:
-            self._listen()
+        if self._fade >= 0 and not self._resumes():
             return base + self._faded(self._last)
         met = self._adapt(given)
         if not np.isfinite(self._v).all():
@@ -113,20 +112,21 @@ class AdaptiveLaw:
         if self._at_limit > PATIENCE_S * self._rate and not self._trusted:
             self._with_law, self._fade, self._probe = self._power, 0, round(PROBE_S * self._rate)
 
-    def _listen(self) -> None:
+    def _resumes(self) -> bool:
         """Count down the rest; then stay there when it is quieter, else begin again."""
         if self._probe == 0:
-            return
+            return False
         self._probe -= 1
         if self._probe:
-            return
+            return False
         if self._with_law > WORSE * self._power:
             ratio = 10 * np.log10(self._with_law / max(self._power, np.finfo(float).tiny))
             self._diverged(f"at its limit it was {ratio:.1f} dB louder than at rest")
-            return
+            return False
         self._status = Status("limited", f"{self._who}: commands stand at their limit; the tone is only made smaller.")
         self._fade, self._at_limit, self._trusted = -1, 0, True
         self._start()
+        return True
 
     def _diverged(self, why: str) -> None:
         if self._status.word != "diverged":

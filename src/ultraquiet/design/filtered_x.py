@@ -57,7 +57,7 @@ class FilteredXLms:
     reference: tuple[int, ...] = ()
     errors: tuple[int, ...] = ()
     drives: tuple[int, ...] = ()
-    taps: int = 128
+    taps: int = 256
     step: float = 0.02
     leak: float = 0.01
     limit_v: float | tuple[float, ...] = 10.0

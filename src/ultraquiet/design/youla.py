@@ -16,7 +16,7 @@ from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
-QUIETEST_V = 1e-3  # readings below this carry nothing to learn from
+QUIETEST_V = 1e-2  # readings below this carry nothing to learn from
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ class YoulaKucera:
     order: int = 4
     pole_hz: float = 25.0
     memory_s: float = 0.2
-    leak: float = 1e-4
+    leak: float = 0.1
     central: str = "lqg"
     control_weight: float = 10.0
     sensor_noise: float = 10.0
@@ -215,8 +215,8 @@ class YoulaLaw(AdaptiveLaw):
         columns, states = nu * ny, self._regress[0].shape[0]
         p = m * columns
         self._theta = np.zeros((m, nu, ny))
-        leak, floor = self._settings[2:]
-        self._squares = np.eye(p) / (leak * floor), self._settings, np.zeros(1, dtype=np.int64), np.full(1, floor)
+        floor = self._settings[3]
+        self._squares = np.eye(p) / floor, self._settings, np.zeros(1, dtype=np.int64), np.full(1, floor)
         self._state = (
             (np.zeros(n), np.zeros(n), np.zeros(nu), np.zeros(ny), np.zeros((ny, m)), self._theta, np.zeros(nu)),
             (

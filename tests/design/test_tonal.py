@@ -1,0 +1,165 @@
+"""Resonator banks: depth, settling and margins on the model, tones of the noisy bench, refusals."""
+
+import numpy as np
+import pytest
+from named_plants import sensitivity_db
+from tone_runs import reduction_db, run, seconds, tone
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+from ultraquiet.design import AdaptiveFeedforward, FilteredXLms, Resonators, YoulaKucera
+from ultraquiet.testing.problems import damped_plant
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import append, feedback
+
+EVERYWHERE = np.geomspace(1, 1749, 3000)
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return uq.bench.Hexapod(unit="ground").linear_model()
+
+
+@pytest.mark.parametrize("unit", ["ground", "flight"])
+def test_three_tones_on_both_units(unit, seed, rng):
+    bench = uq.bench.Hexapod(unit=unit, seed=seed)
+    plant = bench.linear_model()
+    result = Resonators(tones_hz=(25.0, 60.0, 100.0)).design(plant)
+    K = result.controller
+    assert result.status.ok
+    assert K.is_stable()
+    f = np.array([25.0, 60.0, 100.0])
+    depth = -sensitivity_db(plant, K, f)
+    np.testing.assert_allclose(depth, list(result.details["depth_db"].values()), atol=0.01)
+    peak = sensitivity_db(plant, K, EVERYWHERE).max()
+    t = seconds(5.0)
+    d = sum(tone(rng, np.full(t.size, x)) for x in f)
+    opened, closed = run(bench, d), run(bench, d, K)
+    got = [reduction_db(opened, closed, (3, 5), (x - 2, x + 2)) for x in f]
+    print(f"{unit}: model {np.round(depth, 1)} dB, bench {np.round(got, 1)} dB, peak {peak:.2f} dB")
+    print(f"  settling {result.details['settling_s']}, phase margins {result.details['phase_margin_deg']}")
+    assert depth.min() > 55
+    assert min(got) > 30
+    assert peak < 3.01
+    assert min(result.details["phase_margin_deg"].values()) > 60
+
+
+def test_settling_is_what_the_poles_say(ground):
+    result = Resonators(tones_hz=(40.0,), settling_s=0.5).design(ground)
+    settling = result.details["settling_s"][40.0]
+    loop = feedback(ground, result.controller)
+    n = round(2 * settling * 3500)
+    d = np.tile(np.sin(2 * np.pi * 40 * np.arange(n) / 3500), (6, 1))
+    y = loop.simulate(d) * np.exp(-2j * np.pi * 40 * np.arange(n) / 3500)
+    period = round(3500 / 40)
+    size = np.abs(np.array([y[:, k : k + period].mean(axis=1) for k in range(0, n - period, period)])).max(axis=1)
+    at = np.arange(size.size) * period / 3500
+    inside = (at > 0.3 * settling) & (at < settling)
+    slope = np.polyfit(at[inside], np.log(size[inside]), 1)[0]
+    print(f"asked 0.5 s, poles say {settling:.3f} s, the run {-4 / slope:.3f} s")
+    assert -4 / slope == pytest.approx(settling, rel=0.2)
+
+
+def test_bank_around_a_broadband_law(ground):
+    alone = uq.design.BandAttenuation(structure="alike").design(ground)
+    both = Resonators(tones_hz=(25.0, 60.0), around=alone.controller).design(ground)
+    f = np.array([25.0, 60.0])
+    more = sensitivity_db(ground, alone.controller, f) - sensitivity_db(ground, both.controller, f)
+    rise = both.peak_sensitivity_db - alone.peak_sensitivity_db
+    print(f"{np.round(more, 1)} dB more at the tones, peak {rise:+.2f} dB")
+    assert both.status.ok
+    assert more.min() > 40
+    assert rise <= 3.0
+
+
+def test_named_law_is_made_and_put_inside(seed):
+    plant = damped_plant(seed)
+    result = Resonators(around="lqg").design(plant)
+    assert result.status.ok
+    assert result.controller.states > 4
+
+
+def test_plants_drawn_from_the_uncertainty_are_asked(ground, rng):
+    off = (np.diag(rng.uniform(0.7, 1.3, 6)) for _ in range(5))
+    drawn = [StateSpace(ground.A, ground.B @ D, ground.C, ground.D, 3500.0) for D in off]
+    good = Resonators(tones_hz=(25.0,)).design(ground, drawn)
+    print(f"least real part of an eigenvalue of G Ghat^-1: {good.details['least_real']}")
+    assert good.status.ok
+    assert 0.6 < good.details["least_real"][25.0] < 1.4
+    turned = StateSpace(ground.A, -ground.B, ground.C, ground.D, 3500.0)
+    bad = Resonators(tones_hz=(25.0, 60.0)).design(ground, [*drawn, turned])
+    assert bad.controller is None
+    assert "Hz an eigenvalue of G Ghat^-1" in str(bad.status)
+
+
+@pytest.mark.parametrize("shape", [(6, 4), (4, 6)])
+def test_rectangular_plants_are_quiet_where_they_can_be(ground, shape):
+    ny, nu = shape
+    plant = StateSpace(ground.A, ground.B[:, :nu], ground.C[:ny], ground.D[:ny, :nu], 3500.0)
+    result = Resonators(tones_hz=(60.0,)).design(plant)
+    assert result.status.ok
+    assert result.details["directions"][60.0] == 4
+    assert result.details["depth_db"][60.0] > 50
+
+
+def test_weak_directions_are_left_alone(ground):
+    weak = StateSpace(ground.A, ground.B @ np.diag([1, 1, 1, 1, 1, 1e-4]), ground.C, ground.D, 3500.0)
+    result = Resonators(tones_hz=(60.0,)).design(weak)
+    assert result.status.ok
+    assert result.details["directions"][60.0] == 5
+
+
+DEAF = StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, -2 * np.cos(2 * np.pi * 0.025)]], [[1.0]], 1000.0)  # zero at 25 Hz
+LAG = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
+SLOW = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+GROWING = StateSpace([[1.01]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
+
+
+@pytest.mark.parametrize("method", [Resonators, AdaptiveFeedforward, YoulaKucera, FilteredXLms])
+def test_continuous_plants_and_misfits_are_refused(method):
+    with pytest.raises(InputError, match=f"{method.__name__}: .*continuous"):
+        method().design(SLOW)
+    with pytest.raises(InputError, match=f"{method.__name__}: .*around"):
+        method(around=append(LAG, LAG)).design(LAG)
+    with pytest.raises(InputError, match=f"{method.__name__}: .*'around'"):
+        method(around=3.0).design(LAG)
+    with pytest.raises(InputError, match="unstable"):
+        method(around=StateSpace([[0.0]], [[0.0]], [[0.0]], [[100.0]], 1000.0)).design(LAG)
+
+
+@pytest.mark.parametrize("method", [Resonators, AdaptiveFeedforward, YoulaKucera])
+@pytest.mark.parametrize("wrong", [(600.0,), (0.0,), (-5.0,), (), (25.0, 25.0)])
+def test_impossible_tones_are_refused(method, wrong):
+    with pytest.raises(InputError, match=method.__name__):
+        method(tones_hz=wrong).design(LAG)
+
+
+@pytest.mark.parametrize("method", [Resonators, AdaptiveFeedforward])
+def test_a_tone_that_the_plant_cannot_reach_is_refused(method):
+    with pytest.raises(InputError, match=r"no gain at 25 Hz"):
+        method(**({"span": 0.0} if method is AdaptiveFeedforward else {})).design(DEAF)
+
+
+@pytest.mark.parametrize("method", [Resonators, AdaptiveFeedforward, FilteredXLms])
+def test_an_unstable_plant_needs_a_law_first(method):
+    with pytest.raises(InputError, match="'around'"):
+        method().design(GROWING)
+
+
+def test_spans_that_overlap_or_pass_nyquist_are_refused():
+    with pytest.raises(InputError, match="share"):
+        AdaptiveFeedforward(tones_hz=(25.0, 28.0)).design(LAG)
+    with pytest.raises(InputError, match="half the rate"):
+        AdaptiveFeedforward(tones_hz=(480.0,)).design(LAG)
+
+
+@pytest.mark.parametrize(
+    "method", [AdaptiveFeedforward(), YoulaKucera(), FilteredXLms()], ids=lambda m: type(m).__name__
+)
+def test_laws_refuse_another_number_of_readings(method):
+    law = method.design(LAG).law
+    assert law.rate_hz == 1000.0
+    with pytest.raises(InputError, match="takes 1 readings, got 2"):
+        law.step(np.zeros(2))
+    with pytest.raises(InputError, match="limit_v"):
+        type(method)(limit_v=(1.0, 2.0)).design(LAG)
