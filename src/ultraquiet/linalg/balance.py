@@ -8,7 +8,7 @@ from scipy.linalg import solve_sylvester
 from scipy.sparse.csgraph import connected_components
 
 from ultraquiet.linalg.equations import lyapunov, stein
-from ultraquiet.linalg.ordered import Array, Matrices, ordered_schur, real_schur
+from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
 MODAL_CONDITION = 1e7
@@ -110,8 +110,10 @@ def _separated(A: Array) -> tuple[Array, tuple[int, ...]]:
     values, vectors = np.linalg.eig(A)
     groups = _clusters(values, vectors)
     try:
+        S, U = real_schur(A) if any(_tangled(values, g) for g in groups) else (A, A)
         bases = [
-            _invariant(A, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g]) for g in groups
+            _invariant(S, U, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g])
+            for g in groups
         ]
     except np.linalg.LinAlgError:
         # The reordering moved eigenvalues of a tight cluster across the border between it and its neighbours.
@@ -149,17 +151,14 @@ def _real_basis(values: Array, vectors: Array) -> Array:
     return np.column_stack([v.real, v.imag]) * ROOT_TWO
 
 
-def _invariant(A: Array, values: Array, group: list[int]) -> Array:
-    """Return an orthonormal basis of the invariant subspace of a group of eigenvalues."""
-    wanted = values[group]
-    others = np.delete(values, group)
-
-    def inside(re: float, im: float) -> bool:
-        z = complex(re, im)
-        return bool(not others.size or np.min(np.abs(wanted - z)) < np.min(np.abs(others - z)))
-
-    _, U, count = ordered_schur(A, inside)
-    return U[:, : min(count, len(group))]
+def _invariant(T: Array, Q: Array, values: Array, group: list[int]) -> Array:
+    """Return an orthonormal basis of the invariant subspace of a group of eigenvalues of Q T Q'."""
+    along = diagonal_eigenvalues(T)
+    wanted, others = values[group], np.delete(values, group)
+    if not others.size:
+        return Q
+    near, far = (np.min(np.abs(z[:, None] - along[None, :]), axis=0) for z in (wanted, others))
+    return leading_subspace(T, Q, near < far)[:, : len(group)]
 
 
 def _even(A: Array, B: Array, C: Array, T: Array, inverse: Array, sizes: tuple[int, ...]) -> Coordinates:

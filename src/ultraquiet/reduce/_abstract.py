@@ -50,10 +50,14 @@ class ReductionResult:
 
 
 class Parts(NamedTuple):
-    """A system split in two: matrices to be reduced, and A, B, C of the part that is kept as it is."""
+    """A system split in two: matrices to be reduced, A, B, C of the part that is kept, and the first one's states.
+
+    `rows` makes the states of the first part out of those of the system.
+    """
 
     reducible: Matrices
     kept: tuple[FloatArray, FloatArray, FloatArray]
+    rows: FloatArray
 
 
 def split(system: StateSpace, slowest_hz: float = 0.0) -> Parts:
@@ -64,7 +68,8 @@ def split(system: StateSpace, slowest_hz: float = 0.0) -> Parts:
     shifted = system.A * np.exp(decay / system.rate_hz) if system.rate_hz else system.A + decay * np.eye(system.states)
     T, inverse, count = balance.stable_first(shifted, discrete)
     A, B, C = inverse @ system.A @ T, inverse @ system.B, system.C @ T
-    return Parts((A[:count, :count], B[:count], C[:, :count], system.D), (A[count:, count:], B[count:], C[:, count:]))
+    stable = (A[:count, :count], B[:count], C[:, :count], system.D)
+    return Parts(stable, (A[count:, count:], B[count:], C[:, count:]), inverse[:count])
 
 
 def joined(reduced: Matrices, kept: tuple[FloatArray, FloatArray, FloatArray]) -> Matrices:

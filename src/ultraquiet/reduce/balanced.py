@@ -55,7 +55,7 @@ class Balanced:
         if plant is not None:
             fits("Balanced", controller, plant)
         discrete = controller.rate_hz is not None
-        stable, kept = split(controller, self.slowest_hz)
+        stable, kept, _ = split(controller, self.slowest_hz)
         P, Q = balance.gramians(*stable[:3], discrete)
         keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
         reduced, hankel = project(stable, P, Q, keep, discrete, self.method)

@@ -13,7 +13,7 @@ from ultraquiet.reduce._abstract import joined, project, split
 from ultraquiet.reduce.certificate import loop_norm
 from ultraquiet.reduce.grid import grid_of
 from ultraquiet.reduce.tuning import Descent, Shape, matrices, packed
-from ultraquiet.reduce.weighting import input_gramian, output_gramian
+from ultraquiet.reduce.weighting import output_gramian
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
@@ -72,30 +72,41 @@ class Candidates:
         return min(tries, key=lambda t: t.cost)
 
     def tuned(self, count: int, steps: int, allowed: float) -> Candidate:
-        """Return the best controller of `count` states after descents from every projection; stops when good enough."""
+        """Return the best controller of `count` states after descents from projections; stops when good enough."""
         order = count // self._copies
         shape = Shape(order, self._one.D.shape[0], self._one.D.shape[1], self._copies)
         descent = Descent(self._grid, shape, self._norm, self._discrete)
-        starts = []
+        tried = []
         for start in self._projections(count):
-            one = alike.one_of_many(start.system)[0] if self._copies > 1 else start.system
-            x = packed((one.A, one.B, one.C, one.D), shape, self._discrete) if one.states == order else None
-            if x is None:
-                continue
-            x = descent.towards_full(x, steps)
-            found = self._seen(matrices(x, shape), start.hankel, f"{start.way}, tuned")
-            if np.isfinite(found.cost):
-                x = descent.on_loop(x, steps, POWERS[0])
-                starts += [(found, x), (self._seen(matrices(x, shape), start.hankel, found.way), x)]
-        if not starts:
+            found = self._first_descents(descent, shape, start, steps)
+            if found is not None:
+                tried.append(found)
+                if found[0].cost <= 1 + allowed:
+                    return found[0]
+        if not tried:
             return Candidate(self._K, np.zeros(0), np.inf, "none")
-        best, x = min(starts, key=lambda s: s[0].cost)
-        for power in POWERS[1:]:
+        best, x = min(tried, key=lambda t: t[0].cost)
+        for power in POWERS[1:] if self._norm == "peak" else ():
             if best.cost <= 1 + allowed:
                 break
             x = descent.on_loop(x, steps, power)
             best = min(best, self._seen(matrices(x, shape), best.hankel, best.way), key=lambda c: c.cost)
         return best
+
+    def _first_descents(
+        self, descent: Descent, shape: Shape, start: Candidate, steps: int
+    ) -> tuple[Candidate, FloatArray] | None:
+        """Move towards the full controller, then down on the loop's norm; None where the loop stays unstable."""
+        one = alike.one_of_many(start.system)[0] if self._copies > 1 else start.system
+        x = packed((one.A, one.B, one.C, one.D), shape, self._discrete) if one.states == shape.states else None
+        if x is None:
+            return None
+        x, way = descent.towards_full(x, steps // 2), f"{start.way}, tuned"
+        near = self._seen(matrices(x, shape), start.hankel, way)
+        if not np.isfinite(near.cost):
+            return None
+        x = descent.on_loop(x, steps, POWERS[0])
+        return min(near, self._seen(matrices(x, shape), start.hankel, way), key=lambda c: c.cost), x
 
     def _projections(self, count: int) -> list[Candidate]:
         tries = []
@@ -125,34 +136,32 @@ class Candidates:
         return Candidate(small, hankel, cost, way)
 
     def _gramians(self, loop: StateSpace) -> list[_Source]:
-        """Return Gramians of K's state inside the loop, and those of Enns's cascade for the stable part of K."""
+        """Return Gramians of K's state inside the loop, and those of Enns's cascade for the stable part of K.
+
+        Both are controlled alike: a state of K has the same covariance in the loop as behind (I - P22 K)^-1 P21.
+        """
         K, copies, n = self._one, self._copies, self.P.states
-        Pc, Qo = balance.gramians(loop.A, loop.B, loop.C, self._discrete)
+        Pc, Qo = (W[n:, n:] for W in balance.gramians(loop.A, loop.B, loop.C, self._discrete))
         M: Matrices = (K.A, K.B, K.C, K.D)
         none = (np.zeros((0, 0)), np.zeros((0, K.D.shape[1])), np.zeros((K.D.shape[0], 0)))
-        inside, cost = (alike.averaged(W[n:, n:], copies) for W in (Pc, Qo))
-        sources = [_Source("loop", M, inside, cost, none)]
-        stable, kept = split(self._K)
-        if copies > 1 and kept[0].shape[0]:
+        sources = [_Source("loop", M, alike.averaged(Pc, copies), alike.averaged(Qo, copies), none)]
+        after = _influence(self.P, self._K)
+        if copies == 1:
+            stable, kept, rows = split(self._K)
+            Q = output_gramian(stable, after, self._discrete)
+            return [*sources, _Source("cascade", stable, rows @ Pc @ rows.T, Q, kept)]
+        if not self._K.is_stable():
             return sources
-        before, after = _factors(self.P, self._K)
-        if copies > 1:
-            stable, kept = (self._K.A, self._K.B, self._K.C, self._K.D), none
-        P, Q = input_gramian(stable, before, self._discrete), output_gramian(stable, after, self._discrete)
-        if copies > 1:
-            stable = M
-        return [*sources, _Source("cascade", stable, alike.averaged(P, copies), alike.averaged(Q, copies), kept)]
+        Q = output_gramian((self._K.A, self._K.B, self._K.C, self._K.D), after, self._discrete)
+        return [*sources, _Source("cascade", M, alike.averaged(Pc, copies), alike.averaged(Q, copies), none)]
 
 
-def _factors(P: StateSpace, K: StateSpace) -> tuple[Matrices, Matrices]:
-    """Return (I - P22 K)^-1 P21 and P12 (I - K P22)^-1, what stands before and behind a change of K."""
-    nu, ny = K.D.shape
-    p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
-    C2, D2 = P.C[p:], P.D[p:]
-    seen = lft(StateSpace(P.A, P.B, np.vstack([C2, C2]), np.vstack([D2, D2]), P.rate_hz), K)
+def _influence(P: StateSpace, K: StateSpace) -> Matrices:
+    """Return P12 (I - K P22)^-1, what stands behind a change of K."""
+    m = P.D.shape[1] - K.D.shape[0]
     B2, D12 = P.B[:, m:], P.D[:, m:]
     felt = lft(StateSpace(P.A, np.hstack([B2, B2]), P.C, np.hstack([D12, D12]), P.rate_hz), K)
-    return (seen.A, seen.B, seen.C, seen.D), (felt.A, felt.B, felt.C, felt.D)
+    return felt.A, felt.B, felt.C, felt.D
 
 
 def _response(system: StateSpace, points: Array) -> Array:

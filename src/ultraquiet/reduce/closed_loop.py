@@ -2,6 +2,8 @@
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from ultraquiet._base.constraints import one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
@@ -13,8 +15,7 @@ from ultraquiet.reduce.candidates import Candidate, Candidates
 from ultraquiet.reduce.certificate import NORMS, certified, fits, judging_plant
 from ultraquiet.values.state_space import StateSpace
 
-# Allowed relative growth of the norm where nothing else is asked for, and what counts as none: no tuning below it.
-USUAL_LOSS, NO_LOSS = 0.05, 0.01
+USUAL_LOSS = 0.05  # allowed growth of the norm where neither states, nor budget, nor loss are asked for
 
 
 @register("reduce", "closed-loop-weighted")
@@ -24,8 +25,8 @@ class ClosedLoopWeighted:
 
     F(P, K + dK) - F(P, K) = P12 (I - K P22)^-1 dK (I - P22 K)^-1 P21 to first order: the reduction is weighted by both
     factors. The controllability weight is the covariance of K's state in the loop, the observability weight the energy
-    that K's state leaves in the cost of the loop. Where that costs more than is allowed, the reduced controller's
-    parameters are moved downhill, first on this error, then on the norm of the loop itself.
+    that K's state leaves in the cost of the loop. Where that costs more than `loss`, or the loop itself, the reduced
+    controller's parameters are moved downhill, first on this error, then on the norm of the loop.
 
     Args:
         states: states to keep, rounded down to a multiple of the copies when the controller is the same law on several
@@ -124,15 +125,15 @@ class ClosedLoopWeighted:
                 )
             most = min(most, fitting)
         if self.states is not None:
-            return self._at(tried, self.states, NO_LOSS if allowed is None else allowed)
+            return self._at(tried, self.states, np.inf if allowed is None else allowed)
         if allowed is None:
-            return self._at(tried, most, NO_LOSS)
+            return self._at(tried, most, np.inf)
         return self._fewest(tried, most, allowed)
 
     def _at(self, tried: Candidates, count: int, allowed: float) -> Candidate:
-        """Return the best controller of an order: projected, and tuned where that is not enough."""
+        """Return the best controller of an order: projected, and tuned where that costs more than allowed or the loop."""
         best = tried.projected(count)
-        if best.cost <= 1 + allowed or not self.steps:
+        if (np.isfinite(best.cost) and best.cost <= 1 + allowed) or not self.steps:
             return best
         return min(best, tried.tuned(count, self.steps, allowed), key=lambda c: c.cost)
 

@@ -58,7 +58,7 @@ class HankelNorm:
         """
         if plant is not None:
             fits("HankelNorm", controller, plant)
-        stable, kept = split(controller, self.slowest_hz)
+        stable, kept, _ = split(controller, self.slowest_hz)
         keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
         discrete = controller.rate_hz is not None
         continuous = bilinear_to_continuous(*stable) if discrete else stable

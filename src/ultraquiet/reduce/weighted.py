@@ -80,7 +80,7 @@ class FrequencyWeighted:
             fits("FrequencyWeighted", controller, plant)
         V, W = self._weights(controller, plant, weights)
         discrete = controller.rate_hz is not None
-        stable, kept = split(controller, self.slowest_hz)
+        stable, kept, _ = split(controller, self.slowest_hz)
         P = input_gramian(stable, _matrices(W), discrete, self.combination, guard=self.guard)
         Q = output_gramian(stable, _matrices(V), discrete, self.combination, guard=self.guard)
         keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
