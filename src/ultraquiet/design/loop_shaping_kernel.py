@@ -1,7 +1,7 @@
 """Robust stabilisation of normalised coprime factors: arrays in, arrays out, continuous and discrete directly.
 
-McFarlane and Glover 1992 (doi:10.1109/9.256330); discrete: Gu, Tsai, O'Young and Postlethwaite 1989
-(doi:10.1080/00207178908953436).
+McFarlane and Glover 1992 (doi:10.1109/9.256330); discrete: Gu, Petkov and Konstantinov, On discrete H-infinity loop
+shaping design procedure routines, 2000.
 """
 
 from typing import NamedTuple

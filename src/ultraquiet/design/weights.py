@@ -58,7 +58,7 @@ def band_pass(
     centre, width = np.sqrt(low * high), (high - low) / np.sqrt(low * high)
     poles = _to_band(_butterworth(half), width)
     zeros = _to_band(_butterworth(half) * ratio ** (1 / half), width)
-    return _realised(zeros, poles, floor, centre, rate_hz, channels)
+    return realised(zeros, poles, floor, centre, rate_hz, channels)
 
 
 def high_pass(
@@ -86,7 +86,7 @@ def high_pass(
         raise InputError(f"{who}: 'corner_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {corner_hz:g} Hz.")
     zeros = _butterworth(whole(who, "order", order, 1))
     poles = zeros * ratio ** (1 / order)
-    return _realised(zeros, poles, high, positive(who, "corner_hz", corner_hz, "Hz"), rate_hz, channels)
+    return realised(zeros, poles, high, positive(who, "corner_hz", corner_hz, "Hz"), rate_hz, channels)
 
 
 def peak(
@@ -114,7 +114,7 @@ def peak(
         raise InputError(f"{who}: 'tone_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {tone_hz:g} Hz.")
     zeros = np.roots([1.0, 2 * zeta * height, 1.0]).astype(np.complex128)
     poles = np.roots([1.0, 2 * zeta, 1.0]).astype(np.complex128)
-    return _realised(zeros, poles, 1.0, positive(who, "tone_hz", tone_hz, "Hz"), rate_hz, channels)
+    return realised(zeros, poles, 1.0, positive(who, "tone_hz", tone_hz, "Hz"), rate_hz, channels)
 
 
 def rational(
@@ -184,12 +184,14 @@ def _exact(roots: Array) -> Array:
     return np.where(np.abs(roots.imag) < 1e-12 * np.abs(roots), roots.real, roots)
 
 
-def _realised(
+def realised(
     zeros: Array, poles: Array, gain: float, unit_hz: float, rate_hz: float | None, channels: int
 ) -> StateSpace:
-    """Realise gain prod(s - zeros) / prod(s - poles), s in units of `unit_hz`."""
+    """Return gain prod(s - zeros) / prod(s - poles) on each channel, s in `unit_hz`, exact there when sampled."""
     num, den = np.real(np.poly(zeros)), np.real(np.poly(poles))
-    A, B, C, D = realize.sections(np.asarray(gain * num, dtype=np.float64), np.asarray(den, dtype=np.float64))
+    A, B, C, D = realize.sections(
+        np.asarray(np.atleast_1d(gain * num), dtype=np.float64), np.asarray(np.atleast_1d(den), dtype=np.float64)
+    )
     w = 2 * np.pi * unit_hz
     return _copies((A * w, B * np.sqrt(w), C * np.sqrt(w), D), rate_hz, unit_hz, channels)
 

@@ -1,4 +1,4 @@
-"""A stable minimum-phase rational function whose gain lies above given numbers, and as little above as can be."""
+"""A stable minimum-phase rational function whose gain lies near given numbers, or above them by as little as can be."""
 
 from typing import NamedTuple
 
@@ -59,6 +59,41 @@ def fit_above(w: FloatArray, bound: FloatArray, order: int) -> Factors:
     over = _log_gain(best, x, order) - wanted
     zeros, poles = _roots(best[1::2], order), _roots(best[2::2], order)
     return Factors(float(np.exp(best[0] - over.min())), zeros * unit, poles * unit)
+
+
+def fit_near(w: FloatArray, level: FloatArray, order: int, weight: FloatArray) -> Factors:
+    """Return W of an order with |W(j w)| near a level, by weighted least squares of the logarithms of its factors.
+
+    Args:
+        w: `(nf,)` rising angular frequencies, any unit, zero allowed.
+        level: `(nf,)` positive.
+        order: of W.
+        weight: `(nf,)` what an error at each line counts.
+
+    >>> W = fit_near(np.array([1.0, 2.0, 4.0]), np.array([1.0, 2.0, 4.0]), 0, np.ones(3))
+    >>> round(W.gain, 6)
+    2.0
+    """
+    from scipy.optimize import least_squares
+
+    wanted = np.log(level)
+    if order == 0:
+        mean = float(np.average(wanted, weights=weight**2))
+        return Factors(float(np.exp(mean)), np.zeros(0, complex), np.zeros(0, complex))
+    unit = float(np.exp(np.mean(np.log(w[w > 0][[0, -1]]))))
+    x = w / unit
+    low, high = _limits(x, order)
+    found = [
+        least_squares(
+            lambda p: weight * (_log_gain(p, x, order) - wanted),
+            np.clip(start, low + 1e-6, high - 1e-6),
+            bounds=(low, high),
+            max_nfev=EVALUATIONS,
+        )
+        for start in _starts(x, wanted, order)
+    ]
+    best = min(found, key=lambda f: f.cost).x
+    return Factors(float(np.exp(best[0])), _roots(best[1::2], order) * unit, _roots(best[2::2], order) * unit)
 
 
 def _between(w: FloatArray, level: FloatArray) -> tuple[FloatArray, FloatArray]:

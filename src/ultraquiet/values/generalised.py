@@ -70,6 +70,55 @@ def four_block(
     return series(inner, append(on_output, on_control, gain(np.eye(ny), plant.rate_hz)))
 
 
+def uncertain(
+    plant: StateSpace,
+    on_inputs: StateSpace,
+    on_outputs: StateSpace | None,
+    performance: StateSpace,
+    control: StateSpace | None = None,
+) -> StateSpace:
+    """Return the system from (d1, d2, w, u) to (Wi u, Wo y0, Wp y, Wc u, y) round a plant off by unknown factors.
+
+    y0 = G (u + d1), y = y0 + d2 + w. With d1 = Di Wi u and d2 = Do Wo y0 the plant is (I + Do Wo) G (I + Di Wi), and w
+    is a disturbance at its output. A weight that is None leaves its signals out.
+
+    Args:
+        plant: G.
+        on_inputs: Wi, relative error at the inputs.
+        on_outputs: Wo, relative error at the outputs.
+        performance: Wp, so that Wp S is to be small.
+        control: Wc, so that Wc K S is.
+    """
+    ny, nu = plant.D.shape
+    n, G, rate = plant.states, plant.D, plant.rate_hz
+    one, still = np.eye(ny), np.zeros((ny, nu))
+    # columns: x, d1, d2, w, u
+    command = np.hstack([np.zeros((nu, n + nu + 2 * ny)), np.eye(nu)])
+    moved = np.hstack([plant.C, G, np.zeros((ny, 2 * ny)), G])
+    seen = moved + np.hstack([np.zeros((ny, n)), still, one, one, still])
+    taken: list[tuple[FloatArray, StateSpace | None, int, str]] = [
+        (command, on_inputs, nu, "on_inputs"),
+        (moved, on_outputs, ny, "on_outputs"),
+        (seen, performance, ny, "performance"),
+        (command, control, nu, "control"),
+    ]
+    rows: list[FloatArray] = []
+    weights: list[StateSpace] = []
+    for row, weight, size, name in taken:
+        if weight is not None:
+            _fits(plant, weight, size, name)
+            rows.append(row)
+            weights.append(weight)
+    out = np.vstack([*rows, seen])
+    keep = np.ones(out.shape[1], dtype=bool)
+    if on_outputs is None:
+        keep[n + nu : n + nu + ny] = False
+    out = out[:, keep]
+    drive = np.hstack([plant.B, np.zeros((n, 2 * ny)), plant.B])[:, keep[n:]]
+    inner = StateSpace(plant.A, drive, out[:, :n], out[:, n:], rate)
+    return series(inner, append(*weights, gain(one, rate)))
+
+
 def _fits(plant: StateSpace, weight: StateSpace, size: int, name: str) -> None:
     same_rate("generalised plant", "the plant", plant.rate_hz, f"the weight '{name}'", weight.rate_hz)
     if weight.D.shape[1] != size:

@@ -1,0 +1,271 @@
+"""D-K synthesis: performance that holds for every plant of an uncertain family, not only for the model."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, positive, whole
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.margins import default_grid
+from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import from_synthesis
+from ultraquiet.design.dk_scaling import Scaling, constant, fitted, scaled
+from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.weight_given import Weight, weight
+from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, with_tones
+from ultraquiet.values.generalised import uncertain
+from ultraquiet.values.interconnect import lft
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+WHO = "MuSynthesis"
+LINES = 120  # at which the scalings are found; the peak itself is refined between them
+SETTLED = 2e-3  # an iteration that lowers the peak by less than this share is the last but one
+PATIENCE = 2  # iterations without gain
+# Scalings go further than the bound's by this share of the way; more after a success, less after a failure.
+PUSH, LARGEST_PUSH, LEAST_PUSH = 1.0, 4.0, 0.2
+DECADE, DECADES = 10.0, 4  # steps and range of the constant scalings that start the iteration
+Blocks = tuple[tuple[int, int], ...]
+
+
+class _Step(NamedTuple):
+    """One iteration: the controller, mu's peak and where, the level of the K-step, its scaling, loop and mu."""
+
+    found: DesignResult
+    peak: tuple[float, float]
+    level: float
+    scaling: Scaling
+    loop: StateSpace
+    bounds: MuBounds
+
+
+@register("design", "mu-synthesis")
+@dataclass(frozen=True)
+class MuSynthesis:
+    """The controller that lowers the structured singular value of a loop whose plant is not known exactly.
+
+    min over K and D of max over f of ||D F(P, K) D^-1||, by turns: the K-step is an H-infinity synthesis with D held,
+    the D-step scales the loop found, frequency by frequency, and fits the scalings by stable minimum-phase filters. mu
+    of the blocks (each input's error, each output's error, performance) below one means that Wp S and Wc K S stay below
+    one for every plant (I + Do Wo) G (I + Di Wi) with |each entry of the diagonal Di and Do| <= 1.
+
+    Args:
+        on_inputs: Wi, relative error of each actuator: a number, `(low, corner_hz, high)` or a `StateSpace`.
+        on_outputs: Wo, relative error of each sensor; none when absent.
+        performance: Wp on every output; absent, a band-pass from the numbers below.
+        control: Wc on every input; absent, a gain that rises at high frequency from 1 / `control_limit`.
+        band_hz: corners of the band to be quiet, Hz.
+        height: gain of Wp in the band.
+        floor: gain of Wp outside it.
+        order: states of Wp per channel, even.
+        tones_hz: frequencies at which Wp has peaks besides, Hz.
+        tone_height: extra gain of Wp at each tone.
+        tone_zeta: half the relative width of the peaks.
+        control_limit: allowed gain from sensor to actuator, V/V; None leaves K S without a weight.
+        roll_off_hz: where control is to end, Hz.
+        iterations: D-K iterations at most. Plain H-infinity comes first, then constant scalings while these help; a
+            dozen iterations and filters of order six reach the last few per cent.
+        scaling_order: states of each scaling at most; a small one is taken where it is as good.
+        margin: each controller is formed at margin times the smallest norm.
+
+    >>> lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    >>> design = MuSynthesis(on_inputs=0.2, performance=(10.0, 0.02, 0.5), control_limit=None, iterations=2)
+    >>> result = design.design(lag)
+    >>> result.status.ok, result.details["mu_peak"] <= result.details["mu"][0]
+    (True, True)
+
+    Doyle 1982, doi:10.1049/ip-d.1982.0053; Skogestad and Postlethwaite 2005, section 8.12.
+    """
+
+    on_inputs: Weight = (0.1, 200.0, 2.0)
+    on_outputs: Weight | None = None
+    performance: Weight | None = None
+    control: Weight | None = None
+    band_hz: tuple[float, float] = (9.0, 108.0)
+    height: float = 4.0
+    floor: float = 0.4
+    order: int = 4
+    tones_hz: tuple[float, ...] = ()
+    tone_height: float = 100.0
+    tone_zeta: float = 0.002
+    control_limit: float | None = 1000.0
+    roll_off_hz: float = 500.0
+    iterations: int = 4
+    scaling_order: int = 4
+    margin: float = 1.02
+
+    def __post_init__(self) -> None:
+        for name in ("height", "floor", "tone_height", "tone_zeta", "roll_off_hz", "margin"):
+            positive(WHO, name, getattr(self, name))
+        if self.control_limit is not None:
+            positive(WHO, "control_limit", self.control_limit)
+        whole(WHO, "iterations", self.iterations, 1, 50)
+        whole(WHO, "scaling_order", self.scaling_order, 0, 10)
+
+    @single_threaded
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the controller u = K y of least mu among the iterations.
+
+        `gamma` is the norm that the K-step of this controller claims for the scaled loop, `achieved` that norm computed
+        again. `details` holds `mu`, the peak of the upper bound after each iteration; `mu_peak` and `mu_peak_hz`, those
+        of the finished loop; `robust_stability`, the peak for the uncertainty alone; `f_hz`, `mu_upper` and `mu_lower`
+        over frequency; `scaling_orders`; and the `weights`. A loop that is not stable for every plant of the family has
+        the status `not robust`.
+        """
+        weights = self.weights(plant)
+        P = uncertain(
+            plant,
+            weights["on_inputs"],
+            weights.get("on_outputs"),
+            weights["performance"],
+            weights.get("control"),
+        )
+        blocks = _blocks(plant, weights)
+        f = _lines(P)
+        steps, reason = self._iterated(P, plant.D.shape, blocks, f)
+        if not steps:
+            return refused(f"{WHO}: the first H-infinity step failed: {reason}")
+        best = min(steps, key=lambda s: s.peak[0])
+        return _told(plant, P, blocks, f, best, steps, {"weights": weights, "stopped": reason}, self)
+
+    def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
+        """Return the weights in full size at the plant's rate, those left out missing."""
+        (ny, nu), rate = plant.D.shape, plant.rate_hz
+        given: dict[str, tuple[Weight | None, int]] = {
+            "on_inputs": (self.on_inputs, nu),
+            "on_outputs": (self.on_outputs, ny),
+            "performance": (self.performance, ny),
+            "control": (self.control, nu),
+        }
+        if self.performance is None:
+            given["performance"] = (band_pass(self.band_hz, self.height, self.floor, self.order, rate), ny)
+        if self.control is None and self.control_limit is not None:
+            corner, low = below_nyquist(self.roll_off_hz, rate), 1 / self.control_limit
+            given["control"] = (high_pass(corner, low, 10 * low, 1, rate), nu)
+        made = {k: weight(WHO, k, w, n, rate) for k, (w, n) in given.items() if w is not None}
+        made["performance"] = with_tones(made["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
+        return made
+
+    def _iterated(
+        self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray
+    ) -> tuple[list[_Step], str]:
+        """Return every iteration that gave a stable loop, and why there is no further one."""
+        steps, reason = self._started(P, shape, blocks, f)
+        if reason:
+            return steps, reason
+        best, push, idle = min(steps, key=lambda s: s.peak[0]), PUSH, 0
+        for _ in range(self.iterations - 1):
+            M = best.loop.frequency_response(f)
+            scaling = fitted(M, best.bounds, self.scaling_order, P.rate_hz, best.scaling, push)
+            trial, reason = self._step(P, shape, scaling, f)
+            if trial is not None:
+                steps.append(trial)
+            if trial is None or trial.peak[0] >= best.peak[0]:
+                if push == 0:
+                    return steps, reason or "mu rises with the scalings that fit it"
+                push = push / 4 if push > LEAST_PUSH else 0.0
+                continue
+            idle = idle + 1 if trial.peak[0] > best.peak[0] * (1 - SETTLED) else 0
+            best, push = trial, min(2 * push, LARGEST_PUSH) or LEAST_PUSH
+            if idle >= PATIENCE:
+                return steps, "mu stands still"
+        return steps, f"all {self.iterations} iterations were made"
+
+    def _started(self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray) -> tuple[list[_Step], str]:
+        """Return the plain H-infinity step, and steps with constant scalings while these lower mu.
+
+        Iterations from one alone can creep for dozens of turns where errors and performance differ much in size.
+        """
+        first, reason = self._step(P, shape, constant(blocks, 1.0, P.rate_hz), f)
+        if first is None:
+            return [], reason
+        steps, k = [first], int(np.argmax(first.bounds.upper))
+        turn = DECADE if np.mean(np.log(first.bounds.levels[:-1, k])) > 0 else 1 / DECADE
+        for power in range(1, DECADES + 1 if self.iterations > 1 else 1):
+            step, _ = self._step(P, shape, constant(blocks, turn**power, P.rate_hz), f)
+            if step is None:
+                break
+            steps.append(step)
+            if step.peak[0] > steps[-2].peak[0]:
+                break
+        return steps, ""
+
+    def _step(self, P: StateSpace, shape: tuple[int, ...], scaling: Scaling, f: FloatArray) -> tuple[_Step | None, str]:
+        """Return one K-step and mu of its loop, or why there is none."""
+        ny, nu = shape
+        found = synthesize_hinf(scaled(P, scaling, ny, nu), ny, nu, margin=self.margin)
+        if found.controller is None:
+            return None, found.status.sentence
+        loop = lft(P, found.controller)
+        bounds = mu_bounds(loop, scaling.blocks, f)
+        if not bounds.stable:
+            return None, "the loop is unstable with the unscaled plant"
+        return _Step(found, bounds.peak, found.gamma, scaling, loop, bounds), ""
+
+
+def _blocks(plant: StateSpace, weights: dict[str, StateSpace]) -> Blocks:
+    """Return (outputs, inputs) of each block of the loop: one a channel that is uncertain, one for performance."""
+    ny, nu = plant.D.shape
+    channels = nu + (ny if "on_outputs" in weights else 0)
+    costs = sum(weights[k].D.shape[0] for k in ("performance", "control") if k in weights)
+    return (*((1, 1),) * channels, (costs, ny))
+
+
+def _lines(P: StateSpace) -> FloatArray:
+    """Return a thinned grid of frequencies that keeps the neighbourhood of the poles."""
+    grid = default_grid(P)
+    grid = grid[grid > 0]
+    return grid[np.unique(np.linspace(0, grid.size - 1, min(LINES, grid.size)).round().astype(int))]
+
+
+def _told(
+    plant: StateSpace,
+    P: StateSpace,
+    blocks: Blocks,
+    f: FloatArray,
+    best: _Step,
+    steps: list[_Step],
+    details: dict[str, Any],
+    settings: MuSynthesis,
+) -> DesignResult:
+    """Judge the best iteration on the plant and say what its mu is worth."""
+    assert best.found.controller is not None
+    loop = lft(P, best.found.controller)
+    bounds = mu_bounds(loop, blocks, _lines(loop))
+    errors = len(blocks) - 1
+    alone = StateSpace(loop.A, loop.B[:, :errors], loop.C[:errors], loop.D[:errors, :errors], loop.rate_hz)
+    stability = mu_peak(alone, blocks[:-1], f)[0]
+    peak, at = bounds.peak
+    details = {
+        **details,
+        "mu": tuple(s.peak[0] for s in steps),
+        "levels": tuple(s.level for s in steps),
+        "scaling_orders": tuple(s.scaling.order for s in steps),
+        "mu_peak": peak,
+        "mu_peak_hz": at,
+        "robust_stability": stability,
+        "f_hz": bounds.f_hz,
+        "mu_upper": bounds.upper,
+        "mu_lower": bounds.lower,
+    }
+    result = from_synthesis(plant, best.found, settings, details)
+    return result if not result.status.ok else _with_verdict(result, peak, at, stability, steps)
+
+
+def _with_verdict(result: DesignResult, peak: float, at: float, stability: float, steps: list[_Step]) -> DesignResult:
+    first, n = steps[0].peak[0], len(steps)
+    told = f"mu peaks at {peak:.3f}, at {at:.4g} Hz, in {n} iterations ({first:.3f} by plain H-infinity)"
+    if stability >= 1:
+        sentence = (
+            f"{told}, for the uncertainty alone at {stability:.3f}: plants of the family may be unstable; ask less."
+        )
+        return replace(result, status=Status("not robust", sentence))
+    worth = (
+        "performance holds for every plant of the family"
+        if peak < 1
+        else f"every plant of the family is stable; {1 / peak:.0%} of the performance holds for {1 / peak:.0%} of the errors"
+    )
+    return replace(result, status=Status("ok", f"{told}; {worth}. {result.status.sentence}"))
