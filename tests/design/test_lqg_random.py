@@ -66,7 +66,8 @@ def closed(P, K) -> tuple[Array, Array, Array, Array]:
 def deviation(P, K) -> float:
     """Return the standard deviation of the cost under white noise, by SciPy's Lyapunov solver."""
     A, B, C, D = closed(P, K)
-    A, (scale, _) = matrix_balance(A, separate=True, permute=False)
+    with np.errstate(invalid="ignore"):  # SciPy also casts the scale to integers
+        A, (scale, _) = matrix_balance(A, separate=True, permute=False)
     B, C = B / scale[:, None], C * scale
     X = solve_discrete_lyapunov(A, B @ B.T)
     return float(np.sqrt(max(np.trace(C @ X @ C.T), 0.0) + np.sum(D**2)))

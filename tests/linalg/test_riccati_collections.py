@@ -130,19 +130,21 @@ def test_slicot_sg02ad_with_a_descriptor():
 
 
 def test_descriptors_of_any_kind(rng):
-    """Random E and S, units spread over ten decades: residuals of the equation with E."""
+    """Random E and S, equations in units spread over six decades: residuals of the equation with E."""
     worst = 0.0
     for _ in range(20):
         n, m = int(rng.integers(1, 15)), int(rng.integers(1, 4))
         A, B, C = rng.standard_normal((n, n)), rng.standard_normal((n, m)), rng.standard_normal((2, n))
-        E = rng.standard_normal((n, n)) + 3 * np.eye(n)
-        rows = 10 ** rng.uniform(-5, 5, (n, 1))
-        E, A, B = E * rows, A * rows, B * rows
+        A *= rng.uniform(0.5, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+        turns = [np.linalg.qr(rng.standard_normal((n, n)))[0] for _ in range(2)]
+        # condition of up to a hundred, whose square is lost in X
+        E = turns[0] * 10 ** (rng.uniform(-1, 1, n)) @ turns[1] * 10 ** rng.uniform(-3, 3, (n, 1))
         D = rng.standard_normal((2, m))
         Q, S, R = C.T @ C + np.eye(n), 0.1 * C.T @ D, D.T @ D + np.eye(m)
-        for solve, errors in (CONTINUOUS, DISCRETE):
-            X = solve(A, B, Q, R, S, E).X
-            residual, beyond = errors(A, B, Q, R, S, X, E)
+        shift = np.linalg.eigvals(A).real.max() - 0.1  # unstable, but not in many directions at once
+        for (solve, errors), F in ((CONTINUOUS, A - shift * np.eye(n)), (DISCRETE, A)):
+            X = solve(E @ F, E @ B, Q, R, S, E).X
+            residual, beyond = errors(E @ F, E @ B, Q, R, S, X, E)
             worst = max(worst, residual)
             assert beyond < 0
     print(f"Riccati equations with descriptor: worst residual {worst:.1e}")

@@ -5,7 +5,7 @@ from ultraquiet.analyse.gang import Gang, Peak, gang_of_four, gang_of_six, peak_
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
 from ultraquiet.analyse.monte_carlo import MonteCarlo, monte_carlo, wilson_interval
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak, mu_upper_bound
-from ultraquiet.analyse.norms import h2_norm, hinf_norm
+from ultraquiet.analyse.norms import h2_norm, hinf_norm, l2_norm
 from ultraquiet.analyse.singular import singular_values
 from ultraquiet.analyse.structure import Block
 from ultraquiet.analyse.symmetry import reciprocity_error, threefold_error
@@ -27,6 +27,7 @@ __all__ = [
     "gang_of_six",
     "h2_norm",
     "hinf_norm",
+    "l2_norm",
     "loop_margins",
     "monte_carlo",
     "mu_bounds",

@@ -48,3 +48,23 @@ def h2_norm(G: StateSpace) -> float:
     1.25
     """
     return norms.mean_square_gain(G.A, G.B, G.C, G.D, G.rate_hz is not None)
+
+
+def l2_norm(G: StateSpace) -> float:
+    """Return the L2 norm, the root mean square of the response over all frequencies, of an unstable system too.
+
+    ||G||^2 = 1 / (2 pi) integral of trace(G(jw)^H G(jw)) dw, discrete: over one turn of the unit circle.
+
+    Args:
+        G: system without poles on the stability boundary.
+
+    Returns:
+        The norm, that of `h2_norm` for a stable system; infinity with a pole on the boundary, and for a continuous
+        system with direct feedthrough.
+
+    For an unstable system the number is no standard deviation of anything: it compares responses, as a model's error.
+
+    >>> round(l2_norm(StateSpace([[1.0]], [[1.0]], [[2.0]], [[0.0]])), 6)
+    1.414214
+    """
+    return norms.axis_mean_square(G.A, G.B, G.C, G.D, G.rate_hz is not None)

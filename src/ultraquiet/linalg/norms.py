@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet.linalg.balance import modal
+from ultraquiet.linalg.balance import modal, stable_first
 from ultraquiet.linalg.discretize import bilinear_to_continuous
 from ultraquiet.linalg.equations import lyapunov, stein
 from ultraquiet.linalg.modal_response import Residues, split
@@ -55,6 +55,25 @@ def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> 
     Q = (stein if discrete else lyapunov)(form.A.T, form.C.T @ form.C)
     total = np.trace(B.T @ Q @ B) + (np.sum(D * D) if discrete else 0.0)
     return float(np.sqrt(max(total, 0.0)))
+
+
+def axis_mean_square(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> float:
+    """Return the L2 norm, the mean square of the response over frequency; finite for unstable systems as well.
+
+    Stable and unstable part are orthogonal; the unstable one counts by its image, mirrored at the stability boundary.
+    """
+    T, inverse, stable = stable_first(A, discrete)
+    A, B, C = inverse @ A @ T, inverse @ B, C @ T
+    good, bad = slice(stable), slice(stable, None)
+    a, b, c = A[bad, bad], B[bad], C[:, bad]
+    if discrete and len(a):
+        # C (zI - A)^-1 B = -C A^-1 B - z C A^-2 B - ...: a constant, and powers of z that decay
+        E = np.linalg.inv(a)
+        D, (a, c) = D - c @ E @ b, (E, c @ E @ E)
+    elif len(a):
+        a, b = -a, -b
+    kept = mean_square_gain(A[good, good], B[good], C[:, good], D, discrete)
+    return float(np.hypot(kept, mean_square_gain(a, b, c, np.zeros(D.shape), discrete)))
 
 
 def _peak(A: Array, B: Array, C: Array, D: Array, tolerance: float) -> tuple[float, float]:

@@ -136,7 +136,8 @@ def _qz(terms: _Terms) -> Array | None:
     from scipy.linalg import solve_discrete_are
 
     try:
-        return solve_discrete_are(terms.A, terms.B, terms.Q, terms.R, s=terms.S)
+        with np.errstate(invalid="ignore", over="ignore"):  # its scale factors may go beyond integers
+            return solve_discrete_are(terms.A, terms.B, terms.Q, terms.R, s=terms.S)
     except (LinAlgError, ValueError):
         return None
 

@@ -1,0 +1,139 @@
+"""Norms at the edges: no states, no inputs in effect, integrators, needles, two hundred states; SLICOT's H2 norm."""
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, solve_discrete_lyapunov
+
+from slicot_examples import SLICOT, numbers
+from ultraquiet.analyse import h2_norm, hinf_norm, l2_norm
+from ultraquiet.linalg import discretize
+from ultraquiet.values import StateSpace
+
+TINY = 1e-8
+
+
+def modes(rng, count, zeta, channels=2):
+    """Return a continuous system of lightly damped modes between 1 and 100 rad/s."""
+    w = np.sort(rng.uniform(1, 100, count))
+    A = block_diag(*[[[0, wk], [-wk, -2 * zeta * wk]] for wk in w])
+    B, C = rng.standard_normal((2 * count, channels)), rng.standard_normal((channels, 2 * count))
+    return StateSpace(A, B, C, np.zeros((channels, channels)))
+
+
+def on_a_grid(G, f_hz):
+    """Return the largest singular value over frequencies, by solving at each of them."""
+    z = 2j * np.pi * f_hz if G.rate_hz is None else np.exp(2j * np.pi * f_hz / G.rate_hz)
+    one = np.eye(G.states)
+    return max(np.linalg.norm(G.C @ np.linalg.solve(s * one - G.A, G.B) + G.D, 2) for s in z)
+
+
+def near_poles(G, across=30):
+    """Return frequencies at and around every resonance, as far off as its damping, and between."""
+    poles = G.poles() if G.rate_hz is None else np.log(G.poles().astype(complex)) * G.rate_hz
+    spread = np.linspace(-3, 3, across)
+    w = np.concatenate([np.abs(p.imag) + spread * max(-p.real, 1e-12) for p in poles])
+    return np.unique(np.abs(w)) / (2 * np.pi)
+
+
+def test_slicot_ab13bd():
+    """The L2 norm of an unstable system; its H2 norm is infinite."""
+    values = [float(v) for v in (SLICOT / "AB13BD.dat").read_text().split("\n", 1)[1].replace("C L", "").split()][4:]
+    shapes = [(7, 7), (7, 2), (3, 7), (3, 2)]
+    parts = np.split(np.array(values), np.cumsum([r * c for r, c in shapes])[:-1])
+    G = StateSpace(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+    print(f"AB13BD: {l2_norm(G):.6g}, printed {numbers((SLICOT / 'AB13BD.res').read_text())[-1]}")
+    assert abs(l2_norm(G) / 7.93948 - 1) < 1e-6
+    assert h2_norm(G) == np.inf
+
+
+def test_l2_norm_is_the_mean_over_frequency(rng):
+    A = np.diag([0.5, -0.7, 1.4, -2.0])
+    G = StateSpace(A, rng.standard_normal((4, 2)), rng.standard_normal((3, 4)), rng.standard_normal((3, 2)), 1.0)
+    response = G.frequency_response(np.linspace(0, 0.5, 20_001))
+    mean = np.trapezoid(np.sum(np.abs(response) ** 2, axis=(0, 1)), dx=1 / 20_000)
+    assert abs(l2_norm(G) / np.sqrt(mean) - 1) < 1e-6
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_feedthrough_alone(rng, rate_hz):
+    D = rng.standard_normal((3, 2))
+    G = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((3, 0)), D, rate_hz)
+    assert abs(hinf_norm(G)[0] / np.linalg.norm(D, 2) - 1) < 1e-12
+    assert h2_norm(G) == (np.inf if rate_hz is None else pytest.approx(np.linalg.norm(D)))
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_integrators_and_unstable_systems_have_no_norm(rate_hz):
+    border = 0.0 if rate_hz is None else 1.0
+    for pole in (border, border + 0.1):
+        G = StateSpace([[pole]], [[1.0]], [[1.0]], [[0.0]], rate_hz)
+        assert hinf_norm(G) == (np.inf, 0.0)
+        assert h2_norm(G) == np.inf
+
+
+@pytest.mark.parametrize("rate_hz", [None, 100.0])
+def test_states_without_effect(rng, rate_hz):
+    """No input, no output or neither in effect: the norm of what is left, which may be nothing."""
+    A = np.diag([-0.5, -0.9, -0.3]) if rate_hz is None else np.diag([0.5, -0.9, 0.3])
+    for B, C in ((np.zeros((3, 1)), np.ones((1, 3))), (np.ones((3, 1)), np.zeros((1, 3)))):
+        assert hinf_norm(StateSpace(A, B, C, [[0.0]], rate_hz))[0] == 0
+        assert h2_norm(StateSpace(A, B, C, [[0.0]], rate_hz)) == 0
+        assert hinf_norm(StateSpace(A, B, C, [[2.0]], rate_hz))[0] == 2
+
+
+def test_needles_of_damping_1e_8(rng):
+    """Peaks a hundred-millionth of their frequency wide, continuous and sampled, against solves at the peaks."""
+    worst = 0.0
+    for _ in range(5):
+        G = modes(rng, 4, TINY)
+        sampled = StateSpace(*discretize.zero_order_hold(G.A, G.B, G.C, G.D, 1 / 100.0), rate_hz=100.0)
+        for system in (G, sampled):
+            norm, _ = hinf_norm(system)
+            grid = on_a_grid(system, near_poles(system, 61))
+            worst = max(worst, abs(grid / norm - 1))
+            assert grid <= norm * (1 + 1e-5)
+    print(f"needles of damping 1e-8: grid against norm {worst:.1e}")
+    assert worst < 1e-2
+
+
+def test_h2_of_needles_is_the_sum_over_modes(rng):
+    """Well separated modes, each with b = c = 1 on its second state: |G|^2 = sum 1 / (4 zeta w), near enough."""
+    w, zeta = np.array([1.0, 10.0, 100.0]), TINY
+    A = block_diag(*[[[0, wk], [-wk, -2 * zeta * wk]] for wk in w])
+    b = np.tile([0.0, 1.0], 3)
+    norm = h2_norm(StateSpace(A, b[:, None], b[None], [[0.0]]))
+    expected = np.sqrt(np.sum(1 / (4 * zeta * w)))
+    print(f"H2 norm of needles: {norm:.10g} against {expected:.10g}")
+    assert abs(norm / expected - 1) < 1e-6
+
+
+def test_two_hundred_states(rng):
+    G = modes(rng, 100, 1e-3, channels=6)
+    sampled = StateSpace(*discretize.zero_order_hold(G.A, G.B, G.C, G.D, 1 / 100.0), rate_hz=100.0)
+    for system in (G, sampled):
+        norm, f_hz = hinf_norm(system)
+        grid = on_a_grid(system, near_poles(system, 9)[:: 4 if system is G else 8])
+        here = on_a_grid(system, np.array([f_hz]))
+        print(f"200 states: norm {norm:.6g} at {f_hz:.4g} Hz, grid {grid:.6g}, there {here:.6g}")
+        assert grid <= norm * (1 + 1e-6)
+        assert abs(here / norm - 1) < 1e-6
+    X = solve_discrete_lyapunov(sampled.A, sampled.B @ sampled.B.T)
+    peer = np.sqrt(np.trace(sampled.C @ X @ sampled.C.T))
+    print(f"200 states: H2 norm {h2_norm(sampled):.8g}, by SciPy's equation {peer:.8g}")
+    assert abs(h2_norm(sampled) / peer - 1) < 1e-6
+
+
+def test_a_pole_at_nyquist_is_no_obstacle():
+    """z = -1 + 1e-15 would go to infinity in the bilinear map."""
+    G = StateSpace([[-1 + 1e-12, 0], [0, 0.5]], [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]], rate_hz=100.0)
+    norm, f_hz = hinf_norm(G)
+    assert abs(norm / 1e12 - 1) < 1e-3
+    assert abs(f_hz - 50) < 1e-6
+
+
+@pytest.mark.parametrize("size", [1e-150, 1e-30, 1e30, 1e150])
+def test_units_do_not_matter(rng, size):
+    G = modes(rng, 3, 0.05)
+    other = StateSpace(G.A, G.B * size, G.C, G.D)
+    assert abs(hinf_norm(other)[0] / hinf_norm(G)[0] / size - 1) < 1e-6
+    assert abs(h2_norm(other) / h2_norm(G) / size - 1) < 1e-6
