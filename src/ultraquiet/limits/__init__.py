@@ -4,6 +4,21 @@ May be changed here: the limits that are computed and how. Nothing here designs 
 """
 
 from ultraquiet.limits._limit import Limit
+from ultraquiet.limits.by_direction import DirectionLimit, by_direction
 from ultraquiet.limits.convex import best_flat_attenuation
+from ultraquiet.limits.distance import Distance, distance
+from ultraquiet.limits.integrals import Integral, bode_integral, poisson_integral
+from ultraquiet.limits.waterbed import waterbed_peak
 
-__all__ = ["Limit", "best_flat_attenuation"]
+__all__ = [
+    "DirectionLimit",
+    "Distance",
+    "Integral",
+    "Limit",
+    "best_flat_attenuation",
+    "bode_integral",
+    "by_direction",
+    "distance",
+    "poisson_integral",
+    "waterbed_peak",
+]

@@ -40,7 +40,7 @@ def unstable(roots: ComplexArray, rate_hz: float | None) -> ComplexArray:
 
 @dataclass(frozen=True, eq=False)
 class BindingZero:
-    """A zero outside the stability region: `s` in the half-plane, the output direction that it blocks, how it is called.
+    """A zero outside the stability region: `s` in the half-plane, the output direction that it blocks, its name.
 
     The direction is None for a delay, which blocks every one.
     """

@@ -12,7 +12,7 @@ from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
 
 DB = float(20 / np.log(10))
-# ln|S| of a continuous loop falls off with 1 / w: beyond so many times its quickest root nothing is left of the integral
+# ln|S| of a continuous loop falls off with 1 / w: beyond so many times its quickest root little of the integral is left
 FAR = 1e6
 
 
@@ -49,8 +49,8 @@ def bode_integral(plant: StateSpace, controller: StateSpace) -> Integral:
     Raises:
         InputError: the loop is unstable, or has a direct path in continuous time, where the area is infinite.
 
-    For stable plant and controller with a sample of delay the mean is zero: each decibel gained over a hertz is lost over
-    another. An unstable controller pays for itself as an unstable plant does.
+    For stable plant and controller with a sample of delay the mean is zero: each decibel gained over a hertz is lost
+    over another. An unstable controller pays for itself as an unstable plant does.
 
     >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
     >>> K = StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0)
@@ -80,8 +80,8 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
     """Return Poisson's integral of a stable loop for every zero of the plant outside the stability region.
 
     mean of ln |y* S y|, weighted by the harmonic measure seen from the zero, >= ln prod |s + conj(p)| / |s - p|, where
-    y* G(s) = 0; equal for one channel, where the p are the unstable poles of plant and controller. With several channels
-    zero is what is owed at least.
+    y* G(s) = 0; equal for one channel, where the p are the unstable poles of plant and controller. With several
+    channels zero is what is owed at least.
 
     Args:
         plant: G, square.
@@ -117,9 +117,9 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
     stretch = 2 * np.pi * (1.0 if rate_hz is None else 1 + (w / (2 * rate_hz)) ** 2)  # dw / df
     found = []
     for zero in sorted(zeros, key=lambda z: abs(z.s)):
-        y, x, at = zero.direction, zero.s.real, zero.s.imag
+        y, x, at = np.asarray(zero.direction), zero.s.real, zero.s.imag
         kernel = (x / (x * x + (w - at) ** 2) + x / (x * x + (w + at) ** 2)) / np.pi * stretch
-        size = np.abs(np.einsum("i,fij,j->f", y.conj(), S, y))
+        size = np.abs((S @ y) @ y.conj())
         owes = half_plane.owed(zero.s, unstable) if plant.D.shape == (1, 1) else 0.0
         paid = float(np.sum(width * kernel * np.log(size)))
         found.append(Integral(zero.name, DB * paid, DB * owes))
@@ -141,13 +141,11 @@ def _closed(who: str, plant: StateSpace, controller: StateSpace) -> ComplexArray
     if not loop.is_stable():
         raise InputError(f"{who}: the loop is unstable, its integral says nothing; stabilise it first.")
     if plant.rate_hz is None and np.any(plant.D @ controller.D):
-        raise InputError(
-            f"{who}: the loop has a direct path in continuous time, its integral is infinite; roll it off."
-        )
+        raise InputError(f"{who}: a direct path in continuous time makes the integral infinite; roll the loop off.")
     return half_plane.half_plane(loop.poles(), plant.rate_hz)
 
 
 def _loop(plant: StateSpace, controller: StateSpace, f_hz: FloatArray) -> ComplexArray:
     """Return S `(nf, ny, ny)`."""
     G, K = (np.moveaxis(s.frequency_response(f_hz), 2, 0) for s in (plant, controller))
-    return np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
+    return np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K).astype(np.complex128)

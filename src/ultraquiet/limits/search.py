@@ -48,8 +48,14 @@ class Search:
             np.linalg.eigvals(M).astype(np.complex128) for M in (G.A + G.B @ F, G.A + H @ G.C) if F.any() or H.any()
         ]
 
-    def limit(self, wishes: Wishes, noise_gain: float | None, certify: bool) -> Limit:
-        """Return the limit under these demands."""
+    def limit(
+        self,
+        wishes: Wishes,
+        noise_gain: float | None = None,
+        certify: bool = True,
+        bounded_by: Callable[[FloatArray], Lines] | None = None,
+    ) -> Limit:
+        """Return the limit under these demands; the bound is that of the loop `bounded_by`, its own when absent."""
         scale = wishes.control_gain
         functions = scale * self.basis.at(self.circle.angles(self.f_hz))
         demands = wishes.demands(self.f_hz, self.lines)
@@ -61,7 +67,7 @@ class Search:
         if certify:
             # the noise gain is no demand at single frequencies: the bound is that of the others
             others = found if noise is None else solve_on(functions, demands, found.active)
-            bound = self.bound(wishes, demands, others, self.loops.at)
+            bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
         half = chain(self.poles[::2])
         less = None if noise_gain is None else self._noise(half, scale, noise_gain)
         again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, found.active, less)

@@ -20,8 +20,8 @@ def waterbed_peak(
 ) -> float:
     """Return the least peak of |S| in dB that attenuation over a band costs, whatever the linear controller.
 
-    Poisson's integral at each zero s outside the stability region: share * (-attenuation) + rest * peak >= owed, with the
-    harmonic measures of the band and of the other frequencies seen from s, and owed = ln prod |s + conj(p)| / |s - p|
+    Poisson's integral at each zero s outside the stability region: share * (-attenuation) + rest * peak >= owed, with
+    the harmonic measures of the band and of the other frequencies seen from s, and owed = ln prod |s + conj(p)| / |s - p|
     over the unstable poles. A delay is a zero at infinity in z, where it is Bode's integral.
 
     Args:
@@ -31,7 +31,7 @@ def waterbed_peak(
         bandwidth_hz: above it the loop does nothing, S = 1; all frequencies may be amplified when absent.
 
     Returns:
-        The least peak in dB; zero when nothing binds (a continuous plant without such zeros and without `bandwidth_hz`).
+        The least peak in dB; zero when nothing binds, as with a continuous plant without such zeros or `bandwidth_hz`.
 
     No controller does better than this; what one does, also with its gain limited, says `best_flat_attenuation`. With
     several channels the unstable poles of the plant are left out: they bind in their own directions only.

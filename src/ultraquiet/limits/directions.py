@@ -1,0 +1,98 @@
+"""Directions of a plant of several channels, as scalar loops."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.limits.certificate import outer
+from ultraquiet.limits.circle import Circle
+from ultraquiet.limits.half_plane import half_plane
+from ultraquiet.limits.loops import Lines
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.zeros import invariant_zeros
+from ultraquiet.values.state_space import StateSpace
+
+BAND_POINTS = 60
+NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave a direction's function
+CIRCLE = 1 << 15  # points from 0 to pi on which the phase of a minimum-phase function is computed
+NO_ANSWER = 1e-12  # a response this small beside the largest counts as that small
+LONGEST_DELAY = 64  # samples
+
+
+def principal(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
+    """Return constant orthonormal directions, the columns, from the one the plant moves least over a band.
+
+    Eigenvectors of the mean over the band of the real part of G G*, each frequency with the same weight.
+    """
+    G = np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
+    power = G @ np.moveaxis(G.conj(), 1, 2)
+    power = power / np.maximum(np.trace(power, axis1=1, axis2=2), np.finfo(float).tiny)[:, None, None]
+    return np.linalg.eigh(power.mean(axis=0).real)[1]
+
+
+def along(plant: StateSpace, v: FloatArray) -> StateSpace:
+    """Return v' G v, with states of no account removed."""
+    B, C = plant.B @ v[:, None], v[None, :] @ plant.C
+    M = plant.A, B, C, v[None, :] @ plant.D @ v[:, None]
+    if plant.D.shape == (1, 1) or not plant.is_stable():
+        return StateSpace(*M, rate_hz=plant.rate_hz)
+    P, Q = balance.gramians(*M[:3], discrete=plant.rate_hz is not None)
+    values = balance.balancing(P, Q, 0)[2]
+    left, right, _ = balance.balancing(P, Q, max(1, int(np.sum(values > NEGLIGIBLE * values[0]))))
+    return StateSpace(*balance.truncate(M, left, right), rate_hz=plant.rate_hz)
+
+
+def coupling_db(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) -> float:
+    """Return how far at worst over the band what leaves the direction lies below what stays in it, dB."""
+    G = np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
+    own = np.abs(v @ G @ v)
+    other = np.sqrt(np.maximum(np.linalg.norm(G @ v, axis=1) ** 2 - own**2, 0.0))
+    ratio = own / np.maximum(other, np.finfo(float).tiny)
+    return float(min(20 * np.log10(np.maximum(ratio.min(), np.finfo(float).tiny)), 300.0))
+
+
+class AllActuators:
+    """The loop of v' S v when every actuator may help: a bound for controllers of any structure.
+
+    v' S v = 1 + (v' G)(Q v) with |Q v| <= |K S|: Q v is a column of stable functions, and (v' G)(Q v) = g q with a
+    stable scalar q, |q| <= |K S|, where |g| = |v' G| and g keeps the delay and the zeros outside the stability region that all
+    entries of v' G have in common. What g q can do is at least what (v' G)(Q v) can.
+    """
+
+    def __init__(self, plant: StateSpace, v: FloatArray, circle: Circle) -> None:
+        self._circle = circle
+        self._angles = np.linspace(0, np.pi, CIRCLE + 1)
+        row = v @ np.moveaxis(plant.frequency_response(circle.frequencies(self._angles)), 2, 0)
+        size = np.linalg.norm(row, axis=1)
+        self._log = np.log(np.maximum(size, NO_ANSWER * size.max()))
+        self._phase = np.unwrap(np.angle(outer(np.exp(self._log))[: CIRCLE + 1]))
+        self._zeros, self._delay = _common(plant, v)
+
+    def __call__(self, f_hz: FloatArray) -> Lines:
+        """Return the lines in q."""
+        angles = self._circle.angles(f_hz)
+        size, phase = (np.interp(angles, self._angles, y) for y in (self._log, self._phase))
+        w = np.exp(1j * angles)
+        g = np.exp(size + 1j * phase)
+        for zero in self._circle.roots(self._zeros):
+            g = g * (1 / w - 1 / zero) / (1 - 1 / (w * zero.conj()))
+        if self._delay:
+            g = g * np.exp(-2j * np.pi * self._delay * f_hz / float(self._circle.rate_hz or 1.0))
+        one = np.ones(f_hz.size, dtype=np.complex128)
+        return Lines(one, g, 0 * one, one)
+
+
+def _common(plant: StateSpace, v: FloatArray) -> tuple[ComplexArray, int]:
+    """Return the zeros outside the stability region, in the half-plane, and the samples of delay of v' G."""
+    C, D = v[None, :] @ plant.C, v[None, :] @ plant.D
+    values = invariant_zeros(plant.A, plant.B, C, D)
+    zeros = half_plane(values, plant.rate_hz)
+    zeros = zeros[np.isfinite(zeros) & (zeros.real > 0)]
+    if plant.rate_hz is None:
+        return zeros, 0
+    term, scale = C, np.linalg.norm(C) * np.linalg.norm(plant.B)
+    delay = 0
+    if not np.any(np.abs(D) > NO_ANSWER * scale):
+        delay = 1
+        while delay < LONGEST_DELAY and not np.any(np.abs(term @ plant.B) > NO_ANSWER * scale):
+            term, delay = term @ plant.A, delay + 1
+    return zeros, delay

@@ -1,0 +1,117 @@
+"""How far a design is from what any controller could do at its own price."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, same_rate
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.limits._limit import Limit
+from ultraquiet.limits.by_direction import one_direction
+from ultraquiet.limits.demands import checked_band
+from ultraquiet.limits.directions import principal
+from ultraquiet.values.interconnect import lft
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+WHO = "distance"
+BAND_POINTS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Distance:
+    """A design beside its limit.
+
+    Attributes:
+        status: `ok` and what it means; `unstable` when the loop is, `not certified` without a bound.
+        attenuation_db: of the design's worst direction over the band.
+        peak_db: its largest |S|.
+        control_gain: its largest |K S|.
+        limit: the best flat attenuation at this peak and gain along `direction`, the one that the plant moves least.
+        left_db: what another controller could add at most at the same price: `limit.bound_db - attenuation_db`.
+        direction: unit vector over the outputs.
+    """
+
+    status: Status
+    attenuation_db: float = float("nan")
+    peak_db: float = float("nan")
+    control_gain: float = float("nan")
+    limit: Limit | None = None
+    left_db: float = float("nan")
+    direction: FloatArray | None = None
+
+
+@single_threaded
+def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float], basis: int = 60) -> Distance:
+    """Return how much more a band could be attenuated at the design's own peak of S and its own |K S|.
+
+    Args:
+        plant: G, square; stable when it has several channels.
+        controller: K, u = K y.
+        band_hz: the quiet band, Hz.
+        basis: states of the search, see `best_flat_attenuation`.
+
+    Returns:
+        `Distance`. A negative `left_db` would be a contradiction: the bound holds for every linear controller.
+
+    Raises:
+        InputError: plant and controller do not fit, the band lies beyond Nyquist.
+
+    A design a few decibels from its limit is finished; one far from it wastes amplification or control.
+
+    >>> G = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
+    >>> K = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-3.0]], rate_hz=1000.0)
+    >>> found = distance(G, K, (1.0, 20.0), basis=30)
+    >>> bool(found.left_db > 0), round(found.control_gain, 2)
+    (True, 3.56)
+    """
+    band = checked_band(WHO, band_hz, plant.rate_hz)
+    same_rate(WHO, "the plant", plant.rate_hz, "the controller", controller.rate_hz)
+    ny, nu = plant.D.shape
+    if ny != nu or controller.D.shape != (nu, ny):
+        raise InputError(f"{WHO}: the plant is {ny} x {nu}, the controller {controller.D.shape}; both must be square.")
+    control = _control(plant, controller)
+    if not control.is_stable():
+        return Distance(Status("unstable", "The loop is unstable; it has no distance to a limit."))
+    if ny > 1 and not plant.is_stable():
+        return Distance(Status("refused", f"{WHO}: limits of several channels need a stable plant."))
+    own, peak_db, gain = (
+        _worst_db(plant, controller, band),
+        peak_sensitivity(plant, controller)[0],
+        hinf_norm(control)[0],
+    )
+    if gain == 0:
+        return Distance(Status("ok", "The controller does nothing, and nothing is what it costs."), 0.0, 0.0, 0.0)
+    v = principal(plant, band)[:, 0]
+    limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, basis).limit
+    return Distance(_verdict(own, peak_db, gain, limit), own, peak_db, gain, limit, limit.bound_db - own, v)
+
+
+def _verdict(own: float, peak_db: float, gain: float, limit: Limit) -> Status:
+    if not np.isfinite(limit.bound_db):
+        return Status("not certified", f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}")
+    return Status(
+        "ok",
+        f"The worst direction is attenuated by {own:.1f} dB; at the same peak of {peak_db:.1f} dB and |K S| of {gain:.3g} "
+        f"no linear controller exceeds {limit.bound_db:.1f} dB, {limit.bound_db - own:.1f} dB more.",
+    )
+
+
+def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:
+    """Return K S, from a disturbance at the plant's output to the control."""
+    ny, nu = plant.D.shape
+    B = np.hstack([np.zeros((plant.states, ny)), plant.B])
+    C = np.vstack([np.zeros((nu, plant.states)), plant.C])
+    D = np.block([[np.zeros((nu, ny)), np.eye(nu)], [np.eye(ny), plant.D]])
+    return lft(StateSpace(plant.A, B, C, D, plant.rate_hz), controller)
+
+
+def _worst_db(plant: StateSpace, controller: StateSpace, band: tuple[float, float]) -> float:
+    """Return the attenuation of the worst direction over the band, dB."""
+    f = np.geomspace(*band, BAND_POINTS)
+    G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
+    S = np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
+    return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
