@@ -3,8 +3,8 @@
 from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.band import BandAttenuation, common_mode, worst_attenuation_db
-from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.dk import MuSynthesis
+from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.h2 import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.hinf_opinion import Opinion, verify_level

@@ -263,9 +263,8 @@ def _with_verdict(result: DesignResult, peak: float, at: float, stability: float
             f"{told}, for the uncertainty alone at {stability:.3f}: plants of the family may be unstable; ask less."
         )
         return replace(result, status=Status("not robust", sentence))
-    worth = (
-        "performance holds for every plant of the family"
-        if peak < 1
-        else f"every plant of the family is stable; {1 / peak:.0%} of the performance holds for {1 / peak:.0%} of the errors"
-    )
+    worth = "performance holds for every plant of the family"
+    if peak >= 1:
+        share = f"{1 / peak:.0%}"
+        worth = f"every plant of the family is stable; {share} of the performance holds for {share} of the errors"
     return replace(result, status=Status("ok", f"{told}; {worth}. {result.status.sentence}"))
