@@ -51,8 +51,9 @@ class Lqg:
         band_at: `cost`, or `loop`: W becomes a part of the controller, whose gain then follows its shape.
         integral_hz: corner below which every measurement is integrated, inside the controller; None for no integrator.
         integral_leak_hz: where the rise towards low frequency ends; 0 is a pure integrator, pole at z = 1.
-        recovery: LTR: at the input, noise of `recovery - 1` times `disturbance` is added there; at the output, the
-            weight on u is divided by it. Large factors recover the target loop of minimum-phase plants without delay.
+        recovery: LTR: at the input, white noise of `recovery - 1` times `disturbance` is added there; at the output,
+            `recovery - 1` times |y|^2 is added to the cost. Large factors recover the target loop of minimum-phase
+            plants without delay.
         recovery_at: `input` or `output`.
         estimator: `current` uses y[k] for u[k], `predicted` only what came before (D of the controller is zero).
         output_weight: W as a system, `(1, 1)` or `(ny, ny)`, in place of the band.
@@ -107,7 +108,7 @@ class Lqg:
         """Return the controller u = K y of a discrete plant.
 
         `gamma` is the standard deviation of the weighted cost that the two Riccati equations promise, `achieved` the H2
-        norm of the finished loop, both with the noise that recovery adds; `details["recovery"]` holds
+        norm of the finished loop, both with what recovery adds; `details["recovery"]` holds
         sigma(L - L_target) over frequency, `details["weights"]` the weights of one channel.
 
         Raises:
@@ -159,20 +160,18 @@ class Lqg:
         disturbance = shaped("Lqg", "disturbance_model", given, nu if at_input else ny, plant.rate_hz)
         given = self.sensor_noise if self.noise_model is None else self.noise_model
         noise = shaped("Lqg", "noise_model", given, ny, plant.rate_hz)
-        extra = (self.recovery - 1) * self.disturbance if self.recovery_at == "input" else 0.0
-        ease = 1 / np.sqrt(self.recovery) if self.recovery_at == "output" else 1.0
-        control = full(weights["control"], nu, "input_weight")
-        return Parts(
-            stable_weight("Lqg", "disturbance_model", disturbance, plant),
-            at_input,
-            shaped("Lqg", "recovery", extra, nu, plant.rate_hz) if extra else gain(np.zeros((nu, 0)), plant.rate_hz),
-            regular_noise("Lqg", "noise_model", stable_weight("Lqg", "noise_model", noise, plant)),
-            self._loop(ny, plant.rate_hz),
-            stable_weight("Lqg", "output_weight", full(weights["performance"], ny, "output_weight"), plant),
-            stable_weight(
-                "Lqg", "input_weight", series(control, gain(ease * np.eye(control.D.shape[0]), control.rate_hz)), plant
-            ),
-        )
+        output = stable_weight("Lqg", "output_weight", full(weights["performance"], ny, "output_weight"), plant)
+        control = stable_weight("Lqg", "input_weight", full(weights["control"], nu, "input_weight"), plant)
+        more, probe = self.recovery - 1, gain(np.zeros((nu, 0)), plant.rate_hz)
+        if more and self.recovery_at == "input":
+            probe = gain(np.sqrt(more * self.disturbance) * np.eye(nu), plant.rate_hz)
+        elif more:
+            # the dual of noise at the input: cost on the output itself, whatever the weight's shape
+            both = gain(np.vstack([np.eye(ny), np.sqrt(more) * np.eye(ny)]), plant.rate_hz)
+            output = series(both, append(output, gain(np.eye(ny), plant.rate_hz)))
+        disturbance = stable_weight("Lqg", "disturbance_model", disturbance, plant)
+        noise = regular_noise("Lqg", "noise_model", stable_weight("Lqg", "noise_model", noise, plant))
+        return Parts(disturbance, at_input, probe, noise, self._loop(ny, plant.rate_hz), output, control)
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights: `performance` W and `control` Wu, of one channel unless given for all of them."""

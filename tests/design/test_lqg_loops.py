@@ -1,0 +1,217 @@
+"""LQG: recovery at either end, coloured noise, weights as systems, integral action, refusals by name."""
+
+import numpy as np
+import pytest
+from named_plants import bench_like, sensitivity_db
+
+from ultraquiet._base.errors import InputError, RateError
+from ultraquiet.analyse import h2_norm
+from ultraquiet.design import Lqg, band_pass, high_pass
+from ultraquiet.linalg import discretize
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import append, feedback, gain, lft, series
+
+RATE = 1000.0
+FLAT = {"band_hz": None, "control_weight": 1e-2, "disturbance_at": "input"}
+
+
+def minimum_phase(rng, channels=2, modes=3):
+    """Return a square plant without delay and with all zeros inside: C B near one, zeros placed at stable points."""
+    n = 2 * modes
+    w, zeta = 2 * np.pi * rng.uniform(10, 150, modes), rng.uniform(0.01, 0.1, modes)
+    poles = np.exp((-zeta + 1j * np.sqrt(1 - zeta**2)) * w / RATE)
+    A = np.zeros((n, n))
+    for k, p in enumerate(poles):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+    while True:
+        B, C = rng.standard_normal((n, channels)), rng.standard_normal((channels, n))
+        CB = C @ B
+        if np.linalg.cond(CB) < 5:
+            # zeros are the eigenvalues of A - B (CB)^-1 C A beside the zeros at the origin
+            zeros = np.linalg.eigvals(A - B @ np.linalg.solve(CB, C @ A))
+            if np.abs(zeros).max() < 0.97:
+                return StateSpace(A, B, C, np.zeros((channels, channels)), RATE)
+
+
+@pytest.mark.parametrize("at", ["input", "output"])
+@pytest.mark.parametrize("band_hz", [None, (10.0, 100.0)])
+def test_recovery_of_a_minimum_phase_plant(rng, at, band_hz):
+    """The error falls with the factor, to little where plants allow it, with a shaped cost or a flat one."""
+    worst = []
+    plant = minimum_phase(rng)
+    for factor in (1.0, 1e4, 1e8):
+        result = Lqg(**FLAT | {"band_hz": band_hz, "floor": 0.1}, recovery=factor, recovery_at=at).design(plant)
+        assert result.status.ok, result.status
+        assert result.details["recovery"]["at"] == at
+        worst.append(result.details["recovery"]["relative_error"].max())
+    print(f"recovery at the {at}, band {band_hz}: relative error " + " -> ".join(f"{e:.2g}" for e in worst))
+    assert worst[2] < 0.02
+    assert worst[2] < worst[0]
+
+
+@pytest.mark.parametrize("at", ["input", "output"])
+def test_recovery_is_what_it_says(rng, at):
+    """The error in the details is |L - L_target| with L formed here from the finished controller."""
+    plant = minimum_phase(rng)
+    result = Lqg(**FLAT, recovery=100.0, recovery_at=at).design(plant)
+    told = result.details["recovery"]
+    G, K = (np.moveaxis(s.frequency_response(told["f_hz"]), 2, 0) for s in (plant, result.controller))
+    size = np.linalg.norm(K @ G if at == "input" else G @ K, 2, axis=(1, 2))
+    target = told["error"] / told["relative_error"]
+    assert np.all(np.abs(size - target) <= told["error"] * (1 + 1e-6))
+
+
+@pytest.mark.parametrize("at", ["input", "output"])
+def test_a_delay_is_not_recovered_and_says_so(rng, at):
+    plant = series(StateSpace(*discretize.delay(2, 2), rate_hz=RATE), minimum_phase(rng))
+    error = Lqg(**FLAT, recovery=1e6, recovery_at=at).design(plant).details["recovery"]["relative_error"].max()
+    print(f"recovery at the {at} through two samples of delay: relative error {error:.2g}")
+    assert error > 0.3
+
+
+def test_covariances_in_full_are_scalars_when_they_are(rng):
+    plant = bench_like(rng, 4)
+    one = Lqg(disturbance=0.3, sensor_noise=0.02).design(plant)
+    two = Lqg(disturbance_model=0.3 * np.eye(6), noise_model=0.02 * np.eye(6)).design(plant)
+    assert abs(two.achieved / one.achieved - 1) < 1e-9
+    turn = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    V = turn * np.geomspace(0.01, 1, 6) @ turn.T
+    full = Lqg(disturbance_model=V).design(plant)
+    assert full.status.ok
+    assert abs(full.gamma / full.achieved - 1) < 1e-6
+
+
+def test_a_coloured_disturbance_is_met_at_its_colour(rng):
+    """A disturbance round 30 Hz: the controller made for it leaves less of it than the one made for white noise."""
+    plant = bench_like(rng, 6)
+    colour = append(*[band_pass((25.0, 36.0), 1.0, 0.01, 4, 3500.0)] * 6)
+    settings = {"band_hz": None, "control_weight": 1e-6, "sensor_noise": 1e-3}
+    made = Lqg(**settings, disturbance_model=colour)
+    for_it, for_white = made.design(plant), Lqg(**settings).design(plant)
+    P = made.generalised(plant)
+    left = [h2_norm(lft(P, result.controller)) for result in (for_it, for_white)]
+    print(f"coloured disturbance: {left[0]:.4f} with its model, {left[1]:.4f} with a white one")
+    assert abs(for_it.gamma / left[0] - 1) < 1e-6
+    assert left[0] < left[1]
+    low, high = (sensitivity_db(plant, r.controller, np.linspace(26, 35, 20)).max() for r in (for_it, for_white))
+    assert low < high
+
+
+def test_coloured_sensor_noise_turns_the_sensors_down_where_it_is(rng):
+    plant = bench_like(rng, 5)
+    noisy = append(*[high_pass(200.0, 0.03, 3.0, 1, 3500.0)] * 6)
+    for_it, for_white = Lqg(noise_model=noisy).design(plant), Lqg(sensor_noise=0.03**2).design(plant)
+    assert for_it.status.ok
+    size = [np.abs(r.controller.frequency_response([1500.0])).max() for r in (for_it, for_white)]
+    print(f"gain of the controller at 1500 Hz: {size[0]:.3g} for coloured sensor noise, {size[1]:.3g} for white")
+    assert size[0] < size[1]
+
+
+def test_weights_as_systems_are_the_numbers_they_stand_for(rng):
+    plant = bench_like(rng, 4)
+    numbers = Lqg(control_weight=1e-6, control_hz=300.0)
+    weights = numbers.weights(plant)
+    systems = Lqg(output_weight=weights["performance"], input_weight=append(*[weights["control"]] * 6), band_hz=None)
+    one, two = numbers.design(plant), systems.design(plant)
+    assert abs(two.achieved / one.achieved - 1) < 1e-9
+    flat = Lqg(control_weight=1e-6).design(plant)
+    size = [np.abs(r.controller.frequency_response([1500.0])).max() for r in (one, flat)]
+    assert size[0] < size[1], "a weight on u that rises must turn the controller down up there"
+
+
+def test_a_pure_integrator_is_a_part_of_the_controller(rng):
+    """Constant disturbances leave nothing at the output; its pole is in the controller, not in the weights."""
+    plant = minimum_phase(rng)
+    result = Lqg(**FLAT | {"disturbance_at": "output"}, integral_hz=2.0).design(plant)
+    assert result.status.ok, result.status
+    assert np.sum(np.abs(result.controller.poles() - 1) < 1e-9) == 2
+    left = sensitivity_db(plant, result.controller, np.array([1e-4]))[0]
+    loop = feedback(plant, result.controller)
+    rest = np.abs(loop.simulate(np.ones((2, 4000)))[:, -1]).max()
+    print(f"integral action: S of {left:.0f} dB at 0.1 mHz, {rest:.1e} left of a constant disturbance")
+    assert left < -60
+    assert rest < 1e-4
+    assert abs(result.gamma / result.achieved - 1) < 1e-6
+
+
+def test_a_leaking_integrator_serves_plants_that_do_not_answer_at_rest(rng):
+    """Geophones have zeros at 0 Hz: a pure integrator is refused with a sentence, a leaking one designed."""
+    differentiator = StateSpace([[0.0]], [[1.0]], [[-1.0]], [[1.0]], RATE)
+    plant = series(minimum_phase(rng), append(differentiator, differentiator))
+    pure = Lqg(**FLAT, integral_hz=2.0).design(plant)
+    assert pure.status.word == "refused"
+    assert pure.controller is None
+    assert "zero at 0 Hz" in str(pure.status)
+    leaking = Lqg(**FLAT, integral_hz=2.0, integral_leak_hz=0.1).design(plant)
+    assert leaking.status.ok, leaking.status
+
+
+def test_more_outputs_than_inputs_cannot_all_be_integrated(rng):
+    plant = minimum_phase(rng)
+    tall = StateSpace(plant.A, plant.B[:, :1], plant.C, plant.D[:, :1], RATE)
+    result = Lqg(**FLAT, integral_hz=2.0).design(tall)
+    assert result.status.word == "refused"
+    assert "1 inputs for 2 outputs" in str(result.status)
+
+
+def test_the_band_in_the_loop_shapes_the_controller(rng):
+    """With the band in the loop the controller carries its poles, and is smaller outside of it."""
+    plant = bench_like(rng, 6)
+    settings = {"band_hz": (10.0, 60.0), "control_weight": 1e-4}
+    inside, outside = (Lqg(**settings, band_at=at).design(plant) for at in ("loop", "cost"))
+    assert inside.status.ok
+    shape = [
+        np.linalg.norm(r.controller.frequency_response([600.0])[..., 0], 2)
+        / np.linalg.norm(r.controller.frequency_response([25.0])[..., 0], 2)
+        for r in (inside, outside)
+    ]
+    print(f"gain at 600 Hz over that at 25 Hz: {shape[0]:.3g} with the band in the loop, {shape[1]:.3g} in the cost")
+    band = band_pass((10.0, 60.0), 1.0, 0.06, 8, 3500.0).poles()
+    assert all(np.abs(inside.controller.poles() - p).min() < 1e-4 for p in band)
+
+
+def unstable(reachable):
+    B, C = np.array([[1.0], [0.0]]), np.array([[1.0, 1.0]])
+    return StateSpace(np.diag([0.9, 1.1]), *((B, C) if not reachable else (C.T, B.T)), [[0.0]], RATE)
+
+
+def test_unstable_modes_out_of_reach_name_the_matrix():
+    for reachable, matrix in ((False, "(B)"), (True, "(C)")):
+        result = Lqg(**FLAT).design(unstable(reachable))
+        assert result.status.word == "refused"
+        assert result.controller is None
+        assert matrix in str(result.status)
+        assert "1.1" in str(result.status)
+
+
+def test_unstable_plants_are_stabilised():
+    plant = StateSpace([[1.2]], [[1.0]], [[1.0]], [[0.0]], RATE)
+    for settings in (FLAT, FLAT | {"disturbance_at": "output"}):
+        result = Lqg(**settings).design(plant)
+        assert result.status.ok, result.status
+        assert abs(result.gamma / result.achieved - 1) < 1e-6
+
+
+BAD = [
+    ({"output_weight": StateSpace([[1.0]], [[1.0]], [[1.0]], [[1.0]], RATE)}, InputError, "output_weight.*pole"),
+    ({"input_weight": StateSpace([[-1.0]], [[1.0]], [[1.0]], [[1.0]], RATE)}, InputError, "input_weight.*pole"),
+    ({"disturbance_model": append(*[StateSpace([[1.0]], [[1.0]], [[1.0]], [[1.0]], RATE)] * 2)}, InputError, "pole"),
+    ({"output_weight": gain([[1.0]], 2 * RATE)}, RateError, "output_weight"),
+    ({"input_weight": gain([[1.0]])}, RateError, "input_weight"),
+    ({"noise_model": append(*[gain([[1.0]], 2 * RATE)] * 2)}, RateError, "noise_model"),
+    ({"disturbance_model": append(*[gain([[1.0]])] * 2)}, RateError, "disturbance_model"),
+    ({"output_weight": gain(np.eye(3), RATE)}, InputError, "output_weight"),
+    ({"noise_model": np.diag([1.0, 0.0])}, InputError, "noise_model.*singular"),
+    ({"noise_model": [[1.0, 2.0], [2.0, 1.0]]}, InputError, "noise_model.*covariance"),
+    ({"noise_model": [[1.0, 0.5], [0.1, 1.0]]}, InputError, "noise_model.*covariance"),
+    ({"disturbance_model": np.eye(3)}, InputError, "disturbance_model"),
+    ({"noise_model": gain(np.eye(3), RATE)}, InputError, "noise_model"),
+    ({"integral_hz": 2.0, "integral_leak_hz": 3.0}, InputError, "integral_hz"),
+    ({"integral_hz": RATE}, InputError, "integral_hz"),
+]
+
+
+@pytest.mark.parametrize(("settings", "error", "match"), BAD)
+def test_bad_settings_are_refused_by_name(rng, settings, error, match):
+    with pytest.raises(error, match=match):
+        Lqg(**FLAT | settings).design(minimum_phase(rng))
