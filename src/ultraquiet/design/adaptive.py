@@ -11,6 +11,7 @@ from ultraquiet.linalg import balance
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
+BELIEVED_V = 1e6  # no reading is larger
 RAMP_S = 0.1  # from the last good command to zero
 PATIENCE_S = 1.0  # at a limit, before the law is doubted
 PROBE_S = 1.0  # at rest, to hear whether that is quieter
@@ -81,16 +82,19 @@ class AdaptiveLaw:
         given = np.asarray(y, dtype=np.float64).reshape(-1)
         if given.size != self._inner.first.D.shape[1]:
             raise InputError(f"{self._who}: takes {self._inner.first.D.shape[1]} readings, got {given.size}.")
-        sound = bool(np.isfinite(given).all())
+        sound = bool((np.abs(given) <= BELIEVED_V).all())  # not a number is not less than anything
         base = self._linear(given) if sound else None
         if base is None:
-            self._diverged("a reading or the law around which it was put was no longer finite")
+            self._diverged("a reading, or the law around which it was put, was no number to be believed")
             return self._faded(self._sent)
         self._power += self._mean * (float(given @ given) - self._power)
         if self._fade >= 0 and not self._resumes():
             return base + self._faded(self._last)
-        met = self._adapt(given)
-        if not np.isfinite(self._v).all():
+        try:
+            met = self._adapt(given)
+        except (np.linalg.LinAlgError, ZeroDivisionError):
+            met = -1
+        if met < 0 or not np.isfinite(self._v).all():
             self._diverged("its parameters were no longer finite")
             return base + self._faded(self._last)
         self._watch(met)

@@ -172,7 +172,10 @@ class FilteredXLaw(AdaptiveLaw):
 
 
 def _indices(name: str, given: tuple[int, ...], count: int) -> list[int]:
-    wanted = [whole("FilteredXLms", name, k, -count, count - 1) % count for k in np.atleast_1d(np.asarray(given, int))]
+    wanted = [
+        whole("FilteredXLms", name, k, -count, count - 1) % count
+        for k in (given if isinstance(given, tuple | list) else (given,))
+    ]
     if len(set(wanted)) < len(wanted):
         raise InputError(f"FilteredXLms: '{name}' names a channel twice: {wanted}.")
     return wanted

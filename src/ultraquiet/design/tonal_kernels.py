@@ -32,10 +32,10 @@ def linear_step(system, x, work, u, y):
 
 @njit(cache=True, nogil=True, fastmath=False)
 def limit(v, most):
-    """Hold v within +-most; return how many entries were beyond."""
+    """Hold v within +-most; return how many entries were beyond. What is not a number stays so, to be seen."""
     met = 0
     for i in range(v.size):
-        if not abs(v[i]) <= most[i]:
+        if abs(v[i]) > most[i]:
             met += 1
             v[i] = most[i] if v[i] > 0 else -most[i]
     return met
