@@ -3,6 +3,8 @@
 from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.band import BandAttenuation, common_mode, worst_attenuation_db
+from ultraquiet.design.classical import LeadLag, Notch
+from ultraquiet.design.decoupled import Decoupled, threefold
 from ultraquiet.design.dk import MuSynthesis
 from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.h2 import synthesize_h2
@@ -11,8 +13,11 @@ from ultraquiet.design.hinf_opinion import Opinion, verify_level
 from ultraquiet.design.loop_shaping import LoopShaping
 from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
+from ultraquiet.design.modal import Modal
+from ultraquiet.design.skyhook import Skyhook
 from ultraquiet.design.specification import Score, Specification
 from ultraquiet.design.structured import FixedStructure
+from ultraquiet.design.structured_synthesis import synthesize_structured
 from ultraquiet.design.tonal import Resonators
 from ultraquiet.design.weights import band_pass, high_pass, peak
 from ultraquiet.design.youla import YoulaKucera
@@ -21,17 +26,22 @@ from ultraquiet.values.generalised import four_block, output_shaping
 __all__ = [
     "AdaptiveFeedforward",
     "BandAttenuation",
+    "Decoupled",
     "DesignMethod",
     "DesignResult",
     "FilteredXLms",
     "FixedStructure",
+    "LeadLag",
     "LoopShaping",
     "Lqg",
     "MixedSensitivity",
+    "Modal",
     "MuSynthesis",
+    "Notch",
     "Opinion",
     "Resonators",
     "Score",
+    "Skyhook",
     "Specification",
     "YoulaKucera",
     "band_pass",
@@ -42,6 +52,8 @@ __all__ = [
     "peak",
     "synthesize_h2",
     "synthesize_hinf",
+    "synthesize_structured",
+    "threefold",
     "verify_level",
     "worst_attenuation_db",
 ]

@@ -1,5 +1,6 @@
 """Where tunable elements stand in a controller: K = sum over places of L k R, elements shared between places or not."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,7 @@ class Layout:
     def parts(self, theta: FloatArray) -> list[FloatArray]:
         """Return the parameters of each element."""
         edges = self.edges
-        return [theta[a:b] for a, b in zip(edges[:-1], edges[1:], strict=True)]
+        return [theta[a:b] for a, b in itertools.pairwise(edges)]
 
     def response(self, theta: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return K `(frequency, nu, ny)`."""

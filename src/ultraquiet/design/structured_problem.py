@@ -176,6 +176,12 @@ class Problem:
         """Return the level of each requirement."""
         return self._levels(theta, self.samples).max(axis=1)
 
+    def mean_db(self, theta: FloatArray) -> float:
+        """Return the mean over the grid of the first requirement's level in dB, where it asks for anything."""
+        asked = np.isfinite(self.samples.bounds[0])
+        levels = self._levels(theta, self.samples)[0, asked]
+        return float(np.mean(20 * np.log10(np.maximum(levels, SAME))))
+
     def value(self, theta: FloatArray, ceiling: float = np.inf) -> float:
         """Return the level, or infinity when the loop is unstable; poles are taken only of levels below the ceiling."""
         if not np.all(np.isfinite(theta)):
@@ -276,7 +282,7 @@ class Problem:
         for i, (r, n) in enumerate(zip(self.requirements, ranks, strict=True)):
             if n > 1:
                 near = out[i] * self.weights()[i] >= 0.5 * least
-                out[i, near] = np.linalg.norm(M[near][:, r.rows], 2, axis=(1, 2)) / S.bounds[i][near]
+                out[i, near] = _largest(M[near][:, r.rows]) / S.bounds[i][near]
                 out[i, ~near] /= np.sqrt(n)
         return out
 
@@ -295,6 +301,13 @@ def abscissa(problem: Problem, theta: FloatArray) -> tuple[float, FloatArray]:
     u = np.linalg.solve((np.eye(problem.nu) - K @ D).T, B.T @ left[:n, k].conj())
     slope = problem.layout.gradient(theta, s, u[None], y[None])[0] / (left[:, k].conj() @ right[:, k])
     return float(values[k].real), slope.real
+
+
+def _largest(M: ComplexArray) -> FloatArray:
+    """Return the largest singular values, from the products: half of the digits are plenty at twice the speed."""
+    tall = M.shape[1] > M.shape[2]
+    square = M.conj().swapaxes(1, 2) @ M if tall else M @ M.conj().swapaxes(1, 2)
+    return np.sqrt(np.linalg.eigvalsh(square)[:, -1])
 
 
 def _chosen(levels: FloatArray, least: float, most: int) -> list[tuple[float, int, int]]:

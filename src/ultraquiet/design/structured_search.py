@@ -11,13 +11,16 @@ from ultraquiet.design.structured_problem import Problem, abscissa
 DECREASE, CURVATURE = 1e-4, 0.5
 BISECTIONS = 30
 STAGNANT = 1e-5  # relative decrease over PATIENCE steps below which BFGS hands over
+SLOW = 1e-4  # the same for steps on all peaks
 PATIENCE = 8
 ACTIVE = 0.15  # peaks within this share of the greatest enter the model
-MOST = 80
+MOST = 50
 ACCEPTED = 0.05  # of the promised decrease
 FIRST = 1e-2
 SMALLEST, LARGEST = 1e-10, 1e8  # of the damping
 ENOUGH = 1e-6  # relative decrease of a model step below which a point counts as stationary
+RELAXED = 1.3  # the balance moves on by more than the level asks: one without the other barely moves
+MISSED = 400.0  # weight of a missed hard requirement where laws are compared; missing by its inverse is forgiven
 LEVEL = 3e-3  # of the greatest requirement around one, where the balance of hard and soft is found
 
 Value = Callable[[FloatArray, float], float]
@@ -83,9 +86,12 @@ def minimax(problem: Problem, x: FloatArray, steps: int) -> tuple[FloatArray, fl
     The step of Levenberg with a maximum in place of squares; peaks that would rise are held down before they do, and
     where as many peaks are level as there are parameters it converges as fast as Newton's method.
     """
-    f, mu = problem.value(x), FIRST
+    f, mu, history = problem.value(x), FIRST, []
     for _ in range(steps):
         f = problem.value(x)  # the grid may have grown
+        history.append(f)
+        if len(history) > PATIENCE and history[-1 - PATIENCE] - f < SLOW * f:
+            break
         values, slopes = problem.peaks(x, ACTIVE, MOST)
         refused = False
         while True:
@@ -109,24 +115,21 @@ def minimax(problem: Problem, x: FloatArray, steps: int) -> tuple[FloatArray, fl
 
 
 def _model_step(values: FloatArray, slopes: FloatArray, mu: float) -> FloatArray:
-    """Return argmin over d of max(values + slopes d) + mu max(values) |d|^2 / 2, by its dual over the simplex."""
+    """Return argmin over d of max(values + slopes d) + mu max(values) |d|^2 / 2."""
     import clarabel
     from scipy import sparse
 
-    m, top = values.size, float(values.max())
-    G = slopes / top
-    # dual: min |G' l|^2 / (2 mu) - values' l over l >= 0, sum l = 1; then d = -G' l / mu
-    Q = sparse.csc_matrix(np.triu(G @ G.T / mu + 1e-13 * np.eye(m)))
-    A = sparse.csc_matrix(np.vstack([np.ones((1, m)), -np.eye(m)]))
+    m, n, top = values.size, slopes.shape[1], float(values.max())
+    # in (sqrt(mu) d, t): min t + |d|^2 / 2 with slopes d - t <= -values, all over the greatest value
+    root = np.sqrt(mu)
+    Q = sparse.diags(np.append(np.ones(n), 0.0), format="csc")
+    A = sparse.csc_matrix(np.column_stack([slopes / (top * root), -np.ones(m)]))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    cones = [clarabel.ZeroConeT(1), clarabel.NonnegativeConeT(m)]
-    solved = clarabel.DefaultSolver(Q, -values / top, A, np.append(1.0, np.zeros(m)), cones, settings).solve()
-    share = np.maximum(np.array(solved.x), 0.0)
-    if not np.all(np.isfinite(share)) or share.sum() == 0:
-        share = np.zeros(m)
-        share[int(np.argmax(values))] = 1.0
-    return -(G.T @ (share / share.sum())) / mu
+    linear = np.append(np.zeros(n), 1.0)
+    solved = clarabel.DefaultSolver(Q, linear, A, -values / top, [clarabel.NonnegativeConeT(m)], settings).solve()
+    d = np.array(solved.x)[:n] / root
+    return d if np.all(np.isfinite(d)) else -slopes[int(np.argmax(values))] / (top * mu)
 
 
 def stabilised(problem: Problem, x: FloatArray, steps: int = 200) -> FloatArray | None:
@@ -183,14 +186,26 @@ def balanced(problem: Problem, x: FloatArray, steps: int, rounds: int) -> tuple[
 
     max(soft weight * soft, hard) is minimised, and the weight moved until the greatest of all is one.
     """
-    f = problem.value(x)
+    f, best, least = problem.value(x), x, np.inf
     for _ in range(rounds):
-        problem.soft /= f
+        problem.soft /= f**RELAXED
         x, _ = minimax(problem, x, steps)
         x, _ = bfgs(problem.value, problem.gradient, x, steps)
         x, _ = minimax(problem, x, steps)
         problem.refine(x)
         f = problem.value(x)
+        merit = standing(problem, x)
+        if merit < least:
+            best, least = x, merit
         if abs(f - 1) < LEVEL:
             break
-    return x, f
+    return best, least
+
+
+def standing(problem: Problem, x: FloatArray) -> float:
+    """Return the greatest soft requirement, and far more where a hard one is missed."""
+    levels = problem.measured(x)
+    hard = np.array([r.hard for r in problem.requirements])
+    missed = float(levels[hard].max(initial=0.0)) - 1
+    soft = float(levels[~hard].max(initial=0.0))
+    return soft if missed <= 1 / MISSED else soft + MISSED * missed

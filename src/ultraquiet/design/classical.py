@@ -1,0 +1,234 @@
+"""Classical sections on each strut: lead-lag, notch, corners and a gain, in numbers or tuned."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, one_of, positive
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.design._abstract import DesignResult
+from ultraquiet.design._verify import judged
+from ultraquiet.design.specification import Specification, specified
+from ultraquiet.design.structured import Start, posed, tuned, worded
+from ultraquiet.design.structured_bank import Bank
+from ultraquiet.design.structured_layout import Layout, alike, apart
+from ultraquiet.design.structured_problem import Plane, plane_of
+from ultraquiet.values.state_space import StateSpace
+
+# Gains tried when none is given: this many a decade over these decades about 1 / |G|, of both signs.
+A_DECADE, DECADES = 8, (-3.0, 2.0)
+LOOKS = 4  # the grid is refined at what was found and the gain sought again
+ALLOWED = 0.98  # of what is hard
+
+
+@dataclass(frozen=True)
+class _Bank:
+    """Settings that all banks of sections share."""
+
+    gain: float | tuple[float, ...] | None = None
+    high_pass_hz: float | None = None
+    low_pass_hz: float | None = None
+    tune: bool = False
+    structure: str = "alike"
+    specification: Specification | Mapping[str, Any] | None = None
+    starts: int = 1
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        one_of(type(self).__name__, "structure", self.structure, ("alike", "apart"))
+        object.__setattr__(self, "specification", specified(self.specification))
+        if isinstance(self.gain, list):
+            object.__setattr__(self, "gain", tuple(self.gain))
+
+    def sections(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
+        """Return kind, values and which of them are frequencies in Hz, of the method's own sections."""
+        raise NotImplementedError
+
+    @single_threaded
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return u = K y with the same sections on every channel, or each its own when tuned `apart`.
+
+        Without a gain the one is sought that attenuates most within the specification's peak and control limit; with
+        `tune` gains, corners and dampings are all tuned. `details["values"]` holds the sections as they came out, in Hz.
+
+        Raises:
+            InputError: a plant that is not square, another number of gains than channels, corners above Nyquist.
+        """
+        who = type(self).__name__
+        wanted = self.specification if isinstance(self.specification, Specification) else Specification()
+        wanted.fits(who, plant)
+        n = plant.D.shape[0]
+        plane, banks = plane_of(plant), []
+        for g in self._gains(n, plant):
+            banks.append(self._bank(who, plane, g))
+        together = len(banks) == 1 and self.structure == "alike"
+        banks = banks if together or len(banks) == n else banks * n
+        layout = alike(banks[0], n) if together else apart(tuple(banks), n)
+        theta = np.concatenate([b.origin for b in banks])
+        demanded = self.specification is not None
+        if self.gain is None:
+            theta = _best_gain(plant, layout, theta, wanted)
+        if self.tune:
+            result = tuned(plant, Start(layout, theta), wanted, self, self.starts, self.seed, demanded)
+            if "theta" in result.details:
+                result.details["values"] = self._told(plane, banks, layout, result.details["theta"])  # type: ignore[index]
+            return result
+        law = plane.from_plane(layout.system(theta))
+        score = wanted.score(plant, law)
+        level = float(np.max(posed(plant, layout, wanted).measured(theta)))
+        details = {"score": score, "specification": wanted, "values": self._told(plane, banks, layout, theta)}
+        return worded(judged(plant, law, self, level, level, {}, details), score, demanded)
+
+    def _gains(self, n: int, plant: StateSpace) -> list[float]:
+        if self.gain is None:
+            f = (
+                np.geomspace(*Specification().band_hz, 50)
+                if plant.rate_hz is None
+                else np.geomspace(1e-3, 0.4, 50) * plant.rate_hz
+            )
+            size = float(np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2)).max())
+            return [1.0 / size if size > 0 else 1.0]
+        gains = list(np.atleast_1d(np.asarray(self.gain, dtype=np.float64)))
+        if len(gains) not in (1, n):
+            raise InputError(
+                f"{type(self).__name__}: got {len(gains)} gains for {n} channels; give one, or one for each."
+            )
+        return [float(g) for g in gains]
+
+    def _bank(self, who: str, plane: Plane, gain: float) -> Bank:
+        kinds, values = [], []
+        for kind, numbers, in_hz in self._all():
+            kinds.append(kind)
+            for v, is_hz in zip(numbers, in_hz, strict=True):
+                positive(who, f"a value of a {kind} section", v, "Hz" if is_hz else "")
+                if is_hz and plane.rate_hz is not None and v >= plane.rate_hz / 2:
+                    raise InputError(
+                        f"{who}: a {kind} corner of {v:g} Hz lies at or above Nyquist, {plane.rate_hz / 2:g} Hz."
+                    )
+                values.append(float(plane.of_hz(v)) if is_hz else float(v))
+        return Bank(tuple(kinds), gain, tuple(values))
+
+    def _all(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
+        out = self.sections()
+        if self.high_pass_hz is not None:
+            out.append(("high-pass", (self.high_pass_hz,), (True,)))
+        if self.low_pass_hz is not None:
+            out.append(("low-pass", (self.low_pass_hz,), (True,)))
+        return out
+
+    def _told(self, plane: Plane, banks: list[Bank], layout: Layout, theta: FloatArray) -> list[dict[str, Any]]:
+        """Return gain and sections of every law in Hz."""
+        out = []
+        for bank, own in zip(banks, layout.parts(theta), strict=False):
+            numbers, at, told = bank.numbers(own), 0, []
+            for kind, given, in_hz in self._all():
+                mine = numbers[at : at + len(given)]
+                told.append(
+                    (kind, tuple(float(plane.hz(v)) if h else float(v) for v, h in zip(mine, in_hz, strict=True)))
+                )
+                at += len(given)
+            out.append({"gain": float(bank.gain * own[0]), "sections": tuple(told)})
+        return out
+
+
+def _best_gain(plant: StateSpace, layout: Layout, theta: FloatArray, wanted: Specification) -> FloatArray:
+    """Return the parameters with the common gain that attenuates most among those that meet what is hard."""
+    problem = posed(plant, layout, wanted)
+    scale = np.geomspace(10 ** DECADES[0], 10 ** DECADES[1], round(A_DECADE * (DECADES[1] - DECADES[0])) + 1)
+    first = np.cumsum([0] + [e.size for e in layout.elements[:-1]])
+    best = theta
+    for _ in range(LOOKS):
+        best, least = theta, np.inf
+        for factor in np.concatenate([-scale, scale]):
+            trial = theta.copy()
+            trial[first] *= factor
+            level = problem.value(trial)
+            hard = problem.measured(trial)[1:].max()
+            # one gain cannot lift the worst frequency of a band: its mean counts
+            if np.isfinite(level) and hard <= ALLOWED and problem.mean_db(trial) < least:
+                best, least = trial, problem.mean_db(trial)
+        problem.soft = 1 / max(problem.measured(best)[0], 1.0)
+        if problem.refine(best) <= 1 - ALLOWED:
+            break
+    return best
+
+
+@register("design", "lead-lag")
+@dataclass(frozen=True)
+class LeadLag(_Bank):
+    """Lead-lag sections on each strut, K = gain prod (1 + s/z) / (1 + s/p) with corners, for each channel alone.
+
+    Args:
+        gain: of each channel, or one for all, its sign inside; None seeks the best within the specification.
+        high_pass_hz, low_pass_hz: first-order corners besides, Hz.
+        tune: whether all numbers are tuned to the specification, beginning with those given.
+        structure: `alike` or `apart`: whether tuned channels may differ.
+        specification: what is asked, also as a table of its settings; absent, attenuation is a wish and no demand.
+        starts, seed: of the search.
+        zeros_hz, poles_hz: corners of the sections, Hz; lead where the zero comes first.
+        notches_hz, notch_zetas, notch_widths: centres, damping of the zeros, damping of the poles of notches besides.
+
+    >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    >>> result = LeadLag(gain=-2.0, zeros_hz=(200.0,), poles_hz=(1000.0,)).design(plant)
+    >>> result.status.ok, round(float(abs(result.controller.frequency_response([0.0])[0, 0, 0])), 3)
+    (True, 2.0)
+
+    Franklin, Powell and Emami-Naeini 2015, section 6.7.
+    """
+
+    zeros_hz: tuple[float, ...] = ()
+    poles_hz: tuple[float, ...] = ()
+    notches_hz: tuple[float, ...] = ()
+    notch_zetas: tuple[float, ...] = ()
+    notch_widths: tuple[float, ...] = ()
+
+    def sections(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
+        """Return the lead-lag sections and the notches."""
+        if len(self.zeros_hz) != len(self.poles_hz):
+            raise InputError(
+                f"LeadLag: {len(self.zeros_hz)} zeros and {len(self.poles_hz)} poles; give as many of both."
+            )
+        pairs = zip(self.zeros_hz, self.poles_hz, strict=True)
+        return [("lead-lag", pair, (True, True)) for pair in pairs] + _notches(
+            "LeadLag", self.notches_hz, self.notch_zetas, self.notch_widths
+        )
+
+
+@register("design", "notch")
+@dataclass(frozen=True)
+class Notch(_Bank):
+    """Notches on each strut, K = gain prod (s^2 + 2 zeta_z w s + w^2) / (s^2 + 2 zeta_p w s + w^2).
+
+    Args:
+        gain, high_pass_hz, low_pass_hz, tune, structure, specification, starts, seed: as in `LeadLag`.
+        notches_hz: centres, Hz.
+        zetas: damping of the zeros; the depth is zeta / width. Above the width the section lifts instead.
+        widths: damping of the poles.
+
+    >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    >>> law = Notch(gain=-1.0, notches_hz=(50.0,), zetas=(0.01,), widths=(0.5,)).design(plant).controller
+    >>> round(float(abs(law.frequency_response([50.0])[0, 0, 0])), 3)
+    0.02
+    """
+
+    notches_hz: tuple[float, ...] = ()
+    zetas: tuple[float, ...] = ()
+    widths: tuple[float, ...] = ()
+
+    def sections(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
+        """Return the notches."""
+        return _notches("Notch", self.notches_hz, self.zetas, self.widths)
+
+
+def _notches(
+    who: str, centres: tuple[float, ...], zetas: tuple[float, ...], widths: tuple[float, ...]
+) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
+    if not len(centres) == len(zetas) == len(widths):
+        raise InputError(
+            f"{who}: {len(centres)} notches with {len(zetas)} dampings and {len(widths)} widths; give as many of each."
+        )
+    return [("notch", v, (True, False, False)) for v in zip(centres, zetas, widths, strict=True)]

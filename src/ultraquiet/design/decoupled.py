@@ -1,0 +1,207 @@
+"""Decoupled design: a constant transform splits the plant into small loops, each designed by itself, joined again."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import lookup, register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import judged
+from ultraquiet.design.band import worst_attenuation_db
+from ultraquiet.linalg import balance
+from ultraquiet.values.interconnect import append, gain, series
+from ultraquiet.values.state_space import StateSpace
+
+POINTS = 60
+NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave a loop
+TWICE = 1e-6  # relative difference below which two loops are one, used twice
+
+
+@register("design", "decoupled")
+@dataclass(frozen=True)
+class Decoupled:
+    """K = Tu diag(K1, K2, ...) Ty', each Ki designed for its own block of Ty' G Tu by any registered method.
+
+    Args:
+        transform: `threefold` (six struts in three alike pairs: heave, yaw and one 2x2 used twice), `data` (orthonormal,
+            from the symmetric parts of G over the band, blocks as the data have them), `svd` (of the real part nearest
+            to G in the middle of the band, all loops single), or a square orthonormal matrix, row by row.
+        method: registered design for the blocks.
+        settings: of that method, as a table.
+        band_hz: where the transform is sought and the residue read, Hz.
+        tolerance: share of G's size below which the coupling of two loops is neglected (`data` and matrices).
+
+    >>> one = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    >>> result = Decoupled(transform="data").design(append(one, one))
+    >>> result.status.ok, [len(b) for b in result.details["blocks"]], result.details["residue"] < 1e-9
+    (True, [1, 1], True)
+
+    Skogestad and Postlethwaite 2005, section 10.6 (SVD controllers); Hovd, Braatz and Skogestad 1997,
+    doi:10.1016/S0005-1098(96)00194-2 (when they are optimal).
+    """
+
+    transform: str | tuple[tuple[float, ...], ...] = "data"
+    method: str = "band-attenuation"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    band_hz: tuple[float, float] = (10.0, 100.0)
+    tolerance: float = 0.1
+
+    @single_threaded
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the joined controller u = K y, judged with the whole plant.
+
+        `details`: `transform` (Ty, Tu), `blocks` the channels of every loop, `residue` the largest norm of what the
+        transform leaves outside the blocks over that of G in the band, `loops` the result of every block (a block equal
+        to an earlier one shares its law), `attenuation_db` the worst direction with the whole plant.
+
+        Raises:
+            InputError: a plant that is not square, a band above Nyquist, a matrix that does not fit.
+        """
+        ny, nu = plant.D.shape
+        if ny != nu:
+            raise InputError(f"Decoupled: the plant must be square, got {ny} outputs and {nu} inputs.")
+        if plant.rate_hz is not None and self.band_hz[1] >= plant.rate_hz / 2:
+            raise InputError(
+                f"Decoupled: the band ends at {self.band_hz[1]:g} Hz, at or above Nyquist, {plant.rate_hz / 2:g} Hz."
+            )
+        G = np.moveaxis(plant.frequency_response(np.geomspace(*self.band_hz, POINTS)), 2, 0)
+        Ty, Tu, blocks = self._found(G)
+        H = Ty.T @ G @ Tu
+        laws, loops = [], []
+        for block in blocks:
+            part = portion(plant, Ty[:, block], Tu[:, block])
+            known = next((i for i, b in enumerate(blocks[: len(laws)]) if _same(H, b, block)), None)
+            result = loops[known] if known is not None else self._method(part).design(part)
+            if result.controller is None:
+                return refused(f"Decoupled: the loop of channels {block} has no controller: {result.status.sentence}")
+            laws.append(result.controller)
+            loops.append(result)
+        order = [i for b in blocks for i in b]
+        law = series(series(gain(Ty[:, order].T, plant.rate_hz), append(*laws)), gain(Tu[:, order], plant.rate_hz))
+        details = {
+            "transform": (Ty, Tu),
+            "blocks": blocks,
+            "residue": residue(H, blocks),
+            "loops": loops,
+            "attenuation_db": worst_attenuation_db(plant, law, self.band_hz),
+        }
+        nan = float("nan")
+        return judged(plant, law, self, max((r.gamma for r in loops), default=nan), nan, {}, details)
+
+    def _method(self, part: StateSpace) -> Any:
+        kind = lookup("design", self.method)
+        known = [f.name for f in fields(kind)]
+        wrong = [k for k in self.settings if k not in known]
+        if wrong:
+            raise InputError(f"Decoupled: '{self.method}' has no setting '{wrong[0]}', only {', '.join(known)}.")
+        method = kind(**self.settings)
+        # one law for channels that are alike is meant for the whole plant: here every loop has its own
+        alike = getattr(method, "structure", None) == "alike" and part.D.shape[0] > 1 and "full" not in self.settings
+        return replace(method, structure="full") if alike and kind.__name__ == "BandAttenuation" else method
+
+    def _found(self, G: ComplexArray) -> tuple[FloatArray, FloatArray, list[list[int]]]:
+        n = G.shape[1]
+        if self.transform == "threefold":
+            if n != 6:
+                raise InputError(f"Decoupled: 'threefold' is for six struts, the plant has {n} channels.")
+            T = threefold()
+            return T, T, [[0], [1], [2, 3], [4, 5]]
+        if self.transform == "svd":
+            middle = G[len(G) // 2]
+            U, _, Vt = np.linalg.svd(nearest_real(middle))
+            return U, Vt.T, [[k] for k in range(n)]
+        if self.transform == "data":
+            T = common_axes(G)
+        elif isinstance(self.transform, str):
+            raise InputError(
+                f"Decoupled: 'transform' must be 'threefold', 'data', 'svd' or a matrix, got {self.transform!r}."
+            )
+        else:
+            T = np.array(self.transform, dtype=np.float64)
+            if T.shape != (n, n) or not np.allclose(T.T @ T, np.eye(n), atol=1e-6):
+                raise InputError(f"Decoupled: the matrix must be ({n}, {n}) and orthonormal, got shape {T.shape}.")
+        return T, T, _blocks(T.T @ G @ T, self.tolerance)
+
+
+def threefold() -> FloatArray:
+    """Return the orthonormal transform of six struts in three alike pairs, mirror symmetry included, in columns.
+
+    Heave (1, 1, 1, 1, 1, 1), yaw (1, -1, 1, -1, 1, -1), then twice the two of one 2x2: the sum of a pair over the cosine
+    and its difference over the sine of the pair's angle, and the same a quarter turn on.
+
+    >>> bool(np.allclose(threefold().T @ threefold(), np.eye(6)))
+    True
+    """
+    angle = 2 * np.pi * np.arange(3) / 3
+    both, apart = np.array([1.0, 1.0]), np.array([1.0, -1.0])
+    columns = [
+        np.kron(np.ones(3), both),
+        np.kron(np.ones(3), apart),
+        np.kron(np.cos(angle), both),
+        np.kron(np.sin(angle), apart),
+        np.kron(np.sin(angle), both),
+        -np.kron(np.cos(angle), apart),
+    ]
+    return np.column_stack([c / np.linalg.norm(c) for c in columns])
+
+
+def common_axes(G: ComplexArray) -> FloatArray:
+    """Return the orthonormal matrix that comes nearest to diagonalising every G(f), from `(frequency, n, n)`.
+
+    Eigenvectors of the symmetric part of the mean of all G:
+    each G(f) is turned to its nearest real matrix
+    first, so that one constant matrix stands for all.
+    """
+    turned = np.array([nearest_real(g) / max(float(np.linalg.norm(g)), 1e-300) for g in G])
+    # signs follow the first, for a real matrix is known up to it
+    signs = np.sign(np.einsum("fij,ij->f", turned, turned[0]))
+    mean = np.einsum("f,fij->ij", np.where(signs == 0, 1.0, signs), turned)
+    return np.linalg.eigh((mean + mean.T) / 2)[1][:, ::-1]
+
+
+def nearest_real(g: ComplexArray) -> FloatArray:
+    """Return Re(e^-ja g) with the angle that leaves the least imaginary part."""
+    angle = np.angle(np.sum(g * g)) / 2
+    return np.real(g * np.exp(-1j * angle))
+
+
+def residue(H: ComplexArray, blocks: list[list[int]]) -> float:
+    """Return the largest norm outside the blocks over the norm of the whole, over `(frequency, n, n)`."""
+    inside = np.zeros(H.shape[1:], dtype=bool)
+    for block in blocks:
+        inside[np.ix_(block, block)] = True
+    rest = np.where(inside, 0.0, H)
+    return float(np.max(np.linalg.norm(rest, 2, axis=(1, 2)) / np.linalg.norm(H, 2, axis=(1, 2))))
+
+
+def portion(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpace:
+    """Return left' G right without the states that it neither sees nor moves; an unstable plant keeps them all."""
+    M = (plant.A, plant.B @ right, left.T @ plant.C, left.T @ plant.D @ right)
+    if plant.is_stable():
+        P, Q = balance.gramians(*M[:3], discrete=plant.rate_hz is not None)
+        values = balance.balancing(P, Q, 0)[2]
+        if values.size and values[0] > 0:
+            to, back, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
+            M = balance.truncate(M, to, back)
+    return StateSpace(*M, rate_hz=plant.rate_hz)
+
+
+def _blocks(H: ComplexArray, tolerance: float) -> list[list[int]]:
+    """Return groups of channels that are coupled by more than a share of the whole."""
+    size = np.linalg.norm(H, 2, axis=(1, 2))[:, None, None]
+    near = np.max(np.abs(H) / size, axis=0) > tolerance
+    _, label = connected_components(near | near.T, directed=False)
+    return [np.flatnonzero(label == k).tolist() for k in range(label.max() + 1)]
+
+
+def _same(H: ComplexArray, one: list[int], other: list[int]) -> bool:
+    if len(one) != len(other):
+        return False
+    a, b = H[:, one][:, :, one], H[:, other][:, :, other]
+    return bool(np.linalg.norm(a - b) <= TWICE * np.linalg.norm(a))

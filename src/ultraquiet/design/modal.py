@@ -1,0 +1,121 @@
+"""Independent modal-space control: damping asked for each mode of the plant's own modal form."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, positive
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.registry import register
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import judged
+from ultraquiet.design.specification import Specification
+from ultraquiet.linalg.equations import discrete_riccati
+from ultraquiet.values.state_space import StateSpace
+
+NEAR = 1e-6  # relative: an eigenvalue this near to where a mode was is that mode
+
+
+@register("design", "modal")
+@dataclass(frozen=True)
+class Modal:
+    """Damping of chosen modes by state feedback, each moved without the others, on a Kalman filter's states.
+
+    A mode with left vectors W (W A = L W) is moved by u = d f W x alone: all other eigenvalues stay. d is the
+    combination of actuators that drives the mode most, f places its pair.
+
+    Args:
+        band_hz: modes between these frequencies are damped, Hz.
+        zeta: damping asked, of all of them or one number for each in rising frequency; modes with more are left.
+        disturbance: variance of the disturbance at the plant's inputs, volts squared, for the filter.
+        sensor_noise: variance at its outputs. More of it makes a slower, calmer filter.
+
+    >>> plant = StateSpace([[0.98, 0.1], [-0.1, 0.98]], [[0.0], [0.1]], [[0.0, 1.0]], [[0.0]], rate_hz=1000.0)
+    >>> result = Modal(band_hz=(5.0, 50.0), zeta=0.3).design(plant)
+    >>> result.status.ok, round(float(result.details["modes"][0]["after"]), 3)
+    (True, 0.3)
+
+    Meirovitch and Baruh 1982, doi:10.2514/3.56117; by left vectors: Simon and Mitter 1968,
+    doi:10.1016/S0019-9958(68)90834-8.
+    """
+
+    band_hz: tuple[float, float] = (5.0, 120.0)
+    zeta: float | tuple[float, ...] = 0.15
+    disturbance: float = 1.0
+    sensor_noise: float = 1e-2
+
+    def __post_init__(self) -> None:
+        positive("Modal", "disturbance", self.disturbance)
+        positive("Modal", "sensor_noise", self.sensor_noise)
+        if isinstance(self.zeta, list):
+            object.__setattr__(self, "zeta", tuple(self.zeta))
+        if np.any(np.asarray(self.zeta) <= 0) or np.any(np.asarray(self.zeta) >= 1):
+            raise InputError(f"Modal: 'zeta' must lie between 0 and 1, got {self.zeta}.")
+
+    @single_threaded
+    def design(self, plant: StateSpace) -> DesignResult:
+        """Return the controller u = K y of a discrete plant; `details["modes"]` are frequency and damping, before and after.
+
+        Raises:
+            InputError: a continuous plant, a band above Nyquist, another number of dampings than modes.
+        """
+        if plant.rate_hz is None:
+            raise InputError("Modal: the plant is in continuous time; discretise it first.")
+        if self.band_hz[1] >= plant.rate_hz / 2:
+            raise InputError(
+                f"Modal: the band ends at {self.band_hz[1]:g} Hz, at or above Nyquist, {plant.rate_hz / 2:g} Hz."
+            )
+        try:
+            F, modes = self._feedback(plant)
+            Q = plant.B @ plant.B.T * self.disturbance
+            R = self.sensor_noise * np.eye(plant.D.shape[0])
+            found = discrete_riccati(plant.A.T, plant.C.T, Q, R)
+        except NumericalError as error:
+            return refused(f"Modal: {error}")
+        X = found.X
+        L = np.linalg.solve(R + plant.C @ X @ plant.C.T, plant.C @ X @ plant.A.T).T
+        A = plant.A + plant.B @ F - L @ (plant.C + plant.D @ F)
+        law = StateSpace(A, L, F, np.zeros((plant.D.shape[1], plant.D.shape[0])), plant.rate_hz)
+        details = {"modes": modes}
+        if plant.D.shape[0] == plant.D.shape[1]:
+            details["score"] = Specification(band_hz=self.band_hz).score(plant, law)  # type: ignore[assignment]
+        return judged(plant, law, self, float("nan"), float("nan"), {"filter": found.residual}, details)
+
+    def _feedback(self, plant: StateSpace) -> tuple[FloatArray, list[dict[str, float]]]:
+        """Return F and what it does, one mode after the other."""
+        rate = plant.rate_hz or 1.0
+        poles = np.linalg.eigvals(plant.A)
+        s = np.log(poles[(np.abs(poles) > NEAR) & (poles.imag > 0)]) * rate
+        inside = (np.abs(s) >= 2 * np.pi * self.band_hz[0]) & (np.abs(s) <= 2 * np.pi * self.band_hz[1])
+        chosen = s[inside][np.argsort(np.abs(s[inside]))]
+        wanted = np.atleast_1d(np.asarray(self.zeta, dtype=np.float64))
+        if wanted.size not in (1, chosen.size):
+            raise InputError(f"Modal: got {wanted.size} dampings for {chosen.size} modes in the band.")
+        F, modes = np.zeros(plant.B.T.shape), []
+        for pole, zeta in zip(chosen, np.broadcast_to(wanted, chosen.shape), strict=True):
+            w, had = float(np.abs(pole)), float(-pole.real / np.abs(pole))
+            after = max(had, float(zeta))
+            modes.append({"f_hz": w / (2 * np.pi), "before": had, "after": after})
+            if after > had:
+                target = np.exp(w * (-after + 1j * np.sqrt(1 - after**2)) / rate)
+                F = F + _moved(plant.A + plant.B @ F, plant.B, np.exp(pole / rate), target)
+        return F, modes
+
+
+def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> FloatArray:
+    """Return F that moves one complex pair of A + B F to a target and leaves all else."""
+    values, left = np.linalg.eig(A.T)
+    k = int(np.argmin(np.abs(values - pole)))
+    W = np.vstack([left[:, k].real, left[:, k].imag])
+    re, im = values[k].real, values[k].imag
+    block = np.array([[re, -im], [im, re]])  # W A = block W
+    drive = W @ B
+    d = np.linalg.svd(drive)[2][0]
+    b = drive @ d
+    reach = np.column_stack([b, block @ b])
+    if np.linalg.cond(reach) > 1 / NEAR**2:
+        raise NumericalError(f"the mode at z = {pole:.4g} is not driven by any actuator.")
+    wanted = block @ block - 2 * target.real * block + abs(target) ** 2 * np.eye(2)
+    f = -np.linalg.solve(reach.T, np.array([0.0, 1.0])) @ wanted  # Ackermann
+    return np.outer(d, f @ W)

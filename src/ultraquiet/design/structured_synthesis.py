@@ -1,0 +1,115 @@
+"""Fixed-order H-infinity synthesis for any generalised plant."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import whole
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.design._abstract import DesignResult, refused
+from ultraquiet.design._verify import judged
+from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.structured_elements import Dense, Sections
+from ultraquiet.design.structured_layout import Layout
+from ultraquiet.design.structured_layout import whole as one_element
+from ultraquiet.design.structured_problem import Problem, Requirement
+from ultraquiet.design.structured_search import lowest
+from ultraquiet.linalg import balance
+from ultraquiet.values.interconnect import lft
+from ultraquiet.values.state_space import StateSpace
+
+STEPS, ROUNDS = 200, 4
+
+
+@dataclass(frozen=True)
+class _Settings:
+    states: int
+    stable: bool
+    starts: int
+    seed: int
+
+
+@single_threaded
+def synthesize_structured(
+    P: StateSpace,
+    measurements: int,
+    controls: int,
+    states: int = 0,
+    stable: bool = False,
+    starts: int = 5,
+    seed: int = 0,
+    layout: Layout | None = None,
+) -> DesignResult:
+    """Return a controller of given order that makes the H-infinity norm of F(P, K) small.
+
+    min over K of order n of ||P11 + P12 K (I - P22 K)^-1 P21||, K stable when asked.
+
+    Args:
+        P: generalised plant, inputs (w, u), outputs (z, y), continuous or discrete.
+        measurements, controls: sizes of y and u.
+        states: order of K; 0 is a constant gain.
+        stable: whether K itself must be stable.
+        starts: points the search begins at: the full-order law cut down, and random ones.
+        seed: of the random ones.
+        layout: a structure of the controller in place of a free one.
+
+    Returns:
+        A `DesignResult`: `gamma` the level on the refined grid, `achieved` the exact norm of the finished loop,
+        `details["optimum"]` the least norm of any order and `details["ratio"]` achieved over it (nan where the problem is
+        singular). The problem is not convex: the result is a local minimum, the best of those found.
+
+    Raises:
+        InputError: sizes that do not fit.
+
+    >>> P = StateSpace([[1.0]], [[1.0, 0.0, 1.0]], [[1.0], [0.0], [1.0]], [[0, 0, 0], [0, 0, 1], [0, 1, 0]])
+    >>> result = synthesize_structured(P, measurements=1, controls=1, states=1)
+    >>> result.status.ok, result.details["ratio"] < 1.01
+    (True, True)
+
+    Apkarian and Noll 2006, doi:10.1109/TAC.2005.860290.
+    """
+    who = "synthesize_structured"
+    ny = whole(who, "measurements", measurements, 1, P.D.shape[0] - 1)
+    nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
+    n = whole(who, "states", states, 0)
+    rng = np.random.default_rng(seed)
+    plant = StateSpace(P.A, P.B[:, -nu:], P.C[-ny:], P.D[-ny:, -nu:], P.rate_hz)
+    element = Sections(n, nu, ny, np.ones(n)) if stable else Dense(n, nu, ny)
+    law = layout or one_element(element)
+    norm = Requirement("norm", slice(0, P.D.shape[0] - ny))
+    problem = Problem(P, plant, law, (norm,), stable_law=stable)
+    full, optimum = _full_order(P, ny, nu)
+    points = [law.start(rng, problem.low / 3, 3 * problem.high) for _ in range(whole(who, "starts", starts, 1))]
+    if full is not None and layout is None and not stable and full.states >= n:
+        points.insert(0, _cut(problem, full, n))
+    found = lowest(problem, points, STEPS, ROUNDS)
+    if found is None:
+        return refused(f"{who}: no start gave a stable loop with {n} states; allow more states or starts.")
+    theta, level = found
+    K = problem.plane.from_plane(law.system(theta))
+    achieved = hinf_norm(lft(P, K))[0]
+    details = {"optimum": optimum, "ratio": achieved / optimum, "theta": theta, "points": problem.samples.w.size}
+    return judged(plant, K, _Settings(n, stable, starts, seed), level, achieved, {}, details)
+
+
+def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, float]:
+    """Return the law of full order and the smallest norm it proves; nothing where the problem is singular."""
+    try:
+        found = synthesize_hinf(P, ny, nu)
+    except UltraquietError:
+        return None, float("nan")
+    return (found.controller, float(found.details["optimum"][1])) if found.controller else (None, float("nan"))
+
+
+def _cut(problem: Problem, law: StateSpace, states: int) -> np.ndarray:
+    """Return the parameters of a law of full order in modal coordinates, its least important states left out."""
+    A, B, C, D = problem.plane.to_plane(law)
+    form = balance.modal(A, B, C)
+    size = np.linalg.norm(form.B, axis=1) * np.linalg.norm(form.C, axis=0)
+    edges = np.concatenate([[0], np.cumsum(form.blocks)]).astype(int)
+    order = sorted(range(len(form.blocks)), key=lambda k: -size[edges[k] : edges[k + 1]].max())
+    keep = [i for k in order for i in range(edges[k], edges[k + 1])][:states]
+    M = np.block([[form.A[np.ix_(keep, keep)], form.B[keep]], [form.C[:, keep], D]])
+    return M.ravel()
