@@ -156,7 +156,8 @@ def disk_margins(
     f = np.sort(default_grid(seen) if f_hz is None else frequency_array("disk_margins", f_hz))
     loops = _each(seen, f, ends(seen.rate_hz) if f_hz is None else None)
     largest, at = mu_peak(seen, f_hz=f_hz)
-    here = mu_bounds(response_at(seen)(np.array([at])))
+    # by triangular solves: modes cost digits, and this is the proof
+    here = mu_bounds(seen.frequency_response([at]) if np.isfinite(at) else seen.D.astype(np.complex128))
     d = np.diagonal(here.perturbation[:, :, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         factors = (2 + (1 - skew) * d) / (2 - (1 + skew) * d)
