@@ -1,7 +1,7 @@
 """A 36-channel Box-Jenkins array of 180 states straight from identification: designed, reduced, closed again.
 
-The records excite the bench up to 1.5 kHz: a law of a 3.5 kHz loop acts on all frequencies up to half of that, and what a
-record does not hold no model can tell. Losses are computed here again, from the reduced matrices alone.
+The records excite the bench up to 1.5 kHz: a law of a 3.5 kHz loop acts on all frequencies up to half of that, and
+what a record does not hold no model can tell. Losses are computed here again, from the reduced matrices alone.
 """
 
 import time

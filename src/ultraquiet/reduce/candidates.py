@@ -48,10 +48,13 @@ class Candidates:
     """
 
     def __init__(self, P: StateSpace, K: StateSpace, method: str, norm: str) -> None:
-        self.P, self._K, self._method, self._norm = P, K, method, norm
+        self.P, self._K, self._norm = P, K, norm
         loop = lft(P, K)
         poles = loop.poles()
         self._discrete = P.rate_hz is not None
+        # a direct term that was not there makes a continuous mean square infinite
+        held = norm == "mean-square" and not self._discrete
+        self._ways = ("truncation",) if held else tuple(dict.fromkeys((method, "truncation")))
         if not _inside(poles, self._discrete):
             raise InputError("ClosedLoopWeighted: the loop with the full controller is unstable; nothing can be kept.")
         self.before = loop_norm(loop, norm)
@@ -114,7 +117,7 @@ class Candidates:
             keep = count // self._copies - source.kept[0].shape[0]
             if keep < 0 or keep > source.M[0].shape[0]:
                 continue
-            for way in dict.fromkeys((self._method, "truncation")):
+            for way in self._ways:
                 try:
                     M, hankel = project(source.M, source.P, source.Q, keep, self._discrete, way)
                 except (np.linalg.LinAlgError, NumericalError):

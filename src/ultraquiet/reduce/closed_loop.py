@@ -131,7 +131,7 @@ class ClosedLoopWeighted:
         return self._fewest(tried, most, allowed)
 
     def _at(self, tried: Candidates, count: int, allowed: float) -> Candidate:
-        """Return the best controller of an order: projected, and tuned where that costs more than allowed or the loop."""
+        """Return the best controller of an order: projected, then tuned where that costs too much or the loop."""
         best = tried.projected(count)
         if (np.isfinite(best.cost) and best.cost <= 1 + allowed) or not self.steps:
             return best

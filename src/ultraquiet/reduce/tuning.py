@@ -137,7 +137,9 @@ class Descent:
         CG = _adjoint(at.CR) @ slope
         A = np.einsum("kbiy,kbjy->bij", CG.reshape(count, k, 2, -1), np.conj(at.RB.reshape(count, k, 2, -1))).real
         C = (slope @ _adjoint(at.RB)).sum(axis=0).real
-        return np.concatenate([A.ravel(), CG.sum(axis=0).real.ravel(), C.ravel(), slope.sum(axis=0).real.ravel()])
+        # the direct term stands still where moving it would make a mean square infinite
+        D = slope.sum(axis=0).real * (self._discrete or self._norm == "peak")
+        return np.concatenate([A.ravel(), CG.sum(axis=0).real.ravel(), C.ravel(), D.ravel()])
 
     def _smooth(self, F: Array, power: int) -> tuple[float, Array]:
         share = self._grid.share[:, None, None]

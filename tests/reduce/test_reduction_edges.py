@@ -1,0 +1,238 @@
+"""Reductions of controllers that have nothing to give, or are not what they should be; budgets and certificates."""
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError, RateError
+from ultraquiet.analyse import h2_norm, hinf_norm
+from ultraquiet.linalg.balance import balancing, gramians
+from ultraquiet.linalg.cost import largest_order, multiply_adds
+from ultraquiet.reduce import Balanced, ClosedLoopWeighted, CoprimeFactors, FrequencyWeighted, HankelNorm
+from ultraquiet.reduce.certificate import judging_plant
+from ultraquiet.testing import problems
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import append, feedback, gain, lft, parallel, series
+
+METHODS = [Balanced, HankelNorm, FrequencyWeighted, CoprimeFactors, ClosedLoopWeighted]
+every_method = pytest.mark.parametrize("method", METHODS, ids=lambda m: m.__name__)
+
+
+@pytest.fixture
+def loop(seed):
+    plant = problems.damped_plant(seed)
+    return plant, problems.observer_law(plant)
+
+
+def random_stable(rng, n, nu, ny, rate_hz=None):
+    A = rng.standard_normal((n, n))
+    if rate_hz is None:
+        A -= (np.linalg.eigvals(A).real.max() + rng.uniform(0.1, 1.0)) * np.eye(n)
+    else:
+        A *= rng.uniform(0.5, 0.95) / np.abs(np.linalg.eigvals(A)).max()
+    return StateSpace(
+        A, rng.standard_normal((n, nu)), rng.standard_normal((ny, n)), rng.standard_normal((ny, nu)), rate_hz
+    )
+
+
+def difference(first, second):
+    return parallel(first, StateSpace(second.A, second.B, -second.C, -second.D, second.rate_hz))
+
+
+@every_method
+def test_no_more_states_are_kept_than_asked_for_and_all_of_them_are_the_controller(method, loop):
+    plant, law = loop
+    for states in (0, law.states - 1, law.states, law.states + 5):
+        small = method(states=states).reduce(law, plant)
+        assert small.controller.states <= states
+        assert small.details["certificate"]["multiply_adds"] == multiply_adds(small.controller.states, 2, 2)
+        assert small.status.ok == feedback(plant, small.controller).is_stable()
+        if states >= law.states:
+            assert problems.distance(law, small.controller) < 1e-6 * problems.distance(law)
+            assert abs(small.loss) < 1e-6
+
+
+@every_method
+def test_a_gain_without_states_stays_what_it_is(method, loop):
+    plant, _ = loop
+    law = gain(-1e-3 * np.eye(2), plant.rate_hz)
+    small = method(states=3).reduce(law, plant)
+    np.testing.assert_allclose(small.controller.D, law.D, atol=1e-15)
+    assert small.controller.states == 0
+    assert small.status.ok
+
+
+@every_method
+def test_a_law_of_another_rate_or_size_is_refused(method, loop):
+    plant, law = loop
+    with pytest.raises(RateError, match="sampled"):
+        method(states=2).reduce(StateSpace(law.A, law.B, law.C, law.D, rate_hz=1.0), plant)
+    with pytest.raises(InputError, match="2 x 2"):
+        method(states=2).reduce(StateSpace(law.A, law.B[:, :1], law.C, law.D[:, :1], law.rate_hz), plant)
+
+
+@every_method
+def test_states_that_do_nothing_are_dropped_without_loss(method, loop, rng):
+    plant, law = loop
+    n = law.states
+    idle = 0.5 * np.eye(3)
+    # neither driven nor read, driven only, read only
+    A = np.block([[law.A, np.zeros((n, 3))], [np.zeros((3, n)), idle]])
+    B = np.vstack([law.B, np.zeros((1, 2)), rng.standard_normal((1, 2)), np.zeros((1, 2))])
+    C = np.hstack([law.C, np.zeros((2, 2)), rng.standard_normal((2, 1))])
+    T = rng.standard_normal((n + 3, n + 3))
+    same = StateSpace(np.linalg.solve(T, A @ T), np.linalg.solve(T, B), C @ T, law.D, law.rate_hz)
+    small = method(states=n).reduce(same, plant)
+    off = problems.distance(law, small.controller) / problems.distance(law)
+    print(f"{method.__name__}: {off:.1e}")
+    assert off < 1e-5
+
+
+@every_method
+def test_an_unstable_law_is_reduced_beside_its_unstable_pole(method):
+    """The plant and law of SLICOT's SB16AD: both unstable, the loop stable."""
+    plant = StateSpace([[-1.0, 0, 4], [0, 2, 0], [0, 0, -3]], np.ones((3, 1)), np.ones((1, 3)), [[0.0]])
+    A = [[-26.4, 6.4023, 4.3868], [32.0, 0, 0], [0, 8.0, 0]]
+    law = StateSpace(A, [[-16.0], [0], [0]], [[9.2994, 1.1624, 0.109]], [[0.0]])
+    assert feedback(plant, law).is_stable()
+    assert not law.is_stable()
+    small = method(states=2).reduce(law, plant)
+    print(f"{method.__name__}: {small.status}")
+    assert small.controller.states == 2
+    assert not small.controller.is_stable()
+    # plain balancing, which does not see the loop, loses it here; SLICOT's example is there to show that
+    assert small.status.ok == feedback(plant, small.controller).is_stable()
+    assert small.status.ok or method is Balanced
+
+
+def test_an_unstable_loop_gives_no_weights(loop):
+    plant = StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1.0)
+    law = StateSpace([[0.1]], [[1.0]], [[5.0]], [[0.0]], rate_hz=1.0)
+    for method in (FrequencyWeighted(states=0), ClosedLoopWeighted(states=0)):
+        with pytest.raises(InputError, match="unstable"):
+            method.reduce(law, plant)
+    assert Balanced(states=1).reduce(law, plant).status.word == "unstable"
+
+
+def test_weights_that_do_not_fit_are_refused(loop):
+    _, law = loop
+    for weights in (
+        {"input": gain(np.eye(3), law.rate_hz)},
+        {"output": StateSpace([[2.0]], np.ones((1, 2)), np.ones((2, 1)), np.eye(2), law.rate_hz)},
+        {"output": gain(np.eye(2), None)},
+    ):
+        with pytest.raises(InputError, match="weight"):
+            FrequencyWeighted(states=2).reduce(law, weights=weights)
+
+
+def test_settings_that_contradict_are_refused(loop):
+    plant, law = loop
+    with pytest.raises(InputError, match="'states' or 'budget'"):
+        ClosedLoopWeighted(states=3, budget=100)
+    with pytest.raises(InputError, match="direct term"):
+        ClosedLoopWeighted(budget=3).reduce(law, plant)
+    with pytest.raises(InputError, match="plant"):
+        ClosedLoopWeighted(states=3).reduce(law)
+
+
+@pytest.mark.parametrize("rate_hz", [None, 10.0])
+def test_hankel_norm_of_the_error_is_the_first_value_left_out(rate_hz, rng):
+    for _ in range(10):
+        n, nu, ny = (int(rng.integers(low, high)) for low, high in ((3, 12), (1, 4), (1, 4)))
+        G = random_stable(rng, n, nu, ny, rate_hz)
+        for states in range(n):
+            found = HankelNorm(states=states).reduce(G)
+            assert found.controller.is_stable()
+            assert found.controller.states == states
+            error = difference(G, found.controller)
+            P, Q = gramians(error.A, error.B, error.C, rate_hz is not None)
+            norm = float(balancing(P, Q, 1)[2][0])
+            # square roots of Gramians carry half of the digits, counted from the largest value
+            assert abs(norm - found.hankel[states]) < 1e-4 * found.hankel[states] + 1e-6 * found.hankel[0]
+            assert hinf_norm(error)[0] <= found.details["bound"] * (1 + 1e-6)
+
+
+def test_hankel_values_that_are_equal_go_together():
+    """Two copies of one lag have one Hankel value: both stay or leave, and the optimum has it as its norm."""
+    lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
+    found = HankelNorm(states=1).reduce(append(lag, lag))
+    assert found.controller.states == 0
+    assert abs(hinf_norm(difference(append(lag, lag), found.controller))[0] - 0.5) < 1e-6
+
+
+def test_budget_takes_the_largest_order_that_fits(loop):
+    plant, law = loop
+    budget = multiply_adds(4, 2, 2) + 5
+    small = ClosedLoopWeighted(budget=budget).reduce(law, plant)
+    assert small.controller.states == largest_order(budget, 2, 2) == 4
+    assert small.details["certificate"]["multiply_adds"] <= budget
+    assert ClosedLoopWeighted(budget=1400).reduce(law, plant).controller.states == law.states
+
+
+@pytest.fixture(scope="module")
+def heave():
+    plant = uq.design.common_mode(uq.bench.Hexapod(unit="ground").linear_model())
+    return plant, uq.design.BandAttenuation().design(plant)
+
+
+def test_budget_and_loss_together(heave):
+    plant, result = heave
+    weights = result.details["weights"]
+    free = ClosedLoopWeighted(loss=0.05).reduce(result.controller, plant, weights)
+    enough = multiply_adds(free.controller.states, 1, 1)
+    held = ClosedLoopWeighted(loss=0.05, budget=enough).reduce(result.controller, plant, weights)
+    assert held.status.ok
+    assert held.controller.states <= free.controller.states
+    short = ClosedLoopWeighted(loss=1e-4, budget=multiply_adds(6, 1, 1)).reduce(result.controller, plant, weights)
+    print(f"{free.status}\n{held.status}\n{short.status}")
+    assert not short.status.ok
+    assert "budget" in short.status.sentence or "multiply-adds" in short.status.sentence
+
+
+def test_tuning_pays_where_projections_cost_too_much(heave):
+    plant, result = heave
+    weights = result.details["weights"]
+    P = judging_plant(plant, weights)
+    before = hinf_norm(lft(P, result.controller))[0]
+    for states in (9,):
+        plain = ClosedLoopWeighted(states=states, loss=1e-3, steps=0).reduce(result.controller, plant, weights)
+        tuned = ClosedLoopWeighted(states=states, loss=1e-3).reduce(result.controller, plant, weights)
+        again = hinf_norm(lft(P, tuned.controller))[0] / before - 1
+        print(f"{states} states: {100 * plain.loss:.2f} % projected, {100 * tuned.loss:.2f} % tuned")
+        assert tuned.loss <= plain.loss * (1 + 1e-9)
+        assert abs(again - tuned.loss) < 1e-6
+        assert tuned.loss < 0.7 * plain.loss or plain.loss < 1e-3
+
+
+@pytest.mark.parametrize("rate_hz", [None, 1000.0])
+def test_mean_square_is_judged_by_h2(rate_hz, rng):
+    G = random_stable(rng, 6, 1, 1, rate_hz)
+    G = StateSpace(G.A, G.B, G.C, np.zeros((1, 1)), rate_hz)
+    K = random_stable(rng, 5, 1, 1, rate_hz)
+    K = StateSpace(K.A, K.B * 0.05 / hinf_norm(K)[0], K.C / hinf_norm(G)[0], np.zeros((1, 1)), rate_hz)
+    B, D = np.hstack([G.B, 0 * G.B, G.B]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    P = StateSpace(G.A, B, np.vstack([G.C, 0 * G.C, G.C]), D, rate_hz)
+    small = ClosedLoopWeighted(states=3, norm="mean-square").reduce(K, G, P)
+    before, after = h2_norm(lft(P, K)), h2_norm(lft(P, small.controller))
+    assert abs(small.cost_before / before - 1) < 1e-9
+    assert abs(small.cost_after / after - 1) < 1e-9
+    assert small.status.ok
+
+
+def test_mean_square_of_a_direct_way_is_refused(rng):
+    K, G = random_stable(rng, 2, 1, 1), StateSpace([[-1.0]], [[1.0]], [[1e-3]], [[0.0]])
+    K = StateSpace(K.A, K.B / hinf_norm(K)[0], K.C, 0.1 + np.abs(K.D), None)
+    with pytest.raises(InputError, match="infinite"):
+        ClosedLoopWeighted(states=1, norm="mean-square").reduce(K, G)
+
+
+def test_tangled_modes_are_left_to_projection(loop):
+    """A chain of delays cannot be split into modes; its reduction must still be certified."""
+    plant, law = loop
+    delay = append(*[StateSpace(np.eye(4, k=-1), np.eye(4, 1), np.eye(4)[3:], [[0.0]], law.rate_hz)] * 2)
+    late = series(StateSpace(law.A, law.B, 0.05 * law.C, law.D, law.rate_hz), delay)
+    assert feedback(plant, late).is_stable()
+    small = ClosedLoopWeighted(states=law.states, loss=1e-6).reduce(late, plant)
+    print(small.status)
+    assert small.controller.states == law.states
+    assert small.details["certificate"]["stable"] == feedback(plant, small.controller).is_stable()
