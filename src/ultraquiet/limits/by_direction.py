@@ -60,7 +60,7 @@ def by_direction(
 
     Returns:
         One `DirectionLimit` a column. The least `limit.bound_db` of them bounds the worst direction of every
-        controller, with all its cross terms; the least `limit.attenuation_db` is reached where the directions do not mix.
+        controller, with all its cross terms; the least `limit.attenuation_db` is reached where directions do not mix.
 
     Raises:
         InputError: the plant is not square or not stable, or the directions are no unit vectors.

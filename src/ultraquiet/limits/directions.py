@@ -54,8 +54,8 @@ class AllActuators:
     """The loop of v' S v when every actuator may help: a bound for controllers of any structure.
 
     v' S v = 1 + (v' G)(Q v) with |Q v| <= |K S|: Q v is a column of stable functions, and (v' G)(Q v) = g q with a
-    stable scalar q, |q| <= |K S|, where |g| = |v' G| and g keeps the delay and the zeros outside the stability region that all
-    entries of v' G have in common. What g q can do is at least what (v' G)(Q v) can.
+    stable scalar q, |q| <= |K S|, where |g| = |v' G| and g keeps the delay and the zeros outside the stability region
+    that all entries of v' G have in common. What g q can do is at least what (v' G)(Q v) can.
     """
 
     def __init__(self, plant: StateSpace, v: FloatArray, circle: Circle) -> None:

@@ -95,8 +95,8 @@ def _verdict(own: float, peak_db: float, gain: float, limit: Limit) -> Status:
         return Status("not certified", f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}")
     return Status(
         "ok",
-        f"The worst direction is attenuated by {own:.1f} dB; at the same peak of {peak_db:.1f} dB and |K S| of {gain:.3g} "
-        f"no linear controller exceeds {limit.bound_db:.1f} dB, {limit.bound_db - own:.1f} dB more.",
+        f"The worst direction is attenuated by {own:.1f} dB; at the same peak of {peak_db:.1f} dB and |K S| of "
+        f"{gain:.3g} no linear controller exceeds {limit.bound_db:.1f} dB, {limit.bound_db - own:.1f} dB more.",
     )
 
 

@@ -118,10 +118,11 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
     found = []
     for zero in sorted(zeros, key=lambda z: abs(z.s)):
         y, x, at = np.asarray(zero.direction), zero.s.real, zero.s.imag
-        kernel = (x / (x * x + (w - at) ** 2) + x / (x * x + (w + at) ** 2)) / np.pi * stretch
-        size = np.abs((S @ y) @ y.conj())
+        # at negative frequencies S is conjugate, the direction is not
+        here, mirrored = (x / (x * x + (w - side) ** 2) for side in (at, -at))
+        level = here * np.log(np.abs((S @ y) @ y.conj())) + mirrored * np.log(np.abs((S @ y.conj()) @ y))
         owes = half_plane.owed(zero.s, unstable) if plant.D.shape == (1, 1) else 0.0
-        paid = float(np.sum(width * kernel * np.log(size)))
+        paid = float(np.sum(width * stretch / np.pi * level))
         found.append(Integral(zero.name, DB * paid, DB * owes))
     return tuple(found)
 

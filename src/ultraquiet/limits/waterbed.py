@@ -21,8 +21,8 @@ def waterbed_peak(
     """Return the least peak of |S| in dB that attenuation over a band costs, whatever the linear controller.
 
     Poisson's integral at each zero s outside the stability region: share * (-attenuation) + rest * peak >= owed, with
-    the harmonic measures of the band and of the other frequencies seen from s, and owed = ln prod |s + conj(p)| / |s - p|
-    over the unstable poles. A delay is a zero at infinity in z, where it is Bode's integral.
+    the harmonic measures of the band and of the other frequencies seen from s, and owed the sum of
+    ln |s + conj(p)| / |s - p| over the unstable poles p. A delay is a zero at infinity in z: Bode's integral.
 
     Args:
         plant: G, continuous or discrete.
