@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.linalg import LinAlgError, lu_factor, lu_solve
 
+from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.lyapunov import lyapunov, symmetric
 from ultraquiet.linalg.ordered import Array, ordered_schur, real_schur
 from ultraquiet.linalg.riccati import (
@@ -134,7 +135,10 @@ def _polished(A: Array, G: Array, Q: Array, X: Array, steps: int) -> Riccati:
         closed = A - G @ held.X
         AX = A.T @ held.X
         residual = symmetric(AX + AX.T - held.X @ G @ held.X + Q)
-        direction = lyapunov(closed.T, residual)
+        try:
+            direction = lyapunov(closed.T, residual)
+        except NumericalError:
+            break
         step = _judged(A, G, Q, held.X + _length(residual, direction @ G @ direction) * direction)
         if not (step.residual < held.residual and step.margin > 0):
             break

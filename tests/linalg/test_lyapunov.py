@@ -1,0 +1,105 @@
+"""Lyapunov and Stein equations at their edges, judged by residuals formed here and by exact answers."""
+
+import numpy as np
+import pytest
+
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg.equations import lyapunov, stein
+
+HUGE = 1e120
+
+
+def left_continuous(A, Q, X):
+    terms = (A @ X, X @ A.T, Q)
+    return np.linalg.norm(sum(terms)) / sum(np.linalg.norm(t) for t in terms)
+
+
+def left_discrete(A, Q, X):
+    terms = (A @ X @ A.T, -X, Q)
+    return np.linalg.norm(sum(terms)) / sum(np.linalg.norm(t) for t in terms)
+
+
+def test_no_states():
+    nothing = np.zeros((0, 0))
+    assert lyapunov(nothing, nothing).shape == (0, 0)
+    assert stein(nothing, nothing).shape == (0, 0)
+
+
+@pytest.mark.parametrize("margin", [1.0, 1e-6, 1e-12])
+def test_one_state_however_near_the_boundary(margin):
+    np.testing.assert_allclose(lyapunov(np.array([[-margin]]), np.array([[3.0]])), [[1.5 / margin]], rtol=1e-12)
+    a = 1 - margin if margin < 1 else 0.0
+    # of 1 - a^2 no more than the digits of a are left
+    np.testing.assert_allclose(stein(np.array([[a]]), np.array([[3.0]])), [[3 / ((1 - a) * (1 + a))]], rtol=1e-3)
+
+
+@pytest.mark.parametrize("size", [1.0, HUGE, 1 / HUGE])
+def test_huge_and_tiny_costs(rng, size):
+    A = 0.4 * np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    V = rng.standard_normal((6, 6))
+    Q = V @ V.T * size
+    np.testing.assert_allclose(stein(A, Q) / size, stein(A, V @ V.T), rtol=1e-12)
+    np.testing.assert_allclose(lyapunov(A - np.eye(6), Q) / size, lyapunov(A - np.eye(6), V @ V.T), rtol=1e-12)
+
+
+def test_states_in_units_of_their_own(rng):
+    """Units spread over forty decades: entry by entry the same solution."""
+    n = 8
+    A = 0.6 * np.linalg.qr(rng.standard_normal((n, n)))[0]
+    V = rng.standard_normal((n, n))
+    Q = V @ V.T
+    d = 2.0 ** rng.integers(-66, 66, n)
+    for solve, M in ((stein, A), (lyapunov, A - np.eye(n))):
+        X, other = solve(M, Q), solve(M * d[:, None] / d, Q * np.outer(d, d))
+        assert np.abs(other / np.outer(d, d) - X).max() < 1e-10 * np.abs(X).max()
+
+
+@pytest.mark.parametrize("length", [2, 8, 20])
+def test_defective_matrices(length):
+    """A Jordan block has no basis of eigenvectors; the continuous one's first entry is known exactly."""
+    block = np.eye(length, k=1)
+    Q = np.zeros((length, length))
+    Q[-1, -1] = 1.0
+    A = block - np.eye(length)
+    X = lyapunov(A, Q)
+    # x_1(t) = t^(n-1) e^-t / (n-1)!, so X_11 = (2n-2)! / ((n-1)!^2 2^(2n-1))
+    exact = np.prod([(2 * k - 1) / (2 * k) for k in range(1, length)]) / 2
+    np.testing.assert_allclose(X[0, 0], exact, rtol=1e-10)
+    assert left_continuous(A, Q, X) < 1e-13
+    F = block + 0.3 * np.eye(length)
+    assert left_discrete(F, Q, stein(F, Q)) < 1e-13
+
+
+def test_lightly_damped_modes(rng):
+    """Damping of 1e-9: the residual stays that of double precision."""
+    worst = 0.0
+    for _ in range(20):
+        w = rng.uniform(1, 100, 5)
+        A = np.zeros((10, 10))
+        for k, wk in enumerate(w):
+            A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[-1e-9 * wk, wk], [-wk, -1e-9 * wk]]
+        turn = np.linalg.qr(rng.standard_normal((10, 10)))[0]
+        A = turn @ A @ turn.T
+        V = rng.standard_normal((10, 3))
+        worst = max(worst, left_continuous(A, V @ V.T, lyapunov(A, V @ V.T)))
+    print(f"Lyapunov equation of modes damped by 1e-9: worst residual {worst:.1e}")
+    assert worst < 1e-12
+
+
+def test_unstable_and_undamped_equations(rng):
+    """The continuous equation has a solution for unstable A too; neither has one on the boundary."""
+    A = rng.standard_normal((5, 5)) + 4 * np.eye(5)
+    assert left_continuous(A, np.eye(5), lyapunov(A, np.eye(5))) < 1e-12
+    with pytest.raises(NumericalError, match="share an eigenvalue"):
+        lyapunov(np.zeros((1, 1)), np.eye(1))
+    with pytest.raises(NumericalError, match="share an eigenvalue"):
+        lyapunov(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2))
+    for radius in (1.0, 1.5):
+        with pytest.raises(NumericalError, match="unit circle"):
+            stein(np.array([[radius]]), np.eye(1))
+
+
+def test_matrices_that_overflow_are_refused():
+    for solve in (lyapunov, stein):
+        with pytest.raises(NumericalError, match="overflow"):
+            solve(np.array([[np.inf]]), np.eye(1))
