@@ -53,7 +53,7 @@ class _Bank:
         """Return u = K y with the same sections on every channel, or each its own when tuned `apart`.
 
         Without a gain the one is sought that attenuates most within the specification's peak and control limit; with
-        `tune` gains, corners and dampings are all tuned. `details["values"]` holds the sections as they came out, in Hz.
+        `tune` gains, corners and dampings are all tuned. `details["values"]` holds the sections as they came out, Hz.
 
         Raises:
             InputError: a plant that is not square, another number of gains than channels, corners above Nyquist.

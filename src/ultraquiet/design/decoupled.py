@@ -29,8 +29,8 @@ class Decoupled:
     """K = Tu diag(K1, K2, ...) Ty', each Ki designed for its own block of Ty' G Tu by any registered method.
 
     Args:
-        transform: `threefold` (six struts in three alike pairs: heave, yaw and one 2x2 used twice), `data` (orthonormal,
-            from the symmetric parts of G over the band, blocks as the data have them), `svd` (of the real part nearest
+        transform: `threefold` (six struts in three alike pairs: heave, yaw, one 2x2 used twice), `data` (orthonormal, from
+            the symmetric parts of G over the band, blocks as the data have them), `svd` (of the real part nearest
             to G in the middle of the band, all loops single), or a square orthonormal matrix, row by row.
         method: registered design for the blocks.
         settings: of that method, as a table.
@@ -132,8 +132,8 @@ class Decoupled:
 def threefold() -> FloatArray:
     """Return the orthonormal transform of six struts in three alike pairs, mirror symmetry included, in columns.
 
-    Heave (1, 1, 1, 1, 1, 1), yaw (1, -1, 1, -1, 1, -1), then twice the two of one 2x2: the sum of a pair over the cosine
-    and its difference over the sine of the pair's angle, and the same a quarter turn on.
+    Heave (1, 1, 1, 1, 1, 1), yaw (1, -1, 1, -1, 1, -1), then twice the two of one 2x2: the sum of a pair over the
+    cosine and its difference over the sine of the pair's angle, and the same a quarter turn on.
 
     >>> bool(np.allclose(threefold().T @ threefold(), np.eye(6)))
     True

@@ -55,7 +55,7 @@ class Modal:
 
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
-        """Return the controller u = K y of a discrete plant; `details["modes"]` are frequency and damping, before and after.
+        """Return the controller u = K y of a discrete plant; `details["modes"]` are frequency and damping.
 
         Raises:
             InputError: a continuous plant, a band above Nyquist, another number of dampings than modes.

@@ -60,7 +60,7 @@ class Specification:
         peak_db: largest amplification of S anywhere.
         control_limit: largest singular value of K S, volts at the actuators a volt at the sensors.
         disk_margin: least 1 / ||S - I/2||, for gains and phases that change in all loops at once; None asks nothing.
-        roll_off_hz, roll_off_db: from this frequency on, |T| = |G K S| is to be at most -roll_off_db; None asks nothing.
+        roll_off_hz, roll_off_db: from here on, |T| = |G K S| is to be at most -roll_off_db; None asks nothing.
         tones_hz, tone_db: worst direction of the attenuation at single frequencies.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)

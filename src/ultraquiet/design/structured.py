@@ -1,4 +1,4 @@
-"""Controllers of a structure given beforehand: few states, one law for all struts, a law for each, a constant transform."""
+"""Controllers of a structure given beforehand: few states, one law for all struts, or a law for each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -195,13 +195,14 @@ def _calmed(problem: Problem, theta: FloatArray) -> FloatArray:
     for _ in range(TURNS):
         if problem.stability(trial) < 0:
             return trial
-        trial = np.concatenate(
-            [
-                e.turned_down(t, QUIETER)
-                for e, t in zip(problem.layout.elements, problem.layout.parts(trial), strict=True)
-            ]
-        )
+        trial = _turned(problem, trial, QUIETER)
     return theta
+
+
+def _turned(problem: Problem, theta: FloatArray, factor: float) -> FloatArray:
+    """Return the parameters of factor times the whole law."""
+    layout = problem.layout
+    return np.concatenate([e.turned_down(t, factor) for e, t in zip(layout.elements, layout.parts(theta), strict=True)])
 
 
 def _first_on_part(part: StateSpace, law: StateSpace | None, states: int, wanted: Specification, starts: int) -> Start:

@@ -1,7 +1,7 @@
 """Tunable parts of controllers: a response at any complex frequency, and its derivatives after every parameter.
 
-All live in the plane s = (z - 1) / (z + 1) of the bilinear map (in scaled rad/s when time is continuous), where the left
-half is stable for both times, corners are logarithms and gains keep their size.
+All live in the plane s = (z - 1) / (z + 1) of the bilinear map (in scaled rad/s when time is continuous), where the
+left half is stable for both times, corners are logarithms and gains keep their size.
 """
 
 from dataclasses import dataclass

@@ -23,6 +23,7 @@ INFINITE = 1e6  # stands for infinite frequency, times the fastest pole
 SAME = 1e-9
 SHARP = 0.05  # resonances of less damping may hide between the points of the grid
 HIDDEN = 1.01  # a peak higher than all points by this factor was hidden
+TOPS = 20  # hidden peaks that one look adds
 EXTRA, FAR = 200, 0.7  # points beyond the first grid that are kept at most, unless they reach this share of the top
 FAN = np.array([0.99, 1.0, 1.01])
 
@@ -157,7 +158,8 @@ class Problem:
         fine = self.sampled(extra)
         levels = np.max(self._levels(theta, fine), axis=0)
         top = max(before, float(levels.max(initial=0.0)))
-        keep = fine.w[_tops(levels) & (levels > 0.8 * top)]
+        near = np.flatnonzero(_tops(levels) & (levels > 0.8 * top))
+        keep = fine.w[near[np.argsort(-levels[near])[:TOPS]]]
         if keep.size:
             around = (keep[:, None] * np.array([0.98, 0.99, 1.0, 1.01, 1.02])).ravel()
             self._add(theta, around)

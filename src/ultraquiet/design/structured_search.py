@@ -31,8 +31,8 @@ def bfgs(
 ) -> tuple[FloatArray, float]:
     """Minimise a function smooth almost everywhere.
 
-    Lewis and Overton 2013, doi:10.1007/s10107-012-0514-2: with a search that bisects for the weak Wolfe conditions, BFGS
-    converges on non-smooth functions too, its matrix learning the kink.
+    Lewis and Overton 2013, doi:10.1007/s10107-012-0514-2: with a search that bisects for the weak Wolfe conditions,
+    BFGS converges on non-smooth functions too, its matrix learning the kink.
     """
     f, g = value(x, np.inf), gradient(x)
     H = np.eye(x.size) / max(float(np.linalg.norm(g)), 1e-12) * max(0.1 * float(np.linalg.norm(x)), 0.1)

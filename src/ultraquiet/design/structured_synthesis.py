@@ -48,7 +48,8 @@ def synthesize_structured(
 
     Args:
         P: generalised plant, inputs (w, u), outputs (z, y), continuous or discrete.
-        measurements, controls: sizes of y and u.
+        measurements: size of y.
+        controls: size of u.
         states: order of K; 0 is a constant gain.
         stable: whether K itself must be stable.
         starts: points the search begins at: the full-order law cut down, and random ones.
@@ -57,8 +58,8 @@ def synthesize_structured(
 
     Returns:
         A `DesignResult`: `gamma` the level on the refined grid, `achieved` the exact norm of the finished loop,
-        `details["optimum"]` the least norm of any order and `details["ratio"]` achieved over it (nan where the problem is
-        singular). The problem is not convex: the result is a local minimum, the best of those found.
+        `details["optimum"]` the least norm of any order and `details["ratio"]` achieved over it (nan where that
+        problem is singular). The problem is not convex: the result is a local minimum, the best of those found.
 
     Raises:
         InputError: sizes that do not fit.
