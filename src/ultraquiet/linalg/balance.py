@@ -51,9 +51,11 @@ def gramians(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array
 
 
 def square_root(P: Array) -> Array:
-    """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero."""
-    values, vectors = np.linalg.eigh((P + P.T) / 2)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
+    """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero; small states keep their digits."""
+    d = np.sqrt(np.maximum(np.diag(P), 0.0))
+    d[d == 0] = 1.0
+    values, vectors = np.linalg.eigh((P + P.T) / (2 * np.outer(d, d)))
+    return d[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def balancing(P: Array, Q: Array, order: int) -> tuple[Array, Array, Array]:

@@ -112,17 +112,25 @@ class Candidates:
         return min(near, self._seen(matrices(x, shape), start.hankel, way), key=lambda c: c.cost), x
 
     def _projections(self, count: int) -> list[Candidate]:
-        tries = []
-        for source in self._sources:
-            keep = count // self._copies - source.kept[0].shape[0]
-            if keep < 0 or keep > source.M[0].shape[0]:
+        tries = [c for source in self._sources for c in self._from(source, count)]
+        if self._copies == 1 and not any(np.isfinite(t.cost) for t in tries):
+            # two-sided weights do not promise a stable law; plain balancing does
+            stable, kept, _ = split(self._K)
+            P, Q = balance.gramians(*stable[:3], self._discrete)
+            tries += self._from(_Source("plain", stable, P, Q, kept), count)
+        return tries
+
+    def _from(self, source: _Source, count: int) -> list[Candidate]:
+        """Return the projections by one pair of Gramians."""
+        tries, keep = [], count // self._copies - source.kept[0].shape[0]
+        if not 0 <= keep <= source.M[0].shape[0]:
+            return []
+        for way in self._ways:
+            try:
+                M, hankel = project(source.M, source.P, source.Q, keep, self._discrete, way)
+            except (np.linalg.LinAlgError, NumericalError):
                 continue
-            for way in self._ways:
-                try:
-                    M, hankel = project(source.M, source.P, source.Q, keep, self._discrete, way)
-                except (np.linalg.LinAlgError, NumericalError):
-                    continue
-                tries.append(self._seen(joined(M, source.kept), hankel, f"{source.name}, {way}"))
+            tries.append(self._seen(joined(M, source.kept), hankel, f"{source.name}, {way}"))
         return tries
 
     def _seen(self, M: Matrices, hankel: FloatArray, way: str) -> Candidate:

@@ -16,6 +16,7 @@ from ultraquiet.reduce.certificate import certified, fits, judging_plant
 from ultraquiet.values.state_space import StateSpace
 
 MINIMAL = 1e-11  # states with Hankel values below this share of the largest are round-off
+REFINEMENTS = 2  # balancings of the balanced system
 EQUAL = 1e-7  # Hankel values as near as this, relatively, count as one
 
 
@@ -72,10 +73,8 @@ class HankelNorm:
 
 def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray, float]:
     """Return the best approximation of a stable continuous system, its Hankel values, and a bound on the error."""
-    P, Q = balance.gramians(*M[:3], discrete=False)
-    left, right, hankel = balance.balancing(P, Q, M[0].shape[0])
-    count = int(np.sum(hankel > MINIMAL * hankel[0])) if hankel.size else 0
-    A, B, C, D = balance.truncate(M, left[:count], right[:, :count])
+    (A, B, C, D), hankel = _balanced(M)
+    count = A.shape[0]
     if order >= count:
         return (A, B, C, D), hankel, 2 * float(np.sum(hankel[count:]))
     level = hankel[order]
@@ -87,6 +86,22 @@ def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray,
     smaller = hankel[int(np.argmax(alike)) + int(np.sum(alike)) :]
     bound = float(level + 2 * np.sum(smaller))
     return (a[:keep, :keep], b[:keep], c[:, :keep], whole_error[3]), hankel, bound
+
+
+def _balanced(M: Matrices) -> tuple[Matrices, FloatArray]:
+    """Return a balanced system without the states that are round-off, and the Hankel values of all.
+
+    Gramians of general coordinates know small values to half of the digits; those of nearly balanced ones to all.
+    """
+    P, Q = balance.gramians(*M[:3], discrete=False)
+    left, right, hankel = balance.balancing(P, Q, M[0].shape[0])
+    for _ in range(REFINEMENTS):
+        count = int(np.sum(hankel > MINIMAL * hankel[0])) if hankel.size else 0
+        M = balance.truncate(M, left[:count], right[:, :count])
+        P, Q = balance.gramians(*M[:3], discrete=False)
+        left, right, finer = balance.balancing(P, Q, count)
+        hankel = np.concatenate([finer, hankel[count:]])
+    return balance.truncate(M, left, right), hankel
 
 
 def _allpass(M: Matrices, hankel: FloatArray, alike: Array) -> Matrices:
