@@ -52,8 +52,8 @@ class BandAttenuation:
         peak_db: when given, `height` is chosen such that the peak of S is this, within a tenth of a decibel or so.
         uncertainty: a bound on the plant's relative error at its outputs, G_true = (I + E) G with ||E|| <= |W|: a
             system as `validate.from_covariance(...).weight(rate_hz).system` gives it, or numbers `(low, corner_hz,
-            high)`. It takes the place of W3; without a `peak_db` the height is lowered until the loop stands every such
-            error.
+            high)`. It joins W3 as a second weight on T; without a `peak_db` the height is lowered until the loop stands
+            every such error.
         structure: `full` designs one controller for all channels; `alike` one scalar controller, used on each of them,
             for the function that the plant shows when all channels move together (the heave of a hexapod).
         margin: the controller is formed at margin times the smallest norm; where that controller is unstable by itself,
@@ -118,15 +118,21 @@ class BandAttenuation:
             return stands(plant, replace(self, height=height)._made(plant, part, self), bound)
         if bound is None:
             return self._made(plant, part, self)
-        return tallest(plant, bound, self.height, lambda h: replace(self, height=h)._made(plant, part, self))
+
+        def of(height: float) -> BandAttenuation:
+            return replace(self, height=height)
+
+        return tallest(
+            plant, bound, self.height, lambda h: of(h)._law(plant, part), lambda h: of(h)._made(plant, part, self)
+        )
+
+    def _law(self, plant: StateSpace, part: StateSpace) -> StateSpace | None:
+        return _spread(self.synthesis(part).controller, plant, part)
 
     def _made(self, plant: StateSpace, part: StateSpace, asked: "BandAttenuation") -> DesignResult:
         """Return the design at this height for the part, judged on the plant; `asked` are the caller's settings."""
-        ny = plant.D.shape[0]
         found = self.synthesis(part)
-        law = found.controller
-        if law is not None and part.D.shape != plant.D.shape:
-            law = append(*[law] * ny)
+        law = _spread(found.controller, plant, part)
         details: dict[str, Any] = {"height": self.height, "weights": self.weights(plant)}
         if law is not None:
             details["tones_db"] = {f: worst_attenuation_db(plant, law, (f, f)) for f in self.tones_hz}
@@ -154,7 +160,7 @@ class BandAttenuation:
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights of one channel: `performance` W1, `control` W2, `complementary` W3.
 
-        An uncertainty in full size stays so.
+        An uncertainty stands beside W3, one more output a channel; given in full size, it stays so.
         """
         rate, limit = plant.rate_hz, self.control_limit
         performance = band_pass(self.band_hz, self.height, self.floor, self.order, rate)
@@ -162,7 +168,7 @@ class BandAttenuation:
         return {
             "performance": with_tones(performance, self.tones_hz, self.tone_height, self.tone_zeta),
             "control": high_pass(below_nyquist(self.control_hz, rate), 1 / limit, RISE / limit, 1, rate),
-            "complementary": end if self.uncertainty is None else self._bound(plant),
+            "complementary": end if self.uncertainty is None else _both(end, self._bound(plant)),
         }
 
     def _bound(self, plant: StateSpace) -> StateSpace:
@@ -191,6 +197,21 @@ def common_mode(plant: StateSpace) -> StateSpace:
         left, right, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
         M = balance.truncate(M, left, right)
     return StateSpace(*M, rate_hz=plant.rate_hz)
+
+
+def _spread(law: StateSpace | None, plant: StateSpace, part: StateSpace) -> StateSpace | None:
+    """Return the law of a part as one for the plant: a copy for every channel where the part is what they share."""
+    if law is None or part.D.shape == plant.D.shape:
+        return law
+    return append(*[law] * plant.D.shape[0])
+
+
+def _both(end: StateSpace, bound: StateSpace) -> StateSpace:
+    """Return [end; bound], the first copied for as many channels as the second has."""
+    n = bound.D.shape[1]
+    side = append(*[end] * n, bound)
+    wires = np.vstack([np.eye(n), np.eye(n)])
+    return StateSpace(side.A, side.B @ wires, side.C, side.D @ wires, side.rate_hz)
 
 
 def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> float:

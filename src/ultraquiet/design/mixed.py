@@ -122,7 +122,11 @@ class MixedSensitivity:
         bound = self._bound(plant)
         if bound is None or self.performance is not None or self.form == "paper":
             return stands(plant, self._made(plant), bound)
-        return tallest(plant, bound, self.height, lambda height: replace(self, height=height)._made(plant))
+
+        def of(height: float) -> MixedSensitivity:
+            return replace(self, height=height)
+
+        return tallest(plant, bound, self.height, lambda h: of(h)._law(plant), lambda h: of(h)._made(plant))
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate."""
@@ -149,6 +153,10 @@ class MixedSensitivity:
             )
         on_t = None if self.form == "sks" else weights["complementary"]
         return output_shaping(plant, weights["performance"], weights["control"], on_t)
+
+    def _law(self, plant: StateSpace) -> StateSpace | None:
+        ny, nu = plant.D.shape
+        return synthesize_hinf(self.generalised(plant, self.weights(plant)), ny, nu, margin=self.margin).controller
 
     def _made(self, plant: StateSpace) -> DesignResult:
         weights = self.weights(plant)

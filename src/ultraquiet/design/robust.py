@@ -5,13 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
-from ultraquiet.values.interconnect import lft, series
+from ultraquiet.values.interconnect import feedback, lft, series
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
 LOWEST = 0.02  # of the height asked for: below this share nothing worth calling performance is left
+BETWEEN = 0.99  # what the search asks on its lines, so that the exact norm of the result is below one between them too
 STEPS = 6  # halvings of the logarithm of that range: 6 % in height
 
 
@@ -58,16 +60,33 @@ def stands(plant: StateSpace, result: DesignResult, bound: StateSpace | None) ->
     return replace(result, status=Status("not robust", told), details=details)
 
 
-def tallest(plant: StateSpace, bound: StateSpace, height: float, made: Callable[[float], DesignResult]) -> DesignResult:
-    """Return the design of the largest height, at most the one asked for, whose loop stands the bound."""
+def tallest(
+    plant: StateSpace,
+    bound: StateSpace,
+    height: float,
+    law: Callable[[float], StateSpace | None],
+    made: Callable[[float], DesignResult],
+) -> DesignResult:
+    """Return the design of the largest height, at most the one asked for, whose loop stands the bound.
+
+    `law` gives the controller of a height alone, which is all that the search needs; `made` the whole result.
+    """
+    f = np.unique(np.concatenate([default_grid(plant), default_grid(bound)]))
+    G, W = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, bound))
+
+    def enough(share: float) -> bool:
+        K = law(height * share)
+        if K is None or not feedback(plant, K).is_stable():
+            return False
+        L = G @ np.moveaxis(K.frequency_response(f), 2, 0)
+        T = np.linalg.solve(np.eye(L.shape[1]) - L, L)
+        return float(np.linalg.norm(W @ T, 2, axis=(1, 2)).max()) < BETWEEN
+
     first = stands(plant, made(height), bound)
-    if first.status.word != "not robust":
+    if first.status.word != "not robust" or not enough(LOWEST):
         return first
-    low, high, best = np.log(LOWEST), 0.0, stands(plant, made(LOWEST * height), bound)
-    if not best.status.ok:
-        return first
+    low, high = np.log(LOWEST), 0.0
     for _ in range(STEPS):
         middle = (low + high) / 2
-        trial = stands(plant, made(height * float(np.exp(middle))), bound)
-        low, high, best = (middle, high, trial) if trial.status.ok else (low, middle, best)
-    return best
+        low, high = (middle, high) if enough(float(np.exp(middle))) else (low, middle)
+    return stands(plant, made(height * float(np.exp(low))), bound)
