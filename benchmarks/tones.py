@@ -31,6 +31,7 @@ def identified(unit: str, seed: int) -> uq.StateSpace:
             u[k] = tones.generate(samples=u.shape[1], rate_hz=RATE_HZ, seed=seed + k)
             records.append(bench.run(u))
         part = uq.spectra.periodic_response(records, samples)
+        assert part.variance is not None
         above = part.f_hz > (parts[-1][0].max() if parts else 0.0)
         parts.append((part.f_hz[above], part.values[:, :, above], part.variance[:, :, above]))
     f, values, variance = (np.concatenate([p[i] for p in parts], axis=-1) for i in range(3))

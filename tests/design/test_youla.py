@@ -164,3 +164,16 @@ def test_delays_suit_tones_near_the_rate(rng):
 def test_memory_shorter_than_an_update_is_refused(seed):
     with pytest.raises(InputError, match="memory_s"):
         YoulaKucera(memory_s=1e-3).design(damped_plant(seed))
+
+
+def test_an_unstable_plant_is_held_and_its_tone_cancelled(rng):
+    plant = StateSpace([[1.01]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
+    law = YoulaKucera().design(plant).law
+    f, x, y = rng.uniform(20, 30), np.zeros(1), np.zeros(4000)
+    for k in range(y.size):
+        y[k] = (plant.C @ x)[0] + np.sin(2 * np.pi * f * k / 1000)
+        x = plant.A @ x + plant.B @ law.step(y[k : k + 1])
+    left = np.abs(y[-500:]).max()
+    print(f"{f:.1f} Hz, pole at 1.01: {-20 * np.log10(left):.1f} dB")
+    assert law.status.ok
+    assert left < 0.05

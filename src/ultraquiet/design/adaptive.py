@@ -1,11 +1,13 @@
 """What every adaptive law shares: a linear law inside, limits, and a watch that brings it to rest when it does harm."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._around import Inner
 from ultraquiet.linalg import balance
 from ultraquiet.values.state_space import StateSpace
@@ -143,6 +145,12 @@ class AdaptiveLaw:
         share = max(1.0 - self._fade / (RAMP_S * self._rate), 0.0)
         self._fade += 1
         return share * last
+
+
+def adapting(result: DesignResult, law: AdaptiveLaw) -> DesignResult:
+    """Return a result that holds a law that adapts beside the linear one it is at rest, and says so."""
+    told = f"Adaptive, to be run as `law`. While its parameters stand still: {result.status.sentence}"
+    return replace(result, law=law, status=Status(result.status.word, told))
 
 
 def contiguous(system: StateSpace) -> Matrices:

@@ -1,6 +1,6 @@
 """Adaptive feedforward cancellation of tones whose frequencies are unknown and move."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +13,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._around import Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design._verify import judged
-from ultraquiet.design.adaptive import AdaptiveLaw, contiguous, limits_v
+from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v
 from ultraquiet.design.tonal import SETTLED, facts, quiet_bank, resonators
 from ultraquiet.values.state_space import StateSpace
 
@@ -104,7 +104,7 @@ class AdaptiveFeedforward:
         if not result.status.ok or result.controller is None:
             return result
         law = FeedforwardLaw(self, inner, result.controller, tones, edges, speeds, limit)
-        return replace(result, law=law)
+        return adapting(result, law)
 
     def _edges(self, tones_hz: FloatArray, rate_hz: float) -> FloatArray:
         edges = np.stack([tones_hz * (1 - self.span), tones_hz * (1 + self.span)], axis=1)

@@ -1,6 +1,6 @@
 """Multi-error filtered-x LMS: feedforward from a reference that hears the disturbance before the errors do."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._around import Around, Inner, inner_loop
 from ultraquiet.design._verify import judged
-from ultraquiet.design.adaptive import AdaptiveLaw, contiguous, limits_v, without_faint_states
+from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
@@ -107,7 +107,7 @@ class FilteredXLms:
         if result.controller is None or not result.status.ok:
             return result
         law = FilteredXLaw(self, inner, model, (errors, references, drives), limit, result.controller)
-        return replace(result, law=law)
+        return adapting(result, law)
 
     def _channels(self, ny: int, nu: int) -> tuple[list[int], list[int], list[int]]:
         references = _indices("reference", self.reference, ny) or [ny - 1]

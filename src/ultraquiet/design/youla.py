@@ -1,6 +1,6 @@
 """Adaptive regulation in the Youla-Kucera form: a stabilising law stays, a stable Q on its innovations adapts."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._around import Around, Inner, checked_tones, inner_loop
 from ultraquiet.design._verify import judged
-from ultraquiet.design.adaptive import AdaptiveLaw, contiguous, limits_v, without_faint_states
+from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
@@ -105,7 +105,8 @@ class YoulaKucera:
         central: `lqg`, or `none`: the plant's own stability, K = 0.
         control_weight, sensor_noise: of `central_law`.
         update_every: samples between two steps of theta.
-        limit_v: largest |v| per actuator, volts.
+        limit_v: largest |v| per actuator, volts. A law that is brought to rest takes its state feedback along: a plant
+            that is unstable by itself should get its stabiliser as `around`.
         around: K0, a `StateSpace` or the name of a design method; Q then works on the loop that it closes.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
@@ -143,7 +144,7 @@ class YoulaKucera:
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the law of a discrete plant: `law` adapts, `controller` is the central law.
 
-        `details` holds the `central` form, the number of `parameters` and the `regressor_states`.
+        `details` holds the number of `parameters` and the `regressor_states`; `law.central` is the observer form.
 
         Raises:
             InputError: a tone outside (0, rate / 2), an unstable plant without a law around it, one that does not fit.
@@ -166,7 +167,6 @@ class YoulaKucera:
             return refused(f"{who}: {error}")
         regressors = without_faint_states(form.effect())
         details = {
-            "central": form,
             "parameters": filters[1].size * nu * ny,
             "regressor_states": regressors.states,
         }
@@ -174,7 +174,7 @@ class YoulaKucera:
         result = judged(plant, whole_law, self, float("nan"), float("nan"), {}, details)
         if result.status.ok and result.controller is not None:
             law = YoulaLaw(self, inner, form, regressors, filters, limit, result.controller)
-            return replace(result, law=law)
+            return adapting(result, law)
         return result
 
     def filters(self, rate_hz: float) -> tuple[FloatArray, FloatArray]:
@@ -200,7 +200,7 @@ class YoulaLaw(AdaptiveLaw):
     ) -> None:
         rate = inner.seen.rate_hz
         assert rate is not None
-        self._central, self._filters = central, filters
+        self.central, self._filters = central, filters
         self._seen, self._regress = contiguous(inner.seen), contiguous(regressors)
         self._gains = np.array(central.F, order="C"), np.array(central.L, order="C")
         forget = 1.0 - settings.update_every / (settings.memory_s * rate)
@@ -240,7 +240,7 @@ class YoulaLaw(AdaptiveLaw):
         m, nu, ny = self._theta.shape
         C = self._theta.transpose(1, 2, 0).reshape(nu, ny * m)
         Q = StateSpace(np.kron(np.eye(ny), A), np.kron(np.eye(ny), b[:, None]), C, np.zeros((nu, ny)), self._rate)
-        return self._inner.joined(self._central.controller(Q))
+        return self._inner.joined(self.central.controller(Q))
 
 
 def _resonances(tones_hz: FloatArray, zeta: float, rate_hz: float) -> tuple[FloatArray, FloatArray]:
