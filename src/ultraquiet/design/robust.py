@@ -8,6 +8,8 @@ import numpy as np
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
+from ultraquiet.linalg.modal_response import residues
+from ultraquiet.linalg.response import points
 from ultraquiet.values.interconnect import feedback, lft, series
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -72,13 +74,14 @@ def tallest(
     `law` gives the controller of a height alone, which is all that the search needs; `made` the whole result.
     """
     f = np.unique(np.concatenate([default_grid(plant), default_grid(bound)]))
+    z = points(f, plant.rate_hz)
     G, W = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, bound))
 
     def enough(share: float) -> bool:
         K = law(height * share)
         if K is None or not feedback(plant, K).is_stable():
             return False
-        L = G @ np.moveaxis(K.frequency_response(f), 2, 0)
+        L = G @ np.moveaxis(residues(K.A, K.B, K.C, K.D).at(z), 2, 0)
         T = np.linalg.solve(np.eye(L.shape[1]) - L, L)
         return float(np.linalg.norm(W @ T, 2, axis=(1, 2)).max()) < BETWEEN
 
