@@ -29,8 +29,8 @@ class Decoupled:
     """K = Tu diag(K1, K2, ...) Ty', each Ki designed for its own block of Ty' G Tu by any registered method.
 
     Args:
-        transform: `threefold` (six struts in three alike pairs: heave, yaw, one 2x2 used twice), `data` (orthonormal, from
-            the symmetric parts of G over the band, blocks as the data have them), `svd` (of the real part nearest
+        transform: `threefold` (six struts in three alike pairs: heave, yaw, one 2x2 used twice), `data` (orthonormal,
+            from the symmetric parts of G over the band, blocks as the data have them), `svd` (of the real part nearest
             to G in the middle of the band, all loops single), or a square orthonormal matrix, row by row.
         method: registered design for the blocks.
         settings: of that method, as a table.
@@ -79,7 +79,12 @@ class Decoupled:
             known = next((i for i, b in enumerate(blocks[: len(laws)]) if _same(H, b, block)), None)
             result = loops[known] if known is not None else self._method(part).design(part)
             if result.controller is None:
-                return refused(f"Decoupled: the loop of channels {block} has no controller: {result.status.sentence}")
+                return refused(
+                    f"Decoupled: the loop of channels {block} has no controller: {result.status.sentence}",
+                    transform=(Ty, Tu),
+                    blocks=blocks,
+                    residue=residue(H, blocks),
+                )
             laws.append(result.controller)
             loops.append(result)
         order = [i for b in blocks for i in b]

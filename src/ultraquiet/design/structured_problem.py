@@ -7,6 +7,7 @@ the peaks and closed-loop poles of what was found until no peak between its poin
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -139,7 +140,7 @@ class Problem:
         """Return P and the bounds at frequencies of the plane."""
         w = np.unique(w)
         w = w[np.concatenate([[True], np.diff(w) > SAME * w[1:]])]
-        R = np.moveaxis(self._terms.at(1j * w), 2, 0)
+        R = np.moveaxis(self._terms.at(_axis(w)), 2, 0)
         p, m = R.shape[1] - self.ny, R.shape[2] - self.nu
         f = self.plane.hz(w)
         bounds = tuple(np.ones(w.size) if r.bound is None else r.bound(f) for r in self.requirements)
@@ -264,12 +265,12 @@ class Problem:
                 rights.append(right[j] @ Vh[r].conj())
                 values.append((factor * s[r], k))
         w = S.w[np.array([k for _, k in values])]
-        slopes = self.layout.gradient(theta, 1j * w, np.array(lefts), np.array(rights)).real
+        slopes = self.layout.gradient(theta, _axis(w), np.array(lefts), np.array(rights)).real
         return np.array([v for v, _ in values]), slopes
 
     def _levels(self, theta: FloatArray, S: Samples) -> FloatArray:
         """Return gain over bound of each requirement at each point, exact where it may matter and a bound elsewhere."""
-        K = self.layout.response(theta, 1j * S.w)
+        K = self.layout.response(theta, _axis(S.w))
         KE = K @ np.linalg.inv(np.eye(self.ny) - S.P22 @ K)
         M = S.P11 + S.P12 @ (KE @ S.P21)
         out = np.zeros((len(self.requirements), S.w.size))
@@ -295,7 +296,8 @@ def abscissa(problem: Problem, theta: FloatArray) -> tuple[float, FloatArray]:
 
     A, B, C, D = problem.loop
     n = A.shape[0]
-    values, left, right = eig(problem.closed(theta), left=True, right=True)
+    found: Any = eig(problem.closed(theta), left=True, right=True)
+    values, left, right = found
     k = int(np.argmax(values.real))
     s = values[[k]]
     K = problem.layout.response(theta, s)[0]
@@ -322,6 +324,11 @@ def _chosen(levels: FloatArray, least: float, most: int) -> list[tuple[float, in
     tops = sorted(tops, reverse=True)[:most]
     every = max(1, -(-len(others) // max(most - len(tops), 1)))
     return tops + (others[::every] if most > len(tops) else [])
+
+
+def _axis(w: FloatArray) -> ComplexArray:
+    """Return points of the imaginary axis."""
+    return (1j * w).astype(np.complex128)
 
 
 def _tops(levels: FloatArray) -> np.ndarray:

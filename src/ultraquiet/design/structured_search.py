@@ -1,6 +1,8 @@
 """Minimising a maximum of peaks: BFGS with a weak Wolfe search, then steps on all peaks at once."""
 
 from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 
@@ -116,7 +118,8 @@ def minimax(problem: Problem, x: FloatArray, steps: int) -> tuple[FloatArray, fl
 
 def _model_step(values: FloatArray, slopes: FloatArray, mu: float) -> FloatArray:
     """Return argmin over d of max(values + slopes d) + mu max(values) |d|^2 / 2."""
-    import clarabel
+    # It ships no types; as a plain module it is what it says.
+    clarabel: Any = import_module("clarabel")
     from scipy import sparse
 
     m, n, top = values.size, slopes.shape[1], float(values.max())

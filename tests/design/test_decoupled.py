@@ -1,0 +1,88 @@
+"""Decoupled designs against the full one: small, and as good where the symmetry holds."""
+
+import numpy as np
+import pytest
+from named_plants import bench_like, sensitivity_db
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+from ultraquiet.design import BandAttenuation, Decoupled, threefold
+from ultraquiet.values.interconnect import append, gain, series
+
+
+@pytest.fixture(scope="module")
+def ground():
+    return uq.bench.Hexapod(unit="ground").linear_model()
+
+
+@pytest.mark.parametrize("unit", ["ground", "flight"])
+def test_threefold_splits_the_hexapod(unit):
+    plant = uq.bench.Hexapod(unit=unit).linear_model()
+    T = threefold()
+    H = np.einsum("ji,jkf,kl->ilf", T, plant.frequency_response(np.geomspace(5, 300, 40)), T)
+    inside = np.zeros((6, 6), dtype=bool)
+    for block in ([0], [1], [2, 3], [4, 5]):
+        inside[np.ix_(block, block)] = True
+    left = np.abs(H[~inside]).max() / np.abs(H).max()
+    twice = np.abs(H[2:4, 2:4] - H[4:6, 4:6]).max() / np.abs(H).max()
+    print(f"{unit}: outside the blocks {left:.1e}, between the two 2x2 {twice:.1e}")
+    assert left < 1e-9
+    assert twice < 1e-9
+
+
+@pytest.mark.parametrize("transform", ["threefold", "data"])
+def test_decoupled_is_a_check_on_the_full_design(ground, transform):
+    small = Decoupled(transform=transform).design(ground)
+    full = BandAttenuation().design(ground)
+    band = np.geomspace(10, 100, 300)
+    worst = [-sensitivity_db(ground, r.controller, band).max() for r in (small, full)]
+    print(
+        f"{transform}: {worst[0]:.2f} dB at {small.peak_sensitivity_db:.2f} dB of peak, gamma {small.gamma:.4f}; full "
+        f"{worst[1]:.2f} dB at {full.peak_sensitivity_db:.2f} dB, gamma {full.gamma:.4f}"
+    )
+    assert small.status.ok, small.status
+    assert small.details["residue"] < 1e-6
+    # the norm of the whole is the greatest of the blocks
+    assert small.gamma == pytest.approx(full.gamma, rel=0.01)
+    assert worst[0] == pytest.approx(worst[1], abs=1.0)
+    assert small.details["attenuation_db"] == pytest.approx(worst[0], abs=0.05)
+
+
+def test_equal_blocks_share_their_law(ground):
+    result = Decoupled(transform="threefold").design(ground)
+    loops = result.details["loops"]
+    assert loops[2] is loops[3]
+
+
+def test_a_hidden_transform_is_found(rng):
+    T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    from ultraquiet.values import StateSpace
+
+    parts = [
+        StateSpace([[a]], [[1 - a]], [[g]], [[0.0]], rate_hz=3500.0) for a, g in ((0.9, 1.0), (0.95, 3.0), (0.8, 0.3))
+    ]
+    plant = series(series(gain(T.T, 3500.0), append(*parts)), gain(T, 3500.0))
+    result = Decoupled().design(plant)
+    print(f"residue {result.details['residue']:.1e}, blocks {result.details['blocks']}")
+    assert result.status.ok, result.status
+    assert len(result.details["blocks"]) == 3
+    assert result.details["residue"] < 1e-6
+
+
+def test_residue_tells_when_no_transform_fits(rng):
+    result = Decoupled(transform="svd").design(bench_like(rng, 6))
+    print(f"a plant without symmetry: residue {result.details['residue']:.2f}, {result.status}")
+    assert result.details["residue"] > 0.05
+
+
+def test_other_methods_and_bad_input(ground):
+    result = Decoupled(transform="threefold", method="lqg").design(ground)
+    assert result.status.ok, result.status
+    with pytest.raises(InputError, match="six struts"):
+        Decoupled(transform="threefold").design(append(*[BandAttenuation().weights(ground)["performance"]] * 2))
+    with pytest.raises(InputError, match="orthonormal"):
+        Decoupled(transform=((1.0, 1.0), (0.0, 1.0))).design(ground)
+    with pytest.raises(InputError, match="no setting 'wrong'"):
+        Decoupled(settings={"wrong": 1.0}).design(ground)
+    with pytest.raises(InputError, match="Nyquist"):
+        Decoupled(band_hz=(10.0, 3000.0)).design(ground)
