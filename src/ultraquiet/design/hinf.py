@@ -23,7 +23,7 @@ from ultraquiet.values.status import Status
 FINEST = 1e-5  # relative width of the bracket around the optimum
 COARSENESS = 0.05  # the bracket is this share of the margin wide: a controller at 1.05 needs no optimum to six digits
 # Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
-BACK_OFF = (1.0, 1.0005, 1.005, 1.05, 1.2, 2.0)
+BACK_OFF = (1.0, 1.0005, 1.002, 1.005, 1.02, 1.05, 1.1, 1.2, 2.0)
 FASTEST = 1e12  # stands for infinite frequency, in units of the plant's own speed
 SMALL = 40  # states up to which the second opinion comes without asking
 LEAST = 0.5  # of the optimum: lowest level the second opinion is asked about
@@ -97,7 +97,8 @@ def synthesize_hinf(
         factors = [margin * f for f in BACK_OFF] if gamma is None else [1.0]
         result = _form(P, plant, bracket, ny, nu, factors)
         wanted = P.states <= SMALL if second_opinion is None else second_opinion
-        return _seconded(P, result, bracket) if wanted and gamma is None and result.status.ok else result
+        compared = wanted and gamma is None and result.status.ok and not bracket.is_zero
+        return _seconded(P, result, bracket) if compared else result
     except NumericalError as error:
         return refused(str(error))
 
@@ -152,7 +153,8 @@ def _verified(
         return refused(f"the loop at level {level.gamma:.6g} is unstable")
     achieved, f_hz = hinf_norm(loop)
     gamma = _own_norm(plant, M, _normalised_frequency(plant, f_hz, P.rate_hz))
-    if not (abs(achieved - gamma) <= AGREEMENT * achieved and achieved <= level.gamma * (1 + AGREEMENT)):
+    apart = abs(achieved - gamma)
+    if not (apart <= AGREEMENT * max(achieved, found.nought) and achieved <= level.gamma * (1 + AGREEMENT)):
         return refused(f"reported {gamma:.6g}, achieved {achieved:.6g} at level {level.gamma:.6g}")
     details = {
         "bound": level.gamma,

@@ -6,12 +6,13 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.design.hinf_kernel import with_direct_term
+from ultraquiet.design.hinf_kernel import INDEFINITE, ROUND_OFF, with_direct_term
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import Riccati, discrete_riccati
 from ultraquiet.linalg.ordered import Array, Matrices
 
-INDEFINITE = 1e-7  # X may be this share of its largest eigenvalue below zero
+EPSILON = 1e-14  # relative error of a product, times which the condition tells the round-off of a solution
+REGULAR = 1e9  # condition of R up to which what a cross term leaves of the cost is told from round-off
 
 
 class Game(NamedTuple):
@@ -95,13 +96,19 @@ def _solved(g: Game, name: str) -> Riccati:
     Raises:
         NumericalError: no stabilising solution, or an indefinite one.
     """
-    B, R, S = _cost(g)
+    A, (B, R, S), Q = g.A, _cost(g), g.C1.T @ g.C1
+    spread = float(np.linalg.cond(R))
+    if spread < REGULAR:
+        RS = np.linalg.solve(R, S.T)
+        if np.linalg.norm(Q - S @ RS) <= max(ROUND_OFF, EPSILON * spread) * np.linalg.norm(Q):
+            # the whole cost can be met; what is left of it is round-off, of which X would be made
+            A, Q, S = A - B @ RS, np.zeros_like(Q), np.zeros_like(S)
     try:
-        found = discrete_riccati(g.A, B, g.C1.T @ g.C1, R, S)
+        found = discrete_riccati(A, B, Q, R, S)
     except NumericalError as error:
         raise NumericalError(f"{name}: {error}") from None
     values = np.linalg.eigvalsh(found.X) if found.X.size else np.zeros(1)
-    if values[0] < -INDEFINITE * max(values[-1], np.finfo(float).tiny):
+    if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(g.C1**2)):
         raise NumericalError(f"{name}: its solution is indefinite, smallest eigenvalue {values[0]:.2e}")
     return found
 

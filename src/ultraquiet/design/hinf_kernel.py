@@ -102,15 +102,16 @@ def attempt(plant: Plant, gamma: float, filter_first: bool = False) -> Level:
     none = np.zeros((0, 0))
     found, residuals, reason = {"X": none, "Y": none}, {"X": np.inf, "Y": np.inf}, ""
     for name in ("Y", "X") if filter_first else ("X", "Y"):
+        A, G, Q = equation(plant, gamma, name)
         try:
-            solution = continuous_riccati(*equation(plant, gamma, name))
+            solution = continuous_riccati(A, G, Q)
         except (NumericalError, LinAlgError) as error:
             reason = f"{EQUATIONS[name]} equation {name}: {error}"
             break
         found[name], residuals[name] = solution.X, solution.residual
         values = np.linalg.eigvalsh(solution.X) if plant.A.size else np.zeros(1)
-        source = plant.C1 if name == "X" else plant.B1
-        if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(source**2)):
+        natural = np.linalg.norm(A) / max(np.linalg.norm(G), np.finfo(float).tiny)  # size of X where Q is zero
+        if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * natural):
             reason = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {values[0]:.2e}"
             break
     X, Y = found["X"], found["Y"]
@@ -126,8 +127,7 @@ def central(plant: Plant, level: Level) -> Matrices:
     m1, m2, p1, p2 = plant.sizes
     g2 = level.gamma**2
     B, D11 = np.hstack([plant.B1, plant.B2]), plant.D11
-    F = _feedback_gain(plant, level)
-    L = _injection_gain(plant, level)
+    F, L = _side(plant, "X").gain(level.gamma, level.X), _side(plant, "Y").gain(level.gamma, level.Y).T
     a, b = p1 - m2, m1 - p2
     D1111, D1112, D1121, D1122 = D11[:a, :b], D11[:a, b:], D11[a:, :b], D11[a:, b:]
     left = np.linalg.solve(g2 * np.eye(a) - D1111 @ D1111.T, D1112)
@@ -187,54 +187,50 @@ def with_direct_term(M: Matrices, D22: Array) -> Matrices:
     return state[:, :n], state[:, n:], CD[:, :n], CD[:, n:]
 
 
+class _Side(NamedTuple):
+    """One equation's data with u = v - Cb x - Db w, which leaves the cost |Ca x + Da w|^2 + |v|^2 - gamma^2 |w|^2.
+
+    Written so, nothing cancels: R = [Da'Da - gamma^2, 0; 0, I] instead of a matrix whose inverse loses gamma^2 beside
+    D11'D11, and Q is zero where every cost can be met.
+    """
+
+    A: Array
+    B1: Array
+    B2: Array
+    Ca: Array
+    Cb: Array
+    Da: Array
+    Db: Array
+
+    def inner(self, gamma: float) -> Array:
+        """Return gamma^2 - Da'Da."""
+        return gamma**2 * np.eye(self.Da.shape[1]) - self.Da.T @ self.Da
+
+    def gain(self, gamma: float, X: Array) -> Array:
+        """Return F with (w; u) = F x, the worst disturbance and the best control."""
+        w = np.linalg.solve(self.inner(gamma), self.Da.T @ self.Ca + self.B1.T @ X)
+        return np.vstack([w, -self.B2.T @ X - self.Cb - self.Db @ w])
+
+
+def _side(plant: Plant, name: str) -> _Side:
+    """Return the data of X, or those of Y: the same with everything transposed."""
+    A, B1, B2, C1, D11 = plant.A, plant.B1, plant.B2, plant.C1, plant.D11
+    if name == "Y":
+        A, B1, B2, C1, D11 = A.T, C1.T, plant.C2.T, B1.T, D11.T
+    rows = C1.shape[0] - B2.shape[1]
+    Ca, Cb, Da, Db = C1[:rows], C1[rows:], D11[:rows], D11[rows:]
+    return _Side(A - B2 @ Cb, B1 - B2 @ Db, B2, Ca, Cb, Da, Db)
+
+
 def equation(plant: Plant, gamma: float, name: str) -> tuple[Array, Array, Array]:
     """Return A, G, Q of the equation A'X + X A - X G X + Q = 0 for X, or of its dual for Y."""
-    if name == "X":
-        D, outer = _row(plant), plant.B1.shape[1]
-        return _terms(plant.A, np.hstack([plant.B1, plant.B2]), plant.C1, D, outer, gamma)
-    D, outer = _column(plant).T, plant.C1.shape[0]
-    return _terms(plant.A.T, np.vstack([plant.C1, plant.C2]).T, plant.B1.T, D, outer, gamma)
-
-
-def _terms(A: Array, B: Array, C: Array, D: Array, outer: int, gamma: float) -> tuple[Array, Array, Array]:
-    """Return the terms for the cost |C x + D v|^2 - gamma^2 |w|^2, w the first `outer` entries of v."""
-    n = A.shape[0]
-    R = D.T @ D
-    R[:outer, :outer] -= gamma**2 * np.eye(outer)
-    solved = np.linalg.solve(R, np.hstack([D.T @ C, B.T]))
-    RDC, RB = solved[:, :n], solved[:, n:]
-    G, Q = B @ RB, C.T @ (C - D @ RDC)
-    if np.linalg.norm(Q) <= ROUND_OFF * np.sum(C**2):
+    side = _side(plant, name)
+    cross, n = side.Da.T @ side.Ca, side.A.shape[0]
+    solved = np.linalg.solve(side.inner(gamma), np.hstack([cross, side.B1.T]))
+    G, Q = side.B2 @ side.B2.T - side.B1 @ solved[:, n:], side.Ca.T @ side.Ca + cross.T @ solved[:, :n]
+    if np.linalg.norm(Q) <= ROUND_OFF * (np.sum(side.Cb**2) + np.linalg.norm(Q)):
         Q = np.zeros_like(Q)  # the whole cost can be met: the X or Y of a mixed-sensitivity problem is zero
-    return A - B @ RDC, (G + G.T) / 2, (Q + Q.T) / 2
-
-
-def _feedback_gain(plant: Plant, level: Level) -> Array:
-    m1 = plant.B1.shape[1]
-    D = _row(plant)
-    R = D.T @ D
-    R[:m1, :m1] -= level.gamma**2 * np.eye(m1)
-    B = np.hstack([plant.B1, plant.B2])
-    return -np.linalg.solve(R, D.T @ plant.C1 + B.T @ level.X)
-
-
-def _injection_gain(plant: Plant, level: Level) -> Array:
-    p1 = plant.C1.shape[0]
-    D = _column(plant)
-    R = D @ D.T
-    R[:p1, :p1] -= level.gamma**2 * np.eye(p1)
-    C = np.vstack([plant.C1, plant.C2])
-    return -np.linalg.solve(R, D @ plant.B1.T + C @ level.Y).T
-
-
-def _row(plant: Plant) -> Array:
-    """Return [D11 D12] with D12 = [0; I]."""
-    return np.hstack([plant.D11, direct_terms(plant)[0]])
-
-
-def _column(plant: Plant) -> Array:
-    """Return [D11; D21] with D21 = [0 I]."""
-    return np.vstack([plant.D11, direct_terms(plant)[1]])
+    return side.A + side.B1 @ solved[:, :n], (G + G.T) / 2, (Q + Q.T) / 2
 
 
 def _unit(D: Array, block: str, what: str) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from ultraquiet.linalg.ordered import Array
 
 LARGEST = 1e12  # times the first level: above it the assumptions of the theory must be violated
 SMALLEST = 1e-9  # of the sizes of the blocks: an optimum below it is zero
+BLUR = 1e3  # times the smallest level that counts: where round-off of gamma^2 decides what is solved
 PROBES = 60
 GROWTH = (1.25, 1.6, 2.5, 10.0)  # factors from one level that fails to the next try, the last one repeated
 NEAREST = 4  # levels around the optimum whose measures are looked at
@@ -24,7 +25,8 @@ OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds 
 class Bracket(NamedTuple):
     """The best level solved, a level below it that fails, why that one does, and how many levels were tried.
 
-    `certain` is the part of `below` that frequency responses alone prove: no controller gets under it.
+    `certain` is the part of `below` that frequency responses alone prove: no controller gets under it. Levels up to
+    `nought` count as zero.
     """
 
     best: kernel.Level
@@ -32,6 +34,12 @@ class Bracket(NamedTuple):
     reason: str
     probes: int
     certain: float
+    nought: float
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the optimum is zero but for round-off."""
+        return self.certain <= self.nought and self.best.gamma <= BLUR * self.nought
 
 
 def search(plant: kernel.Plant, tolerance: float) -> Bracket:
@@ -42,18 +50,18 @@ def search(plant: kernel.Plant, tolerance: float) -> Bracket:
     largest of the roots that secants promise is tried next.
     """
     certain = max(kernel.floor(plant), lower_bound(plant).level)
-    size = _size(plant)
+    nought = SMALLEST * _size(plant)
     low, reason = certain, OUT_OF_REACH
-    best, tried = _first(plant, max(certain * (1 + tolerance), SMALLEST * size))
+    best, tried = _first(plant, max(certain * (1 + tolerance), nought))
     failed = [t for t in tried if t.reason]
     if failed:
         low, reason = failed[-1].gamma, failed[-1].reason
-    widths = [best.gamma / max(low, SMALLEST * size)]
+    widths = [best.gamma / max(low, nought)]
     while not best.reason and best.gamma > low * (1 + tolerance) and len(tried) < PROBES:
-        if best.gamma <= SMALLEST * size * (1 + tolerance):
+        if best.gamma <= nought * (1 + tolerance):
             break
         level = kernel.attempt(
-            plant, _next(tried, max(low, SMALLEST * size), best.gamma, tolerance, widths), reason.startswith("filter")
+            plant, _next(tried, max(low, nought), best.gamma, tolerance, widths), reason.startswith("filter")
         )
         tried.append(level)
         if level.reason:
@@ -61,18 +69,18 @@ def search(plant: kernel.Plant, tolerance: float) -> Bracket:
             tolerance = max(tolerance, BLURRED) if not (level.X.size or level.Y.size) else tolerance
         else:
             best = level
-        widths.append(best.gamma / max(low, SMALLEST * size))
-    return Bracket(best, low, reason, len(tried), certain)
+        widths.append(best.gamma / max(low, nought))
+    return Bracket(best, low, reason, len(tried), certain, nought)
 
 
 def given(plant: kernel.Plant, gamma: float) -> Bracket:
     """Try one level."""
-    certain = max(kernel.floor(plant), lower_bound(plant).level)
+    certain, nought = max(kernel.floor(plant), lower_bound(plant).level), SMALLEST * _size(plant)
     if gamma <= certain:
         none = np.zeros((0, 0))
         reason = f"at one frequency no controller gets below {certain:.6g}"
-        return Bracket(kernel.Level(gamma, none, none, reason=reason), gamma, "", 0, certain)
-    return Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1, certain)
+        return Bracket(kernel.Level(gamma, none, none, reason=reason), gamma, "", 0, certain, nought)
+    return Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1, certain, nought)
 
 
 def _first(plant: kernel.Plant, start: float) -> tuple[kernel.Level, list[kernel.Level]]:
