@@ -136,7 +136,11 @@ class Lqg:
             said = f"the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}."
             return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
         K = core if parts.loop is None else series(parts.loop, core)
-        if not feedback(K, plant).is_stable():
+        try:
+            firm = feedback(K, plant).is_stable()
+        except InputError as error:
+            return refused(f"Lqg: {error}{_advice(P, ny, nu)}")
+        if not firm:
             said = "the loop hangs on rounding errors: stable where it is closed at the outputs, not at the inputs."
             return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
         recovered = recovery(self.recovery_at, even, parts.loop, core, P, found)

@@ -52,7 +52,7 @@ def refusal(time: str, n: int, found: Riccati | None) -> NumericalError:
     elif not found.margin > 0:
         said = f"the solution found does not stabilise (margin {found.margin:.2e}); a mode cannot be moved."
     else:
-        said = f"the relative residual {found.residual:.1e} is above {ACCEPTED_RESIDUAL:.0e}; scale the problem."
+        said = f"the relative residual of the best solution, {found.residual:.1e}, is too large; scale the problem."
     return NumericalError(f"{who}: {said}")
 
 

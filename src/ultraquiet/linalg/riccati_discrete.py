@@ -22,6 +22,9 @@ from ultraquiet.linalg.riccati import (
     without_descriptor,
 )
 
+# What double precision leaves of ill-conditioned equations once every rung has tried: stated with the solution, and
+# every design is judged besides by the cost that its finished loop has.
+TOLERATED_RESIDUAL = 1e-6
 ILL = 1e12  # condition of R above which its inverse is not used to find a scale
 
 
@@ -60,7 +63,8 @@ def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = N
 
     The ladder: structure-preserving doubling, then SciPy's QZ of the extended pencil, each polished by Newton steps,
     then Newton's method (Hewer 1971) from whatever stabilises: the best of the rungs above, or nothing at all when A is
-    stable. What a rung returns is accepted only for its residual and its stability, both computed here.
+    stable. What a rung returns is accepted only for its residual and its stability, both computed here; the residual
+    that the last one is left with may be larger than the first ones'.
 
     Raises:
         NumericalError: E is singular, or no rung gave a stabilising solution.
@@ -96,7 +100,7 @@ def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
 def _solved(terms: _Terms) -> Riccati:
     d = _scale(terms)
     found = _ladder(terms.scaled(d))
-    if found is None or not found.accepted:
+    if found is None or not (found.margin > 0 and found.residual <= TOLERATED_RESIDUAL):
         raise refusal("discrete", terms.A.shape[0], found)
     return found._replace(X=found.X / np.outer(d, d))
 
