@@ -151,7 +151,7 @@ def threefold() -> FloatArray:
         np.kron(np.cos(angle), both),
         np.kron(np.sin(angle), apart),
         np.kron(np.sin(angle), both),
-        -np.kron(np.cos(angle), apart),
+        np.kron(-np.cos(angle), apart),
     ]
     return np.column_stack([c / np.linalg.norm(c) for c in columns])
 

@@ -1,6 +1,7 @@
 """Independent modal-space control: damping asked for each mode of the plant's own modal form."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -105,7 +106,8 @@ class Modal:
 
 def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> FloatArray:
     """Return F that moves one complex pair of A + B F to a target and leaves all else."""
-    values, left = np.linalg.eig(A.T)
+    found: Any = np.linalg.eig(A.T)
+    values, left = found
     k = int(np.argmin(np.abs(values - pole)))
     W = np.vstack([left[:, k].real, left[:, k].imag])
     re, im = values[k].real, values[k].imag
@@ -118,4 +120,4 @@ def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> Floa
         raise NumericalError(f"the mode at z = {pole:.4g} is not driven by any actuator.")
     wanted = block @ block - 2 * target.real * block + abs(target) ** 2 * np.eye(2)
     f = -np.linalg.solve(reach.T, np.array([0.0, 1.0])) @ wanted  # Ackermann
-    return np.outer(d, f @ W)
+    return np.asarray(np.outer(d, f @ W), dtype=np.float64)

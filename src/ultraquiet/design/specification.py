@@ -171,7 +171,7 @@ class Specification:
         ends = [] if self.roll_off_hz is None else [self.roll_off_hz]
         return np.array([*np.geomspace(low, high, 60), low, high, *self.tones_hz, *ends])
 
-    def weighted(self, order: int = 8, **settings: float) -> BandAttenuation:
+    def weighted(self, order: int = 8) -> BandAttenuation:
         """Return the same wish as rational weights for an H-infinity design, W1 S, W2 K S, W3 T."""
         low, high = self.band_hz
         peak = 10 ** (self.peak_db / 20)
@@ -182,7 +182,6 @@ class Specification:
             order=order,
             control_limit=self.control_limit / FLOOR,
             tones_hz=self.tones_hz,
-            **settings,
         )
 
     @staticmethod
@@ -216,4 +215,5 @@ def specified(value: "Specification | Mapping[str, Any] | None") -> Specificatio
     unknown = [k for k in value if k not in known]
     if unknown:
         raise InputError(f"Specification: there is no setting '{unknown[0]}', only {', '.join(known)}.")
-    return Specification(**{k: tuple(v) if isinstance(v, list) else v for k, v in value.items()})
+    settings: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in value.items()}
+    return Specification(**settings)

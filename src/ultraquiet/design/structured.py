@@ -225,7 +225,10 @@ def _first_on_part(part: StateSpace, law: StateSpace | None, states: int, wanted
                     best, level = Start(one_element(element), theta), reached
             else:
                 element, theta = _reduced(plane.from_plane(element.system(theta)), left - 2, plane, part.D.shape)
-    return best or Start(one_element(element), theta)
+    if best is None:
+        element, theta = _reduced(law, states, plane, part.D.shape)
+        best = Start(one_element(element), theta)
+    return best
 
 
 def _reduced(law: StateSpace | None, states: int, plane: Plane, shape: tuple[int, int]) -> tuple[Element, FloatArray]:

@@ -151,7 +151,7 @@ class Problem:
         before = self.level(theta, self.samples)
         w = self.samples.w
         between = np.sqrt(w[1:-2] * w[2:-1])
-        found = np.linalg.eigvals(self.closed(theta))
+        found = self._poles(theta)
         own = np.concatenate([np.abs(found.imag), np.abs(found)])
         near = (np.abs(found.imag[:, None]) + np.abs(found.real[:, None]) * np.linspace(-1, 1, 5)).ravel()
         extra = np.concatenate([between, own, near])
@@ -193,18 +193,21 @@ class Problem:
             level = self.level(theta)
             if level >= ceiling:
                 return level
-            poles = np.linalg.eigvals(self.closed(theta))
+            poles = self._poles(theta)
             return max(level, self._between(theta, poles, level)) if self._stable(theta, poles) < 0 else np.inf
         except np.linalg.LinAlgError:
             return np.inf
 
     def stability(self, theta: FloatArray) -> float:
         """Return the largest real part of the loop's poles, and of the law's own where these count, over their size."""
-        return self._stable(theta, np.linalg.eigvals(self.closed(theta)))
+        return self._stable(theta, self._poles(theta))
 
     def _stable(self, theta: FloatArray, poles: ComplexArray) -> float:
         worst = float(np.max(poles.real / (np.abs(poles) + SAME), initial=-1.0)) + MARGIN
         return max(worst, self.layout.abscissa(theta) + MARGIN) if self.stable_law else worst
+
+    def _poles(self, theta: FloatArray) -> ComplexArray:
+        return np.linalg.eigvals(self.closed(theta)).astype(np.complex128)
 
     def _between(self, theta: FloatArray, poles: ComplexArray, level: float) -> float:
         """Return the level at resonances of the loop, and keep those points of the grid where it hid a peak."""
@@ -249,7 +252,7 @@ class Problem:
         top = levels.max()
         found = _chosen(levels, (1 - share) * top, most)
         at = np.array([k for _, _, k in found])
-        K = self.layout.response(theta, 1j * S.w[at])
+        K = self.layout.response(theta, _axis(S.w[at]))
         loop = np.linalg.inv(np.eye(self.ny) - S.P22[at] @ K)
         right, left = loop @ S.P21[at], S.P12[at] @ (np.eye(self.nu) + K @ loop @ S.P22[at])
         M = S.P11[at] + left @ K @ S.P21[at]
