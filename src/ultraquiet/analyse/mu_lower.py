@@ -166,8 +166,10 @@ def _turned_real(M: Array, blocks: Structure, Q: Array) -> Array:
         top = np.take_along_axis(values, k[:, None], axis=1)[:, 0]
         b = np.take_along_axis(right, k[:, None, None], axis=2)[:, :, 0]
         w = _left_vector(right, k).conj()
-        slope = np.einsum("fi,fij,fj->f", w, 1j * (free * Q) @ behind, b) / np.einsum("fi,fi->f", w, b)
-        moving = np.abs(slope.imag) > REAL * np.abs(top)
+        along = np.einsum("fi,fi->f", w, b)
+        usable = np.abs(along) > TINY
+        slope = np.einsum("fi,fij,fj->f", w, 1j * (free * Q) @ behind, b) / np.where(usable, along, 1.0)
+        moving = usable & (np.abs(slope.imag) > REAL * np.abs(top))
         angle = np.where(moving, -np.imag(top) / np.where(moving, slope.imag, 1.0), 0.0)
         Q = np.where(free > 0, Q * np.exp(1j * np.clip(angle, -1.0, 1.0))[:, None, None], Q)
     return Q.reshape(nf, starts, nw, nz)
@@ -197,9 +199,6 @@ def _polished(M: Array, blocks: Structure, size: Array, Q: Array) -> tuple[Array
 
 
 def _left_vector(right: Array, k: Array) -> Array:
-    """Return the left eigenvector of column k: row k of the inverse, conjugated."""
-    n = right.shape[1]
-    unit = np.zeros((right.shape[0], n, 1), dtype=np.complex128)
-    unit[np.arange(right.shape[0]), k] = 1.0
-    ridge = np.finfo(float).eps * np.eye(n)
-    return np.linalg.solve(right.conj().swapaxes(1, 2) + ridge, unit)[:, :, 0]
+    """Return the left eigenvector of column k: row k of the inverse, conjugated; the pseudo-inverse where defective."""
+    inverse = np.linalg.pinv(right)
+    return np.take_along_axis(inverse, k[:, None, None], axis=1)[:, 0].conj()

@@ -158,18 +158,34 @@ def _centres(M: Array, basis: _Basis) -> tuple[Array, Array, Array, Array]:
     for _ in range(ROUNDS):
         if not left.size:
             break
-        y[left] = _centred(F[left], basis, t[left], y[left])
-        found = _eigenvalue(F[left], basis, y[left])
+        y[left], found = _next(F[left], basis, t[left], y[left])
         better = found < best[left]
         gained = best[left] - found
         stalled[left] = np.where(gained > TOLERANCE * np.abs(best[left]), 0, stalled[left] + 1)
         best[left], kept[left] = np.where(better, found, best[left]), np.where(better[:, None], y[left], kept[left])
-        t[left] = found + LOWERED * np.maximum(t[left] - found, 0.0)
-        near = (t[left] - found) < TOLERANCE * 1e-2 * np.abs(found)
-        left = left[(stalled[left] < STALLED) & ~near]
+        t[left] = np.where(np.isfinite(found), found + LOWERED * np.maximum(t[left] - found, 0.0), t[left])
+        near = np.isfinite(found) & (t[left] - found < TOLERANCE * 1e-2 * np.abs(best[left]))
+        left = left[(stalled[left] < STALLED) & ~near & np.isfinite(found)]
     return best, *(
         np.einsum("fp,pab->fab", kept, D, optimize=True) for D in (basis.out, basis.into, basis.G @ basis.join)
     )
+
+
+def _next(F: Array, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
+    """Return the centres and the largest eigenvalues there; infinity where rounding ends the search.
+
+    LAPACK refuses a whole stack for one matrix on the edge of its cone: the stack is halved until that one is alone.
+    What it had reached before stands.
+    """
+    try:
+        centre = _centred(F, basis, t, y)
+        return centre, _eigenvalue(F, basis, centre)
+    except np.linalg.LinAlgError:
+        if len(y) == 1:
+            return y, np.array([np.inf])
+    half = len(y) // 2
+    parts = [_next(F[k], basis, t[k], y[k]) for k in (slice(None, half), slice(half, None))]
+    return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
 def _eigenvalue(F: Array, basis: _Basis, y: Array) -> Array:
