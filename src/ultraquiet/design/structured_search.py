@@ -12,6 +12,7 @@ from ultraquiet.design.structured_problem import Problem, abscissa
 # weak Wolfe: sufficient decrease, sufficient increase of the slope (Lewis and Overton 2013)
 DECREASE, CURVATURE = 1e-4, 0.5
 BISECTIONS = 30
+FARTHEST = 1e6  # size of parameters beyond which a search has run away
 STAGNANT = 1e-5  # relative decrease over PATIENCE steps below which BFGS hands over
 SLOW = 1e-4  # the same for steps on all peaks
 PATIENCE = 8
@@ -50,7 +51,7 @@ def bfgs(
         t, x, f, new = found
         s, y = t * d, new - g
         g, sy = new, float(s @ y)
-        if sy > 0:
+        if sy > 1e-12 * float(np.linalg.norm(s) * np.linalg.norm(y)) > 0:
             if step == 0:
                 H = np.eye(x.size) * sy / float(y @ y)
             V = np.eye(x.size) - np.outer(s, y) / sy
@@ -77,6 +78,8 @@ def _wolfe(
                 return kept
             low = t
         t = (low + high) / 2 if np.isfinite(high) else 2 * t
+        if np.linalg.norm(x + t * d) > FARTHEST:
+            return kept
         if kept is not None and high - low < 1e-3 * high:
             return kept
     return kept
