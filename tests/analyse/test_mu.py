@@ -236,7 +236,7 @@ def test_what_does_not_fit_is_refused():
 
 @pytest.mark.parametrize("blocks", [None, [2, 2, 2], [Block(2, kind="repeated"), Block(2, kind="real"), 2]])
 def test_no_matrix_is_too_crooked(blocks, rng):
-    """Sizes over sixteen decades and missing paths, many lines at once: bounds, whatever one line does to the others."""
+    """Sizes over sixteen decades and missing paths: bounds at every line, whatever one does to the others."""
     M = drawn(rng, 20) * 10.0 ** rng.uniform(-8, 8, (6, 6, 20)) * (rng.uniform(size=(6, 6, 20)) < 0.4)
     found = mu_bounds(M, blocks)
     assert np.isfinite(found.upper).all()
