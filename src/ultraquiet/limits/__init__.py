@@ -6,6 +6,7 @@ May be changed here: the limits that are computed and how. Nothing here designs 
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import DirectionLimit, by_direction
 from ultraquiet.limits.convex import best_flat_attenuation
+from ultraquiet.limits.directions import principal as principal_directions
 from ultraquiet.limits.distance import Distance, distance
 from ultraquiet.limits.integrals import Integral, bode_integral, poisson_integral
 from ultraquiet.limits.waterbed import waterbed_peak
@@ -20,5 +21,6 @@ __all__ = [
     "by_direction",
     "distance",
     "poisson_integral",
+    "principal_directions",
     "waterbed_peak",
 ]

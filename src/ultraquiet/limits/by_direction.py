@@ -98,6 +98,6 @@ def one_direction(
 
 def _unit(directions: ArrayLike, channels: int) -> FloatArray:
     V = real_array(WHO, "directions", directions, 2)
-    if V.shape[0] != channels or np.abs(np.sum(V * V, axis=0) - 1).max(initial=1.0) > ORTHONORMAL:
+    if V.shape[0] != channels or np.abs(np.sum(V * V, axis=0) - 1).max(initial=0.0) > ORTHONORMAL:
         raise InputError(f"{WHO}: 'directions' must be ({channels}, k) with columns of length one, got {V.shape}.")
     return V

@@ -8,6 +8,8 @@ from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.half_plane import half_plane
 from ultraquiet.limits.loops import Lines
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.modal_response import residues
+from ultraquiet.linalg.response import points
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.state_space import StateSpace
 
@@ -61,8 +63,9 @@ class AllActuators:
     def __init__(self, plant: StateSpace, v: FloatArray, circle: Circle) -> None:
         self._circle = circle
         self._angles = np.linspace(0, np.pi, CIRCLE + 1)
-        row = v @ np.moveaxis(plant.frequency_response(circle.frequencies(self._angles)), 2, 0)
-        size = np.linalg.norm(row, axis=1)
+        terms = residues(plant.A, plant.B, v[None, :] @ plant.C, v[None, :] @ plant.D)
+        row = terms.at(points(circle.frequencies(self._angles), plant.rate_hz))
+        size = np.linalg.norm(row[0], axis=0)
         self._log = np.log(np.maximum(size, NO_ANSWER * size.max()))
         self._phase = np.unwrap(np.angle(outer(np.exp(self._log))[: CIRCLE + 1]))
         self._zeros, self._delay = _common(plant, v)

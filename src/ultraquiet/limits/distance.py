@@ -19,6 +19,7 @@ from ultraquiet.values.status import Status
 
 WHO = "distance"
 BAND_POINTS = 400
+NOTHING_DB = 1e-3  # a peak and an attenuation below it are those of a controller that leaves the plant alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +84,9 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
         peak_sensitivity(plant, controller)[0],
         hinf_norm(control)[0],
     )
-    if gain == 0:
-        return Distance(Status("ok", "The controller does nothing, and nothing is what it costs."), 0.0, 0.0, 0.0)
+    if peak_db < NOTHING_DB and abs(own) < NOTHING_DB:
+        said = "The controller does nothing, and nothing is what it costs."
+        return Distance(Status("ok", said), own, peak_db, gain, left_db=0.0)
     v = principal(plant, band)[:, 0]
     limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, basis).limit
     return Distance(_verdict(own, peak_db, gain, limit), own, peak_db, gain, limit, limit.bound_db - own, v)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 
-FIRST_POINTS = 250  # of the first grid
+FIRST_POINTS = 150  # of the first grid
 TIGHTENED = 0.998
 VIOLATED = 1.0005  # beyond this share of the tightened demand a point joins the grid
 GROSSLY = 1.01

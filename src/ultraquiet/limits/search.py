@@ -55,7 +55,10 @@ class Search:
         certify: bool = True,
         bounded_by: Callable[[FloatArray], Lines] | None = None,
     ) -> Limit:
-        """Return the limit under these demands; the bound is that of the loop `bounded_by`, its own when absent."""
+        """Return the limit under these demands.
+
+        The bound is that of the loop `bounded_by`; its own when absent, and then half of the basis is tried too.
+        """
         scale = wishes.control_gain
         functions = scale * self.basis.at(self.circle.angles(self.f_hz))
         demands = wishes.demands(self.f_hz, self.lines)
@@ -68,11 +71,15 @@ class Search:
             # the noise gain is no demand at single frequencies: the bound is that of the others
             others = found if noise is None else solve_on(functions, demands, found.active)
             bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
-        half = chain(self.poles[::2])
-        less = None if noise_gain is None else self._noise(half, scale, noise_gain)
-        again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, found.active, less)
-        half_db = attenuation(again.level) if again.ok else float("nan")
+        half_db = float("nan") if bounded_by else self._half(scale, demands, found, noise_gain)
         return self._told(wishes, found, found.weights * scale, bound, half_db)
+
+    def _half(self, scale: float, demands: Sequence[Demand], found: Found, noise_gain: float | None) -> float:
+        """Return the attenuation in dB that every other section of the basis reaches on the same points."""
+        half = chain(self.poles[::2])
+        noise = None if noise_gain is None else self._noise(half, scale, noise_gain)
+        again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, found.active, noise)
+        return attenuation(again.level) if again.ok else float("nan")
 
     def _noise(self, basis: Basis, scale: float, noise_gain: float) -> FloatArray:
         """Return R with |R (theta, 1)| = ||K S||_2 / noise_gain, the mean square over all frequencies."""
@@ -136,10 +143,11 @@ class Search:
         bound = f"none exceeds {bound_db:.1f} dB" if np.isfinite(bound_db) else "no bound was certified"
         used = [f"{name} over {_words(spans)}" for name, spans in binding.items() if name != IN_BAND and spans]
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
+        less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
             f"A controller attenuates {low:g}-{high:g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
             f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; solver: {found.status}, "
-            f"{found.rounds} grids, {self.basis.size} functions ({half_db:.1f} dB with half of them)."
+            f"{found.rounds} grids, {self.basis.size} functions{less}."
         )
 
     def _why(self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, found: Found) -> str:
