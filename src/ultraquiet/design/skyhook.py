@@ -23,6 +23,7 @@ class Skyhook(_Bank):
         actuator: `displacement` (a piezo stack: the command is the integral of the velocity) or `force`.
         leak_hz: below this corner the integral of `displacement` leaks.
 
+    >>> from ultraquiet.values import StateSpace
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
     >>> Skyhook().design(plant).status.ok
     True
