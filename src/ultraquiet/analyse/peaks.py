@@ -55,6 +55,8 @@ def refined(
             best, at = float(alone.max()), float(beside[np.argmax(alone)])
     padded = np.concatenate([[-np.inf], values, [-np.inf]])
     tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (values >= NEAR * best))
+    if not tops.size:
+        return best, at  # an end of the axis stands above every line of the grid
     tops = tops[np.argsort(-values[tops])][:MOST]
     middle, low, high = f[tops], f[np.maximum(tops - 1, 0)], f[np.minimum(tops + 1, f.size - 1)]
     share = np.linspace(0, 1, INNER + 1, endpoint=False)
