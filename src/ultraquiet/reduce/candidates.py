@@ -18,7 +18,7 @@ from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
 # Exponents of the smooth peak, one descent after the other: the first sees the whole band, the last the peak alone.
-POWERS = (8, 32, 100, 100, 100, 200)
+POWERS = (8, 32, 100, 100, 100, 200, 200, 200)
 
 
 class Candidate(NamedTuple):
