@@ -1,0 +1,18 @@
+"""Every Python example of the documentation on control runs as it is printed."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+BLOCKS = [
+    pytest.param(block, id=f"{name}-{k}")
+    for name in ("control.md",)
+    for k, block in enumerate(re.findall(r"```python\n(.*?)```", (DOCS / name).read_text(), re.DOTALL))
+]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_example_runs(block):
+    exec(compile(block, "docs", "exec"), {})
