@@ -39,6 +39,20 @@ def test_it_leaves_what_the_contract_says(demo):
         assert keys | {"bit_exact"} <= set(tables)
 
 
+def test_no_design_is_beyond_its_limit(demo):
+    folder, summary, _ = demo
+    limits = summary["limits"]
+    page = (folder / "report.html").read_text()
+    for told in limits["bands"]:
+        print(f"{told['band_hz']}: {told['status']}")
+        assert 0 < told["attenuation_db"] <= told["bound_db"]
+        assert f"{told['bound_db']:.1f} dB cannot be exceeded" in page
+    assert set(limits["designs"]) == set(summary["closed_loop"])
+    for name, told in limits["designs"].items():
+        print(f"{name}: {told['attenuation_db']:.2f} dB, limit {told['limit_db']:.2f} dB; {told['status']}")
+        assert told["left_db"] > -0.02, name
+
+
 def test_every_controller_settles_on_the_bench_and_claims_what_it_achieves(demo):
     folder, summary, _ = demo
     for name, facts in summary["closed_loop"].items():

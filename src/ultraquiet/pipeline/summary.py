@@ -24,12 +24,17 @@ def summarise(done: "Done") -> dict[str, Any]:
         "design": {name: _design(outcome.facts) for name, outcome in done.designs.items()},
         "closed_loop": {name: dict(outcome.facts) for name, outcome in done.loops.items()},
         "deployment": {name: dict(tables) for name, tables in done.deployment.items()},
-        "limits": {
-            name: {unit: facts["mean_log_sensitivity_db"] for unit, facts in outcome.facts.items() if facts["stable"]}
-            for name, outcome in done.loops.items()
-        },
+        "limits": {**done.bounds.facts, "mean_log_sensitivity_db": _mean_log(done)},
         "versions": versions(),
         "seed": done.study.study.seed,
+    }
+
+
+def _mean_log(done: "Done") -> dict[str, dict[str, float]]:
+    """Return Bode's integral of every loop as the bench shows it, by controller and unit."""
+    return {
+        name: {unit: facts["mean_log_sensitivity_db"] for unit, facts in outcome.facts.items() if facts["stable"]}
+        for name, outcome in done.loops.items()
     }
 
 

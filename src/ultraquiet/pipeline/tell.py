@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from ultraquiet._base.provenance import versions
-from ultraquiet.pipeline import tell_loops, tell_models
+from ultraquiet.pipeline import tell_limits, tell_loops, tell_models
 from ultraquiet.report import Report
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def report(done: "Done", summary: dict[str, Any]) -> Report:
         tell_models.analysis(done),
         tell_loops.design(done),
         tell_loops.closed_loop(done),
+        tell_limits.limits(done),
         tell_loops.code(done),
     ]
     return Report(done.study.study.title, lead, facts, sections)

@@ -13,7 +13,7 @@ from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import lookup
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes
-from ultraquiet.pipeline import control, evidence, models, preflight, study, summary, tell
+from ultraquiet.pipeline import bounds, control, evidence, models, preflight, study, summary, tell
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.report import write
 from ultraquiet.values import PolynomialMatrix, Record
@@ -37,6 +37,7 @@ class Done:
     designs: Mapping[str, Outcome]
     loops: Mapping[str, Outcome]
     deployment: Mapping[str, Mapping[str, Any]]
+    bounds: Outcome
 
 
 def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> dict[str, Any]:
@@ -130,7 +131,12 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
             needs=code / name,
         ).facts
         say(f"closed and deployed {name}: {deployment[name].get('verification', deployment[name]['status'])}")
-    return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment)
+    laws = {name: made.values[name] for name, made in designs.items() if name in made.values}
+    band_hz = settings.closed_loop.band_hz
+    limits_key = [system.hash, band_hz, {name: law.hash for name, law in laws.items()}]
+    bounded = cache.stage("limits", "models", limits_key, partial(bounds.bounded, system, laws, band_hz))
+    say(f"limits: {bounded.facts['bands'][-1]['status']}")
+    return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment, bounded)
 
 
 def _bench(settings: study.Study) -> Any:
