@@ -16,11 +16,12 @@ def main(source: str, target: str) -> None:
         sizes = A.shape[0], B.shape[1], C.shape[0], int(given["controls"]), int(given["measurements"])
         started = time.process_time()
         # job 1: bisection between the level given and the largest that the direct terms rule out
-        level, *_ = slycot.sb10ad(
+        level, *law = slycot.sb10ad(
             *sizes, float(given[f"{name}_start"]), A, B, C, D, job=1, gtol=float(given[f"{name}_tolerance"])
         )
         left[f"{name}_seconds"] = np.array(time.process_time() - started)
         left[f"{name}_gamma"] = np.array(level)
+        left |= {f"{name}_{k}": np.asarray(m) for k, m in zip("ABCD", law, strict=False)}
     np.savez(target, **left)
 
 
