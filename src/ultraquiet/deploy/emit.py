@@ -6,17 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet.deploy.biquad import sections
 from ultraquiet.deploy.law import Law
 from ultraquiet.deploy.script import OPS, SPECIAL, Row
+from ultraquiet.deploy.targets import CORTEX_M7, TARGETS
 from ultraquiet.deploy.twin import Twin
 
 if TYPE_CHECKING:
     import jinja2
 
-# Cortex-M7 with its double-precision unit. The emulated machine's SysTick runs at 25 MHz; at 2^10 ns an instruction
-# each takes 25.6 ticks, so counts round exactly.
-M7_FLAGS = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard")
-EMULATION = ("-M", "mps2-an500", "-icount", "shift=10", "-display", "none", "-serial", "none", "-monitor", "none")
+M7_FLAGS = CORTEX_M7.flags
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 VECTOR_STEPS = 256
 
@@ -26,8 +25,8 @@ FILES = {
     "controller.c.j2": "{name}.c",
     "selftest.c.j2": "{name}_selftest.c",
     "host.c.j2": "{name}_host.c",
-    "cortex_m7.c.j2": "{name}_m7.c",
-    "cortex_m7.ld.j2": "{name}_m7.ld",
+    "cortex.c.j2": "{name}_cortex.c",
+    "cortex.ld.j2": "{name}_cortex.ld",
     "Makefile.j2": "Makefile",
 }
 
@@ -108,12 +107,21 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
     def table(matrix: Any) -> list[list[str]]:
         return [[constant(v, law.precision) for v in row] for row in matrix]
 
-    pairs = law.form in ("modal", "delta")
+    pairs = law.form in ("modal", "delta", "bank", "bank-delta")
     flat = [block.ravel() for block in law.blocks]
     bits = 8 * np.dtype(law.dtype).itemsize
     suffix = "U" if bits == 32 else "ULL"
     special = {op: f"0x{value:X}{suffix}" for op, value in SPECIAL[law.precision].items()}
+    ends = np.cumsum([0, *law.channels]).tolist()
+    B, C, D, L = law.B, law.C.T, law.D, law.L
+    if law.channels:
+        B, C, D = sections(law)
+        B, C, D = B.reshape(-1, 2), C.reshape(-1, 2), D[None]
+        L = L if L is None or law.turned else L.sum(axis=1).reshape(-1, 2)  # one number a row, the others zero
     return {
+        "channels": list(zip(ends, ends[1:], strict=False)),
+        "turn_in": None if law.turn_in is None else table(law.turn_in),
+        "turn_out": None if law.turn_out is None else table(law.turn_out),
         "law": law,
         "name": law.name,
         "NAME": law.name.upper(),
@@ -126,10 +134,10 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "pairs": pairs,
         "sizes": [len(b) for b in law.blocks],
         "A": table(flat) if pairs else [constant(v, law.precision) for block in flat for v in block],
-        "B": table(law.B),
-        "C": table(law.C.T),
-        "D": table(law.D),
-        "L": None if law.L is None else table(law.L),
+        "B": table(B),
+        "C": table(C),
+        "D": table(D),
+        "L": None if L is None else table(L),
         "limits": table(law.limits),
         "bits": bits,
         "ops": OPS,
@@ -139,8 +147,7 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "minus_inf_bits": special["MINUS_INFINITE"],
         "large_bits": special["LARGE"],
         "flags": " ".join(FLAGS),
-        "m7_flags": " ".join(M7_FLAGS),
-        "emulation": " ".join(EMULATION),
+        "targets": list(TARGETS.values()),
         "scale": constant(2.0**-12 * script[0].scale * 2.0**23, law.precision),
     }
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.cortex_m7 import COMPILER
-from ultraquiet.deploy.emit import FLAGS, M7_FLAGS
+from ultraquiet.deploy.targets import COMPILER, CORTEX_M7
+from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law
 from ultraquiet.deploy.toolchain import compile_c, compiler, flash_of
 
@@ -38,7 +38,7 @@ def _measured(law: Law, files: Mapping[str, str]) -> tuple[int | None, str]:
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
         for cc, size_tool, flags in (
-            (shutil.which(COMPILER), "arm-none-eabi-size", (*FLAGS, *M7_FLAGS)),
+            (shutil.which(COMPILER), "arm-none-eabi-size", (*FLAGS, *CORTEX_M7.flags)),
             (compiler(), "size", FLAGS),
         ):
             if cc is None:
@@ -50,5 +50,5 @@ def _measured(law: Law, files: Mapping[str, str]) -> tuple[int | None, str]:
             except ToolError:
                 continue
             if flash is not None:
-                return flash, f"{Path(cc).name} {' '.join(flags[1:2] if flags is FLAGS else M7_FLAGS[:1])}"
+                return flash, f"{Path(cc).name} {' '.join(flags[1:2] if flags is FLAGS else CORTEX_M7.flags[:1])}"
     return None, ""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.compiled import CompiledController, Library
-from ultraquiet.deploy.cortex_m7 import Count, count_instructions, missing_tool
+from ultraquiet.deploy.cortex import Count, count_instructions, missing_tool
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law, Rounded
 from ultraquiet.deploy.script import sizes

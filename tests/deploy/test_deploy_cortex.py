@@ -1,4 +1,4 @@
-"""On an emulated Cortex-M7: the same bits as here, and instructions counted exactly."""
+"""On emulated Cortex-M4F and M7: the same bits as here, and instructions counted exactly."""
 
 import json
 import os
@@ -8,9 +8,11 @@ import pytest
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.cortex_m7 import COMPILER, EMULATOR, count_instructions, missing_tool
-from ultraquiet.deploy.emit import M7_FLAGS
+from ultraquiet.deploy.cortex import count_instructions, missing_tool, run_on_target
+from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, EMULATOR, TARGETS
 from ultraquiet.deploy.toolchain import compile_c
+from ultraquiet.deploy.twin import Twin
+from ultraquiet.deploy.verify import compare, measurements
 
 
 @pytest.fixture
@@ -26,7 +28,45 @@ def target():
 def test_self_test_passes_bit_for_bit_on_the_target(law_of, rng, tmp_path, form, precision):
     law = law_of(int(rng.integers(2, 30)), int(rng.integers(1, 8)), int(rng.integers(1, 8)))
     made = generate(law, tmp_path / "code", precision, form=form, anti_windup=bool(rng.integers(2)), ramp_s=0.01)
-    assert count_instructions(made.law, made.folder).self_test
+    counts = {name: count_instructions(made.law, made.folder, each) for name, each in TARGETS.items()}
+    assert all(count.self_test for count in counts.values()), counts
+
+
+@pytest.mark.usefixtures("target")
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize(("precision", "steps"), [("float32", 20_000), ("float64", 4_000)])
+def test_long_run_bit_for_bit_on_the_target(law_of, seed, tmp_path, name, precision, steps):
+    """Ramps, limits and a NaN included; the instructions of every step are known, those inside the limits are equal."""
+    made = generate(law_of(30), tmp_path / "code", precision, ramp_s=0.1)
+    y = measurements(made.law, steps, seed)
+    twin = Twin(made.law)
+    twin.enable()
+    run = run_on_target(made.law, made.folder, y, TARGETS[name])
+    assert compare(run.u, twin.run(y)) == (0, None)
+    calm = slice(400, 2200)  # after the ramp, before the first burst
+    print(f"{name} {precision}: {np.unique(run.step[calm])} instructions a step, {np.unique(run.step)} in all modes")
+    if precision == "float32" or name == "cortex-m7":  # the M4F has no double-precision unit: a library adds
+        assert np.ptp(run.step[calm]) == 0
+
+
+@pytest.mark.usefixtures("target")
+def test_self_test_counts_what_a_run_counts(law_of, seed, tmp_path):
+    made = generate(law_of(20), tmp_path / "code", form="modal", ramp_s=0.01)
+    y = 1e-3 * np.random.default_rng(seed).standard_normal((6, 100))
+    run = run_on_target(made.law, made.folder, y, ramp=False)
+    assert count_instructions(made.law, made.folder).step == run.step.max()
+
+
+@pytest.mark.usefixtures("target")
+def test_target_that_ends_early_is_a_sentence(law_of, tmp_path):
+    made = generate(law_of(4), tmp_path / "code")
+    path = tmp_path / "code" / "controller_cortex.c"
+    path.write_text(path.read_text().replace("if (frame.ask == ASK_STEP) {", "if (s.steps == 7U) { return 0; }"))
+    with pytest.raises(ToolError, match="refused the generated code"):
+        run_on_target(made.law, made.folder, np.zeros((6, 10)))
+    path.write_text(path.read_text().replace("return 0;", "(void)semihost(SEMIHOST_EXIT, (const void *)STOPPED);"))
+    with pytest.raises(ToolError, match=r"emulated Cortex-M7 ended after \d+ of 10 steps"):
+        run_on_target(made.law, made.folder, np.zeros((6, 10)))
 
 
 @pytest.mark.usefixtures("target")
@@ -60,7 +100,7 @@ def test_ram_is_the_state_on_the_target(law_of, rng, tmp_path, precision):
     made = generate(law, tmp_path / "code", precision)
     size = f"char same[sizeof(controller_state) == {made.tables['ram_bytes']}U ? 1 : -1];"
     (tmp_path / "code" / "size.c").write_text(f'#include "controller.h"\n{size}\n')
-    compile_c([COMPILER, *M7_FLAGS, "-c", "size.c"], tmp_path / "code")
+    compile_c([COMPILER, *CORTEX_M7.flags, "-c", "size.c"], tmp_path / "code")
     assert made.tables["flash_from"].startswith("arm-none-eabi-gcc")
 
 
