@@ -12,6 +12,8 @@ SKELETON_CYCLES = 142
 # Instructions around the multiply-adds, counted in hand-written kernels (RPTS costs 1 + 3; pointers, store): per row
 # of a full matrix, per state of a modal kernel, per state more in delta form, and once for the whole call.
 ROW, STATE, DELTA, CALL = 10, 3, 1, 5
+# A section of a bank takes in one number and puts out one; its loop is set up once for each channel.
+SECTION = 2 + STATE
 # Two blocks of on-chip RAM, 1K words of 32 bits each.
 INTERNAL_WORDS = 2048
 
@@ -26,25 +28,41 @@ ASSUMPTIONS = (
 
 
 def kernel_cycles(
-    form: str, states: int, inputs: int = 6, outputs: int = 6, *, anti_windup: bool = False, block: int | None = None
+    form: str,
+    states: int,
+    inputs: int = 6,
+    outputs: int = 6,
+    *,
+    anti_windup: bool = False,
+    block: int | None = None,
+    channels: int | None = None,
+    turned: bool = False,
 ) -> int:
     """Return the instructions of one step on the C31, without the frame's skeleton.
 
     Six by six: dense (n + 6)(n + 16), modal 15 n + 101, delta 16 n + 101, anti-windup 6 n more; `schur` counts its
-    rows like those of a dense matrix of `block` columns.
+    rows like those of a dense matrix of `block` columns; a bank of m channels 5 n + 21 m + 5, `bank-delta` and its
+    anti-windup n more each, transforms m (inputs + 10) + outputs (m + 10).
 
     Args:
-        form: `modal`, `delta`, `schur` or `dense`.
+        form: `modal`, `delta`, `bank`, `bank-delta`, `schur` or `dense`.
         states: n, stored states.
         inputs: measurements.
         outputs: commands.
         anti_windup: whether L (sat(u) - u) is added.
         block: number of columns of an average row of A in `schur` form; n when absent.
+        channels: of a bank; the lesser of inputs and outputs when absent.
+        turned: whether a bank stands between two transforms.
 
     >>> kernel_cycles("modal", 120), kernel_cycles("dense", 60), kernel_cycles("modal", 60, anti_windup=True)
     (1901, 5016, 1361)
     """
     more = states * outputs if anti_windup else 0
+    if form in ("bank", "bank-delta"):
+        m = min(inputs, outputs) if channels is None else channels
+        per_state = SECTION + (DELTA if form == "bank-delta" else 0) + int(anti_windup and not turned)
+        transforms = m * (inputs + ROW) + outputs * (m + ROW) + (more if anti_windup else 0) if turned else 0
+        return states * per_state + m * (1 + 2 * ROW) + transforms + CALL
     if form in ("modal", "delta"):
         per_state = inputs + outputs + STATE + (DELTA if form == "delta" else 0)
         return states * per_state + outputs * (inputs + ROW) + CALL + more
@@ -63,11 +81,17 @@ def cycles(law: Law) -> int:
         law.outputs,
         anti_windup=law.L is not None,
         block=width if law.form == "schur" else None,
+        channels=len(law.channels) or None,
+        turned=law.turned,
     )
 
 
 def output_cycles(law: Law) -> int:
     """Return the kernel's instructions from measurements to commands, the part of the step that delays the loop."""
+    if law.channels:
+        m = len(law.channels)
+        turns = m * (law.inputs + ROW) + law.outputs * (m + ROW) if law.turned else 0
+        return law.states + m * (1 + ROW) + turns + CALL
     return law.outputs * (law.states + law.inputs + ROW) + CALL
 
 
@@ -89,7 +113,7 @@ def largest_order(
     ... ]
     [40, 170, 158, 120]
     """
-    stride = 2 if form in ("modal", "delta") else 1
+    stride = 2 if form in ("modal", "delta", "bank", "bank-delta") else 1
     n = 0
     while SKELETON_CYCLES + kernel_cycles(form, n + stride, inputs, outputs, anti_windup=anti_windup) <= budget:
         n += stride

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import between, one_of, positive, whole
+from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import budget, emit, script, toolchain
 from ultraquiet.deploy.antiwindup import conditioning_gain
@@ -18,7 +18,7 @@ from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
 from ultraquiet.deploy.law import DTYPES, Law, actuator_limits, rounded
-from ultraquiet.deploy.realise import FORMS, realisation
+from ultraquiet.deploy.realise import FORMS, Realisation, realisation
 from ultraquiet.deploy.twin import Twin
 from ultraquiet.deploy.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
@@ -122,7 +122,7 @@ def generate(
         precision: `float32` or `float64`, of coefficients, states and arithmetic.
         name: prefix of every file and symbol.
         limits_v: actuator limits in volts: a number, `(nu,)`, or `(nu, 2)` low and high.
-        form: `modal`, `delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response is within `tolerance`.
+        form: `modal`, `delta`, `bank`, `bank-delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response is within `tolerance`.
         anti_windup: correct the state by what the limits took away.
         ramp_s: seconds from zero to full command, and back.
         plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.
@@ -153,7 +153,7 @@ def generate(
 
     def make(shape: str) -> tuple[Law, float]:
         parts = realisation(controller, shape)
-        L = conditioning_gain(parts.A(), parts.B, parts.C, parts.D) if anti_windup else None
+        L = _gain(parts) if anti_windup else None
         rate, order = float(controller.rate_hz or 0), controller.states
         law = rounded(parts, L, limits, precision, rate_hz=rate, order=order, name=name, ramp_steps=steps)
         return law, parts.condition
@@ -170,6 +170,13 @@ def generate(
     made = Deployment(choice.law, folder, tables, status, controller.hash)
     write_folder(folder, files | made.documents())
     return made
+
+
+def _gain(parts: Realisation) -> FloatArray:
+    """Return the anti-windup gain; that of a plain bank leaves every command to its channel."""
+    whole_law = parts.state_space(None)
+    L = conditioning_gain(whole_law.A, whole_law.B, whole_law.C, whole_law.D)
+    return L * (parts.C.T != 0) if parts.channels and parts.turn_in is None else L
 
 
 def _check(controller: StateSpace, precision: str, name: str, form: str) -> None:

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray, frozen, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
-from ultraquiet.deploy.realise import Realisation
+from ultraquiet.deploy.realise import DELTA_FORMS, Realisation, turned
 from ultraquiet.values.state_space import StateSpace
 
 Rounded = NDArray[Any]
@@ -38,16 +38,24 @@ class Law:
     ramp_steps: int
     rate_hz: float
     order: int
+    channels: tuple[int, ...] = ()
+    turn_in: Rounded | None = None
+    turn_out: Rounded | None = None
 
     @property
     def inputs(self) -> int:
         """Number of measurements."""
-        return self.D.shape[1]
+        return (self.D if self.turn_in is None else self.turn_in).shape[1]
 
     @property
     def outputs(self) -> int:
         """Number of commands."""
-        return self.D.shape[0]
+        return (self.D if self.turn_out is None else self.turn_out).shape[0]
+
+    @property
+    def turned(self) -> bool:
+        """True for a bank between transforms, u = S v, z = T y; B, C and D are then those between z and v."""
+        return self.turn_in is not None
 
     @property
     def states(self) -> int:
@@ -57,7 +65,7 @@ class Law:
     @property
     def delta(self) -> bool:
         """True when the blocks hold A - I."""
-        return self.form == "delta"
+        return self.form in DELTA_FORMS
 
     @property
     def dtype(self) -> type[np.floating[Any]]:
@@ -69,21 +77,26 @@ class Law:
         """Number of stored constants."""
         anti_windup = 0 if self.L is None else self.L.size
         gains = self.B.size + self.C.size + self.D.size
+        if self.channels:
+            gains = 2 * self.states + len(self.channels)
+            gains += sum(T.size for T in (self.turn_in, self.turn_out) if T is not None)
+            anti_windup = self.states if anti_windup and not self.turned else anti_windup
         return sum(b.size for b in self.blocks) + gains + anti_windup + self.limits.size
 
     @property
     def hash(self) -> str:
         """SHA-256 of every rounded coefficient and setting."""
         L = np.zeros(0) if self.L is None else self.L
-        settings = [self.precision, self.form, self.ramp_steps, self.rate_hz, self.order]
-        return content_hash(*self.blocks, self.B, self.C, self.D, L, self.limits, settings)
+        settings = [self.precision, self.form, self.ramp_steps, self.rate_hz, self.order, *self.channels]
+        turns = [T for T in (self.turn_in, self.turn_out) if T is not None]
+        return content_hash(*self.blocks, self.B, self.C, self.D, L, self.limits, *turns, settings)
 
     def state_space(self) -> StateSpace:
         """Return the linear law with its rounded coefficients, for an analysis in float64."""
         A = np.asarray(block_diag(*[b.astype(np.float64) for b in self.blocks]))
         if self.delta:
             A = A + np.eye(self.states)
-        return StateSpace(A, self.B, self.C, self.D, rate_hz=self.rate_hz)
+        return turned(A, self.B, self.C, self.D, self.turn_in, self.turn_out, self.rate_hz)
 
 
 def rounded(
@@ -127,6 +140,9 @@ def rounded(
         ramp_steps=ramp_steps,
         rate_hz=rate_hz,
         order=order,
+        channels=parts.channels,
+        turn_in=None if parts.turn_in is None else cast(parts.turn_in),
+        turn_out=None if parts.turn_out is None else cast(parts.turn_out),
     )
 
 

@@ -1,7 +1,7 @@
 """Realisations of a control law: the same response in coordinates that cost less and lose fewer digits."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -9,6 +9,7 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
+from ultraquiet.deploy.biquad import channels
 from ultraquiet.deploy.blocks import block_diagonal
 from ultraquiet.values.state_space import StateSpace
 
@@ -23,7 +24,8 @@ class Realisation:
     """A law as blocks on the diagonal of A, with B, C, D; `A_k - I` is held instead of `A_k` when `delta`.
 
     `condition` is the condition number of the law's eigenvectors (of unit length): the factor by which modal
-    coordinates can magnify a rounding error.
+    coordinates can magnify a rounding error. A bank is x+ = A x + B T y, u = S (C x + D T y): `channels` holds how many
+    blocks each channel has, `turn_in` T and `turn_out` S, both None where they are the identity.
     """
 
     form: str
@@ -32,11 +34,14 @@ class Realisation:
     C: FloatArray
     D: FloatArray
     condition: float
+    channels: tuple[int, ...] = ()
+    turn_in: FloatArray | None = None
+    turn_out: FloatArray | None = None
 
     @property
     def delta(self) -> bool:
         """True when the blocks hold A - I."""
-        return self.form == "delta"
+        return self.form in DELTA_FORMS
 
     @property
     def states(self) -> int:
@@ -48,6 +53,27 @@ class Realisation:
         full = np.asarray(block_diag(*self.blocks), dtype=np.float64)
         return full + np.eye(self.states) if self.delta else full
 
+    def state_space(self, rate_hz: float | None) -> StateSpace:
+        """Return the whole law, from measurements to commands."""
+        return turned(self.A(), self.B, self.C, self.D, self.turn_in, self.turn_out, rate_hz)
+
+
+def turned(
+    A: FloatArray,
+    B: FloatArray,
+    C: FloatArray,
+    D: FloatArray,
+    turn_in: FloatArray | None,
+    turn_out: FloatArray | None,
+    rate_hz: float | None,
+) -> StateSpace:
+    """Return the law between its transforms, in float64."""
+    B, C, D = (np.asarray(M, dtype=np.float64) for M in (B, C, D))
+    if turn_in is not None and turn_out is not None:
+        T, S = (np.asarray(M, dtype=np.float64) for M in (turn_in, turn_out))
+        B, C, D = B @ T, S @ C, S @ D @ T
+    return StateSpace(A, B, C, D, rate_hz=rate_hz)
+
 
 def realisation(law: StateSpace, form: str) -> Realisation:
     """Return the law in the coordinates of `form`.
@@ -55,13 +81,16 @@ def realisation(law: StateSpace, form: str) -> Realisation:
     `modal`: 2x2 blocks [[re, im], [-im, re]] (two reals share a block), ||B_k|| = ||C_k|| in each block.
     `delta`: the same with A - I stored, x+ = x + (A - I) x + B y, which keeps poles near z = 1 apart.
     `schur`: blocks as small as a well-conditioned change of coordinates allows. `dense`: the law as it is.
+    `bank`, `bank-delta`: a law that falls apart into channels (`deploy.biquad.channels`) as modal or delta blocks for
+    each channel, driven by and seen by that channel alone; equal poles of different channels do not meet.
 
     Args:
         law: discrete `StateSpace` from measurements to commands.
-        form: one of the four.
+        form: one of the six.
 
     Raises:
-        InputError: an unknown form, or `modal`/`delta` where poles coincide so closely that 2x2 blocks do not exist.
+        InputError: an unknown form, `modal`/`delta` where poles coincide so closely that 2x2 blocks do not exist, or
+            `bank`/`bank-delta` for a law whose channels are coupled.
 
     >>> law = StateSpace([[0.9, 1.0], [0.0, 0.5]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]], rate_hz=1.0)
     >>> [block.shape for block in realisation(law, "modal").blocks]
@@ -99,9 +128,44 @@ def _dense(law: StateSpace) -> Realisation:
     return Realisation("dense", tuple(blocks), B, C, law.D.copy(), eigenvector_condition(law.A))
 
 
+def _bank(law: StateSpace) -> Realisation:
+    found = channels(law)
+    parts = [_modal(channel.law) if channel.law.states else None for channel in found]
+    held = [p for p in parts if p is not None]
+    blocks = tuple(block for p in held for block in p.blocks)
+    if not blocks:
+        raise InputError("deploy: a bank needs states, and this law is a gain; take form='modal' or 'auto'.")
+    B, C = np.zeros((2 * len(blocks), len(found))), np.zeros((len(found), 2 * len(blocks)))
+    at = 0
+    for c, p in enumerate(parts):
+        size = 0 if p is None else p.states
+        if p is not None:
+            B[at : at + size, c], C[c, at : at + size] = p.B[:, 0], p.C[0]
+        at += size
+    T, S = np.stack([c.source for c in found]), np.stack([c.sink for c in found], axis=1)
+    plain = all(M.shape == (len(M), len(M)) and np.array_equal(M, np.eye(len(M))) for M in (T, S))
+    return Realisation(
+        "bank",
+        blocks,
+        B,
+        C,
+        np.diag([float(c.law.D[0, 0]) for c in found]),
+        max(p.condition for p in held),
+        tuple(0 if p is None else len(p.blocks) for p in parts),
+        None if plain else T,
+        None if plain else S,
+    )
+
+
+def _bank_delta(law: StateSpace) -> Realisation:
+    bank = _bank(law)
+    return replace(bank, form="bank-delta", blocks=tuple(block - np.eye(2) for block in bank.blocks))
+
+
 FORMS: Mapping[str, Callable[[StateSpace], Realisation]] = MappingProxyType(
-    {"modal": _modal, "delta": _delta, "schur": _schur, "dense": _dense}
+    {"modal": _modal, "delta": _delta, "bank": _bank, "bank-delta": _bank_delta, "schur": _schur, "dense": _dense}
 )
+DELTA_FORMS = ("delta", "bank-delta")
 
 
 def eigenvector_condition(A: FloatArray) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.deploy.biquad import Bank
 from ultraquiet.deploy.law import Law, Rounded
 
 OFF, ON, STOPPING, FAULT = range(4)
@@ -21,6 +22,7 @@ class Twin:
 
     def __init__(self, law: Law) -> None:
         self.law = law
+        self._bank = Bank(law) if law.channels else None
         self._gain = np.concatenate([law.D, law.C], axis=1)
         self._groups = _groups(law)
         self._drive = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
@@ -119,9 +121,7 @@ class Twin:
         self.busy = False
 
     def _law(self) -> None:
-        self._seen[: self.y.size] = self.y
-        self._seen[self.y.size :] = self.x
-        raw = (self._gain * self._seen).cumsum(axis=1)[:, -1]
+        raw = self._linear() if self._bank is None else self._bank.output(self.y, self.x)
         if not np.isfinite(raw).all():
             self._latch(FAULT_OUTPUT)
             return
@@ -130,7 +130,15 @@ class Twin:
         if (self.limited != raw).any():
             self.clipped += 1
 
+    def _linear(self) -> NDArray[Any]:
+        self._seen[: self.y.size] = self.y
+        self._seen[self.y.size :] = self.x
+        return (self._gain * self._seen).cumsum(axis=1)[:, -1]
+
     def _advance(self) -> None:
+        if self._bank is not None:
+            self.x = self._bank.advance(self.y, self.x, self.limited - self.raw)
+            return
         drive = self.y if self.law.L is None else np.concatenate([self.y, self.limited - self.raw])
         following = np.empty_like(self.x)
         for rows, A in self._groups:

@@ -1,6 +1,7 @@
 """How many bits a controller's coefficients need, form by form."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,8 +55,9 @@ def rounding_errors(
 def _state_space(parts: Realisation, bits: int, rate_hz: float) -> StateSpace:
     blocks = tuple(_round(block, bits) for block in parts.blocks)
     B, C, D = (_round(matrix, bits) for matrix in (parts.B, parts.C, parts.D))
-    held = Realisation(parts.form, blocks, B, C, D, parts.condition)
-    return StateSpace(held.A(), B, C, D, rate_hz=rate_hz)
+    turns = (None if T is None else _round(T, bits) for T in (parts.turn_in, parts.turn_out))
+    held = replace(parts, blocks=blocks, B=B, C=C, D=D, **dict(zip(("turn_in", "turn_out"), turns, strict=True)))
+    return held.state_space(rate_hz)
 
 
 def _round(matrix: FloatArray, bits: int) -> FloatArray:
