@@ -61,7 +61,8 @@ def test_self_test_counts_what_a_run_counts(law_of, seed, tmp_path):
 def test_target_that_ends_early_is_a_sentence(law_of, tmp_path):
     made = generate(law_of(4), tmp_path / "code")
     path = tmp_path / "code" / "controller_cortex.c"
-    path.write_text(path.read_text().replace("if (frame.ask == ASK_STEP) {", "if (s.steps == 7U) { return 0; }"))
+    asked = "if (frame.ask == ASK_STEP) {"
+    path.write_text(path.read_text().replace(asked, "if (s.steps == 7U) { return 0; }\n" + asked))
     with pytest.raises(ToolError, match="refused the generated code"):
         run_on_target(made.law, made.folder, np.zeros((6, 10)))
     path.write_text(path.read_text().replace("return 0;", "(void)semihost(SEMIHOST_EXIT, (const void *)STOPPED);"))

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
     from ultraquiet.deploy.law import Law as Law
+    from ultraquiet.deploy.processor import Processor as Processor
     from ultraquiet.deploy.realise import Realisation as Realisation
     from ultraquiet.deploy.realise import realisation as realisation
     from ultraquiet.deploy.twin import Twin as Twin
@@ -26,6 +27,7 @@ _HOME = {
     "CompiledController": "compiled",
     "Deployment": "deployment",
     "Law": "law",
+    "Processor": "processor",
     "Realisation": "realise",
     "Twin": "twin",
     "Verification": "verify",
