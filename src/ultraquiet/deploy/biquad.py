@@ -40,7 +40,7 @@ def channels(law: StateSpace) -> list[Channel]:
     [(1, [1.0, 0.0]), (1, [0.0, 1.0])]
     """
     found: list[tuple[FloatArray, FloatArray, list[NDArray[np.intp]]]] = []
-    for part in _parts(law):
+    for part in parts_of(law.A):
         t, s = _direction(law.B[part]), _direction(law.C[:, part].T)
         if t is None or s is None:
             continue  # neither driven nor seen: it never leaves zero, or nobody knows
@@ -55,10 +55,11 @@ def channels(law: StateSpace) -> list[Channel]:
     return [_channel(law, *found[c], gains[c]) for c in order]
 
 
-def _parts(law: StateSpace) -> list[NDArray[np.intp]]:
-    if law.states == 0:
+def parts_of(A: FloatArray) -> list[NDArray[np.intp]]:
+    """Return the states of each part of x+ = A x that exchanges nothing with the others."""
+    if not len(A):
         return []
-    count, label = connected_components(law.A != 0, directed=False)
+    count, label = connected_components(A != 0, directed=False)
     return [np.flatnonzero(label == k) for k in range(count)]
 
 

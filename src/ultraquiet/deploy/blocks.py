@@ -7,6 +7,10 @@ from scipy.linalg import get_lapack_funcs, schur
 
 from ultraquiet._base.constraints import FloatArray
 
+# Eigenvectors of coinciding poles: chains have condition numbers from 1/sqrt(eps) = 7e7 on, poles that merely coincide
+# some ten.
+COINCIDING_BOUND = 1e4
+
 
 def block_diagonal(A: FloatArray, bound: float) -> tuple[list[FloatArray], FloatArray]:
     """Return blocks and V with A V = V diag(blocks), every block as small as `bound` allows.
@@ -14,6 +18,9 @@ def block_diagonal(A: FloatArray, bound: float) -> tuple[list[FloatArray], Float
     Starts from the real Schur form; the leading block is split off by X of T11 X - X T22 = -T12 while ||X||_F <= bound,
     otherwise it takes in the nearest remaining eigenvalue and tries again. ||X|| measures how far the split is from an
     orthogonal one, so `bound` = 0 leaves the Schur form itself and infinity separates all that differs.
+
+    Blocks of poles that coincide without a chain, as in laws of alike channels, are diagonalised afterwards where their
+    eigenvectors allow it.
 
     Reference: Bavely & Stewart, SIAM J. Numer. Anal. 16 (1979), doi:10.1137/0716028.
     """
@@ -28,9 +35,30 @@ def block_diagonal(A: FloatArray, bound: float) -> tuple[list[FloatArray], Float
                 V[:, start + size :] += V[:, start : start + size] @ X
                 break
             T, V, size = _take_nearest(T, V, start, size)
-        blocks.append(T[start : start + size, start : start + size].copy())
+        own = slice(start, start + size)
+        small, turn = _diagonalised(T[own, own].copy(), min(bound, COINCIDING_BOUND))
+        blocks.extend(small)
+        V[:, own] = V[:, own] @ turn
         start += size
     return blocks, V
+
+
+def _diagonalised(block: FloatArray, bound: float) -> tuple[list[FloatArray], FloatArray]:
+    """Return blocks of one and two, and the change of coordinates, or the block itself where that one costs too much."""
+    n = len(block)
+    if n <= 2:
+        return [block], np.eye(n)
+    values, vectors = np.linalg.eig(block)
+    columns, small = [], []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value.imag > 0:
+            columns += [np.sqrt(2) * vector.real, np.sqrt(2) * vector.imag]
+            small.append(np.array([[value.real, value.imag], [-value.imag, value.real]]))
+        elif value.imag == 0:
+            columns.append(vector.real)
+            small.append(np.array([[value.real]]))
+    turn = np.stack(columns, axis=1)
+    return (small, turn) if np.linalg.cond(turn) <= bound else ([block], np.eye(n))
 
 
 def _first_size(T: FloatArray, at: int) -> int:

@@ -122,7 +122,8 @@ def generate(
         precision: `float32` or `float64`, of coefficients, states and arithmetic.
         name: prefix of every file and symbol.
         limits_v: actuator limits in volts: a number, `(nu,)`, or `(nu, 2)` low and high.
-        form: `modal`, `delta`, `bank`, `bank-delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response is within `tolerance`.
+        form: `modal`, `delta`, `bank`, `bank-delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response
+            is within `tolerance`.
         anti_windup: correct the state by what the limits took away.
         ramp_s: seconds from zero to full command, and back.
         plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ultraquiet.deploy.biquad import sections
+from ultraquiet.deploy.coefficients import numbers, sections
 from ultraquiet.deploy.law import Law
-from ultraquiet.deploy.script import OPS, SPECIAL, Row
+from ultraquiet.deploy.script import LOADS, OPS, SPECIAL, Row, planted
 from ultraquiet.deploy.targets import CORTEX_M7, TARGETS
 from ultraquiet.deploy.twin import Twin
 
@@ -107,49 +107,45 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
     def table(matrix: Any) -> list[list[str]]:
         return [[constant(v, law.precision) for v in row] for row in matrix]
 
-    pairs = law.form in ("modal", "delta", "bank", "bank-delta")
-    flat = [block.ravel() for block in law.blocks]
     bits = 8 * np.dtype(law.dtype).itemsize
     suffix = "U" if bits == 32 else "ULL"
     special = {op: f"0x{value:X}{suffix}" for op, value in SPECIAL[law.precision].items()}
     ends = np.cumsum([0, *law.channels]).tolist()
-    B, C, D, L = law.B, law.C.T, law.D, law.L
-    if law.channels:
-        B, C, D = sections(law)
-        B, C, D = B.reshape(-1, 2), C.reshape(-1, 2), D[None]
-        L = L if L is None or law.turned else L.sum(axis=1).reshape(-1, 2)  # one number a row, the others zero
     return {
-        "channels": list(zip(ends, ends[1:], strict=False)),
-        "turn_in": None if law.turn_in is None else table(law.turn_in),
-        "turn_out": None if law.turn_out is None else table(law.turn_out),
+        "channel_ends": list(zip(ends, ends[1:], strict=False)),
         "law": law,
         "name": law.name,
         "NAME": law.name.upper(),
         "rate": f"{law.rate_hz:g}",
         "version": metadata.version("ultraquiet"),
         "real": "float" if bits == 32 else "double",
-        "real_max": constant(np.finfo(law.dtype).max, law.precision),
+        "word": f"uint{bits}_t",
         "ramp_step": constant(law.dtype(1.0) / law.dtype(law.ramp_steps), law.precision),
         "model_hash": model_hash,
-        "pairs": pairs,
+        "pairs": law.form in ("modal", "delta"),
         "sizes": [len(b) for b in law.blocks],
-        "A": table(flat) if pairs else [constant(v, law.precision) for block in flat for v in block],
-        "B": table(B),
-        "C": table(C),
-        "D": table(D),
-        "L": None if L is None else table(L),
+        "bank": numbers(law),
+        "sections": _sections(law),
         "limits": table(law.limits),
+        "excitation": table(law.excitation),
         "bits": bits,
         "ops": OPS,
         "script": [_call(row, law.precision) for row in script],
-        "nan_bits": special["NOT_A_NUMBER"],
-        "inf_bits": special["INFINITE"],
-        "minus_inf_bits": special["MINUS_INFINITE"],
-        "large_bits": special["LARGE"],
+        "crcs": [f"0x{planted(law, kind).crc:08X}U" for kind in range(LOADS)],
+        "special": special,
         "flags": " ".join(FLAGS),
         "targets": list(TARGETS.values()),
         "scale": constant(2.0**-12 * script[0].scale * 2.0**23, law.precision),
     }
+
+
+def _sections(law: Law) -> list[dict[str, Any]]:
+    made, at = [], 0
+    for section in sections(law):
+        rows = [[constant(v, law.precision) for v in row] for row in section.rows]
+        made.append({"label": section.label, "says": section.says, "rows": rows, "at": at})
+        at += sum(len(row) for row in rows)
+    return made
 
 
 def _call(row: Row, precision: str) -> dict[str, Any]:

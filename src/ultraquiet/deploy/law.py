@@ -1,6 +1,6 @@
 """The law as it will stand in the code: rounded coefficients, limits, ramp."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,11 @@ from ultraquiet.values.state_space import StateSpace
 
 Rounded = NDArray[Any]
 
+# Four frames of 286 us: the ramp out begins before the slowest isolated mode has seen a tenth of its period.
+OVERRUN_LIMIT = 4
+# Of each actuator's range: identification in closed loop leaves nine tenths to the control.
+EXCITATION_SHARE = 0.1
+
 DTYPES = {"float32": np.float32, "float64": np.float64}
 
 
@@ -23,7 +28,9 @@ class Law:
     """Everything the code is made of. Arrays have the code's own precision and are read-only.
 
     x+ = A x + B y + L (sat(u) - u), u = C x + D y, with A in blocks (A - I when `form` is `delta`); `L` is None without
-    anti-windup. `limits` is `(nu, 2)`, low and high; the command is scaled by `level / ramp_steps` while it ramps.
+    anti-windup. `limits` is `(nu, 2)`, low and high, and so is `excitation`, the range of what may be added to the
+    command before them; the command is scaled by `level / ramp_steps` while it ramps. `overrun_limit` overruns in a row latch
+    a fault.
     """
 
     name: str
@@ -41,6 +48,8 @@ class Law:
     channels: tuple[int, ...] = ()
     turn_in: Rounded | None = None
     turn_out: Rounded | None = None
+    excitation: Rounded = field(default_factory=lambda: np.zeros((0, 2)))
+    overrun_limit: int = OVERRUN_LIMIT
 
     @property
     def inputs(self) -> int:
@@ -81,15 +90,21 @@ class Law:
             gains = 2 * self.states + len(self.channels)
             gains += sum(T.size for T in (self.turn_in, self.turn_out) if T is not None)
             anti_windup = self.states if anti_windup and not self.turned else anti_windup
-        return sum(b.size for b in self.blocks) + gains + anti_windup + self.limits.size
+        ranges = self.limits.size + self.excitation.size
+        return sum(b.size for b in self.blocks) + gains + anti_windup + ranges
+
+    @property
+    def held_numbers(self) -> int:
+        """Number of reals in one instance of the code: states, measurements, commands at each stage."""
+        return self.states + self.inputs + (4 if self.L is None else 5) * self.outputs
 
     @property
     def hash(self) -> str:
         """SHA-256 of every rounded coefficient and setting."""
         L = np.zeros(0) if self.L is None else self.L
-        settings = [self.precision, self.form, self.ramp_steps, self.rate_hz, self.order, *self.channels]
+        settings = [self.precision, self.form, self.ramp_steps, self.rate_hz, self.order, self.overrun_limit, *self.channels]
         turns = [T for T in (self.turn_in, self.turn_out) if T is not None]
-        return content_hash(*self.blocks, self.B, self.C, self.D, L, self.limits, *turns, settings)
+        return content_hash(*self.blocks, self.B, self.C, self.D, L, self.limits, self.excitation, *turns, settings)
 
     def state_space(self) -> StateSpace:
         """Return the linear law with its rounded coefficients, for an analysis in float64."""
@@ -109,8 +124,10 @@ def rounded(
     order: int,
     name: str = "controller",
     ramp_steps: int = 1,
+    excitation: FloatArray | None = None,
+    overrun_limit: int = OVERRUN_LIMIT,
 ) -> Law:
-    """Return the realisation rounded to `precision`, to nearest.
+    """Return the realisation rounded to `precision`, to nearest; `excitation` is a tenth of the limits when absent.
 
     Raises:
         InputError: a coefficient that overflows in that precision.
@@ -143,10 +160,12 @@ def rounded(
         channels=parts.channels,
         turn_in=None if parts.turn_in is None else cast(parts.turn_in),
         turn_out=None if parts.turn_out is None else cast(parts.turn_out),
+        excitation=cast(EXCITATION_SHARE * limits if excitation is None else excitation),
+        overrun_limit=overrun_limit,
     )
 
 
-def actuator_limits(limits_v: ArrayLike, outputs: int) -> FloatArray:
+def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -> FloatArray:
     """Return limits as `(nu, 2)` from one number, one per actuator (both symmetric), or a low and a high for each.
 
     >>> actuator_limits(25.0, 2).tolist()
@@ -154,11 +173,11 @@ def actuator_limits(limits_v: ArrayLike, outputs: int) -> FloatArray:
     """
     given = np.asarray(limits_v, dtype=np.float64)
     if given.ndim < 2:
-        size = real_array("deploy", "limits_v", np.broadcast_to(given, (outputs,)) if given.size == 1 else given, 1)
+        size = real_array("deploy", what, np.broadcast_to(given, (outputs,)) if given.size == 1 else given, 1)
         given = np.stack([-size, size], axis=1)
-    held = real_array("deploy", "limits_v", given, 2)
+    held = real_array("deploy", what, given, 2)
     if held.shape != (outputs, 2):
-        raise InputError(f"deploy: 'limits_v' must be one number, ({outputs},) or ({outputs}, 2), got {held.shape}.")
+        raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {held.shape}.")
     if np.any(held[:, 0] > 0) or np.any(held[:, 1] < 0) or np.any(held[:, 0] >= held[:, 1]):
-        raise InputError(f"deploy: each actuator's range must hold 0 V, where the ramp ends, got {held.tolist()}.")
+        raise InputError(f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {held.tolist()}.")
     return held

@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.biquad import channels
+from ultraquiet.deploy.biquad import channels, parts_of
 from ultraquiet.deploy.blocks import block_diagonal
 from ultraquiet.values.state_space import StateSpace
 
@@ -180,8 +181,9 @@ def _split(law: StateSpace, bound: float) -> tuple[list[FloatArray], FloatArray,
     """Return balanced blocks with the matching rows of B and columns of C."""
     if law.states == 0:
         return [], law.B.copy(), law.C.copy()
-    blocks, V = block_diagonal(law.A, bound)
-    B, C = np.asarray(np.linalg.solve(V, law.B), dtype=np.float64), law.C @ V
+    split = [_block_diagonal(law, part, bound) for part in parts_of(law.A)]
+    blocks = [block for own, _, _ in split for block in own]
+    B, C = np.concatenate([B for _, B, _ in split]), np.concatenate([C for _, _, C in split], axis=1)
     at = 0
     for k, block in enumerate(blocks):
         part = slice(at, at + len(block))
@@ -194,6 +196,14 @@ def _split(law: StateSpace, bound: float) -> tuple[list[FloatArray], FloatArray,
             B[part], C[:, part] = B[part] * t, C[:, part] / t
         at += len(block)
     return blocks, B, C
+
+
+def _block_diagonal(
+    law: StateSpace, part: NDArray[np.intp], bound: float
+) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+    """Return the blocks of states that exchange nothing with the others."""
+    blocks, V = block_diagonal(law.A[np.ix_(part, part)], bound)
+    return blocks, np.asarray(np.linalg.solve(V, law.B[part]), dtype=np.float64), law.C[:, part] @ V
 
 
 def _normal(block: FloatArray) -> FloatArray:

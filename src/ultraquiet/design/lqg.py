@@ -14,7 +14,7 @@ from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._refusal import lost_modes, stable_weight
 from ultraquiet.design._verify import judged
 from ultraquiet.design.h2 import AGREEMENT
-from ultraquiet.design.h2_kernel import Problem, solve
+from ultraquiet.design.h2_kernel import Problem, Solution, solve
 from ultraquiet.design.lqg_problem import Parts, generalised, integrator, regular_noise, shaped, unreachable_integrator
 from ultraquiet.design.ltr import recovery
 from ultraquiet.design.weights import band_pass, below_nyquist, high_pass
@@ -120,21 +120,21 @@ class Lqg:
         sentence = lost_modes("Lqg", plant) or unreachable_integrator("Lqg", plant, parts.loop)
         if sentence:
             return refused(sentence)
-        # equations are solved in modal coordinates: the units in which a plant comes may differ by many decades
+        even, sentence = plant, ""
+        # modal coordinates first: the units in which a plant comes may differ by many decades; then its own, which a
+        # transformation of poor condition would spoil
         form = balance.modal(plant.A, plant.B, plant.C)
-        even = StateSpace(form.A, form.B, form.C, plant.D, plant.rate_hz)
-        P = generalised(even, parts)
+        true = generalised(plant, parts)
         ny, nu = plant.D.shape
-        try:
-            found = solve(Problem.of(P, ny, nu), discrete=True)
-            core = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=plant.rate_hz)
-            achieved = h2_norm(lft(P, core))
-        except (NumericalError, InputError) as error:
-            return refused(f"Lqg: {error}{_advice(P, ny, nu)}")
-        promised = found.cost() if self.estimator == "current" else achieved
-        if not abs(promised - achieved) <= AGREEMENT * achieved:
-            said = f"the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}."
-            return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
+        for even in (StateSpace(form.A, form.B, form.C, plant.D, plant.rate_hz), plant):
+            P = true if even is plant else generalised(even, parts)
+            found = self._solved(P, true, ny, nu)
+            if not isinstance(found, str):
+                break
+            sentence = sentence or f"Lqg: {found}{_advice(P, ny, nu)}"
+        else:
+            return refused(sentence)
+        solution, core, promised, achieved = found
         K = core if parts.loop is None else series(parts.loop, core)
         try:
             firm = feedback(K, plant).is_stable()
@@ -143,9 +143,27 @@ class Lqg:
         if not firm:
             said = "the loop hangs on rounding errors: stable where it is closed at the outputs, not at the inputs."
             return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
-        recovered = recovery(self.recovery_at, even, parts.loop, core, P, found)
+        recovered = recovery(self.recovery_at, even, parts.loop, core, P, solution)
         details = {"recovery": recovered, "weights": self.weights(plant)}
-        return judged(plant, K, self, promised, achieved, found.residuals, details)
+        return judged(plant, K, self, promised, achieved, solution.residuals, details)
+
+    def _solved(
+        self, P: StateSpace, true: StateSpace, ny: int, nu: int
+    ) -> tuple[Solution, StateSpace, float, float] | str:
+        """Return gains, controller, promised and achieved cost, or what is wrong.
+
+        The equations are solved for P; what is achieved is measured on `true`, the same system as it was given.
+        """
+        try:
+            found = solve(Problem.of(P, ny, nu), discrete=True)
+            core = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=P.rate_hz)
+            achieved = h2_norm(lft(true, core))
+            promised = found.cost() if self.estimator == "current" else h2_norm(lft(P, core))
+        except (NumericalError, InputError) as error:
+            return str(error)
+        if not abs(promised - achieved) <= AGREEMENT * achieved:
+            return f"the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}."
+        return found, core, promised, achieved
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the system from (d, probe, v, u) to (W y, Wu u, y), all noises of unit variance.
