@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
+    from ultraquiet.deploy.frame import Frame as Frame
+    from ultraquiet.deploy.frame import Overload as Overload
+    from ultraquiet.deploy.frame_controller import FrameController as FrameController
+    from ultraquiet.deploy.frame_result import FrameSimulation as FrameSimulation
+    from ultraquiet.deploy.frame_times import FrameTimes as FrameTimes
     from ultraquiet.deploy.law import Law as Law
     from ultraquiet.deploy.processor import Processor as Processor
     from ultraquiet.deploy.realise import Realisation as Realisation
@@ -26,7 +31,12 @@ if TYPE_CHECKING:
 _HOME = {
     "CompiledController": "compiled",
     "Deployment": "deployment",
+    "Frame": "frame",
+    "FrameController": "frame_controller",
+    "FrameSimulation": "frame_result",
+    "FrameTimes": "frame_times",
     "Law": "law",
+    "Overload": "frame",
     "Processor": "processor",
     "Realisation": "realise",
     "Twin": "twin",

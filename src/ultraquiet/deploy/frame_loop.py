@@ -1,0 +1,171 @@
+"""The frame's simulation around the compiled code, and around its twin where no compiler is."""
+
+import ctypes
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ultraquiet._base.constraints import signal_array
+from ultraquiet._base.errors import InputError, ToolError
+from ultraquiet.deploy import emit, toolchain
+from ultraquiet.deploy.frame import Draws, Frame, frame_settings
+from ultraquiet.deploy.frame_clock import FrameClock, empty_arrays, run_clock
+from ultraquiet.deploy.frame_times import FrameTimes
+from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.script import sizes
+from ultraquiet.deploy.twin import Twin
+
+if TYPE_CHECKING:
+    from ultraquiet.deploy.deployment import Deployment
+    from ultraquiet.deploy.frame_result import FrameSimulation
+
+# Measurements that are drawn and then repeated.
+NOISE_SAMPLES = 4096
+_SECONDS = (
+    "period_s",
+    "entry_s",
+    "read_s",
+    "output_s",
+    "write_s",
+    "update_s",
+    "leave_s",
+    "idle_output_s",
+    "idle_update_s",
+    "background_s",
+    "service_s",
+)
+_COUNTS = ("restart", "frames", "samples", "arrivals")
+_GIVEN = ("delay", "stretch", "extra", "arrival", "y")
+_FILLED = ("start", "written", "finish", "done", "largest", "mode", "faults", "skipped", "late", "level", "overruns")
+_TOLD = ("hooked", "refused")
+
+
+class Job(ctypes.Structure):
+    """The harness's argument, field by field."""
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in _SECONDS),
+        *((name, ctypes.c_uint32) for name in _COUNTS),
+        *((name, ctypes.c_void_p) for name in (*_GIVEN, *_FILLED)),
+        *((name, ctypes.c_uint32) for name in _TOLD),
+    ]
+
+
+class FrameHarness:
+    """The folder's controller compiled together with the harness; one instance of the law."""
+
+    def __init__(self, law: Law, folder: Path, cc: str) -> None:
+        self.law = law
+        with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
+            source, made = Path(work) / "frame.c", Path(work) / "frame.so"
+            text = emit.render("frame_harness.c.j2", {"name": law.name, "NAME": law.name.upper()})
+            source.write_text(text, encoding="utf-8")
+            own = folder / f"{law.name}.c"
+            toolchain.compile_c([cc, *emit.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder)
+            try:
+                self._library = ctypes.CDLL(str(made))
+            except OSError as error:
+                raise ToolError(f"deploy: the compiled controller cannot be loaded ({error}).") from None
+        size = int(self._function("frame_size")())
+        self._state = (ctypes.c_double * (size // 8 + 1))()
+        self._seen = (ctypes.c_uint32 * 5)()
+        self._y, self._u = np.zeros(law.inputs, law.dtype), np.zeros(law.outputs, law.dtype)
+        for name in ("frame", "enable", "clear"):
+            self._function(name).restype = ctypes.c_bool
+        self.start()
+
+    def _function(self, name: str) -> Any:
+        return getattr(self._library, f"{self.law.name}_{name}")
+
+    def _look(self, item: int) -> int:
+        self._function("frame_look")(self._state, self._seen)
+        return int(self._seen[item])
+
+    mode = property(lambda self: self._look(0))
+    level = property(lambda self: self._look(1))
+    overruns = property(lambda self: self._look(2))
+    hooked = property(lambda self: self._look(3))
+    faults = property(lambda self: self._look(4))
+
+    def start(self, engage: bool = False) -> None:
+        """Initialise with the counting hook, and enable; `engage` at full command from the first step on."""
+        self._function("frame_start")(self._state, ctypes.c_uint32(engage))
+
+    def frame(self) -> bool:
+        """Tell whether a step may begin."""
+        return bool(self._function("frame")(self._state))
+
+    def output(self, y: NDArray[Any]) -> NDArray[Any]:
+        """Return the commands of this step."""
+        self._y[:] = y
+        self._function("output")(self._state, *(ctypes.c_void_p(a.ctypes.data) for a in (self._y, self._u)))
+        return self._u.copy()
+
+    def update(self) -> None:
+        """Advance the state."""
+        self._function("update")(self._state)
+
+    def enable(self) -> bool:
+        """Ramp in."""
+        return bool(self._function("enable")(self._state))
+
+    def clear(self) -> bool:
+        """Clear a latched fault."""
+        return bool(self._function("clear")(self._state))
+
+    def run(self, settings: dict[str, Any], draws: Draws, frames: int, y: NDArray[Any]) -> dict[str, Any]:
+        """Return the arrays of so many frames, from a fresh start."""
+        held = empty_arrays(frames)
+        given = {
+            "delay": draws.delay_s,
+            "stretch": draws.stretch,
+            "extra": draws.extra_s,
+            "arrival": draws.arrival_s,
+            "y": np.ascontiguousarray(y, self.law.dtype),
+        }
+        counts = {"frames": frames, "samples": len(y), "arrivals": draws.arrival_s.size}
+        pointers = {name: array.ctypes.data for name, array in (given | held).items()}
+        job = Job(**settings, **counts, **pointers)
+        self._function("frame_run")(self._state, ctypes.byref(job))
+        return held | {"hooked": int(job.hooked), "refused": int(job.refused)}
+
+
+def run_frames(
+    frame: Frame, made: "Deployment", frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
+) -> "FrameSimulation":
+    """Return what `Frame.simulate` promises."""
+    from ultraquiet.deploy.frame_result import judge
+
+    settings = frame_settings(frame, times, made.law.rate_hz)
+    draws = frame.draw(frames, settings["period_s"], seed)
+    y = _measurements(made.law, measurements, seed)
+    cc = toolchain.compiler()
+    if cc is not None:
+        held = FrameHarness(made.law, made.folder, cc).run(settings, draws, frames, y)
+    else:
+        held = run_twin(made.law, settings, draws, frames, y)
+    return judge(frame, times, made.law, held, "twin" if cc is None else "compiled code")
+
+
+def run_twin(law: Law, settings: dict[str, Any], draws: Draws, frames: int, y: NDArray[Any]) -> dict[str, Any]:
+    """Return the arrays of so many frames of the twin, from a fresh start; some 50 us a frame."""
+    twin = Twin(law)
+    twin.enable()
+    clock = FrameClock(twin, settings, draws)
+    with np.errstate(all="ignore"):
+        held = run_clock(clock, frames, y)
+    return held | {"hooked": None, "refused": clock.refused}
+
+
+def _measurements(law: Law, given: ArrayLike | None, seed: int) -> NDArray[Any]:
+    """Return measurements as `(samples, inputs)` in the code's precision."""
+    if given is None:
+        noise = np.random.default_rng(seed).standard_normal((NOISE_SAMPLES, law.inputs))
+        return np.ascontiguousarray(noise * sizes(law)[0] * 2.0**23, law.dtype)
+    y = signal_array("Frame", "measurements", given)
+    if y.shape[0] != law.inputs or y.shape[1] == 0:
+        raise InputError(f"Frame: measurements must be ({law.inputs}, n), got {y.shape}.")
+    return np.ascontiguousarray(y.T, law.dtype)
