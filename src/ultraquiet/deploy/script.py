@@ -1,10 +1,12 @@
 """The self-test's script: calls that visit every guard, with the digest of all bits they leave behind."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ultraquiet.deploy.coefficients import CoefficientBank, bank_from, numbers
 from ultraquiet.deploy.law import Law
 from ultraquiet.deploy.twin import Twin
 
@@ -18,6 +20,11 @@ OPS = (
     "UPDATE",
     "SPEND",
     "POKE",
+    "EXCITE",
+    "ATTACH",
+    "LOAD",
+    "SWAP",
+    "SELECT",
     "RUN",
     "NOT_A_NUMBER",
     "INFINITE",
@@ -42,6 +49,11 @@ SPECIAL = {
         "LARGE": 0x7FDFFFFFFFFFFFFF,
     },
 }
+
+
+# Kinds of LOAD: a sound bank (every coefficient halved), a wrong CRC, NaN first, infinity last, a wrong bit.
+LOADS = 5
+SOUND, WRONG_CRC, NAN_FIRST, INFINITE_LAST, WRONG_BIT = range(LOADS)
 
 
 @dataclass(frozen=True)
@@ -137,6 +149,162 @@ RUN 5 loud
 """
 
 
+EXCITATIONS = """
+INIT 0
+SELECT 16             y 0 on tap 0
+SELECT last_x         the last state on tap 1
+SELECT last_u         the last excitation on tap 2
+SELECT last_raw       the last command of the law on tap 3
+EXCITE 0
+RUN 2                 no command when off
+ENABLE
+RUN some+2
+EXCITE 0
+RUN 5
+EXCITE 2              beyond its limits
+RUN 5
+EXCITE 2
+OUTPUT
+EXCITE 0              between the halves of a step
+UPDATE
+RUN 3
+EXCITE 1              NaN: none at all
+RUN 5
+EXCITE 0
+RUN 30 loud
+NOT_A_NUMBER 0        a fault ends it
+RUN ramp
+CLEAR
+ENABLE
+RUN some+2
+SELECT low_limited    limited 0 on tap 0
+SELECT low_applied    applied 0 on tap 1
+RUN 2
+SELECT 4              no such tap
+SELECT past_y         no such channel
+SELECT past_x
+SELECT past_u
+SELECT 114            no such signal: shows nothing
+SELECT 3              nothing on tap 3
+RUN 2
+INIT 0
+"""
+STALLS = """
+ENABLE
+RUN ramp+20
+OUTPUT
+FRAME times           one overrun short of the limit
+UPDATE
+RUN 3
+FRAME
+OUTPUT
+FRAME                 the score has fallen by one half only
+UPDATE
+FRAME times_twice     frames in time let it fall to zero
+OUTPUT
+FRAME times
+UPDATE
+FRAME
+OUTPUT
+FRAME 2               reaches the limit
+UPDATE
+RUN 3                 latched, ramping out
+ENABLE
+RUN ramp
+CLEAR
+ENABLE
+RUN some+2
+OUTPUT
+FRAME times
+FRAME 1
+INIT 0                forgets it
+RUN 2
+"""
+SWAPS = """
+LOAD 0                no memory attached
+SWAP 1
+ATTACH
+SWAP 1                nothing loaded
+LOAD 1
+SWAP 0
+LOAD 2
+LOAD 3
+LOAD 4
+SWAP 1
+ENABLE
+RUN ramp+20
+LOAD 0
+RUN 2                 loaded, not in use
+OUTPUT
+SWAP 1
+LOAD 0                refused while a swap waits
+RUN 0
+UPDATE                takes effect here
+RUN 5
+SWAP 1                nothing loaded any more
+LOAD 4
+RUN 2
+LOAD 0
+LOAD 1                a refusal also drops what was loaded
+SWAP 1
+LOAD 0
+SWAP 0                by a ramp
+RUN half
+RUN ramp              out, swapped, on its way in
+RUN ramp
+LOAD 0
+SWAP 0
+RUN half
+DISABLE               stays out
+RUN ramp+2
+LOAD 0
+SWAP 0                off: at once
+RUN 2
+ENABLE
+RUN some+2
+LOAD 0
+SWAP 0
+RUN 1
+NOT_A_NUMBER 0        a fault on the way
+RUN ramp+2
+CLEAR
+RUN 2
+ATTACH                built-in coefficients again
+ENABLE
+RUN some+3
+LOAD 0
+ATTACH
+SWAP 1
+LOAD 0
+SWAP 0
+ATTACH
+RUN some+3
+INIT 0
+SWAP 1
+ENABLE
+RUN 5
+"""
+
+
+def planted(law: Law, kind: int) -> CoefficientBank:
+    """Return the bank of a LOAD of some kind, with the CRC that goes with it."""
+    row = numbers(law) * law.dtype(0.5)
+    words = np.dtype(f"<u{row.dtype.itemsize}")
+    bits = SPECIAL[law.precision]
+    if kind == NAN_FIRST:
+        row[0] = np.array([bits["NOT_A_NUMBER"]], words).view(law.dtype)[0]
+    if kind == INFINITE_LAST:
+        row[-1] = np.inf
+    bank = bank_from(row)
+    if kind == WRONG_CRC:
+        return replace(bank, crc=bank.crc ^ 1)
+    if kind == WRONG_BIT:
+        changed = bank.words.copy()
+        changed[-1] ^= 1
+        return replace(bank, words=changed)
+    return bank
+
+
 def self_test(law: Law) -> list[Row]:
     """Return the script for a law, its digests computed by the twin."""
     player = Player(law)
@@ -150,8 +318,10 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
     bad += [f"NOT_A_NUMBER {channel}" for channel in range(1, last)]
     large = [f"LARGE {k % law.inputs}" for k in range(4)]
     text = [START, OVERRUNS, *(f"{one}\n{AFTER_BAD}" for one in bad), FAULTS, *large, OVERFLOWS]
+    text += [EXCITATIONS, STALLS, SWAPS]
     some = min(law.ramp_steps, 7)
     names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
+    names |= {"times": law.overrun_limit - 1, "times_twice": 2 * law.overrun_limit} | _taps(law)
     quiet, loud = sizes(law)
     calls = []
     for line in filter(None, "\n".join(text).splitlines()):
@@ -159,6 +329,20 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
         count = sum(names[word] if word in names else int(word) for word in (words[1:2] or ["0"])[0].split("+"))
         calls.append((words[0], count, loud if "loud" in words else quiet))
     return calls
+
+
+def _taps(law: Law) -> dict[str, int]:
+    """Return the counts of SELECT by name: tap + 16 signal + 256 channel."""
+    return {
+        "last_x": 1 + 16 * 2 + 256 * (law.states - 1),
+        "last_raw": 3 + 16 * 3 + 256 * (law.outputs - 1),
+        "last_u": 2 + 16 * 4 + 256 * (law.outputs - 1),
+        "low_limited": 16 * 5,
+        "low_applied": 1 + 16 * 6,
+        "past_y": 16 * 1 + 256 * law.inputs,
+        "past_x": 16 * 2 + 256 * law.states,
+        "past_u": 16 * 6 + 256 * law.outputs,
+    }
 
 
 class Player:
@@ -194,13 +378,41 @@ class Player:
             twin.overruns = MASK - count
         elif op == "POKE":
             twin.x[count] = np.inf
-        elif op in ("ENABLE", "CLEAR", "FRAME"):
+        elif op == "FRAME":
+            self._fold([int(twin.frame()) for _ in range(max(count, 1))])
+        elif op in ("ENABLE", "CLEAR"):
             self._fold([int(getattr(twin, op.lower())())])
+        elif op in ("EXCITE", "ATTACH", "LOAD", "SWAP", "SELECT"):
+            self._ask(op, count)
         else:
             y = self.measure(scale)
             bits = SPECIAL[twin.law.precision][op]
             y[count] = np.array([bits], self._words).view(twin.law.dtype)[0]
             self._step(y)
+
+    def _ask(self, op: str, count: int) -> None:
+        twin = self.twin
+        if op == "EXCITE":
+            self._fold([int(twin.excite(self._excitation(count)))])
+        elif op == "ATTACH":
+            twin.attach()
+        elif op == "LOAD":
+            bank = planted(twin.law, count)
+            self._fold([int(twin.load_bank(bank.words, bank.crc))])
+            self._fold(self._bits(twin.numbers))
+        elif op == "SWAP":
+            self._fold([int(twin.swap(count != 0))])
+        else:
+            self._fold([int(twin.select(count % 16, count // 16 % 16, count // 256))])
+
+    def _excitation(self, kind: int) -> NDArray[np.floating]:
+        """Return three quarters of the upper limits and of the lower ones by turns; NaN last, or twelve times as much."""
+        law = self.twin.law
+        turns = law.excitation[np.arange(law.outputs), (np.arange(law.outputs) + self.twin.steps) % 2]
+        v = turns * law.dtype(9.0 if kind == 2 else 0.75)
+        if kind == 1:
+            v[-1] = np.nan
+        return v
 
     def measure(self, scale: float) -> NDArray[np.floating]:
         """Return the next measurements of the generator."""
@@ -220,8 +432,9 @@ class Player:
         twin = self.twin
         commands = np.stack([twin.raw, twin.applied, twin.limited], axis=1).ravel()
         self._fold(self._bits(np.concatenate([commands, twin.y, twin.x])))
+        self._fold(self._bits(np.concatenate([twin.excitation, twin.monitor()])))
         self._fold([twin.mode, twin.faults, twin.level, twin.steps, twin.clipped, twin.overruns])
-        self._fold([int(twin.live), int(twin.busy)])
+        self._fold([twin.live, twin.busy, twin.late, twin.stalled, twin.resume, twin.loaded, twin.swapping, twin.bank])
 
     def _bits(self, values: NDArray[np.floating]) -> list[int]:
         """Return 32-bit words, low half first; one word for any NaN."""
@@ -235,9 +448,9 @@ class Player:
                 made.extend((word & MASK, word >> 32) if wide else (word,))
         return made
 
-    def _fold(self, words: list[int]) -> None:
+    def _fold(self, words: Iterable[int]) -> None:
         digest = self.digest
-        for word in words:
+        for word in map(int, words):
             digest = ((digest ^ word) * FNV_PRIME) & MASK
         self.digest = digest
 

@@ -1,5 +1,6 @@
 """The generated code's twin in NumPy: the same operations in the same order and precision, so the same bits."""
 
+import zlib
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.deploy.biquad import Bank
+from ultraquiet.deploy.coefficients import numbers, with_numbers
 from ultraquiet.deploy.law import Law, Rounded
 
 OFF, ON, STOPPING, FAULT = range(4)
-FAULT_INPUT, FAULT_OUTPUT = 1, 2
+FAULT_INPUT, FAULT_OUTPUT, FAULT_OVERRUN = 1, 2, 4
+SWAP_NONE, SWAP_KEEP, SWAP_RAMP = range(3)
+SIGNALS = ("nothing", "y", "x", "raw", "excitation", "limited", "applied")
+TAPS = 4
 COUNTER_MAX = 2**32 - 1
 
 
@@ -22,14 +27,19 @@ class Twin:
 
     def __init__(self, law: Law) -> None:
         self.law = law
-        self._bank = Bank(law) if law.channels else None
-        self._gain = np.concatenate([law.D, law.C], axis=1)
-        self._groups = _groups(law)
-        self._drive = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
         self._low, self._high = law.limits[:, 0].copy(), law.limits[:, 1].copy()
         self._ramp_step = law.dtype(1.0) / law.dtype(law.ramp_steps)
         self._seen = np.zeros(law.inputs + law.states, law.dtype)
         self.init()
+
+    def _take(self, law: Law, bank: int) -> None:
+        """Put the coefficients of a law into use; `bank` is 0 for the built-in ones, else 1 or 2."""
+        self.bank = bank
+        self._bank = Bank(law) if law.channels else None
+        self._gain = np.concatenate([law.D, law.C], axis=1)
+        self._groups = _groups(law)
+        self._drive = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
+        self.numbers = numbers(law)
 
     @property
     def rate_hz(self) -> float | None:
@@ -42,11 +52,16 @@ class Twin:
         self.x = np.zeros(law.states, law.dtype)
         self.y = np.zeros(law.inputs, law.dtype)
         self.raw = np.zeros(law.outputs, law.dtype)
+        self.excitation = np.zeros(law.outputs, law.dtype)
         self.limited = np.zeros(law.outputs, law.dtype)
+        self.cut = np.zeros(law.outputs, law.dtype)
         self.applied = np.zeros(law.outputs, law.dtype)
-        self.mode, self.faults, self.level, self.steps, self.clipped, self.overruns = OFF, 0, 0, 0, 0, 0
-        self.live = self.busy = False
+        self.mode, self.faults, self.level, self.steps, self.clipped = OFF, 0, 0, 0, 0
+        self.overruns, self.late, self.swapping = 0, 0, SWAP_NONE
+        self.live = self.busy = self.stalled = self.resume = self.attached = self.loaded = False
+        self.taps = [(0, 0)] * TAPS
         self._hook = hook
+        self._take(law, 0)
 
     def reset(self) -> None:
         """Return to rest and take control at full command, as a `Controller` does."""
@@ -80,6 +95,7 @@ class Twin:
 
     def disable(self) -> None:
         """Ramp out."""
+        self.resume = False
         if self.mode == ON:
             self.mode = STOPPING
 
@@ -92,16 +108,72 @@ class Twin:
     def frame(self) -> bool:
         """Count an overrun when the last step is unfinished."""
         if not self.busy:
+            self.late = max(self.late - 1, 0)
             return True
         self.overruns = min(self.overruns + 1, COUNTER_MAX)
+        self.late += 2
+        if self.late >= 2 * self.law.overrun_limit:
+            self.late, self.stalled = 0, True
         if self._hook:
             self.steps += 1000
         return False
+
+    def excite(self, volts: ArrayLike) -> bool:
+        """Set what is added to the commands before the limits `(nu,)`; none, and False, for NaN or infinity."""
+        given = np.asarray(volts, self.law.dtype)
+        if not np.isfinite(given).all():
+            self.excitation = np.zeros_like(given)
+            return False
+        low, high = self.law.excitation.T
+        above = np.where(given < low, low, given)
+        self.excitation = np.where(above > high, high, above)
+        return True
+
+    def attach(self) -> None:
+        """Give memory for banks, and return to the built-in coefficients."""
+        self.loaded, self.swapping, self.attached = False, SWAP_NONE, True
+        self._take(self.law, 0)
+
+    def load_bank(self, words: ArrayLike, crc: int) -> bool:
+        """Take coefficients as 32-bit words with their CRC-32; False when they are not sound."""
+        if not self.attached or self.swapping != SWAP_NONE:
+            return False
+        self.loaded = False
+        raw = np.asarray(words, "<u4").tobytes()
+        row = np.frombuffer(raw, np.dtype(self.law.dtype).newbyteorder("<")).astype(self.law.dtype)
+        if zlib.crc32(raw) != crc or not np.isfinite(row).all():
+            return False
+        self._loaded, self.loaded = row, True
+        return True
+
+    def swap(self, keep: bool) -> bool:
+        """Put the loaded bank into use between two steps: with the state kept, or by a ramp out and in."""
+        if not self.loaded:
+            return False
+        self.loaded = False
+        self.swapping = SWAP_KEEP if keep else SWAP_RAMP
+        return True
+
+    def select(self, tap: int, signal: int, channel: int) -> bool:
+        """Choose what a tap shows."""
+        held = getattr(self, SIGNALS[signal]) if 0 < signal < len(SIGNALS) else None
+        if tap >= TAPS or (held is not None and channel >= held.size):
+            return False
+        self.taps[tap] = (0, 0) if held is None else (signal, channel)
+        return held is not None or signal == 0
+
+    def monitor(self) -> Rounded:
+        """Return the present values of the chosen signals `(4,)`."""
+        zero = self.law.dtype(0.0)
+        return np.array([getattr(self, SIGNALS[s])[c] if s else zero for s, c in self.taps], self.law.dtype)
 
     def output(self, y: NDArray[Any]) -> NDArray[Any]:
         """Return the commands of this step."""
         self.busy, self.live = True, False
         self.steps += 1
+        if self.stalled:
+            self.stalled = False
+            self._latch(FAULT_OVERRUN)
         if not np.isfinite(y).all():
             self._latch(FAULT_INPUT)
         elif self.mode in (ON, STOPPING):
@@ -112,13 +184,22 @@ class Twin:
 
     def update(self) -> None:
         """Advance the state."""
-        if self.live:
+        if self.live and (self.mode == ON or self.level != 0):
             self._advance()
-            self.live = False
-        if self.mode == STOPPING and self.level == 0:
-            self.mode = OFF
-            self.x = np.zeros_like(self.x)
+        self.live = False
+        self._boundary()
         self.busy = False
+
+    def _boundary(self) -> None:
+        if self.swapping == SWAP_RAMP and self.mode == ON:
+            self.mode, self.resume = STOPPING, True
+        if self.swapping == SWAP_KEEP or (self.swapping == SWAP_RAMP and self.level == 0):
+            self._take(with_numbers(self.law, self._loaded), 2 if self.bank == 1 else 1)
+            self.swapping = SWAP_NONE
+        if self.mode == STOPPING and self.level == 0:
+            self.mode = ON if self.resume else OFF
+            self.resume = False
+            self.x = np.zeros_like(self.x)
 
     def _law(self) -> None:
         raw = self._linear() if self._bank is None else self._bank.output(self.y, self.x)
@@ -126,9 +207,11 @@ class Twin:
             self._latch(FAULT_OUTPUT)
             return
         self.raw, self.live = raw, True
-        self.limited = np.where(raw < self._low, self._low, np.where(raw > self._high, self._high, raw))
-        if (self.limited != raw).any():
-            self.clipped += 1
+        wanted = raw + self.excitation
+        above = np.where(wanted < self._low, self._low, wanted)
+        self.limited = np.where(above > self._high, self._high, above)
+        self.cut = self.limited - wanted
+        self.clipped += int((self.limited != wanted).any())
 
     def _linear(self) -> NDArray[Any]:
         self._seen[: self.y.size] = self.y
@@ -137,9 +220,9 @@ class Twin:
 
     def _advance(self) -> None:
         if self._bank is not None:
-            self.x = self._bank.advance(self.y, self.x, self.limited - self.raw)
+            self.x = self._bank.advance(self.y, self.x, self.cut)
             return
-        drive = self.y if self.law.L is None else np.concatenate([self.y, self.limited - self.raw])
+        drive = self.y if self.law.L is None else np.concatenate([self.y, self.cut])
         following = np.empty_like(self.x)
         for rows, A in self._groups:
             own = (A * self.x[rows][:, None, :]).reshape(-1, A.shape[2])
@@ -149,8 +232,9 @@ class Twin:
 
     def _latch(self, fault: int) -> None:
         self.faults |= fault
-        self.mode = FAULT
+        self.mode, self.resume = FAULT, False
         self.x = np.zeros_like(self.x)
+        self.excitation = np.zeros_like(self.excitation)
 
     def _ramp(self) -> None:
         if self.mode == ON:

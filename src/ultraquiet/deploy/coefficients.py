@@ -1,0 +1,126 @@
+"""The law's coefficients as one run of numbers: the bank that the code holds, and that may be replaced while it runs."""
+
+import zlib
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ultraquiet._base.constraints import frozen
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy import biquad
+from ultraquiet.deploy.law import Law, Rounded
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A run of rows with one meaning; rows differ in length where blocks do."""
+
+    label: str
+    says: str
+    rows: list[Rounded]
+
+
+@dataclass(frozen=True, eq=False)
+class CoefficientBank:
+    """What `NAME_load_bank` takes: 32-bit words, a number of 64 bits as two with the low one first, and their CRC-32."""
+
+    words: NDArray[np.uint32]
+    crc: int
+
+
+def sections(law: Law) -> list[Section]:
+    """Return the coefficients in the order of the code: those of `evaluate`, then a row of A, B, L for each state."""
+    own = [row for block in law.blocks for row in block]
+    more = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
+    made = [Section("D", "a row for each measurement", list(law.D.T)), Section("C", "a row for each state", list(law.C.T))]
+    if law.channels:
+        B, C, D = biquad.sections(law)
+        made = [Section("D", "a number for each channel", [D]), Section("C", "a row for each block", list(C.reshape(-1, 2)))]
+        if law.turn_in is not None and law.turn_out is not None:
+            made.append(Section("TURN_IN", "a row for each channel, from measurements", list(law.turn_in)))
+            made.append(Section("TURN_OUT", "a row for each command, from channels", list(law.turn_out)))
+        more = B[:, None] if law.L is None else np.concatenate([B[:, None], _own_gain(law, law.L)], axis=1)
+    drive = [np.concatenate([row, rest]) for row, rest in zip(own, more, strict=True)]
+    parts = f"its row of A{' - I' if law.delta else ''} within the block, of B{'' if law.L is None else ', of L'}"
+    return [*made, Section("DRIVE", f"for each state {parts}", drive)]
+
+
+def numbers(law: Law) -> Rounded:
+    """Return all coefficients of the bank in one row, in the code's precision."""
+    return np.concatenate([row for section in sections(law) for row in section.rows])
+
+
+def bank_of(law: Law) -> CoefficientBank:
+    """Return a law's bank as words and CRC-32 (IEEE 802.3, over the words' bytes, lowest first).
+
+    Reference: IEEE 802.3, section 3.2.9.
+    """
+    return bank_from(numbers(law))
+
+
+def bank_from(row: Rounded) -> CoefficientBank:
+    """Return numbers in the code's precision as words and CRC-32."""
+    raw = row.astype(row.dtype.newbyteorder("<")).tobytes()
+    return CoefficientBank(frozen(np.frombuffer(raw, "<u4").astype(np.uint32)), zlib.crc32(raw))
+
+
+def fitting_bank(running: Law, law: Law) -> CoefficientBank:
+    """Return the bank of `law` for code generated from `running`.
+
+    Raises:
+        InputError: another form, size of blocks, precision or number of channels; or one has anti-windup, one has not.
+    """
+    if _shape(running) != _shape(law):
+        raise InputError(
+            f"deploy: code for {_said(running)} cannot take the coefficients of {_said(law)}; generate it again."
+        )
+    return bank_of(law)
+
+
+def with_numbers(law: Law, row: Rounded) -> Law:
+    """Return the law whose bank is `row`; a bank of channels takes its numbers into the same places."""
+    at, taken = 0, {}
+    for section in sections(law):
+        rows = []
+        for old in section.rows:
+            rows.append(row[at : at + old.size])
+            at += old.size
+        taken[section.label] = rows
+    widths = [len(block) for block in law.blocks for _ in block]
+    A = [part[:n] for part, n in zip(taken["DRIVE"], widths, strict=True)]
+    rest = np.stack([part[n:] for part, n in zip(taken["DRIVE"], widths, strict=True)])
+    starts = np.cumsum([0, *(len(b) for b in law.blocks)])
+    blocks = tuple(np.stack(A[i:j]) for i, j in zip(starts, starts[1:], strict=False))
+    if not law.channels:
+        B, L = rest[:, : law.inputs], rest[:, law.inputs :]
+        C, D = np.stack(taken["C"]).T, np.stack(taken["D"]).T
+        return replace(law, blocks=blocks, B=B, C=C, D=D, L=None if law.L is None else L)
+    of = np.repeat(np.arange(len(law.channels)), 2 * np.array(law.channels))
+    states = np.arange(law.states)
+    B, C, L = np.zeros_like(law.B), np.zeros_like(law.C), None
+    B[states, of], C[of, states] = rest[:, 0], np.concatenate(taken["C"])
+    if law.L is not None:
+        L = rest[:, 1:]
+        if not law.turned:
+            L = np.zeros_like(law.L)
+            L[states, of] = rest[:, 1]
+    turns = [np.stack(taken[k]) if k in taken else None for k in ("TURN_IN", "TURN_OUT")]
+    D = np.diag(taken["D"][0])
+    return replace(law, blocks=blocks, B=B, C=C, D=D, L=L, turn_in=turns[0], turn_out=turns[1])
+
+
+def _own_gain(law: Law, L: Rounded) -> Rounded:
+    """Return the anti-windup gain as stored: one number a state in a plain bank, whose others are zero."""
+    return L if law.turned else L.sum(axis=1, keepdims=True)
+
+
+def _shape(law: Law) -> tuple[Any, ...]:
+    sizes = [len(b) for b in law.blocks]
+    return law.precision, law.form, law.D.shape, law.channels, law.turned, law.L is None, sizes, law.rate_hz
+
+
+def _said(law: Law) -> str:
+    more = "" if law.L is None else " with anti-windup"
+    return f"{law.states} states, {law.inputs} x {law.outputs}, {law.form}, {law.precision}{more} at {law.rate_hz:g} Hz"
