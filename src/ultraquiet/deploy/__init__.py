@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
+    from ultraquiet.deploy.fmu import FmuFile as FmuFile
+    from ultraquiet.deploy.fmu import write_fmu as write_fmu
+    from ultraquiet.deploy.fmu_controller import FmuController as FmuController
     from ultraquiet.deploy.frame import Frame as Frame
     from ultraquiet.deploy.frame import Overload as Overload
     from ultraquiet.deploy.frame_controller import FrameController as FrameController
@@ -31,6 +34,8 @@ if TYPE_CHECKING:
 _HOME = {
     "CompiledController": "compiled",
     "Deployment": "deployment",
+    "FmuController": "fmu_controller",
+    "FmuFile": "fmu",
     "Frame": "frame",
     "FrameController": "frame_controller",
     "FrameSimulation": "frame_result",
@@ -47,6 +52,7 @@ _HOME = {
     "largest_order": "budget",
     "realisation": "realise",
     "rounding_errors": "word_length",
+    "write_fmu": "fmu",
 }
 
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]
