@@ -14,6 +14,7 @@ from ultraquiet.pipeline.preflight import as_unit
 from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design
 from ultraquiet.values import StateSpace
+from ultraquiet.values.controller import Controller
 
 # The bands that every summary reports, whatever band the study asks for.
 BROADBAND_HZ = ((5.0, 100.0), (10.0, 60.0))
@@ -33,6 +34,7 @@ def designed(name: str, plant: StateSpace, settings: Design) -> Outcome:
             "margins": _plain(result.margins),
             "residuals": _plain(result.residuals),
             "details": _plain(result.details),
+            "adaptive": result.law is not None and settings.reduce is None,
         }
         progress.advance(note=str(result.status))
         law = result.controller
@@ -51,7 +53,12 @@ def designed(name: str, plant: StateSpace, settings: Design) -> Outcome:
     return Outcome({name: law}, {**facts, "states": law.states})
 
 
-def closed(name: str, law: StateSpace, bench: Any, settings: ClosedLoop) -> Outcome:
+def adapting(plant: StateSpace, settings: Design) -> Controller | None:
+    """Return the law that runs where a design adapts: it is no value that could be kept, so it is made again."""
+    return settings.design.make("design").design(plant).law
+
+
+def closed(name: str, law: StateSpace | Controller, bench: Any, settings: ClosedLoop) -> Outcome:
     """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction."""
     facts: dict[str, Any] = {}
     values: dict[str, Any] = {}

@@ -16,7 +16,7 @@ from ultraquiet.files import write_bytes
 from ultraquiet.pipeline import bounds, control, evidence, models, preflight, study, summary, tell
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.report import write
-from ultraquiet.values import PolynomialMatrix, Record
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 PACKAGED_LISTS = ("suite",)
 STUDY_FILE = "study.json"
@@ -117,10 +117,15 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
         if name not in made.values:
             continue
         law = made.values[name]
-        loop_key = [law.hash, bench, settings.closed_loop]
+        adapts = made.facts["adaptive"]
+        loop_key = [law.hash, bench, settings.closed_loop, *([system.hash, _key(wanted.design)] if adapts else [])]
         loops[name] = cache.stage(
-            f"loop-{name}", "loops", loop_key, partial(control.closed, name, law, bench, settings.closed_loop)
+            f"loop-{name}", "loops", loop_key, partial(_closed, name, law, system, bench, settings, adapts)
         )
+        if adapts:
+            deployment[name] = {"status": "not generated: the law adapts; C99 is generated from linear laws alone."}
+            say(f"closed {name}, which adapts and is not deployed")
+            continue
         code = cache.folder / "code"
         generate = partial(control.deployed, name, law, system, bench, code, settings.deploy)
         deployment[name] = cache.stage(
@@ -137,6 +142,11 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
     bounded = cache.stage("limits", "models", limits_key, partial(bounds.bounded, system, laws, band_hz))
     say(f"limits: {bounded.facts['bands'][-1]['status']}")
     return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment, bounded)
+
+
+def _closed(name: str, law: StateSpace, plant: StateSpace, bench: Any, settings: study.Study, adapts: bool) -> Outcome:
+    acting = control.adapting(plant, settings.controllers[name]) if adapts else None
+    return control.closed(name, acting or law, bench, settings.closed_loop)
 
 
 def _bench(settings: study.Study) -> Any:
