@@ -6,12 +6,19 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.frame import asked, show_frames
 
 
 def deploy(
     controller: Annotated[Path, typer.Argument(help="A controller (HDF5), as `design` leaves it.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the code; default: beside the controller.")] = None,
     precision: Annotated[str, typer.Option(help="float32 or float64.")] = "float32",
+    frame: Annotated[bool, typer.Option("--frame", help="Simulate the real-time frame around the code.")] = False,
+    frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
+    load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
+    jitter_us: Annotated[float, typer.Option(help="With --frame: largest delay of the interrupt.")] = 0.0,
+    frame_on: Annotated[str, typer.Option(help="With --frame: c31, cortex-m4f or cortex-m7.")] = "c31",
+    overload: Annotated[str | None, typer.Option(help="With --frame: extra work, FIRST:FRAMES:MICROSECONDS.")] = None,
 ) -> None:
     """Generate C99, compile it with the system's compiler and compare it bit by bit with Python."""
     from rich.console import Console
@@ -24,6 +31,7 @@ def deploy(
     law = files.load(controller)
     if not isinstance(law, StateSpace):
         raise InputError(f"deploy: '{controller}' holds a {type(law).__name__}, not a controller in state space.")
+    real_time = asked(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
     folder = out or controller.with_suffix("")
     made = room.generate(law, folder, precision=precision)
     verified = made.verify()
@@ -33,3 +41,5 @@ def deploy(
     console = Console()
     console.print(table)
     console.print(str(verified.status), highlight=False, soft_wrap=True)
+    if real_time is not None:
+        show_frames(console, made, real_time, frames, frame_on, folder.with_name(f"{folder.name}-frame.svg"))

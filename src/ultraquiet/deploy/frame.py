@@ -40,7 +40,7 @@ class Overload:
 
 @dataclass(frozen=True)
 class Draws:
-    """What chance and overloads add: delays and work in seconds, slow-downs as factors, arrivals of other interrupts."""
+    """What chance and overloads add: delays and work in seconds, slow-downs as factors, other interrupts."""
 
     delay_s: FloatArray
     stretch: FloatArray
@@ -132,7 +132,6 @@ class Frame:
         """
         from ultraquiet.deploy.frame_loop import run_frames
 
-        whole("Frame", "frames", frames, 1, MOST_FRAMES)
         return run_frames(self, made, frames, times or FrameTimes.c31(made.law), measurements, seed)
 
     def controller(
@@ -143,22 +142,32 @@ class Frame:
 
         return FrameController(self, made, times or FrameTimes.c31(made.law), seed, ramp)
 
-    def draw(self, frames: int, period_s: float, seed: int) -> Draws:
-        """Return the random part of so many frames.
+    def require(self, frames: int, period_s: float) -> None:
+        """Refuse what no run of so many frames can have.
 
         Raises:
             InputError: jitter of a period or more, an overload beyond the last frame.
         """
+        whole("Frame", "frames", frames, 1, MOST_FRAMES)
         if self.jitter_s >= period_s:
             raise InputError(
                 f"Frame: a jitter of {1e6 * self.jitter_s:g} us is not below the frame's {1e6 * period_s:.4g} us."
             )
+        for load in self.overloads:
+            if load.first >= frames:
+                raise InputError(f"Frame: an overload begins at frame {load.first}, the run has only {frames}.")
+
+    def draw(self, frames: int, period_s: float, seed: int) -> Draws:
+        """Return the random part of so many frames.
+
+        Raises:
+            InputError: as `require`.
+        """
+        self.require(frames, period_s)
         rng = np.random.default_rng(seed)
         stretch = 1.0 + self.contention * rng.random(frames)
         extra = np.zeros(frames)
         for load in self.overloads:
-            if load.first >= frames:
-                raise InputError(f"Frame: an overload begins at frame {load.first}, the run has only {frames}.")
             extra[load.first : load.first + load.frames] += load.extra_s
         # Some interrupts more than the run's mean number; overruns of the last frame reach a little beyond its end.
         arrivals = np.zeros(0)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import FloatArray, frozen
+from ultraquiet._base.constraints import FloatArray, frozen, whole
 from ultraquiet.deploy.frame import Frame
 from ultraquiet.deploy.frame_times import FrameTimes
 from ultraquiet.deploy.law import Law
@@ -107,7 +107,7 @@ class FrameSimulation:
             "start_jitter_us": round(us * self.jitter_s, 3),
             "worst_step_end_us": round(us * self.worst_s, 3),
             "slack_us": round(us * self.slack_s, 3),
-            "worst_background_end_us": round(us * float(done.max()), 3) if done.size else "never",
+            "worst_background_end_us": "late" if self.late_count else round(us * float(done.max()), 3),
             "overruns": self.overrun_count,
             "late_background_frames": self.late_count,
             "frames_out_of_control": int(np.count_nonzero(self.mode != ON)),
@@ -119,7 +119,12 @@ class FrameSimulation:
         Args:
             k: number of the frame; the one whose step ends latest when absent.
         """
-        return "\n".join(timeline_rows(self, self.worst_frame if k is None else k))
+        number = self.worst_frame if k is None else whole("FrameSimulation", "k", k, 0, self.frames - 1)
+        return "\n".join(_drawn(self, number))
+
+    def spans_us(self, k: int) -> list[tuple[str, float, float]]:
+        """Return the parts of frame k, which was not skipped: name, begin and end in microseconds after its tick."""
+        return [(name, 1e6 * a, 1e6 * b) for name, a, b in _spans(self, k)]
 
     @property
     def worst_frame(self) -> int:
@@ -171,32 +176,48 @@ def _verdict(held: dict[str, Any], times: FrameTimes, period: float, frame: Fram
     return Status("ok", f"No overrun in {frames} frames, and background work was never late.")
 
 
-def timeline_rows(found: FrameSimulation, k: int) -> list[str]:
-    """Return the lines of the time line of frame k."""
-    if found.skipped[k]:
-        return [f"frame {k} was skipped: its interrupt met an unfinished step."]
-    start, written, finish, done = (
-        float(1e6 * a[k]) for a in (found.start_s, found.written_s, found.finish_s, found.done_s)
-    )
-    times, period = found.times, 1e6 * found.period_s
+def _spans(found: FrameSimulation, k: int) -> list[tuple[str, float, float]]:
+    """Return the parts of frame k with begin and end in seconds after its tick."""
+    start, written, finish, done = (float(a[k]) for a in (found.start_s, found.written_s, found.finish_s, found.done_s))
+    times = found.times
     idle = found.mode[k] == FAULT or (found.level[k] == 0 and found.mode[k] != ON)
     # What chance added between start and write is shared by the parts in proportion to their own times.
     parts = np.array([times.entry_s, times.read_s, times.idle_output_s if idle else times.output_s, times.write_s])
-    share = (written - start) / (1e6 * parts.sum()) if parts.sum() else 0.0
-    ends = start + np.cumsum(1e6 * parts) * share
-    rows = [("interrupt late", 0.0, start)] if start > 0.0 else []
+    ends = start + np.cumsum(parts) * ((written - start) / parts.sum() if parts.sum() else 0.0)
     names = ("interrupt entry", "converters read", "output", "converters write")
-    rows += [(name, float(a), float(b)) for name, a, b in zip(names, (start, *ends[:-1]), ends, strict=True)]
+    rows = [(name, float(a), float(b)) for name, a, b in zip(names, (start, *ends[:-1]), ends, strict=True)]
+    if start > 0.0:
+        rows.insert(0, ("interrupt late", 0.0, start))
     rows.append(("update", written, finish))
-    begins = finish + 1e6 * times.leave_s
-    rows.append(("background", begins, done if np.isfinite(done) else max(period, begins)))
+    begins = finish + times.leave_s
+    if np.isfinite(done) and found.frame.load > 0.0:
+        rows.append(("background", begins, done))
+    elif found.frame.load > 0.0:
+        rows.append(("background, late", begins, max(begins, _next_start(found, k))))
+    return rows
+
+
+def _next_start(found: FrameSimulation, k: int) -> float:
+    """Return when the next step begins, in seconds after the tick of frame k."""
+    ran = np.flatnonzero(~found.skipped[k + 1 :])
+    if not ran.size:
+        return (found.frames - k) * found.period_s
+    ahead = 1 + int(ran[0])
+    return ahead * found.period_s + float(found.start_s[k + ahead])
+
+
+def _drawn(found: FrameSimulation, k: int) -> list[str]:
+    """Return the lines of the time line of frame k."""
+    if found.skipped[k]:
+        return [f"frame {k} was skipped: its interrupt met an unfinished step."]
+    rows, period = found.spans_us(k), 1e6 * found.period_s
     span = max(period, *(end for _, _, end in rows))
     scale = WIDTH / span
-    said = [f"frame {k}: {span:.1f} us on {WIDTH} characters, the next interrupt at {period:.1f} us"]
+    said = [f"frame {k}: microseconds after its interrupt was due, one character is {1 / scale:.2f} us"]
     for name, a, b in rows:
-        left, right = round(a * scale), round(b * scale)
-        bar = " " * left + "#" * max(1, right - left)
+        left = min(WIDTH - 1, round(a * scale))
+        bar = " " * left + "#" * max(1, round(b * scale) - left)
         said.append(f"{name:<17}|{bar[:WIDTH]:<{WIDTH}}| {a:8.2f} .. {b:8.2f}")
     mark = min(WIDTH - 1, round(period * scale))
-    said.append(" " * 18 + " " * mark + "^ next interrupt")
+    said.append(f"{'next interrupt':<17} {' ' * mark}^ {period:.2f}")
     return said

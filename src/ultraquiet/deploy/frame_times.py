@@ -137,10 +137,10 @@ class FrameTimes:
         from ultraquiet.deploy.targets import target_named
 
         law, chosen = made.law, target_named(target)
-        # Loud enough to meet limits, then a bad sample: in fault and at rest, as when off.
         y = np.random.default_rng(0).standard_normal((law.inputs, COUNTED_STEPS)) * sizes(law)[1] * HALF_RANGE
-        live = run_on_target(law, made.folder, y, chosen, ramp=False)
-        idle = run_on_target(law, made.folder, np.full((law.inputs, COUNTED_STEPS), np.nan), chosen)
+        live = run_on_target(law, made.folder, y, chosen, ramp=False)  # loud enough to meet limits
+        y[:, 0] = np.nan  # in fault and out of its ramp after a few steps: the guards alone
+        idle = run_on_target(law, made.folder, y, chosen)
         return cls.counted(
             int(live.output.max()),
             int(live.update.max()),

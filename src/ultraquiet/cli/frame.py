@@ -1,0 +1,76 @@
+"""`ultraquiet deploy --frame`: the time line of a frame, a table and a figure."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ultraquiet._base.constraints import one_of
+from ultraquiet._base.errors import InputError, StorageError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ultraquiet.deploy import Deployment, Frame, FrameTimes, Overload
+
+PROCESSORS = ("c31", "cortex-m4f", "cortex-m7")
+RESTART_S = 1.0  # without overruns; long beside a ramp, short for who waits
+
+
+def asked(
+    rate_hz: float | None, processor: str, frames: int, load: float, jitter_us: float, overload: str | None
+) -> "Frame":
+    """Return the frame that was asked for, or refuse it before anything is written."""
+    from ultraquiet.deploy import Frame
+
+    one_of("deploy", "frame_on", processor, PROCESSORS)
+    injected = () if overload is None else (parse_overload(overload),)
+    frame = Frame(load=load, jitter_s=1e-6 * jitter_us, overloads=injected, restart_s=RESTART_S)
+    if rate_hz is not None:
+        frame.require(frames, 1.0 / rate_hz)
+    return frame
+
+
+def show_frames(
+    console: "Console", made: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path
+) -> None:
+    """Simulate frames of a deployment, print time line, table and verdict, and draw `figure` (SVG)."""
+    from rich.table import Table
+
+    from ultraquiet.plot import draw_svg
+    from ultraquiet.plot.frame import frame_figure
+
+    found = frame.simulate(made, frames, times=times_on(made, processor))
+    table = Table("what", "value", title="the real-time frame")
+    for key, value in found.table.items():
+        table.add_row(key.replace("_", " "), str(value))
+    console.print(found.timeline(), highlight=False, soft_wrap=True, markup=False)
+    console.print(table)
+    console.print(str(found.status), highlight=False, soft_wrap=True)
+    try:
+        figure.write_text(draw_svg(frame_figure(found)), encoding="utf-8")
+    except OSError as error:
+        raise StorageError(f"deploy: cannot write '{figure}' ({error.strerror}).") from None
+    console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+
+
+def times_on(made: "Deployment", processor: str) -> "FrameTimes":
+    """Return the frame's times on a processor: the C31's model, or instructions counted by an emulated Cortex-M."""
+    from ultraquiet.deploy import FrameTimes
+
+    return FrameTimes.c31(made.law) if processor == "c31" else FrameTimes.on_target(made, processor)
+
+
+def parse_overload(text: str) -> "Overload":
+    """Return FIRST:FRAMES:US as an overload.
+
+    >>> parse_overload("1000:300:500").frames
+    300
+    """
+    from ultraquiet.deploy import Overload
+
+    try:
+        first, frames, extra_us = text.split(":")
+        return Overload(int(first), int(frames), 1e-6 * float(extra_us))
+    except InputError:
+        raise
+    except ValueError:
+        raise InputError(f"deploy: an overload is FIRST:FRAMES:MICROSECONDS, 1000:300:500 say, got '{text}'.") from None
