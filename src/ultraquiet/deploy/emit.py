@@ -19,6 +19,10 @@ M7_FLAGS = CORTEX_M7.flags
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 VECTOR_STEPS = 256
 
+# Instructions of a Cortex-M a turn spends on pointers and branch, and a state left over on addresses out of reach; ten
+# states a turn keep all offsets within the 1020 bytes a load reaches.
+TURN_COST, LEFT_OVER_COST, LARGEST_TURN = 4, 12, 10
+
 FILES = {
     "controller.h.j2": "{name}.h",
     "coefficients.h.j2": "{name}_coefficients.h",
@@ -126,6 +130,8 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "sizes": [len(b) for b in law.blocks],
         "bank": numbers(law),
         "sections": _sections(law),
+        "turn_output": _turn(law.states, 1),
+        "turn_update": _turn(law.states, 2),
         "limits": table(law.limits),
         "excitation": table(law.excitation),
         "bits": bits,
@@ -137,6 +143,12 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "targets": list(TARGETS.values()),
         "scale": constant(2.0**-12 * script[0].scale * 2.0**23, law.precision),
     }
+
+
+def _turn(states: int, step: int) -> int:
+    """Return how many states a turn of an unrolled loop takes: few turns, few states left over."""
+    sizes = range(step, LARGEST_TURN + 1, step)
+    return min(sizes, key=lambda size: TURN_COST * (states // size) + LEFT_OVER_COST * (states % size))
 
 
 def _sections(law: Law) -> list[dict[str, Any]]:
