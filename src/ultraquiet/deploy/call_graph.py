@@ -8,7 +8,7 @@ _EDGE = re.compile(r'edge: \{ sourcename: "([^"]+)" targetname: "([^"]+)"')
 
 
 def stack_bytes(graph: str, name: str) -> int | None:
-    """Return the bytes of stack that the longest chain of calls below a step's functions takes.
+    r"""Return the bytes of stack that the longest chain of calls below a step's functions takes.
 
     Args:
         graph: text of a `.ci` file, which gcc writes with `-fcallgraph-info=su`.
@@ -18,7 +18,7 @@ def stack_bytes(graph: str, name: str) -> int | None:
         Bytes; None when the graph is unreadable, a stack has no bound, or functions call each other in a ring. Routines
         of the compiler's own library (soft double, memset) and the overrun hook are not in the graph and not counted.
 
-    >>> stack_bytes('node: { title: "c_output" label: "c_output\\\\nc.c:1:1\\\\n24 bytes (static)" }', "c")
+    >>> stack_bytes('node: { title: "c_output" label: "c_output\\nc.c:1:1\\n24 bytes (static)" }', "c")
     24
     """
     own: dict[str, int] = {}

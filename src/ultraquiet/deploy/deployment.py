@@ -1,6 +1,7 @@
 """From a controller to a folder of C99 that proves itself."""
 
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cached_property
 from pathlib import Path
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
 from ultraquiet._base.errors import InputError
+from ultraquiet.bench import Bench
 from ultraquiet.deploy import budget, emit, script, toolchain
 from ultraquiet.deploy.antiwindup import conditioning_gain
 from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of
@@ -18,7 +20,10 @@ from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
 from ultraquiet.deploy.law import DTYPES, Law, actuator_limits, rounded
+from ultraquiet.deploy.on_bench import on_bench
 from ultraquiet.deploy.realise import FORMS, Realisation, realisation
+from ultraquiet.deploy.reanalyse import reanalyse
+from ultraquiet.deploy.targets import TARGETS
 from ultraquiet.deploy.twin import Twin
 from ultraquiet.deploy.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
@@ -34,12 +39,21 @@ class Deployment:
 
     `tables` holds `states`, `form`, `c31_cycles` (kernel and frame), `c31_budget`, `flash_bytes`, `ram_bytes`,
     `cortex_m7_instructions` (None unless counted), `bit_exact` (None until `verify` has compared) and more; `status`
-    is a sentence on the law, `law` holds the rounded coefficients.
+    is a sentence on the law, `law` holds the rounded coefficients, `designed` and `plant` what it was made from.
     """
 
-    def __init__(self, law: Law, folder: Path, tables: dict[str, Any], status: Status, model_hash: str) -> None:
+    def __init__(
+        self,
+        law: Law,
+        folder: Path,
+        tables: dict[str, Any],
+        status: Status,
+        model_hash: str,
+        designed: StateSpace | None = None,
+        plant: StateSpace | None = None,
+    ) -> None:
         self.law, self.folder, self.tables, self.status = law, folder, tables, status
-        self.model_hash = model_hash
+        self.model_hash, self.designed, self.plant = model_hash, designed, plant
         self._library: Library | None = None
 
     @property
@@ -66,19 +80,36 @@ class Deployment:
             twin.reset()
         return twin
 
-    def verify(self, steps: int = STEPS, seed: int = 0) -> Verification:
+    def verify(
+        self,
+        steps: int = STEPS,
+        seed: int = 0,
+        *,
+        plant: StateSpace | None = None,
+        bench: Bench | Callable[[], Bench] | None = None,
+        targets: Sequence[str] = tuple(TARGETS),
+    ) -> Verification:
         """Compile the code, compare `steps` samples and the self-test bit by bit, and note the outcome.
 
-        With a Cortex-M7 compiler and emulator at hand the self-test also runs there and a step's instructions are
-        counted. `tables` and the folder's README and manifest then hold what was found. Never raises for a missing or
-        refusing compiler: the status says so.
+        With an ARM compiler and an emulator at hand both also run on the `targets` (`cortex-m4f`, `cortex-m7`), where
+        each step's instructions are counted. `tables` and the folder's README and manifest then hold what was found.
+        Never raises for a missing or refusing compiler: the status says so.
+
+        Args:
+            steps: samples to compare (at most 100 000 on each target).
+            seed: of the measurements.
+            plant: G, for the loop with the rounded law to be analysed again; else the one given to `generate`.
+            bench: a bench, or a function that makes one, on which float64 law and compiled code reduce tones.
+            targets: emulated processors; empty for none.
         """
         whole("Deployment.verify", "steps", steps, 1)
-        found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed)
-        self.tables["bit_exact"] = found.bit_exact
-        if found.cortex_m7 is not None:
-            self.tables["cortex_m7_instructions"] = found.cortex_m7.step
-            self.tables["cortex_m7_output_instructions"] = found.cortex_m7.output
+        plant = self.plant if plant is None else plant
+        found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets)
+        law = self.quantised if self.designed is None else self.designed
+        loop = None if plant is None else reanalyse(law, self.quantised, plant)
+        runs = bench is not None and found.status.word != "not compiled"
+        found = found.with_loop(loop, on_bench(bench, law, self.instance()) if runs else None)
+        self.tables |= found.figures()
         rewrite(self.folder, self.documents(found.status))
         return found
 
@@ -168,7 +199,7 @@ def generate(
     files = emit.sources(choice.law, rows, controller.hash)
     tables = _tables(choice, budget_cycles) | footprint(choice.law, files)
     files["vectors.csv"] = emit.vectors(choice.law)
-    made = Deployment(choice.law, folder, tables, status, controller.hash)
+    made = Deployment(choice.law, folder, tables, status, controller.hash, controller, plant)
     write_folder(folder, files | made.documents())
     return made
 

@@ -57,8 +57,8 @@ class Processor:
         InputError: an unknown target.
         ToolError: compiler or emulator are missing, refuse, fall silent or die.
 
-    Use it in a `with` block, which ends the emulator. It counts instructions, not cycles, and knows no converters: times
-    in the loop are those of the bench.
+    Use it in a `with` block, which ends the emulator. It counts instructions, not cycles, and knows no converters:
+    times in the loop are those of the bench.
 
     >>> from ultraquiet import deploy
     >>> deploy.Processor.__name__

@@ -16,7 +16,7 @@ def state_bytes(header: str, name: str) -> int | None:
     20
     """
     plain = re.sub(r"/\*.*?\*/", " ", header, flags=re.DOTALL)
-    macros = dict(re.findall(r"#define (\w+) (\d+)U?\b", plain))
+    macros: dict[str, str] = dict(re.findall(r"#define (\w+) (\d+)U?\b", plain))
     sizes = _SIZES | _WIDE
     for kind, alias in re.findall(r"typedef (\w+) (\w+);", plain):
         if kind in sizes:
@@ -36,8 +36,8 @@ def _total(body: str, sizes: dict[str, int], macros: dict[str, str]) -> int | No
                 return None
             size = _WORD if member[2] else sizes.get(member[1], 0)
             count = 1
-            for length in re.findall(r"\[(\w+?)U?\]", member[4]):
-                count *= int(macros.get(length, length) if not length.isdigit() else length)
+            for length in re.findall(r"\[(\w+?)U?\]", member[4] or ""):
+                count *= int(macros.get(str(length), str(length)))
         if size == 0:
             return None
         at += -at % size + size * count

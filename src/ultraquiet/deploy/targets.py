@@ -14,7 +14,7 @@ class Target:
     """A processor: the compiler's flags, the emulator's machine, and the clock at which times are stated.
 
     The clock is that of a common part with this core; a time is `instructions / clock_hz`, one instruction a cycle,
-    without wait states of the memory.
+    without wait states of the memory. `doubles` tells whether it computes in float64 itself or by a library.
     """
 
     name: str
@@ -23,6 +23,7 @@ class Target:
     machine: str
     clock_hz: float
     part: str
+    doubles: bool
 
     @property
     def emulation(self) -> tuple[str, ...]:
@@ -46,6 +47,7 @@ CORTEX_M7 = Target(
     "mps2-an500",
     216e6,
     "STM32F7, 216 MHz",
+    doubles=True,
 )
 CORTEX_M4F = Target(
     "cortex-m4f",
@@ -54,6 +56,7 @@ CORTEX_M4F = Target(
     "mps2-an386",
     168e6,
     "STM32F4, 168 MHz",
+    doubles=False,
 )
 TARGETS = {target.name: target for target in (CORTEX_M4F, CORTEX_M7)}
 

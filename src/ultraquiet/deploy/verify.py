@@ -1,24 +1,32 @@
-"""Proof that the code does what the law says: compiled here, run here, compared bit by bit."""
+"""Proof that the code does what the law says: compiled here and for the targets, run, compared bit by bit."""
 
 import shutil
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.compiled import CompiledController, Library
-from ultraquiet.deploy.cortex import Count, count_instructions, missing_tool
+from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.on_bench import OnBench
+from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
+from ultraquiet.deploy.reanalyse import Reanalysis
 from ultraquiet.deploy.script import sizes
+from ultraquiet.deploy.targets import TARGETS, target_named
 from ultraquiet.deploy.toolchain import call, compile_c
 from ultraquiet.deploy.twin import Twin
 from ultraquiet.values.status import Status
 
 STEPS = 100_000
+
+compare = differing
 
 
 @dataclass(frozen=True)
@@ -26,8 +34,9 @@ class Verification:
     """What the proof found.
 
     `bit_exact` is None when nothing could be compared, `mismatches` counts commands that differ in at least one bit,
-    `first` is the (step, output) of the first one, `self_test` whether the shipped self-test passed on this machine,
-    `cortex_m7` what the emulated target said (None without its tools).
+    `first` is the (step, output) of the first one, `self_test` whether the shipped self-test passed on this machine.
+    `targets` is what the emulated processors said, `missing` says what did not run and why. `loop` is the loop with the
+    rounded law analysed again, `bench` the code on a bench, each None unless a plant or a bench was given.
     """
 
     status: Status
@@ -38,44 +47,92 @@ class Verification:
     self_test: bool | None = None
     compiler: str | None = None
     seconds: float = 0.0
-    cortex_m7: Count | None = None
+    targets: tuple[OnTarget, ...] = ()
+    missing: tuple[str, ...] = ()
+    loop: Reanalysis | None = None
+    bench: OnBench | None = None
 
     @property
     def ok(self) -> bool:
-        """True when every bit was the same and the self-test passed."""
+        """True when every bit was the same, the self-tests passed, and neither loop nor bench lost half a decibel."""
         return self.status.ok
 
+    @property
+    def cortex_m7(self) -> OnTarget | None:
+        """What the emulated Cortex-M7 said."""
+        return self.on("cortex-m7")
 
-def verify_code(law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed: int = 0) -> Verification:
+    def on(self, target: str) -> OnTarget | None:
+        """Return what a target said, None when it did not run."""
+        return next((each for each in self.targets if each.target.name == target), None)
+
+    def figures(self) -> dict[str, Any]:
+        """Return what was found for the deployment's tables."""
+        held: dict[str, Any] = {"bit_exact": self.bit_exact}
+        for each in self.targets:
+            held[f"{each.target.key}_instructions"] = each.step
+            held[f"{each.target.key}_output_instructions"] = each.output
+        if self.targets:
+            held["bit_exact_on"] = {each.target.name: each.bit_exact for each in self.targets}
+            held["latency_us"] = {each.target.name: each.latency_us for each in self.targets}
+        if self.bench is not None:
+            held["bench_loss_db"] = float(self.bench.loss_db.max())
+        return held
+
+    def with_loop(self, loop: Reanalysis | None, bench: OnBench | None) -> "Verification":
+        """Return the proof with what became of the loop."""
+        status = self.status
+        for found in (loop, bench):
+            if found is None:
+                continue
+            # A loop that the design itself cannot hold says nothing against the code.
+            fault = found.status.word in ("unstable", "degraded") and (bench is found or _designed_stable(loop))
+            word = found.status.word if status.ok and fault else status.word
+            status = Status(word, f"{status.sentence} {found.status.sentence}")
+        return replace(self, loop=loop, bench=bench, status=status)
+
+
+def verify_code(
+    law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed: int = 0, targets: Sequence[str] = tuple(TARGETS)
+) -> Verification:
     """Compile the folder's code, run `steps` samples through it and through the twin, and compare the bits.
 
     The measurements are noise whose size changes so that quiet, limited and bad samples all occur; `seed` draws them.
+    The targets get the same measurements (at most 100 000 of them) where compiler and emulator are at hand.
     """
+    wanted = [target_named(name) for name in targets]
     if cc is None:
-        return Verification(Status("no compiler", _NO_COMPILER), None)
+        return Verification(Status("no compiler", _NO_COMPILER), None, missing=(_NO_COMPILER,))
     began = time.perf_counter()
     try:
         library = Library(law, folder, cc)
         self_test = _self_test(law, folder, cc)
     except ToolError as refusal:
         return Verification(Status("not compiled", str(refusal)), None, compiler=cc)
-    target, complaint = _on_target(law, folder)
     y = measurements(law, steps, seed)
     code, twin = CompiledController(library, ramp=True), Twin(law)
     twin.enable()
-    mismatches, first = compare(code.run(y), twin.run(y))
+    expected = twin.run(y)
+    mismatches, first = differing(code.run(y), expected)
+    ran: list[OnTarget] = []
+    missing: list[str] = []
+    if wanted and (absent := missing_tool()) is not None:
+        titles = " and ".join(target.title for target in wanted)
+        missing.append(f"'{absent}' is not installed, so nothing was run or counted on {titles}.")
+        wanted = []
+    for target in wanted:
+        try:
+            ran.append(try_on_target(law, folder, y, expected, target))
+        except ToolError as refusal:
+            # An emulator that does not work is no finding about the code.
+            missing.append(str(refusal))
+    exact = mismatches == 0 and self_test and all(each.bit_exact for each in ran)
+    seconds = time.perf_counter() - began
+    given = Status("ok", "")
     found = Verification(
-        Status("ok", ""),
-        mismatches == 0 and self_test and (target is None or target.self_test),
-        steps,
-        mismatches,
-        first,
-        self_test,
-        cc,
-        time.perf_counter() - began,
-        target,
+        given, exact, steps, mismatches, first, self_test, cc, seconds, tuple(ran), tuple(dict.fromkeys(missing))
     )
-    return replace(found, status=_verdict(found, complaint))
+    return replace(found, status=_verdict(found))
 
 
 def measurements(law: Law, steps: int, seed: int) -> Rounded:
@@ -90,16 +147,6 @@ def measurements(law: Law, steps: int, seed: int) -> Rounded:
         return y.astype(law.dtype)
 
 
-def compare(one: Rounded, other: Rounded) -> tuple[int, tuple[int, int] | None]:
-    """Return how many commands differ in at least one bit, and the (step, output) of the first."""
-    word = f"u{one.dtype.itemsize}"
-    differs = np.ascontiguousarray(one.T).view(word) != np.ascontiguousarray(other.T).view(word)
-    if not differs.any():
-        return 0, None
-    step, output = np.argwhere(differs)[0]
-    return int(np.count_nonzero(differs)), (int(step), int(output))
-
-
 def _self_test(law: Law, folder: Path, cc: str) -> bool:
     """Compile and run the shipped self-test in a folder of its own."""
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
@@ -111,28 +158,29 @@ def _self_test(law: Law, folder: Path, cc: str) -> bool:
         return call([program], Path(work)).returncode == 0
 
 
-def _on_target(law: Law, folder: Path) -> tuple[Count | None, str]:
-    """Return the count, or None with what the target's tools complained about; they are no part of the comparison."""
-    if missing_tool() is not None:
-        return None, ""
-    try:
-        return count_instructions(law, folder), ""
-    except ToolError as refusal:
-        return None, f" {refusal}"
+def _designed_stable(loop: Reanalysis | None) -> bool:
+    return loop is not None and loop.designed.stable
 
 
-def _verdict(found: Verification, complaint: str) -> Status:
+def _verdict(found: Verification) -> Status:
     if found.first is not None:
         step, output = found.first
         sentence = f"{found.mismatches} commands of {found.steps} steps differ from the twin, the first at step {step}"
         return Status("differs", f"{sentence}, output {output}.")
     if not found.self_test:
         return Status("self-test failed", f"{found.steps} steps agree but the shipped self-test does not pass here.")
-    if found.cortex_m7 is not None and not found.cortex_m7.self_test:
-        return Status("self-test failed", "The code agrees here but its self-test does not pass on the Cortex-M7.")
-    where = "" if found.cortex_m7 is None else ", and the self-test's on an emulated Cortex-M7"
+    for each in found.targets:
+        title = each.target.title
+        if each.mismatches:
+            sentence = (
+                f"The code agrees here, but {each.mismatches} commands of {each.steps} steps differ on the {title}."
+            )
+            return Status("differs", sentence)
+        if not each.self_test:
+            return Status("self-test failed", f"The code agrees here but its self-test does not pass on the {title}.")
+    where = "".join(f", of {each.steps} on an emulated {each.target.title}" for each in found.targets)
     sentence = f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}"
-    return Status("ok", f"{sentence}{where}.{complaint}")
+    return Status("ok", " ".join([f"{sentence}{where}.", *found.missing]))
 
 
 _NO_COMPILER = (
