@@ -107,8 +107,9 @@ class Deployment:
         found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets)
         law = self.quantised if self.designed is None else self.designed
         loop = None if plant is None else reanalyse(law, self.quantised, plant)
-        runs = bench is not None and found.status.word != "not compiled"
-        found = found.with_loop(loop, on_bench(bench, law, self.instance()) if runs else None)
+        runs = found.status.word != "not compiled"
+        measured = on_bench(bench, law, self.instance()) if bench is not None and runs else None
+        found = found.with_loop(loop, measured)
         self.tables |= found.figures()
         rewrite(self.folder, self.documents(found.status))
         return found

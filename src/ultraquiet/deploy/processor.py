@@ -71,7 +71,7 @@ class Processor:
         self.law, self.target, self.ramp = deployment.law, target_named(target), ramp
         self.timeout_s = positive("Processor", "timeout_s", timeout_s, "s")
         self._frame, self._reply = np.zeros(1, frame_type(self.law)), np.zeros(1, reply_type(self.law))
-        self._answer = memoryview(self._reply).cast("B")
+        self._answer = self._reply.view(np.uint8).data
         self._ticks: list[tuple[int, int]] = []
         self._calibration: Any = None
         self._ends: list[int] = []
