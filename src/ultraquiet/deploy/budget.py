@@ -1,29 +1,43 @@
 """Whether a law fits the frame of the TMS320C31-40: a published count of instructions, not a measurement."""
 
-from ultraquiet._base.constraints import whole
+import math
+from typing import Any
+
+from ultraquiet._base.constraints import between, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.law import Law
 
 # Section 4.2 of the paper: half of the 285 us between samples at 3.5 kHz is left to the law; at 50 ns an instruction
 # that is 2800 instructions in 140 us.
 BUDGET_CYCLES = 2800
-# Reading six converters, writing six, the interrupt's entry and exit, in hand-written C31 code.
+# Reading six converters, limiting, writing six, the registers saved and the interrupt's entry and exit: an allowance,
+# which the emitted frame keeps (131 cycles six by six, 140 with anti-windup).
 SKELETON_CYCLES = 142
-# Instructions around the multiply-adds, counted in hand-written kernels (RPTS costs 1 + 3; pointers, store): per row
-# of a full matrix, per state of a modal kernel, per state more in delta form, and once for the whole call.
-ROW, STATE, DELTA, CALL = 10, 3, 1, 5
+# Of the emitted modal and delta kernels, c31_emit: per row of commands LDF, RPTS (1 + 3), ADDF3, RND, STF; per state
+# two products of its block and one RND; in delta form one ADDF3 more; once eight pointers and settings before the rows,
+# LDI and RPTB (1 + 3) before the update, four to drain it.
+KERNEL_ROW, STATE, DELTA, SET_UP, UPDATE = 8, 3, 1, 8, 9
+# Of hand-written kernels for full matrices: instructions around a row's multiply-adds, and around a whole call.
+ROW, CALL = 10, 5
 # A section of a bank takes in one number and puts out one; its loop is set up once for each channel.
 SECTION = 2 + STATE
 # Two blocks of on-chip RAM, 1K words of 32 bits each.
 INTERNAL_WORDS = 2048
 
+# Words of the emitted data beside the law's own: nine pointers and two scales, one pointer more with anti-windup, and
+# two words before the first state that take the stores of the filling pipeline.
+POINTERS, AHEAD = 11, 2
+
 ASSUMPTIONS = (
-    "TMS320C31-40, 50 ns an instruction, 20 million instructions a second; MPYF3 || ADDF3 does one multiply-add a cycle"
-    " when two of its four sources are memory; coefficients and states lie in the two internal single-cycle RAM blocks"
-    " (1K words each; a larger law needs external zero-wait memory); numbers are the C31's own; kernel counts are"
-    " those of hand-written code for six inputs and six outputs, other sizes are scaled by their multiply-adds;"
-    f" conversions, saturation and interrupt are the {SKELETON_CYCLES} cycles of the frame's skeleton. A law fits the"
-    " model; it has not run on the DSP."
+    "TMS320C31-40, 50 ns an instruction, 20 million instructions a second; one cycle an instruction, RPTS, RPTB and"
+    " returns four, a repeated instruction is not fetched again; MPYF3 || ADDF3 does one multiply-add a cycle, two of"
+    " its four sources from memory; program, states and measurements lie in internal block 0, coefficients in block 1"
+    " (1K words each) or, beyond its 896 free words, in external memory without wait states; a block serves two"
+    " accesses a cycle, external memory one; a store before two reads costs a cycle, a pointer written and used at once"
+    " two. Numbers are the C31's own. Modal and delta counts are those of the emitted code, instruction by instruction;"
+    " bank, Schur and dense ones are scaled from hand-written kernels by their multiply-adds."
+    f" Conversions, limits and interrupt are allowed {SKELETON_CYCLES} cycles. A law fits the model; it has not run on"
+    " the DSP."
 )
 
 
@@ -65,7 +79,7 @@ def kernel_cycles(
         return states * per_state + m * (1 + 2 * ROW) + transforms + CALL
     if form in ("modal", "delta"):
         per_state = inputs + outputs + STATE + (DELTA if form == "delta" else 0)
-        return states * per_state + outputs * (inputs + ROW) + CALL + more
+        return states * per_state + outputs * (inputs + KERNEL_ROW) + SET_UP + UPDATE + more
     width = states if form == "dense" or block is None else block
     advance = states * (width + inputs + ROW)
     return advance + outputs * (states + inputs + ROW) + more
@@ -73,17 +87,18 @@ def kernel_cycles(
 
 def cycles(law: Law) -> int:
     """Return the instructions of one frame: kernel and skeleton."""
+    return SKELETON_CYCLES + kernel_cycles(law.form, law.states, law.inputs, law.outputs, **_shape(law))
+
+
+def _shape(law: Law) -> dict[str, Any]:
+    """Return what beside form and size decides the count."""
     width = -(-sum(b.size for b in law.blocks) // law.states)
-    return SKELETON_CYCLES + kernel_cycles(
-        law.form,
-        law.states,
-        law.inputs,
-        law.outputs,
-        anti_windup=law.L is not None,
-        block=width if law.form == "schur" else None,
-        channels=len(law.channels) or None,
-        turned=law.turned,
-    )
+    return {
+        "anti_windup": law.L is not None,
+        "block": width if law.form == "schur" else None,
+        "channels": len(law.channels) or None,
+        "turned": law.turned,
+    }
 
 
 def output_cycles(law: Law) -> int:
@@ -92,18 +107,34 @@ def output_cycles(law: Law) -> int:
         m = len(law.channels)
         turns = m * (law.inputs + ROW) + law.outputs * (m + ROW) if law.turned else 0
         return law.states + m * (1 + ROW) + turns + CALL
+    if law.form in ("modal", "delta"):
+        return law.outputs * (law.states + law.inputs + KERNEL_ROW) + SET_UP
     return law.outputs * (law.states + law.inputs + ROW) + CALL
 
 
 def words(law: Law) -> int:
-    """Return the 32-bit words of coefficients, states, measurements and commands."""
-    return law.coefficients + law.states + law.inputs + 3 * law.outputs
+    """Return the 32-bit words of coefficients and data, without the program; for modal and delta the emitted ones.
+
+    Alignment of the ring of measurements may add up to 31.
+    """
+    corrections = 0 if law.L is None else law.outputs + 1
+    return law.coefficients + law.states + law.inputs + law.outputs + corrections + POINTERS + AHEAD
 
 
 def largest_order(
-    form: str, budget: int = BUDGET_CYCLES, inputs: int = 6, outputs: int = 6, *, anti_windup: bool = False
+    form: str,
+    budget: int = BUDGET_CYCLES,
+    inputs: int = 6,
+    outputs: int = 6,
+    *,
+    anti_windup: bool = False,
+    block: int | None = None,
+    channels: int | None = None,
+    turned: bool = False,
 ) -> int:
     """Return the largest number of states whose frame fits the budget; an even one where blocks are 2x2.
+
+    Arguments as in `kernel_cycles`; 0 when not even the smallest law fits.
 
     >>> [
     ...     largest_order("dense"),
@@ -114,27 +145,30 @@ def largest_order(
     [40, 170, 158, 120]
     """
     stride = 2 if form in ("modal", "delta", "bank", "bank-delta") else 1
+    shape = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
     n = 0
-    while SKELETON_CYCLES + kernel_cycles(form, n + stride, inputs, outputs, anti_windup=anti_windup) <= budget:
+    while SKELETON_CYCLES + kernel_cycles(form, n + stride, inputs, outputs, **shape) <= budget:
         n += stride
     return n
 
 
-def require_fit(law: Law, budget: int) -> None:
-    """Refuse a law whose frame does not fit, and say what would.
+def require_fit(law: Law, budget: int, share: float = 1.0) -> None:
+    """Refuse a law whose frame takes more than `share` of the budget, and say what would fit.
 
     Raises:
-        InputError: with the law's count, the budget and the largest orders that fit.
+        InputError: with the law's count, the budget and the largest orders that fit; an impossible budget or share.
     """
     whole("deploy", "budget_cycles", budget, 1)
-    need = cycles(law)
-    if need <= budget:
+    between("deploy", "budget_share", share, 0.0, 1.0)
+    need, allowed = cycles(law), math.floor(share * budget)
+    if need <= allowed:
         return
-    anti_windup = law.L is not None
-    fits = largest_order(law.form, budget, law.inputs, law.outputs, anti_windup=anti_windup)
-    modal = largest_order("modal", budget, law.inputs, law.outputs)
+    shape = _shape(law)
+    fits = largest_order(law.form, allowed, law.inputs, law.outputs, **shape)
+    modal = largest_order("modal", allowed, law.inputs, law.outputs)
+    of = f"{budget}" if share == 1.0 else f"{allowed} ({100 * share:g} % of {budget})"
     raise InputError(
-        f"deploy: {law.order} states in {law.form} form{' with anti-windup' if anti_windup else ''} need {need} of"
-        f" {budget} C31 instructions; the largest order that would fit is {fits} in this form and {modal} in plain"
-        " modal form, so reduce the controller or pass enforce_budget=False."
+        f"deploy: {law.order} states in {law.form} form{' with anti-windup' if shape['anti_windup'] else ''} need"
+        f" {need} of {of} C31 instructions; the largest order that would fit is {fits} in this form and {modal} in"
+        " plain modal form, so reduce the controller or pass enforce_budget=False."
     )
