@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from ultraquiet._base.constraints import between, whole
+from ultraquiet._base.constraints import between
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.law import Law
 
@@ -87,10 +87,10 @@ def kernel_cycles(
 
 def cycles(law: Law) -> int:
     """Return the instructions of one frame: kernel and skeleton."""
-    return SKELETON_CYCLES + kernel_cycles(law.form, law.states, law.inputs, law.outputs, **_shape(law))
+    return SKELETON_CYCLES + kernel_cycles(law.form, law.states, law.inputs, law.outputs, **shape(law))
 
 
-def _shape(law: Law) -> dict[str, Any]:
+def shape(law: Law) -> dict[str, Any]:
     """Return what beside form and size decides the count."""
     width = -(-sum(b.size for b in law.blocks) // law.states)
     return {
@@ -145,9 +145,9 @@ def largest_order(
     [40, 170, 158, 120]
     """
     stride = 2 if form in ("modal", "delta", "bank", "bank-delta") else 1
-    shape = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
+    given = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
     n = 0
-    while SKELETON_CYCLES + kernel_cycles(form, n + stride, inputs, outputs, **shape) <= budget:
+    while SKELETON_CYCLES + kernel_cycles(form, n + stride, inputs, outputs, **given) <= budget:
         n += stride
     return n
 
@@ -158,17 +158,16 @@ def require_fit(law: Law, budget: int, share: float = 1.0) -> None:
     Raises:
         InputError: with the law's count, the budget and the largest orders that fit; an impossible budget or share.
     """
-    whole("deploy", "budget_cycles", budget, 1)
     between("deploy", "budget_share", share, 0.0, 1.0)
     need, allowed = cycles(law), math.floor(share * budget)
     if need <= allowed:
         return
-    shape = _shape(law)
-    fits = largest_order(law.form, allowed, law.inputs, law.outputs, **shape)
+    given = shape(law)
+    fits = largest_order(law.form, allowed, law.inputs, law.outputs, **given)
     modal = largest_order("modal", allowed, law.inputs, law.outputs)
     of = f"{budget}" if share == 1.0 else f"{allowed} ({100 * share:g} % of {budget})"
     raise InputError(
-        f"deploy: {law.order} states in {law.form} form{' with anti-windup' if shape['anti_windup'] else ''} need"
+        f"deploy: {law.order} states in {law.form} form{' with anti-windup' if given['anti_windup'] else ''} need"
         f" {need} of {of} C31 instructions; the largest order that would fit is {fits} in this form and {modal} in"
         " plain modal form, so reduce the controller or pass enforce_budget=False."
     )

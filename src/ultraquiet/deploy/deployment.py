@@ -15,6 +15,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
 from ultraquiet.deploy import budget, emit, script, toolchain
 from ultraquiet.deploy.antiwindup import conditioning_gain
+from ultraquiet.deploy.c31_emit import c31_files
 from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
@@ -31,6 +32,7 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
 RAMP_S = 0.5  # ten periods of the slowest isolated tone pass in 2 s; a quarter of that keeps the start below it
+TARGET_CODES = ("c99", "c31")
 MAX_RAMP_STEPS = 2**24  # beyond it float32 no longer counts every step
 
 
@@ -143,6 +145,8 @@ def generate(
     tolerance: float = TOLERANCE,
     budget_cycles: int = budget.BUDGET_CYCLES,
     enforce_budget: bool = False,
+    budget_share: float | None = None,
+    targets: Sequence[str] = ("c99",),
 ) -> Deployment:
     """Write a controller as C99 with its self-test and test vectors.
 
@@ -162,6 +166,8 @@ def generate(
         tolerance: largest relative error that `auto` accepts.
         budget_cycles: C31 instructions a frame may take.
         enforce_budget: refuse a law that does not fit.
+        budget_share: refuse a law that takes more than this share of `budget_cycles`, 0 to 1.
+        targets: `c99` alone, or with `c31` for TMS320C31 assembly of a modal or delta law beside it.
 
     Returns:
         A `Deployment`; its `status` warns of an unstable law or a large rounding error.
@@ -177,8 +183,9 @@ def generate(
     ('modal', 2, None)
     """
     folder = Path(folder).absolute()
-    _check(controller, precision, name, form)
+    _check(controller, precision, name, form, targets)
     between("deploy", "tolerance", tolerance, 0.0, 1.0)
+    whole("deploy", "budget_cycles", budget_cycles, 1)
     limits = actuator_limits(limits_v, controller.D.shape[0])
     steps = round(positive("deploy", "ramp_s", ramp_s, "s") * float(controller.rate_hz or 0))
     whole("deploy", "ramp_s in samples", steps, 1, MAX_RAMP_STEPS)
@@ -192,14 +199,16 @@ def generate(
         return law, parts.condition
 
     choice = _choice(controller, form, make, plant, tolerance)
-    if enforce_budget:
-        budget.require_fit(choice.law, budget_cycles)
+    if enforce_budget or budget_share is not None:
+        budget.require_fit(choice.law, budget_cycles, 1.0 if budget_share is None else budget_share)
     what = "the response" if plant is None else "the loop's sensitivity"
     status = _status(controller, choice, tolerance, what)
     rows = script.self_test(choice.law)
     files = emit.sources(choice.law, rows, controller.hash)
     tables = _tables(choice, budget_cycles) | footprint(choice.law, files)
     files["vectors.csv"] = emit.vectors(choice.law)
+    if "c31" in targets:
+        files |= c31_files(choice.law, controller.hash)
     made = Deployment(choice.law, folder, tables, status, controller.hash, controller, plant)
     write_folder(folder, files | made.documents())
     return made
@@ -212,7 +221,7 @@ def _gain(parts: Realisation) -> FloatArray:
     return L * (parts.C.T != 0) if parts.channels and parts.turn_in is None else L
 
 
-def _check(controller: StateSpace, precision: str, name: str, form: str) -> None:
+def _check(controller: StateSpace, precision: str, name: str, form: str, targets: Sequence[str]) -> None:
     if not isinstance(controller, StateSpace):
         raise InputError(f"deploy: 'controller' must be a StateSpace, got {type(controller).__name__}.")
     if controller.rate_hz is None:
@@ -221,6 +230,10 @@ def _check(controller: StateSpace, precision: str, name: str, form: str) -> None
         raise InputError(f"deploy: a controller needs measurements and commands, got D of shape {controller.D.shape}.")
     one_of("deploy", "precision", precision, tuple(DTYPES))
     one_of("deploy", "form", form, ("auto", *FORMS))
+    if isinstance(targets, str) or "c99" not in targets:
+        raise InputError(f"deploy: 'targets' must list 'c99' and may list 'c31', got {targets!r}.")
+    for target in targets:
+        one_of("deploy", "targets", target, TARGET_CODES)
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
         raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
 
@@ -264,11 +277,12 @@ def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
         "c31_kernel_cycles": kernel,
         "c31_output_cycles": budget.output_cycles(law),
         "c31_budget": budget_cycles,
+        "c31_budget_share": used / budget_cycles,
         "c31_fits_the_model": used <= budget_cycles,
         "c31_words": budget.words(law),
         "c31_internal_words": budget.INTERNAL_WORDS,
         "c31_largest_order": budget.largest_order(
-            law.form, budget_cycles, law.inputs, law.outputs, anti_windup=anti_windup
+            law.form, budget_cycles, law.inputs, law.outputs, **budget.shape(law)
         ),
         "cortex_m7_instructions": None,
         "coefficients": law.coefficients,
