@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
+    from ultraquiet.deploy.fixed_deploy import FixedDeployment as FixedDeployment
+    from ultraquiet.deploy.fixed_deploy import generate_fixed as generate_fixed
+    from ultraquiet.deploy.fixed_point import FixedLaw as FixedLaw
+    from ultraquiet.deploy.fixed_point import fixed_law as fixed_law
+    from ultraquiet.deploy.fixed_twin import FixedTwin as FixedTwin
     from ultraquiet.deploy.fmu import FmuFile as FmuFile
     from ultraquiet.deploy.fmu import write_fmu as write_fmu
     from ultraquiet.deploy.fmu_controller import FmuController as FmuController
@@ -24,6 +29,8 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.frame_result import FrameSimulation as FrameSimulation
     from ultraquiet.deploy.frame_times import FrameTimes as FrameTimes
     from ultraquiet.deploy.law import Law as Law
+    from ultraquiet.deploy.precisions import WordLength as WordLength
+    from ultraquiet.deploy.precisions import word_lengths as word_lengths
     from ultraquiet.deploy.processor import Processor as Processor
     from ultraquiet.deploy.realise import Realisation as Realisation
     from ultraquiet.deploy.realise import realisation as realisation
@@ -34,6 +41,9 @@ if TYPE_CHECKING:
 _HOME = {
     "CompiledController": "compiled",
     "Deployment": "deployment",
+    "FixedDeployment": "fixed_deploy",
+    "FixedLaw": "fixed_point",
+    "FixedTwin": "fixed_twin",
     "FmuController": "fmu_controller",
     "FmuFile": "fmu",
     "Frame": "frame",
@@ -46,12 +56,16 @@ _HOME = {
     "Realisation": "realise",
     "Twin": "twin",
     "Verification": "verify",
+    "WordLength": "precisions",
     "conditioning_gain": "antiwindup",
+    "fixed_law": "fixed_point",
     "generate": "deployment",
+    "generate_fixed": "fixed_deploy",
     "kernel_cycles": "budget",
     "largest_order": "budget",
     "realisation": "realise",
     "rounding_errors": "word_length",
+    "word_lengths": "precisions",
     "write_fmu": "fmu",
 }
 

@@ -71,21 +71,28 @@ def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None 
     Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
     the loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
     """
-    poles = controller.poles()
-    if plant is not None:
-        same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
-        poles = np.concatenate([poles, _loop_poles(plant, controller)])
-    f_hz = _grid(poles, controller.rate_hz or 0.0)
-    exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
-    if plant is not None:
-        if loop_radius(plant, controller) < 1.0 <= loop_radius(plant, held):
-            return float("inf")
-        G = _points_first(plant.frequency_response(f_hz))
-        exact, coarse = (np.linalg.inv(np.eye(G.shape[1]) - G @ K) for K in (exact, coarse))
+    if plant is None:
+        f_hz = _grid(controller.poles(), controller.rate_hz or 0.0)
+        exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
+    elif loop_radius(plant, controller) < 1.0 <= loop_radius(plant, held):
+        return float("inf")
+    else:
+        exact, coarse = sensitivities(controller, held, plant)
     size = np.linalg.norm(exact, 2, axis=(1, 2))
     change = np.linalg.norm(coarse - exact, 2, axis=(1, 2))
     floor = max(FLOOR * float(size.max()), np.finfo(float).tiny)
     return float((change / np.maximum(size, floor)).max())
+
+
+def sensitivities(controller: StateSpace, held: StateSpace, plant: StateSpace) -> tuple[ComplexArray, ComplexArray]:
+    """Return S = (I - G K)^-1 `(nf, ny, ny)` with either law, on a grid that misses no pole of the loop or the law."""
+    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+    poles = np.concatenate([controller.poles(), _loop_poles(plant, controller)])
+    f_hz = _grid(poles, controller.rate_hz or 0.0)
+    G = _points_first(plant.frequency_response(f_hz))
+    laws = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
+    before, after = (np.asarray(np.linalg.inv(np.eye(G.shape[1]) - G @ K), dtype=np.complex128) for K in laws)
+    return before, after
 
 
 def loop_radius(plant: StateSpace, controller: StateSpace) -> float:

@@ -1,0 +1,171 @@
+"""What each word length and form would make of a controller: one table to choose by."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import one_of, positive
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy.choose import TOLERANCE, error_of, loop_radius, sensitivities
+from ultraquiet.deploy.fixed_point import WORDS, FixedLaw, fixed_law
+from ultraquiet.deploy.law import DTYPES, Law, rounded
+from ultraquiet.deploy.realise import FORMS, realisation
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status
+
+PRECISIONS = ("float64", "float32", "q31", "q15")
+FIXED_FORMS = (("modal", "l1"), ("delta", "l1"), ("modal", "l2"), ("delta", "l2"))
+
+
+@dataclass(frozen=True)
+class WordLength:
+    """A controller in one precision and form.
+
+    `error` is the largest relative change of the response, or of the loop's sensitivity when a plant was given;
+    `degradation_db` how much louder the loop becomes where it loses most, in the worst direction, against the largest
+    singular value of S before (None without a plant, infinite when the loop becomes unstable); `loop_radius` the
+    largest pole of that loop. `overflow` is the proven bound on a state over its range (fixed point), or the largest
+    coefficient over the largest number; `noise_v` the rms of rounding noise in the commands (None for floats).
+    """
+
+    precision: str
+    form: str
+    status: Status
+    error: float | None = None
+    degradation_db: float | None = None
+    loop_radius: float | None = None
+    overflow: float | None = None
+    noise_v: float | None = None
+    multiply_adds: int | None = None
+    coefficient_bytes: int | None = None
+
+    def __str__(self) -> str:
+        told = [self.error, self.degradation_db, self.overflow, self.noise_v, self.multiply_adds]
+        cells = ["-" if value is None else f"{value:.3g}" for value in told]
+        return f"{self.precision:8} {self.form:11} {self.status.word:9} " + " ".join(f"{c:>10}" for c in cells)
+
+
+def word_lengths(
+    controller: StateSpace,
+    plant: StateSpace | None = None,
+    *,
+    precisions: Sequence[str] = PRECISIONS,
+    input_v: float = 10.0,
+    output_v: float = 25.0,
+    tolerance: float = TOLERANCE,
+) -> tuple[WordLength, ...]:
+    """Return what rounding costs, for each precision and each form the law has; best first within a precision.
+
+    Args:
+        controller: discrete law from measurements to commands, u = K y.
+        plant: G of the loop y = G u; when given the loop is judged, not the law alone.
+        precisions: some of `float64`, `float32`, `q31`, `q15`.
+        input_v: full range of a measurement in fixed point, volts.
+        output_v: full range of a command, volts.
+        tolerance: largest relative error, and largest rounding noise over the range, that counts as `ok`.
+
+    Returns:
+        Rows of status `ok`, `inexact`, `unstable` or `refused`, each with a sentence.
+
+    Raises:
+        InputError: a law in continuous time, ranges that are not positive.
+
+    >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
+    >>> [(w.precision, w.status.word) for w in word_lengths(law, precisions=("float32", "q31"))[:1]]
+    [('float32', 'ok')]
+    """
+    if not isinstance(controller, StateSpace) or controller.rate_hz is None:
+        raise InputError("word_lengths: the controller must be a StateSpace in discrete time.")
+    positive("word_lengths", "input_v", input_v, "V")
+    positive("word_lengths", "output_v", output_v, "V")
+    judge = _Judge(controller, plant, tolerance)
+    rows: list[WordLength] = []
+    for precision in precisions:
+        one_of("word_lengths", "precisions", precision, PRECISIONS)
+        if precision in WORDS:
+            each = [_fixed(judge, precision, form, s, input_v, output_v) for form, s in FIXED_FORMS]
+        else:
+            each = [_floating(judge, precision, form, output_v) for form in FORMS]
+        rows += sorted(each, key=_order)
+    return tuple(rows)
+
+
+class _Judge:
+    """Judges rounded laws against one controller, in one loop or alone."""
+
+    def __init__(self, controller: StateSpace, plant: StateSpace | None, tolerance: float) -> None:
+        self.controller, self.plant, self.tolerance = controller, plant, tolerance
+        self.rate_hz = float(controller.rate_hz or 0.0)
+
+    def row(self, precision: str, form: str, held: StateSpace, noise: float, **known: Any) -> WordLength:
+        """Return the row of a rounded law; `noise` is its share of the range."""
+        error = error_of(held, self.controller, self.plant)
+        loss = radius = None
+        if self.plant is not None:
+            radius = loop_radius(self.plant, held)
+            loss = np.inf if radius >= 1.0 else degradation_db(held, self.controller, self.plant)
+        return WordLength(precision, form, self._status(held, error, noise, loss), error, loss, radius, **known)
+
+    def _status(self, held: StateSpace, error: float, noise: float, loss: float | None) -> Status:
+        if not np.isfinite(error) or (self.controller.is_stable() and not held.is_stable()):
+            return Status("unstable", f"The {'law' if loss is None else 'loop'} is no longer stable.")
+        what = "response" if loss is None else "sensitivity"
+        more = "" if loss is None else f", the loop by at most {loss:.1e} dB"
+        sentence = f"The {what} changes by {error:.1e} of its size{more}; noise takes {noise:.1e} of the range."
+        return Status("ok" if max(error, noise) <= self.tolerance else "inexact", sentence)
+
+
+def degradation_db(held: StateSpace, controller: StateSpace, plant: StateSpace) -> float:
+    """Return max over frequency of 20 log10 (||S_r|| / ||S||), spectral norms, S = (I - G K)^-1."""
+    before, after = sensitivities(controller, held, plant)
+    return float(20.0 * np.log10(np.linalg.norm(after, 2, axis=(1, 2)) / np.linalg.norm(before, 2, axis=(1, 2))).max())
+
+
+def _floating(judge: _Judge, precision: str, form: str, output_v: float) -> WordLength:
+    limits = np.tile([-output_v, output_v], (judge.controller.D.shape[0], 1))
+    try:
+        parts = realisation(judge.controller, form)
+        order = judge.controller.states
+        law = rounded(parts, None, limits, precision, rate_hz=judge.rate_hz, order=order)
+    except InputError as refusal:
+        return WordLength(precision, form, Status("refused", str(refusal)))
+    largest = max((float(np.abs(m).max(initial=0.0)) for m in (*law.blocks, law.B, law.C, law.D)), default=0.0)
+    return judge.row(
+        precision,
+        form,
+        law.state_space(),
+        0.0,
+        overflow=largest / float(np.finfo(DTYPES[precision]).max),
+        multiply_adds=_multiply_adds(law),
+        coefficient_bytes=_multiply_adds(law) * np.dtype(law.dtype).itemsize,
+    )
+
+
+def _multiply_adds(law: Law) -> int:
+    return law.coefficients - law.limits.size
+
+
+def _fixed(judge: _Judge, word: str, form: str, scaling: str, input_v: float, output_v: float) -> WordLength:
+    name = form if scaling == "l1" else f"{form} {scaling}"
+    try:
+        law: FixedLaw = fixed_law(judge.controller, word, form, scaling=scaling, input_v=input_v, output_v=output_v)
+    except InputError as refusal:
+        return WordLength(word, name, Status("refused", str(refusal)))
+    noise = float(law.noise_v.max())
+    return judge.row(
+        word,
+        name,
+        law.state_space(),
+        noise / output_v,
+        overflow=law.peak,
+        noise_v=noise,
+        multiply_adds=law.multiply_adds,
+        coefficient_bytes=law.coefficient_bytes,
+    )
+
+
+def _order(row: WordLength) -> tuple[bool, float, float]:
+    rank = {"ok": 0.0, "inexact": 1.0, "unstable": 2.0, "refused": 3.0}[row.status.word]
+    return rank > 0, rank, float(row.multiply_adds or 0) if rank == 0 else row.error or 0.0
