@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.fixed_point import FixedLaw as FixedLaw
     from ultraquiet.deploy.fixed_point import fixed_law as fixed_law
     from ultraquiet.deploy.fixed_twin import FixedTwin as FixedTwin
+    from ultraquiet.deploy.exchange import export_law as export_law
+    from ultraquiet.deploy.exchange import read_law as read_law
     from ultraquiet.deploy.fmu import FmuFile as FmuFile
     from ultraquiet.deploy.fmu import write_fmu as write_fmu
     from ultraquiet.deploy.fmu_controller import FmuController as FmuController
+    from ultraquiet.deploy.foton import foton_text as foton_text
+    from ultraquiet.deploy.foton import read_foton as read_foton
     from ultraquiet.deploy.frame import Frame as Frame
     from ultraquiet.deploy.frame import Overload as Overload
     from ultraquiet.deploy.frame_controller import FrameController as FrameController
@@ -58,11 +62,15 @@ _HOME = {
     "Verification": "verify",
     "WordLength": "precisions",
     "conditioning_gain": "antiwindup",
+    "export_law": "exchange",
     "fixed_law": "fixed_point",
+    "foton_text": "foton",
     "generate": "deployment",
     "generate_fixed": "fixed_deploy",
     "kernel_cycles": "budget",
     "largest_order": "budget",
+    "read_foton": "foton",
+    "read_law": "exchange",
     "realisation": "realise",
     "rounding_errors": "word_length",
     "word_lengths": "precisions",
