@@ -29,7 +29,9 @@ class FrameClock:
         skipped, done = self.open and now < self.finish, -1.0
         if skipped:
             self.refused += self.code.frame()
-            self.finish = self._spend(self.finish, self.t["entry_s"] + self.t["leave_s"])
+            visit = self.t["entry_s"] + self.t["leave_s"]
+            self.written = self.written + visit if now < self.written else self.written
+            self.finish = self._spend(self.finish, visit)
             self.clean = 0
         else:
             done = self.close(now)
@@ -85,7 +87,7 @@ class FrameClock:
                 break
             t = t + self.t["service_s"]
             self._arrival += 1
-        self.blocked = t
+        self.blocked = self._spend(t, 0.0)
         return done
 
 
@@ -103,8 +105,9 @@ def run_clock(clock: FrameClock, frames: int, y: NDArray[Any]) -> dict[str, NDAr
         before, end = clock.open_at, clock.finish
         skipped, _, done = clock.tick(k, y[k % len(y)])
         held["skipped"][k] = skipped
+        held["written"][clock.open_at] = clock.written
         if not skipped:
-            held["start"][k], held["written"][k] = clock.start, clock.written
+            held["start"][k] = clock.start
             if k:
                 held["finish"][before] = end
             if done >= 0.0:
