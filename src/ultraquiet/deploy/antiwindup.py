@@ -1,10 +1,17 @@
 """Conditioned anti-windup: the correction that tells the state what the actuators really did."""
 
-import numpy as np
-from scipy.linalg import solve_discrete_are
+from dataclasses import dataclass
 
-from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import NumericalError
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag, solve_discrete_are
+
+from ultraquiet._base.constraints import FloatArray, one_of, real_array, same_rate
+from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet.values.state_space import StateSpace
+
+# A state slower than the band of isolation (5 Hz and up) remembers a limit long after the disturbance has left it.
+SLOW_HZ = 1.0
 
 # Variance of the fictitious noise on u, relative to the law's own direct gain or response: -40 dB keeps the Riccati
 # equation regular where D is singular and moves the poles of A - L C by less than their own distance to the circle.
@@ -33,3 +40,76 @@ def conditioning_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
             f"deploy: no anti-windup gain exists for this law ({error}); use anti_windup=False."
         ) from None
     return np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + B @ D.T).T).T
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Whether to correct the state by what the limits took away, and the sentence that says why."""
+
+    on: bool
+    why: str
+
+
+def wish(
+    asked: bool | str,
+    controller: StateSpace,
+    limits: FloatArray,
+    plant: StateSpace | None = None,
+    disturbance_v: ArrayLike | None = None,
+) -> Wish:
+    """Return whether a law wants anti-windup; `auto` decides by the law's poles and by the commands it would give.
+
+    `auto` says yes when a pole is unstable or slower than 1 Hz, or when the command meets a limit under the design
+    disturbance: u = K (I - G K)^-1 d with a plant, u = K d without.
+
+    Args:
+        asked: True, False or `auto`.
+        controller: K, discrete.
+        limits: `(nu, 2)`, low and high, volts.
+        plant: G of y = G u + d.
+        disturbance_v: d, what the sensors show without control, `(ny, n)` in volts at the law's rate.
+
+    Raises:
+        InputError: another word, or a disturbance of another number of channels.
+    """
+    if isinstance(asked, bool):
+        return Wish(asked, "asked for" if asked else "not asked for")
+    one_of("deploy", "anti_windup", asked, ("auto",))
+    rate_hz = float(controller.rate_hz or 0)
+    poles = controller.poles()
+    size = np.abs(poles)
+    if np.any(size >= 1):
+        return Wish(True, f"a pole of the law lies at {size.max():.6f}, on or outside the unit circle")
+    kept = poles[size > 0]
+    slowest = float(np.abs(np.log(kept)).min(initial=np.inf)) * rate_hz / (2 * np.pi)
+    if slowest < SLOW_HZ:
+        return Wish(True, f"a pole of the law at {slowest:.2g} Hz is slower than {SLOW_HZ:g} Hz")
+    if disturbance_v is None:
+        return Wish(False, f"no pole is unstable or slower than {SLOW_HZ:g} Hz, and no design disturbance was given")
+    u = _commands(controller, plant, disturbance_v)
+    low, high = limits.T
+    over = (u < low[:, None]) | (u > high[:, None])
+    share = float(over.any(axis=0).mean())
+    if share > 0:
+        return Wish(True, f"the design disturbance drives a command to its limit in {100 * share:.2g} % of its samples")
+    return Wish(
+        False, f"under the design disturbance commands peak at {np.abs(u).max(initial=0.0):.3g} V, inside all limits"
+    )
+
+
+def _commands(controller: StateSpace, plant: StateSpace | None, disturbance_v: ArrayLike) -> FloatArray:
+    """Return u = K (I - G K)^-1 d, `(nu, n)`."""
+    d = real_array("deploy", "disturbance_v", disturbance_v, 2)
+    if d.shape[0] != controller.D.shape[1]:
+        raise InputError(f"deploy: 'disturbance_v' must have {controller.D.shape[1]} channels, got {d.shape}.")
+    if plant is None:
+        return controller.simulate(d)
+    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+    G, K = plant, controller
+    M = np.linalg.inv(np.eye(K.D.shape[0]) - K.D @ G.D)
+    C = M @ np.hstack([K.D @ G.C, K.C])
+    D = M @ K.D
+    y = np.hstack([G.C, np.zeros((G.C.shape[0], K.states))]) + G.D @ C
+    A = block_diag(G.A, K.A) + np.vstack([G.B @ C, K.B @ y])
+    B = np.vstack([G.B @ D, K.B @ (np.eye(d.shape[0]) + G.D @ D)])
+    return StateSpace(A, B, C, D, rate_hz=K.rate_hz).simulate(d)

@@ -34,10 +34,16 @@ def sections(law: Law) -> list[Section]:
     """Return the coefficients in the order of the code: those of `evaluate`, then a row of A, B, L for each state."""
     own = [row for block in law.blocks for row in block]
     more = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
-    made = [Section("D", "a row for each measurement", list(law.D.T)), Section("C", "a row for each state", list(law.C.T))]
+    made = [
+        Section("D", "a row for each measurement", list(law.D.T)),
+        Section("C", "a row for each state", list(law.C.T)),
+    ]
     if law.channels:
         B, C, D = biquad.sections(law)
-        made = [Section("D", "a number for each channel", [D]), Section("C", "a row for each block", list(C.reshape(-1, 2)))]
+        made = [
+            Section("D", "a number for each channel", [D]),
+            Section("C", "a row for each block", list(C.reshape(-1, 2))),
+        ]
         if law.turn_in is not None and law.turn_out is not None:
             made.append(Section("TURN_IN", "a row for each channel, from measurements", list(law.turn_in)))
             made.append(Section("TURN_OUT", "a row for each command, from channels", list(law.turn_out)))

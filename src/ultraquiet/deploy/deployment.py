@@ -3,27 +3,29 @@
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.constraints import between, one_of, positive, whole
+from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.bench import Bench
 from ultraquiet.deploy import budget, emit, script, toolchain
-from ultraquiet.deploy.antiwindup import conditioning_gain
+from ultraquiet.deploy.antiwindup import Wish, wish
 from ultraquiet.deploy.c31_emit import c31_files
 from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of
+from ultraquiet.deploy.coefficients import CoefficientBank
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
-from ultraquiet.deploy.law import DTYPES, Law, actuator_limits, rounded
+from ultraquiet.deploy.law import DTYPES, OVERRUN_LIMIT, Law, actuator_limits, rounded
 from ultraquiet.deploy.on_bench import on_bench
-from ultraquiet.deploy.realise import FORMS, Realisation, realisation
+from ultraquiet.deploy.realise import FORMS, realisation
 from ultraquiet.deploy.reanalyse import reanalyse
+from ultraquiet.deploy.retune import anti_windup_gain, bank_for
 from ultraquiet.deploy.targets import TARGETS
 from ultraquiet.deploy.twin import Twin
 from ultraquiet.deploy.verify import STEPS, Verification, verify_code
@@ -116,6 +118,14 @@ class Deployment:
         rewrite(self.folder, self.documents(found.status))
         return found
 
+    def bank(self, controller: StateSpace) -> CoefficientBank:
+        """Return another controller's coefficients as words and CRC-32, to be loaded while this code runs.
+
+        Raises:
+            InputError: the code cannot hold them: another rate, number of channels or states.
+        """
+        return bank_for(self.law, controller)
+
     def documents(self, verified: Status | None = None) -> dict[str, str]:
         """Return the texts of README and manifest as things stand."""
         said = "Not verified yet." if verified is None else str(verified)
@@ -139,7 +149,10 @@ def generate(
     limits_v: ArrayLike = 25.0,
     *,
     form: str = "auto",
-    anti_windup: bool = False,
+    anti_windup: bool | str = False,
+    disturbance_v: ArrayLike | None = None,
+    excitation_v: ArrayLike | None = None,
+    overrun_limit: int = OVERRUN_LIMIT,
     ramp_s: float = RAMP_S,
     plant: StateSpace | None = None,
     tolerance: float = TOLERANCE,
@@ -160,7 +173,11 @@ def generate(
         limits_v: actuator limits in volts: a number, `(nu,)`, or `(nu, 2)` low and high.
         form: `modal`, `delta`, `bank`, `bank-delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response
             is within `tolerance`.
-        anti_windup: correct the state by what the limits took away.
+        anti_windup: correct the state by what the limits took away; `auto` when the law has an unstable pole or one
+            below 1 Hz, or its commands meet a limit under `disturbance_v`, and the budget allows.
+        disturbance_v: design disturbance for `auto`, what the sensors show without control, `(ny, n)` volts.
+        excitation_v: limits of what may be added to the commands, like `limits_v`; a tenth of those when absent.
+        overrun_limit: overruns in a row that latch a fault and ramp the command out.
         ramp_s: seconds from zero to full command, and back.
         plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.
         tolerance: largest relative error that `auto` accepts.
@@ -189,36 +206,44 @@ def generate(
     limits = actuator_limits(limits_v, controller.D.shape[0])
     steps = round(positive("deploy", "ramp_s", ramp_s, "s") * float(controller.rate_hz or 0))
     whole("deploy", "ramp_s in samples", steps, 1, MAX_RAMP_STEPS)
+    excitation = None if excitation_v is None else actuator_limits(excitation_v, len(limits), "excitation_v")
+    whole("deploy", "overrun_limit", overrun_limit, 1, MAX_RAMP_STEPS)
     require_ours(folder)
+    wanted = wish(anti_windup, controller, limits, plant, disturbance_v)
 
-    def make(shape: str) -> tuple[Law, float]:
+    def make(shape: str, aware: bool = wanted.on) -> tuple[Law, float]:
         parts = realisation(controller, shape)
-        L = _gain(parts) if anti_windup else None
+        L = anti_windup_gain(parts) if aware else None
         rate, order = float(controller.rate_hz or 0), controller.states
-        law = rounded(parts, L, limits, precision, rate_hz=rate, order=order, name=name, ramp_steps=steps)
+        law = rounded(
+            parts,
+            L,
+            limits,
+            precision,
+            rate_hz=rate,
+            order=order,
+            name=name,
+            ramp_steps=steps,
+            excitation=excitation,
+            overrun_limit=overrun_limit,
+        )
         return law, parts.condition
 
-    choice = _choice(controller, form, make, plant, tolerance)
+    room = budget_cycles * (1.0 if budget_share is None else budget_share)
+    choice, why = _aware(controller, form, make, plant, tolerance, wanted, room if anti_windup == "auto" else np.inf)
     if enforce_budget or budget_share is not None:
         budget.require_fit(choice.law, budget_cycles, 1.0 if budget_share is None else budget_share)
     what = "the response" if plant is None else "the loop's sensitivity"
     status = _status(controller, choice, tolerance, what)
     rows = script.self_test(choice.law)
     files = emit.sources(choice.law, rows, controller.hash)
-    tables = _tables(choice, budget_cycles) | footprint(choice.law, files)
+    tables = _tables(choice, budget_cycles) | {"anti_windup_because": why} | footprint(choice.law, files)
     files["vectors.csv"] = emit.vectors(choice.law)
     if "c31" in targets:
         files |= c31_files(choice.law, controller.hash)
     made = Deployment(choice.law, folder, tables, status, controller.hash, controller, plant)
     write_folder(folder, files | made.documents())
     return made
-
-
-def _gain(parts: Realisation) -> FloatArray:
-    """Return the anti-windup gain; that of a plain bank leaves every command to its channel."""
-    whole_law = parts.state_space(None)
-    L = conditioning_gain(whole_law.A, whole_law.B, whole_law.C, whole_law.D)
-    return L * (parts.C.T != 0) if parts.channels and parts.turn_in is None else L
 
 
 def _check(controller: StateSpace, precision: str, name: str, form: str, targets: Sequence[str]) -> None:
@@ -236,6 +261,32 @@ def _check(controller: StateSpace, precision: str, name: str, form: str, targets
         one_of("deploy", "targets", target, TARGET_CODES)
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
         raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
+
+
+def _aware(
+    controller: StateSpace,
+    form: str,
+    make: Any,
+    plant: StateSpace | None,
+    tolerance: float,
+    wanted: Wish,
+    room: float,
+) -> tuple[Choice, str]:
+    """Return the choice, without the anti-windup that was wanted when it takes more cycles than there is room for."""
+    if not wanted.on:
+        return _choice(controller, form, make, plant, tolerance), f"off: {wanted.why}"
+    plain = partial(make, aware=False)
+    try:
+        choice = _choice(controller, form, make, plant, tolerance)
+    except NumericalError as refusal:
+        if np.isinf(room):
+            raise
+        return _choice(controller, form, plain, plant, tolerance), f"off: {wanted.why}, but {refusal}"
+    need = budget.cycles(choice.law)
+    if need > room:
+        off = f"off: {wanted.why}, but {need} C31 instructions do not fit the {room:g} allowed"
+        return _choice(controller, form, plain, plant, tolerance), off
+    return choice, f"on: {wanted.why}"
 
 
 def _choice(controller: StateSpace, form: str, make: Any, plant: StateSpace | None, tolerance: float) -> Choice:

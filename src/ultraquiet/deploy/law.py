@@ -102,7 +102,15 @@ class Law:
     def hash(self) -> str:
         """SHA-256 of every rounded coefficient and setting."""
         L = np.zeros(0) if self.L is None else self.L
-        settings = [self.precision, self.form, self.ramp_steps, self.rate_hz, self.order, self.overrun_limit, *self.channels]
+        settings = [
+            self.precision,
+            self.form,
+            self.ramp_steps,
+            self.rate_hz,
+            self.order,
+            self.overrun_limit,
+            *self.channels,
+        ]
         turns = [T for T in (self.turn_in, self.turn_out) if T is not None]
         return content_hash(*self.blocks, self.B, self.C, self.D, L, self.limits, self.excitation, *turns, settings)
 
@@ -179,5 +187,7 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
     if held.shape != (outputs, 2):
         raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {held.shape}.")
     if np.any(held[:, 0] > 0) or np.any(held[:, 1] < 0) or np.any(held[:, 0] >= held[:, 1]):
-        raise InputError(f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {held.tolist()}.")
+        raise InputError(
+            f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {held.tolist()}."
+        )
     return held
