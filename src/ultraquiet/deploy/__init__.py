@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
+    from ultraquiet.deploy.exchange import export_law as export_law
+    from ultraquiet.deploy.exchange import read_law as read_law
     from ultraquiet.deploy.fixed_deploy import FixedDeployment as FixedDeployment
     from ultraquiet.deploy.fixed_deploy import generate_fixed as generate_fixed
     from ultraquiet.deploy.fixed_point import FixedLaw as FixedLaw
     from ultraquiet.deploy.fixed_point import fixed_law as fixed_law
     from ultraquiet.deploy.fixed_twin import FixedTwin as FixedTwin
-    from ultraquiet.deploy.exchange import export_law as export_law
-    from ultraquiet.deploy.exchange import read_law as read_law
     from ultraquiet.deploy.fmu import FmuFile as FmuFile
     from ultraquiet.deploy.fmu import write_fmu as write_fmu
     from ultraquiet.deploy.fmu_controller import FmuController as FmuController
