@@ -110,6 +110,6 @@ def _commands(controller: StateSpace, plant: StateSpace | None, disturbance_v: A
     C = M @ np.hstack([K.D @ G.C, K.C])
     D = M @ K.D
     y = np.hstack([G.C, np.zeros((G.C.shape[0], K.states))]) + G.D @ C
-    A = block_diag(G.A, K.A) + np.vstack([G.B @ C, K.B @ y])
+    A = np.asarray(block_diag(G.A, K.A)) + np.vstack([G.B @ C, K.B @ y])
     B = np.vstack([G.B @ D, K.B @ (np.eye(d.shape[0]) + G.D @ D)])
     return StateSpace(A, B, C, D, rate_hz=K.rate_hz).simulate(d)

@@ -1,7 +1,8 @@
-"""The law's coefficients as one run of numbers: the bank that the code holds, and that may be replaced while it runs."""
+"""The law's coefficients as one run of numbers: the bank that the code holds and that may be replaced as it runs."""
 
 import zlib
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class CoefficientBank:
-    """What `NAME_load_bank` takes: 32-bit words, a number of 64 bits as two with the low one first, and their CRC-32."""
+    """What `NAME_load_bank` takes: 32-bit words, a number of 64 bits as two, low one first, and their CRC-32."""
 
     words: NDArray[np.uint32]
     crc: int
@@ -98,7 +99,7 @@ def with_numbers(law: Law, row: Rounded) -> Law:
     A = [part[:n] for part, n in zip(taken["DRIVE"], widths, strict=True)]
     rest = np.stack([part[n:] for part, n in zip(taken["DRIVE"], widths, strict=True)])
     starts = np.cumsum([0, *(len(b) for b in law.blocks)])
-    blocks = tuple(np.stack(A[i:j]) for i, j in zip(starts, starts[1:], strict=False))
+    blocks = tuple(np.stack(A[i:j]) for i, j in pairwise(starts))
     if not law.channels:
         B, L = rest[:, : law.inputs], rest[:, law.inputs :]
         C, D = np.stack(taken["C"]).T, np.stack(taken["D"]).T

@@ -2,6 +2,7 @@
 
 from functools import cache
 from importlib import metadata
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -116,7 +117,7 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
     special = {op: f"0x{value:X}{suffix}" for op, value in SPECIAL[law.precision].items()}
     ends = np.cumsum([0, *law.channels]).tolist()
     return {
-        "channel_ends": list(zip(ends, ends[1:], strict=False)),
+        "channel_ends": list(pairwise(ends)),
         "law": law,
         "name": law.name,
         "NAME": law.name.upper(),

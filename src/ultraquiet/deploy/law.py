@@ -29,8 +29,8 @@ class Law:
 
     x+ = A x + B y + L (sat(u) - u), u = C x + D y, with A in blocks (A - I when `form` is `delta`); `L` is None without
     anti-windup. `limits` is `(nu, 2)`, low and high, and so is `excitation`, the range of what may be added to the
-    command before them; the command is scaled by `level / ramp_steps` while it ramps. `overrun_limit` overruns in a row latch
-    a fault.
+    command before them; the command is scaled by `level / ramp_steps` while it ramps. `overrun_limit` overruns in a row
+    latch a fault.
     """
 
     name: str
