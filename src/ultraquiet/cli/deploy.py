@@ -5,14 +5,26 @@ from typing import Annotated
 
 import typer
 
+from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.frame import asked, show_frames
+from ultraquiet.cli.verified import loaded_plant, rows, wanted
 
 
 def deploy(
     controller: Annotated[Path, typer.Argument(help="A controller (HDF5), as `design` leaves it.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the code; default: beside the controller.")] = None,
     precision: Annotated[str, typer.Option(help="float32 or float64.")] = "float32",
+    form: Annotated[str, typer.Option(help="auto, modal, delta, schur, dense, bank ...")] = "auto",
+    anti_windup: Annotated[
+        bool, typer.Option("--anti-windup", help="Correct the state by what the limits take away.")
+    ] = False,
+    plant: Annotated[Path | None, typer.Option(help="A plant (HDF5): analyse the loop with the rounded law.")] = None,
+    budget: Annotated[int | None, typer.Option(help="C31 cycles of a frame; refuse a law that needs more.")] = None,
+    target: Annotated[
+        list[str] | None, typer.Option(help="cortex-m4f, cortex-m7 or none; may be repeated; default: both.")
+    ] = None,
+    steps: Annotated[int, typer.Option(help="Samples to compare bit by bit.")] = 100_000,
     frame: Annotated[bool, typer.Option("--frame", help="Simulate the real-time frame around the code.")] = False,
     frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
     load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
@@ -20,7 +32,7 @@ def deploy(
     frame_on: Annotated[str, typer.Option(help="With --frame: c31, cortex-m4f or cortex-m7.")] = "c31",
     overload: Annotated[str | None, typer.Option(help="With --frame: extra work, FIRST:FRAMES:MICROSECONDS.")] = None,
 ) -> None:
-    """Generate C99, compile it with the system's compiler and compare it bit by bit with Python."""
+    """Generate C99, compile it here and for emulated processors, and compare it bit by bit with Python."""
     from rich.console import Console
     from rich.table import Table
 
@@ -33,11 +45,15 @@ def deploy(
         raise InputError(f"deploy: '{controller}' holds a {type(law).__name__}, not a controller in state space.")
     real_time = asked(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
     folder = out or controller.with_suffix("")
-    made = room.generate(law, folder, precision=precision)
-    verified = made.verify()
+    whole("deploy", "steps", steps, 1)
+    targets = wanted(target)
+    system = None if plant is None else loaded_plant(plant)
+    limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}
+    made = room.generate(law, folder, precision, form=form, anti_windup=anti_windup, plant=system, **limit)
+    verified = made.verify(steps, targets=targets)
     table = Table("what", "value", title=f"{folder}")
-    for key, value in made.tables.items():
-        table.add_row(key, str(value))
+    for row in rows(made, verified):
+        table.add_row(*row)
     console = Console()
     console.print(table)
     console.print(str(verified.status), highlight=False, soft_wrap=True)

@@ -1,0 +1,69 @@
+"""The one table of `ultraquiet deploy`: the law, its cost, what proved it, what became of the loop."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ultraquiet._base.errors import InputError
+
+if TYPE_CHECKING:
+    from ultraquiet.deploy import Deployment, Verification
+    from ultraquiet.values import StateSpace
+
+NONE = "none"
+
+
+def loaded_plant(path: Path) -> "StateSpace":
+    """Return the plant that a file holds, a state space or a model of one."""
+    from ultraquiet import files
+    from ultraquiet.values import StateSpace
+
+    model = files.load(path)
+    system = model if isinstance(model, StateSpace) else getattr(model, "state_space", lambda: None)()
+    if system is None:
+        raise InputError(f"deploy: '{path}' holds a {type(model).__name__}, not a model of a plant.")
+    return system
+
+
+def wanted(names: list[str] | None) -> tuple[str, ...]:
+    """Return the targets that were asked for, known ones; all of them by default."""
+    from ultraquiet.deploy.targets import TARGETS, target_named
+
+    if names is None:
+        return tuple(TARGETS)
+    return tuple(target_named(name).name for name in names if name != NONE)
+
+
+def rows(made: "Deployment", found: "Verification") -> list[tuple[str, str]]:
+    """Return what and value of every line."""
+    listed = [(key.replace("_", " "), plain(value)) for key, value in made.tables.items()]
+    if found.compiler is not None:
+        listed.append(("compared here", f"{found.steps} steps, compiled by {found.compiler}, {found.seconds:.1f} s"))
+    listed.extend(on_targets(found))
+    listed.extend(("did not run", sentence) for sentence in found.missing)
+    if found.loop is not None:
+        listed.extend((f"loop: {what}", f"{one} as designed, {two} rounded") for what, one, two in found.loop.rows())
+    return listed
+
+
+def on_targets(found: "Verification") -> list[tuple[str, str]]:
+    """Return the lines of the emulated processors."""
+    listed = []
+    for each in found.targets:
+        calm = "" if each.calm is None else f"; at full command inside the limits {each.calm[0]} to {each.calm[1]}"
+        size = f"; {each.flash_bytes} bytes of flash, {each.stack_bytes} of stack"
+        listed.append((f"on {each.target.title}", f"{each}{calm}{size}"))
+    return listed
+
+
+def plain(value: Any) -> str:
+    """Return a value as a reader wants it."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {plain(each)}" for key, each in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(plain(each) for each in value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
