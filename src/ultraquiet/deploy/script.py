@@ -406,7 +406,7 @@ class Player:
             self._fold([int(twin.select(count % 16, count // 16 % 16, count // 256))])
 
     def _excitation(self, kind: int) -> NDArray[np.floating]:
-        """Return three quarters of the upper and of the lower limits by turns (0), NaN last (1), nine times them (2)."""
+        """Return three quarters of the upper and lower limits by turns (0), NaN last (1), nine times them (2)."""
         law = self.twin.law
         turns = law.excitation[np.arange(law.outputs), (np.arange(law.outputs) + self.twin.steps) % 2]
         v = turns * law.dtype(9.0 if kind == 2 else 0.75)
