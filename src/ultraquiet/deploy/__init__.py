@@ -33,11 +33,16 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.frame_result import FrameSimulation as FrameSimulation
     from ultraquiet.deploy.frame_times import FrameTimes as FrameTimes
     from ultraquiet.deploy.law import Law as Law
+    from ultraquiet.deploy.on_target import OnTarget as OnTarget
     from ultraquiet.deploy.precisions import WordLength as WordLength
     from ultraquiet.deploy.precisions import word_lengths as word_lengths
     from ultraquiet.deploy.processor import Processor as Processor
     from ultraquiet.deploy.realise import Realisation as Realisation
     from ultraquiet.deploy.realise import realisation as realisation
+    from ultraquiet.deploy.reanalyse import Reanalysis as Reanalysis
+    from ultraquiet.deploy.reanalyse import reanalysis as reanalysis
+    from ultraquiet.deploy.tones import OnBench as OnBench
+    from ultraquiet.deploy.tones import on_bench as on_bench
     from ultraquiet.deploy.twin import Twin as Twin
     from ultraquiet.deploy.verify import Verification as Verification
     from ultraquiet.deploy.word_length import rounding_errors as rounding_errors
@@ -55,9 +60,12 @@ _HOME = {
     "FrameSimulation": "frame_result",
     "FrameTimes": "frame_times",
     "Law": "law",
+    "OnBench": "tones",
+    "OnTarget": "on_target",
     "Overload": "frame",
     "Processor": "processor",
     "Realisation": "realise",
+    "Reanalysis": "reanalyse",
     "Twin": "twin",
     "Verification": "verify",
     "WordLength": "precisions",
@@ -71,7 +79,9 @@ _HOME = {
     "largest_order": "budget",
     "read_foton": "foton",
     "read_law": "exchange",
+    "on_bench": "tones",
     "realisation": "realise",
+    "reanalysis": "reanalyse",
     "rounding_errors": "word_length",
     "word_lengths": "precisions",
     "write_fmu": "fmu",

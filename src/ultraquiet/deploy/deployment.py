@@ -22,11 +22,11 @@ from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
 from ultraquiet.deploy.law import DTYPES, OVERRUN_LIMIT, Law, actuator_limits, rounded
-from ultraquiet.deploy.on_bench import on_bench
 from ultraquiet.deploy.realise import FORMS, realisation
-from ultraquiet.deploy.reanalyse import reanalyse
+from ultraquiet.deploy.reanalyse import reanalysis
 from ultraquiet.deploy.retune import anti_windup_gain, bank_for
 from ultraquiet.deploy.targets import TARGETS
+from ultraquiet.deploy.tones import on_bench
 from ultraquiet.deploy.twin import Twin
 from ultraquiet.deploy.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
@@ -110,7 +110,7 @@ class Deployment:
         plant = self.plant if plant is None else plant
         found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets)
         law = self.quantised if self.designed is None else self.designed
-        loop = None if plant is None else reanalyse(law, self.quantised, plant)
+        loop = None if plant is None else reanalysis(law, self.quantised, plant)
         runs = found.status.word != "not compiled"
         measured = on_bench(bench, law, self.instance()) if bench is not None and runs else None
         found = found.with_loop(loop, measured)

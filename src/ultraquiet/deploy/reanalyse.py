@@ -72,7 +72,7 @@ class Reanalysis:
         return [(what, format(a, form), format(b, form)) for what, a, b, form in named]
 
 
-def reanalyse(
+def reanalysis(
     controller: StateSpace, rounded: StateSpace, plant: StateSpace, tones_hz: ArrayLike = TONES_HZ
 ) -> Reanalysis:
     """Return stability, margins and worst-direction attenuation of a loop before and after rounding.
@@ -92,11 +92,11 @@ def reanalyse(
 
     >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1000.0)
     >>> K = StateSpace([[0.9]], [[0.1]], [[-0.5]], [[-0.3]], rate_hz=1000.0)
-    >>> print(reanalyse(K, K, G).status)
+    >>> print(reanalysis(K, K, G).status)
     ok: The loop with the rounded law is stable and loses at most 0.00 dB of attenuation at 5, 25, 100 Hz.
     """
-    same_rate("reanalyse", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
-    f = frequency_array("reanalyse", tones_hz)
+    same_rate("reanalysis", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
+    f = frequency_array("reanalysis", tones_hz)
     figures = [_figures(law, plant, f) for law in (controller, rounded)]
     made = Reanalysis(Status("ok", ""), f, *figures)
     return Reanalysis(_status(made), f, *figures)

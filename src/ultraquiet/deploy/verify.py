@@ -15,11 +15,11 @@ from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law, Rounded
-from ultraquiet.deploy.on_bench import OnBench
 from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
 from ultraquiet.deploy.reanalyse import Reanalysis
 from ultraquiet.deploy.script import sizes
 from ultraquiet.deploy.targets import TARGETS, target_named
+from ultraquiet.deploy.tones import OnBench
 from ultraquiet.deploy.toolchain import call, compile_c
 from ultraquiet.deploy.twin import Twin
 from ultraquiet.values.status import Status
