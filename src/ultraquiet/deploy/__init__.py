@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.antiwindup import conditioning_gain as conditioning_gain
     from ultraquiet.deploy.budget import kernel_cycles as kernel_cycles
     from ultraquiet.deploy.budget import largest_order as largest_order
+    from ultraquiet.deploy.cmake import write_project as write_project
     from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
@@ -85,6 +86,7 @@ _HOME = {
     "rounding_errors": "word_length",
     "word_lengths": "precisions",
     "write_fmu": "fmu",
+    "write_project": "cmake",
 }
 
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

@@ -98,8 +98,8 @@ def write_fmu(
     """
     law = made.law
     one_of("write_fmu", "version", version, VERSIONS)
-    if law.precision not in DTYPES:
-        raise InputError(f"write_fmu: an FMU needs a law in {' or '.join(DTYPES)}, got {law.precision}.")
+    if getattr(law, "precision", "") not in DTYPES:
+        raise InputError(f"write_fmu: an FMU needs a law in {' or '.join(DTYPES)}, not in whole numbers.")
     if Path(path).suffix != ".fmu":
         raise InputError(f"write_fmu: an FMU is a file that ends in '.fmu', got '{path}'.")
     wires = _wires(law, inputs, outputs)

@@ -31,6 +31,7 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
         ) from None
     try:
         for name, text in files.items():
+            (work / name).parent.mkdir(parents=True, exist_ok=True)
             (work / name).write_text(text, encoding="utf-8")
         work.chmod(0o755)
         _swap(work, folder)
