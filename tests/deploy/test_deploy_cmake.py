@@ -1,4 +1,4 @@
-"""Generated code as a project of its own: CMake builds it, ctest runs its self-test, here and on emulated processors."""
+"""Generated code as a project of its own: CMake builds it, ctest runs its self-test, also on emulated processors."""
 
 import re
 import shutil
