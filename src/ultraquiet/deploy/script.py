@@ -21,6 +21,7 @@ OPS = (
     "SPEND",
     "POKE",
     "EXCITE",
+    "NARROW",
     "ATTACH",
     "LOAD",
     "SWAP",
@@ -151,7 +152,7 @@ RUN 5 loud
 
 EXCITATIONS = """
 INIT 0
-SELECT 16             y 0 on tap 0
+SELECT last_y         the last measurement on tap 0
 SELECT last_x         the last state on tap 1
 SELECT last_u         the last excitation on tap 2
 SELECT last_raw       the last command of the law on tap 3
@@ -161,14 +162,14 @@ ENABLE
 RUN some+2
 EXCITE 0
 RUN 5
-EXCITE 2              beyond its limits
+EXCITE 1              beyond its limits
 RUN 5
-EXCITE 2
+EXCITE 1
 OUTPUT
 EXCITE 0              between the halves of a step
 UPDATE
 RUN 3
-EXCITE 1              NaN: none at all
+EXCITE 2              NaN: none at all
 RUN 5
 EXCITE 0
 RUN 30 loud
@@ -286,6 +287,19 @@ RUN 5
 """
 
 
+RETURNS = """
+INIT 0
+ENABLE
+RUN ramp+5
+DISABLE
+RUN ramp-1
+OUTPUT                the last step of the ramp out
+ENABLE
+UPDATE
+RUN 3
+"""
+
+
 def planted(law: Law, kind: int) -> CoefficientBank:
     """Return the bank of a LOAD of some kind, with the CRC that goes with it."""
     row = numbers(law) * law.dtype(0.5)
@@ -318,7 +332,9 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
     bad += [f"NOT_A_NUMBER {channel}" for channel in range(1, last)]
     large = [f"LARGE {k % law.inputs}" for k in range(4)]
     text = [START, OVERRUNS, *(f"{one}\n{AFTER_BAD}" for one in bad), FAULTS, *large, OVERFLOWS]
-    text += [EXCITATIONS, STALLS, SWAPS]
+    text += [EXCITATIONS, *(f"EXCITE {2 + i}" for i in range(law.outputs)), STALLS, SWAPS, RETURNS]
+    for channel in range(law.outputs):
+        text += [f"INIT 0\nENABLE\nRUN 2\nNARROW {channel}\nRUN 6"]
     some = min(law.ramp_steps, 7)
     names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
     names |= {"times": law.overrun_limit - 1, "times_twice": 2 * law.overrun_limit} | _taps(law)
@@ -326,7 +342,8 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
     calls = []
     for line in filter(None, "\n".join(text).splitlines()):
         words = line[:COMMENT].split()
-        count = sum(names[word] if word in names else int(word) for word in (words[1:2] or ["0"])[0].split("+"))
+        parts = (words[1:2] or ["0"])[0].replace("-", "+-").split("+")
+        count = sum(names[word] if word in names else int(word) for word in parts)
         calls.append((words[0], count, loud if "loud" in words else quiet))
     return calls
 
@@ -334,6 +351,7 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
 def _taps(law: Law) -> dict[str, int]:
     """Return the counts of SELECT by name: tap + 16 signal + 256 channel."""
     return {
+        "last_y": 16 + 256 * (law.inputs - 1),
         "last_x": 1 + 16 * 2 + 256 * (law.states - 1),
         "last_raw": 3 + 16 * 3 + 256 * (law.outputs - 1),
         "last_u": 2 + 16 * 4 + 256 * (law.outputs - 1),
@@ -382,7 +400,7 @@ class Player:
             self._fold([int(twin.frame()) for _ in range(max(count, 1))])
         elif op in ("ENABLE", "CLEAR"):
             self._fold([int(getattr(twin, op.lower())())])
-        elif op in ("EXCITE", "ATTACH", "LOAD", "SWAP", "SELECT"):
+        elif op in ("EXCITE", "NARROW", "ATTACH", "LOAD", "SWAP", "SELECT"):
             self._ask(op, count)
         else:
             y = self.measure(scale)
@@ -394,6 +412,8 @@ class Player:
         twin = self.twin
         if op == "EXCITE":
             self._fold([int(twin.excite(self._excitation(count)))])
+        elif op == "NARROW":
+            twin.narrow(count)
         elif op == "ATTACH":
             twin.attach()
         elif op == "LOAD":
@@ -406,12 +426,12 @@ class Player:
             self._fold([int(twin.select(count % 16, count // 16 % 16, count // 256))])
 
     def _excitation(self, kind: int) -> NDArray[np.floating]:
-        """Return three quarters of the upper and lower limits by turns (0), NaN last (1), nine times them (2)."""
+        """Return three quarters of the upper and lower limits by turns (0), nine times them (1), NaN on a channel."""
         law = self.twin.law
         turns = law.excitation[np.arange(law.outputs), (np.arange(law.outputs) + self.twin.steps) % 2]
-        v = turns * law.dtype(9.0 if kind == 2 else 0.75)
-        if kind == 1:
-            v[-1] = np.nan
+        v = turns * law.dtype(9.0 if kind == 1 else 0.75)
+        if kind >= 2:
+            v[kind - 2] = np.nan
         return v
 
     def measure(self, scale: float) -> NDArray[np.floating]:
@@ -433,6 +453,9 @@ class Player:
         commands = np.stack([twin.raw, twin.applied, twin.limited], axis=1).ravel()
         self._fold(self._bits(np.concatenate([commands, twin.y, twin.x])))
         self._fold(self._bits(np.concatenate([twin.excitation, twin.monitor()])))
+        self._fold([number for tap in twin.taps for number in tap])
+        if twin.law.L is not None:
+            self._fold(self._bits(twin.cut))
         self._fold([twin.mode, twin.faults, twin.level, twin.steps, twin.clipped, twin.overruns])
         self._fold([twin.live, twin.busy, twin.late, twin.stalled, twin.resume, twin.loaded, twin.swapping, twin.bank])
 

@@ -27,7 +27,6 @@ class Twin:
 
     def __init__(self, law: Law) -> None:
         self.law = law
-        self._low, self._high = law.limits[:, 0].copy(), law.limits[:, 1].copy()
         self._ramp_step = law.dtype(1.0) / law.dtype(law.ramp_steps)
         self._seen = np.zeros(law.inputs + law.states, law.dtype)
         self.init()
@@ -61,6 +60,7 @@ class Twin:
         self.live = self.busy = self.stalled = self.resume = self.attached = self.loaded = False
         self.taps = [(0, 0)] * TAPS
         self._hook = hook
+        self._low, self._high = law.limits[:, 0].copy(), law.limits[:, 1].copy()
         self._take(law, 0)
 
     def reset(self) -> None:
@@ -117,6 +117,11 @@ class Twin:
         if self._hook:
             self.steps += 1000
         return False
+
+    def narrow(self, channel: int) -> None:
+        """Cut the limits of one channel to a millionth, for the self-test."""
+        self._low[channel] *= self.law.dtype(2.0**-20)
+        self._high[channel] *= self.law.dtype(2.0**-20)
 
     def excite(self, volts: ArrayLike) -> bool:
         """Set what is added to the commands before the limits `(nu,)`; none, and False, for NaN or infinity."""
