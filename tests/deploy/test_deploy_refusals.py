@@ -17,11 +17,14 @@ def gain(value=1.0, rate_hz=RATE_HZ):
     ("settings", "sentence"),
     [
         ({"precision": "float16"}, r"'precision' must be one of 'float32', 'float64', got 'float16'"),
-        ({"form": "companion"}, r"'form' must be one of 'auto', 'modal', 'delta', 'schur', 'dense'"),
+        (
+            {"form": "companion"},
+            r"'form' must be one of 'auto', 'modal', 'delta', 'bank', 'bank-delta', 'schur', 'dense'",
+        ),
         ({"name": "my controller"}, r"must be a C identifier .* got 'my controller'"),
         ({"limits_v": [1.0, 2.0, 3.0]}, r"'limits_v' must be one number, \(1,\) or \(1, 2\)"),
-        ({"limits_v": [[5.0, 10.0]]}, r"each actuator's range must hold 0 V"),
-        ({"limits_v": -1.0}, r"each actuator's range must hold 0 V"),
+        ({"limits_v": [[5.0, 10.0]]}, r"each actuator's range in 'limits_v' must hold 0 V"),
+        ({"limits_v": -1.0}, r"each actuator's range in 'limits_v' must hold 0 V"),
         ({"limits_v": np.nan}, r"NaN or infinite"),
         ({"ramp_s": 0.0}, r"'ramp_s' must be above zero s"),
         ({"ramp_s": 1e-5}, r"'ramp_s in samples' must be between 1 and"),

@@ -86,7 +86,6 @@ def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None 
 
 def sensitivities(controller: StateSpace, held: StateSpace, plant: StateSpace) -> tuple[ComplexArray, ComplexArray]:
     """Return S = (I - G K)^-1 `(nf, ny, ny)` with either law, on a grid that misses no pole of the loop or the law."""
-    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
     poles = np.concatenate([controller.poles(), _loop_poles(plant, controller)])
     f_hz = _grid(poles, controller.rate_hz or 0.0)
     G = _points_first(plant.frequency_response(f_hz))
@@ -101,6 +100,7 @@ def loop_radius(plant: StateSpace, controller: StateSpace) -> float:
 
 
 def _loop_poles(plant: StateSpace, controller: StateSpace) -> ComplexArray:
+    same_rate("deploy", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
     if plant.D.shape != controller.D.T.shape:
         raise InputError(
             f"deploy: a plant {plant.D.shape} does not close a loop with a controller {controller.D.shape}."

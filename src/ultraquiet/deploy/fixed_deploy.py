@@ -277,14 +277,18 @@ def self_test(law: FixedLaw) -> list[dict[str, Any]]:
     plan = [("RUN", 3), ("ENABLE", 0), ("RUN", part), ("DISABLE", 0), ("RUN", max(part // 2, 1)), ("ENABLE", 0)]
     plan += [("RUN", full + 100), ("HIGH", 60), ("LOW", 60), ("RUN", 40), ("DISABLE", 0), ("RUN", full + 2)]
     plan += [("ENABLE", 0), ("RUN", 20)]
+    if law.saturates:  # states at their ranges' corners, which a turn of the block carries beyond
+        plan += [("PUSH", 0), ("RUN", 1), ("PUSH", 1), ("RUN", 1)]
     twin, drawn, digest, rows = FixedTwin(law), 1, FNV_BASIS, []
     twin.init()
     top = 2 ** (law.bits - 1) - 1
     for op, count in plan:
         if op in ("ENABLE", "DISABLE"):
             getattr(twin, op.lower())()
+        if op == "PUSH":
+            twin.x = np.where(np.arange(law.states) * count % 2 == 0, top, -top)
         folded: list[int] = []
-        for _ in range(count):
+        for _ in range(count if op in ("RUN", "HIGH", "LOW") else 0):
             y = np.zeros(law.inputs, np.int64)
             for j in range(law.inputs):
                 drawn = (drawn * LCG_FACTOR + LCG_STEP) & MASK

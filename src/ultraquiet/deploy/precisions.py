@@ -70,7 +70,7 @@ def word_lengths(
         Rows of status `ok`, `inexact`, `unstable` or `refused`, each with a sentence.
 
     Raises:
-        InputError: a law in continuous time, ranges that are not positive.
+        InputError: a law in continuous time, a loop that is not stable to begin with, ranges that are not positive.
 
     >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
     >>> [(w.precision, w.status.word) for w in word_lengths(law, precisions=("float32", "q31"))[:1]]
@@ -80,6 +80,12 @@ def word_lengths(
         raise InputError("word_lengths: the controller must be a StateSpace in discrete time.")
     positive("word_lengths", "input_v", input_v, "V")
     positive("word_lengths", "output_v", output_v, "V")
+    before = 0.0 if plant is None else loop_radius(plant, controller)
+    if before >= 1.0:
+        raise InputError(
+            f"word_lengths: the loop with the controller as it is has a pole of magnitude {before:.6f}, so there is no"
+            " attenuation to lose; give the plant it was designed for."
+        )
     judge = _Judge(controller, plant, tolerance)
     rows: list[WordLength] = []
     for precision in precisions:
@@ -138,13 +144,18 @@ def _floating(judge: _Judge, precision: str, form: str, output_v: float) -> Word
         law.state_space(),
         0.0,
         overflow=largest / float(np.finfo(DTYPES[precision]).max),
-        multiply_adds=_multiply_adds(law),
-        coefficient_bytes=_multiply_adds(law) * np.dtype(law.dtype).itemsize,
+        multiply_adds=multiply_adds(law),
+        coefficient_bytes=multiply_adds(law) * np.dtype(law.dtype).itemsize,
     )
 
 
-def _multiply_adds(law: Law) -> int:
-    return law.coefficients - law.limits.size
+def multiply_adds(law: Law) -> int:
+    """Return the multiply-adds of a step without anti-windup, each with its own coefficient."""
+    gains = law.B.size + law.C.size + law.D.size
+    if law.channels:
+        turns = sum(T.size for T in (law.turn_in, law.turn_out) if T is not None)
+        gains = 2 * law.states + len(law.channels) + turns
+    return sum(block.size for block in law.blocks) + gains
 
 
 def _fixed(judge: _Judge, word: str, form: str, scaling: str, input_v: float, output_v: float) -> WordLength:
