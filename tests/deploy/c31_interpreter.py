@@ -10,9 +10,9 @@ What the text holds beyond these instructions, or an operand its format has no b
 """
 
 import c31_numbers as num
-from c31_program import ADDRESSING, EXTENDED, INDIRECT, SPECIAL, RefusedError, operand_kind
+from c31_program import ADDRESSING, EXTENDED, SINGLE, SPECIAL, RefusedError, indirect, operand_kind
 
-BLOCKS = ((0x809800, 0x809C00), (0x809C00, 0x80A000))
+BLOCKS = (0x809800, 0x809C00, 0x80A000)
 STACK = 0x809F7F  # below its first word; internal, above the coefficients of any law that keeps them in block 1
 FOUR = 4
 SLOW = {"RPTS", "RPTB", "RETI"}
@@ -20,7 +20,7 @@ SLOW = {"RPTS", "RPTB", "RETI"}
 
 def _block(address):
     """Return 1 or 2 for the internal blocks, 0 outside."""
-    return next((k for k, (low, high) in enumerate(BLOCKS, 1) if low <= address < high), 0)
+    return 0 if address < BLOCKS[0] or address >= BLOCKS[2] else 1 if address < BLOCKS[1] else 2
 
 
 class Machine:
@@ -34,6 +34,7 @@ class Machine:
         self.other["SP"] = STACK
         self.cycles, self.stalls = 0, 0
         self.spent = {}
+        self.verbs = {name: getattr(self, "_" + name.lower()) for name in SINGLE}
 
     def run(self, start, stop=None):
         """Execute from one label until another, or a return, is reached; return the cycles that took."""
@@ -111,7 +112,7 @@ class Machine:
             if target >> 16 != self.other["DP"]:
                 raise RefusedError(f"{text} lies on another page than DP")
             return target
-        before, k, after, by, ring = INDIRECT.match(text).groups()
+        before, k, after, by, ring = indirect(text)
         name = f"AR{k}"
         base = self.other[name]
         step = self.other[by] if by in ("IR0", "IR1") else int(by or 1)
@@ -163,7 +164,7 @@ class Machine:
         return word - 2**32 if word >> 31 else word
 
     def _perform(self, half):
-        return getattr(self, "_" + half.name.lower())(*half.operands)
+        return self.verbs[half.name](*half.operands)
 
     def _ldf(self, src, dst):
         return "R", dst, self.read_float(src)

@@ -106,7 +106,7 @@ def value(a):
 
 
 def np_multiply(a, b):
-    return _cut(a * b, 31)
+    return cut(a * b, 31)
 
 
 def np_add(a, b):
@@ -114,14 +114,14 @@ def np_add(a, b):
     unit = np.ldexp(1.0, np.maximum(ea, eb) - 31)
     total = np.floor(a / unit) * unit + np.floor(b / unit) * unit
     total = np.where(ea - eb >= 32, a, np.where(eb - ea >= 32, b, total))
-    return np.where(a == 0, b, np.where(b == 0, a, _cut(total, 31)))
+    return np.where(a == 0, b, np.where(b == 0, a, cut(total, 31)))
 
 
 def np_rounded(a):
-    return _cut(a + np.ldexp(1.0, _exponent(a) - 24), 23)
+    return cut(a + np.ldexp(1.0, _exponent(a) - 24), 23)
 
 
-def _cut(v, bits):
+def cut(v, bits):
     unit = np.ldexp(1.0, _exponent(v) - bits)
     return np.where(v == 0, 0.0, np.floor(v / unit) * unit)
 

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import dataclass, field
+from functools import cache
 
 ADDRESSING = {f"AR{k}" for k in range(8)} | {"IR0", "IR1", "BK"}
 EXTENDED = {f"R{k}" for k in range(8)}
@@ -44,6 +45,13 @@ class Instruction:
     writes: set[str] = field(default_factory=set)
 
 
+@cache
+def indirect(text):
+    """Return sign, register, step after, displacement and % of an indirect operand."""
+    return INDIRECT.match(text).groups()
+
+
+@cache
 def operand_kind(text):
     if text in EXTENDED:
         return "R"
@@ -112,11 +120,11 @@ class Program:
 def _check(ins):
     names = tuple(h.name for h in ins.halves)
     kinds = [[operand_kind(o) for o in h.operands] for h in ins.halves]
-    indirect = [m for h in ins.halves for o in h.operands if (m := INDIRECT.match(o))]
-    used = [m[2] for m in indirect]
+    found = [m for h in ins.halves for o in h.operands if (m := INDIRECT.match(o))]
+    used = [m[2] for m in found]
     if len(ins.halves) == 2 and names not in PARALLEL:
         raise RefusedError(f"no such pair: {ins.line}")
-    if any(_modifies(m) and used.count(m[2]) > 1 for m in indirect):
+    if any(_modifies(m) and used.count(m[2]) > 1 for m in found):
         raise RefusedError(f"a register moved and used again: {ins.line}")
     if len(ins.halves) == 2 or names[0].endswith("3"):
         for o in (o for h in ins.halves for o in h.operands if operand_kind(o) == "memory"):

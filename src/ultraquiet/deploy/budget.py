@@ -118,7 +118,9 @@ def words(law: Law) -> int:
     Alignment of the ring of measurements may add up to 31.
     """
     corrections = 0 if law.L is None else law.outputs + 1
-    return law.coefficients + law.states + law.inputs + law.outputs + corrections + POINTERS + AHEAD
+    gains = sum(M.size for M in (*law.blocks, law.B, law.C, law.D, law.L) if M is not None) + 2 * law.outputs
+    coefficients = law.coefficients if law.channels else gains
+    return coefficients + law.states + law.inputs + law.outputs + corrections + POINTERS + AHEAD
 
 
 def largest_order(

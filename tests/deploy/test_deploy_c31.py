@@ -1,0 +1,301 @@
+"""The emitted C31 assembly, run by an interpreter: its cycles are the model's, its bits those of a NumPy reference."""
+
+import re
+import shutil
+import subprocess
+
+import c31_numbers as num
+import numpy as np
+import pytest
+from c31_interpreter import Machine
+from c31_program import Program, RefusedError
+from c31_reference import Reference
+from deploy_laws import random_law
+
+from ultraquiet.deploy import budget, generate
+from ultraquiet.deploy.antiwindup import conditioning_gain
+from ultraquiet.deploy.c31_emit import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31_code
+from ultraquiet.deploy.c31_float import decode, encode
+from ultraquiet.deploy.law import actuator_limits, rounded
+from ultraquiet.deploy.realise import Realisation
+
+INTERRUPT = 4  # the vector's fetch empties the pipeline as a branch does
+STEPS = 1000
+# Half a unit of 24 bits is 6e-8; over 25 draws and 1000 steps rounding grew to 8e-7 of the largest command.
+DIGITS = 5e-6
+
+
+def law_in(rng, states, form="modal", anti_windup=False, inputs=6, outputs=6, limit_v=8.0):
+    """Return a random law already in 2x2 blocks, rounded to float32, which the C31 holds exactly."""
+    design = random_law(rng, states, inputs, outputs, mixed=False)
+    pairs = [design.A[k : k + 2, k : k + 2] for k in range(0, states, 2)]
+    blocks = tuple(p - np.eye(2) for p in pairs) if form == "delta" else tuple(pairs)
+    parts = Realisation(form, blocks, design.B, design.C, design.D, 1.0)
+    L = conditioning_gain(design.A, design.B, design.C, design.D) if anti_windup else None
+    return rounded(parts, L, actuator_limits(limit_v, outputs), "float32", rate_hz=3500.0, order=states)
+
+
+def machine_of(law):
+    code = c31_code(law)
+    return Machine(Program(code.assembly, code.linker))
+
+
+def feed(machine, counts):
+    """Put signed integers into the converters."""
+    for j, count in enumerate(counts):
+        machine.memory[machine.program.symbols["ADC"] + j] = int(count) & 0xFFFFFFFF
+
+
+def held(machine, name, count):
+    at = machine.program.symbols[f"controller_{name}"]
+    return decode([machine.memory[at + k] for k in range(count)])
+
+
+def one_frame(law, rng):
+    machine = machine_of(law)
+    feed(machine, rng.integers(-(2**15), 2**15, law.inputs))
+    machine.run("controller_frame")
+    spent = {name.removeprefix("controller_"): cycles for name, cycles in machine.spent.items()}
+    kernel = spent["output"] + spent["update"]
+    return kernel, sum(spent.values()) - kernel + INTERRUPT, spent
+
+
+def modelled(law):
+    return budget.cycles(law) - budget.SKELETON_CYCLES
+
+
+def test_every_modal_order_from_2_to_120_takes_the_cycles_of_the_model(rng):
+    for states in range(2, 121, 2):
+        law = law_in(rng, states)
+        kernel, rest, spent = one_frame(law, rng)
+        assert kernel == modelled(law) == 15 * states + 101
+        assert spent["output"] == budget.output_cycles(law)
+        assert rest <= budget.SKELETON_CYCLES
+    print(f"120 states: {kernel} kernel, {rest} of {budget.SKELETON_CYCLES} around it")
+
+
+@pytest.mark.parametrize(("form", "anti_windup"), [("delta", False), ("modal", True), ("delta", True)])
+def test_other_forms_take_the_cycles_of_the_model(form, anti_windup, rng):
+    for states in (2, 4, 30, 60, 120):
+        law = law_in(rng, states, form, anti_windup)
+        kernel, rest, _ = one_frame(law, rng)
+        print(f"{form}, anti-windup {anti_windup}, {states} states: {kernel} kernel, {rest} around it")
+        assert kernel == modelled(law)
+        assert rest <= budget.SKELETON_CYCLES
+
+
+def test_other_sizes_take_the_cycles_of_the_model(rng):
+    for inputs in range(1, 9):
+        for outputs in range(1, 9):
+            law = law_in(rng, 2 * int(rng.integers(1, 9)), "modal", bool(rng.integers(2)), inputs, outputs)
+            assert one_frame(law, rng)[0] == modelled(law), (inputs, outputs)
+
+
+def test_60_states_within_1100_and_120_within_the_frame(rng):
+    sixty, twice = one_frame(law_in(rng, 60), rng), one_frame(law_in(rng, 120), rng)
+    print(f"60 states: {sixty[0]} kernel cycles; 120 states: {twice[0]} + {budget.SKELETON_CYCLES}")
+    assert sixty[0] <= 1100
+    assert twice[0] + budget.SKELETON_CYCLES <= 2800
+    assert sum(twice[:2]) <= 2800
+
+
+@pytest.mark.parametrize(
+    ("form", "anti_windup"), [("modal", False), ("modal", True), ("delta", False), ("delta", True)]
+)
+def test_bits_are_those_of_the_reference_over_1000_steps(form, anti_windup, rng):
+    law = law_in(rng, 8, form, anti_windup, limit_v=1.0)
+    machine, reference = machine_of(law), Reference(law)
+    low, high = law.limits[:, 0].astype(float), law.limits[:, 1].astype(float)
+    clipped, counts_per_step = 0, set()
+    for _ in range(STEPS):
+        counts = rng.integers(-(2**15), 2**15, law.inputs) // 2 ** int(rng.integers(12))
+        feed(machine, counts)
+        counts_per_step.add(machine.run("controller_frame"))
+        y = num.cut(num.np_multiply(counts.astype(float), decode(encode(VOLTS_PER_COUNT))), 23)
+        raw = reference.output(y)
+        limited = np.clip(raw, low, high)
+        reference.update(y, raw, limited)
+        clipped += int((limited != raw).sum())
+        assert np.array_equal(held(machine, "y", law.inputs), y)
+        assert np.array_equal(held(machine, "u", law.outputs), raw)
+        assert np.array_equal(held(machine, "x", law.states), reference.x)
+        out = np.floor(num.np_multiply(limited, decode(encode(COUNTS_PER_VOLT))))
+        sent = [machine.memory[machine.program.symbols["DAC"] + i] for i in range(law.outputs)]
+        assert np.array_equal(np.array(sent, dtype=np.uint32).view(np.int32), out)
+    print(f"{form}: {STEPS} steps alike, {clipped} of {STEPS * law.outputs} commands limited, cycles {counts_per_step}")
+    assert 0 < clipped < STEPS * law.outputs
+    assert len(counts_per_step) == 1
+
+
+@pytest.mark.parametrize("form", ["modal", "delta"])
+def test_commands_are_those_of_float64_within_the_c31s_digits(form, rng):
+    law = law_in(rng, 16, form, limit_v=1e3)
+    machine, exact = machine_of(law), law.state_space()
+    x, error, size = np.zeros(law.states), 0.0, 0.0
+    for _ in range(STEPS):
+        feed(machine, rng.integers(-(2**15), 2**15, law.inputs))
+        machine.run("controller_frame")
+        y = held(machine, "y", law.inputs)
+        u = exact.C @ x + exact.D @ y
+        x = exact.A @ x + exact.B @ y
+        error, size = max(error, np.abs(held(machine, "u", law.outputs) - u).max()), max(size, np.abs(u).max())
+    print(f"{form}: largest error {error / size:.1e} of the largest command over {STEPS} steps")
+    assert error <= DIGITS * size
+
+
+def test_words_are_counted_as_emitted(rng):
+    for states, anti_windup in ((30, False), (60, False), (60, True), (120, False), (170, False)):
+        law = law_in(rng, states, "modal", anti_windup)
+        code = c31_code(law)
+        pad = int(re.search(r"\.space\s+(\d+)", code.assembly)[1])
+        print(
+            f"{states} states: {code.program_words} program, {code.data_words} data, {code.coefficient_words}"
+            f" coefficients, {'internal' if code.coefficients_internal else 'external'}"
+        )
+        assert budget.words(law) == code.data_words + code.coefficient_words - pad
+        assert code.coefficients_internal == (code.coefficient_words <= 896)
+
+
+def test_assembly_stands_in_the_folder_when_asked(law_of, tmp_path):
+    made = generate(law_of(10), tmp_path / "code", form="modal", targets=("c99", "c31"))
+    text, linker = ((tmp_path / "code" / f"controller_c31.{kind}").read_text() for kind in ("asm", "cmd"))
+    machine = Machine(Program(text, linker))
+    feed(machine, [0] * 6)
+    machine.run("controller_frame")
+    spent = machine.spent["controller_output"] + machine.spent["controller_update"]
+    assert spent == made.tables["c31_kernel_cycles"]
+    assert not (tmp_path / "plain").exists()
+    generate(law_of(10), tmp_path / "plain", form="modal")
+    assert not list((tmp_path / "plain").glob("*c31*"))
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        (
+            {"form": "schur", "targets": ("c99", "c31")},
+            "C31 assembly is written for modal and delta form, not for schur",
+        ),
+        ({"targets": ("c31",)}, "'targets' must list 'c99'"),
+        ({"targets": "c99"}, "'targets' must list 'c99'"),
+        ({"targets": ("c99", "c40")}, "'targets' must be one of"),
+        ({"budget_share": 1.5}, "'budget_share' must lie between 0 and 1"),
+        ({"budget_cycles": 0}, "'budget_cycles' must be"),
+    ],
+)
+def test_refusals_leave_no_folder(settings, sentence, law_of, tmp_path):
+    with pytest.raises(ValueError, match=sentence):
+        generate(law_of(6), tmp_path / "code", **settings)
+    assert not (tmp_path / "code").exists()
+
+
+def test_gnu_assembler_takes_the_text(rng, tmp_path):
+    gas = shutil.which("tic4x-coff-as")
+    if gas is None:
+        pytest.skip("no tic4x-coff-as (binutils for target tic4x-coff) on this machine")
+    for form, anti_windup in (("modal", False), ("delta", True)):
+        source = tmp_path / f"{form}.asm"
+        source.write_text(c31_code(law_in(rng, 12, form, anti_windup)).assembly)
+        done = subprocess.run(
+            [gas, "-m31", source, "-o", tmp_path / "a.o"], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+MUTANTS = [
+    (r"RND     R3\n        MPYF3", "NOP\n        MPYF3"),  # a state cut instead of rounded
+    (r"\*-AR1\(IR0\)", "*-AR1(1)"),  # stored beside its place
+    (r"ADDF3   R0,R1,R3", "ADDF3   R0,R1,R2"),  # into the other row's sum
+    (r"LDI     5,BK", "LDI     4,BK"),  # a ring too short
+    (r"LDI     2,IR0", "LDI     1,IR0"),
+    (r"RPTS    12", "RPTS    11"),
+    (r"LDFLT", "LDFGT"),
+]
+
+
+@pytest.mark.parametrize(("pattern", "instead"), MUTANTS)
+def test_a_wrong_instruction_is_seen(pattern, instead, rng):
+    law = law_in(rng, 8, limit_v=0.5)
+    code = c31_code(law)
+    text, changed = re.subn(pattern, instead, code.assembly, count=1)
+    assert changed == 1
+    right, wrong = machine_of(law), Machine(Program(text, code.linker))
+    alike = True
+    for _ in range(20):
+        counts = rng.integers(-(2**15), 2**15, law.inputs)
+        for machine in (right, wrong):
+            feed(machine, counts)
+            machine.run("controller_frame")
+        alike = alike and right.memory == wrong.memory
+    assert not alike
+
+
+def small(*lines):
+    """Return a machine with a few instructions; AR0 and AR1 point into blocks 0 and 1."""
+    text = "\n".join(["        .text", "start:", *("        " + line for line in lines), "        RETI"])
+    machine = Machine(Program(text.replace("        ||", "||"), "text: load = 0x809900\n"))
+    machine.other |= {"AR0": 0x809A00, "AR1": 0x809C80, "IR0": 2}
+    machine.memory |= dict.fromkeys([*range(0x8099F0, 0x809A10), *range(0x809C70, 0x809C90)], 0)
+    return machine
+
+
+@pytest.mark.parametrize(
+    ("lines", "cycles"),
+    [
+        (["MPYF3 *AR0,*AR1,R0", "|| ADDF3 R0,R2,R2"], 1),
+        (["STF R2,*AR0", "MPYF3 *AR0,*AR1,R0"], 3),  # a store before two reads
+        (["STF R2,*AR1", "LDF *AR0,R0"], 2),
+        (["LDI 1,IR0", "LDF *AR0,R0"], 4),  # a pointer's group written, then used
+        (["LDI 1,IR0", "NOP", "NOP", "LDF *AR0,R0"], 4),
+        (["MPYF3 *AR0,*-AR0(1),R0"], 2),  # two reads and the fetch in one block
+        (["RPTS 9", "MPYF3 *AR0,*-AR0(1),R0"], 4 + 11),  # no fetch but the first
+    ],
+)
+def test_interpreter_counts_what_holds_the_pipeline(lines, cycles):
+    assert small(*lines).run("start") == cycles + 4
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["MACF R0,R1"],
+        ["MPYF3 *AR0,R4,R0", "|| ADDF3 R0,R2,R2"],  # one source from memory
+        ["MPYF3 *AR0,*AR1,R2", "|| ADDF3 R0,R2,R2"],  # the product's register
+        ["MPYF3 *AR0,*AR1,R0", "|| ADDF3 R0,R2,R4"],
+        ["MPYF3 *+AR0(2),*AR1,R0", "|| ADDF3 R0,R2,R2"],  # no bits for the displacement
+        ["MPYF3 *AR0++(1),*AR0,R0", "|| ADDF3 R0,R2,R2"],
+        ["LDF 0.1,R0"],
+        ["LDF *AR7,R0"],  # reads what nobody wrote
+    ],
+)
+def test_interpreter_refuses_what_the_c31_would_not_do(lines):
+    with pytest.raises(RefusedError):
+        small(*lines).run("start")
+
+
+def test_integer_and_array_arithmetic_agree(rng):
+    words = rng.integers(0, 2**32, (2, 4000), dtype=np.uint64).astype(np.uint32)
+    words &= np.uint32(0x1FFFFFFF)  # exponents 0 to 31 and their negatives below: no overflow
+    words[1] |= np.uint32(0xE0000000)
+    a, b = ([num.from_word(int(w)) for w in row] for row in words)
+    fa, fb = (decode(row) for row in words)
+    products = [num.multiply(p, q) for p, q in zip(a, b, strict=True)]
+    assert np.array_equal(num.np_multiply(fa, fb), [num.value(p) for p in products])
+    sums = [num.add(p, q) for p, q in zip(products, a, strict=True)]
+    assert np.array_equal(num.np_add(num.np_multiply(fa, fb), fa), [num.value(s) for s in sums])
+    assert np.array_equal(
+        num.np_rounded(np.array([num.value(s) for s in sums])), [num.value(num.rounded(s)) for s in sums]
+    )
+
+
+def test_format_holds_every_single_and_rounds_the_rest(rng):
+    bits = rng.integers(0, 2**32, 20000, dtype=np.uint64).astype(np.uint32).view(np.float32)
+    singles = bits[np.isfinite(bits) & ((np.abs(bits) >= np.finfo(np.float32).tiny) | (bits == 0))].astype(float)
+    assert np.array_equal(decode(encode(singles)), singles)
+    assert [num.value(num.from_word(int(w))) for w in encode(singles[:500])] == singles[:500].tolist()
+    many = rng.standard_normal(20000) * 10.0 ** rng.uniform(-30, 30, 20000)
+    assert np.all(np.abs(decode(encode(many)) - many) <= 2.0**-24 * np.abs(many))
+    with pytest.raises(ValueError, match="beyond the C31's numbers"):
+        encode(4e38)
+    with pytest.raises(ValueError, match="not finite"):
+        encode(np.nan)
