@@ -7,6 +7,7 @@ import typer
 
 from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.exported import require_writable, show_exports
 from ultraquiet.cli.frame import asked, show_frames
 from ultraquiet.cli.verified import loaded_plant, rows, wanted
 
@@ -25,6 +26,14 @@ def deploy(
         list[str] | None, typer.Option(help="cortex-m4f, cortex-m7 or none; may be repeated; default: both.")
     ] = None,
     steps: Annotated[int, typer.Option(help="Samples to compare bit by bit.")] = 100_000,
+    fmu: Annotated[Path | None, typer.Option(help="Write the controller as this FMU, too.")] = None,
+    fmi: Annotated[str, typer.Option(help="With --fmu: 3.0 or 2.0 of the standard.")] = "3.0",
+    export: Annotated[
+        list[Path] | None, typer.Option(help="Write the law as .mat, .h5, .csv or foton's .txt; may be repeated.")
+    ] = None,
+    project: Annotated[
+        Path | None, typer.Option(help="Write a folder with CMake and a workflow around the code.")
+    ] = None,
     frame: Annotated[bool, typer.Option("--frame", help="Simulate the real-time frame around the code.")] = False,
     frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
     load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
@@ -45,6 +54,7 @@ def deploy(
         raise InputError(f"deploy: '{controller}' holds a {type(law).__name__}, not a controller in state space.")
     real_time = asked(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
     folder = out or controller.with_suffix("")
+    require_writable(law, fmu, fmi, export)
     whole("deploy", "steps", steps, 1)
     targets = wanted(target)
     system = None if plant is None else loaded_plant(plant)
@@ -57,5 +67,6 @@ def deploy(
     console = Console()
     console.print(table)
     console.print(str(verified.status), highlight=False, soft_wrap=True)
+    show_exports(console, law, made, fmu=fmu, fmi=fmi, export=export, project=project)
     if real_time is not None:
         show_frames(console, made, real_time, frames, frame_on, folder.with_name(f"{folder.name}-frame.svg"))

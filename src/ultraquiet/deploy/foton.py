@@ -177,10 +177,11 @@ def _channels(law: StateSpace, coupled: bool) -> list[Channel]:
             return channels(law)
         except InputError as refusal:
             ny, nu = law.D.shape[1], law.D.shape[0]
+            why = str(refusal).split(";", maxsplit=1)[0].removeprefix("deploy: ")
             raise InputError(
                 f"foton: this law couples its channels, and a module has one input and one output: it would take"
                 f" {nu * ny} filters of {law.states} states each, one for every pair of measurement and command; write"
-                f" MAT, HDF5 or CSV, or ask for them with coupled=True ({refusal})"
+                f" MAT, HDF5 or CSV, or ask for them with coupled=True ({why})."
             ) from None
     return [
         Channel(

@@ -1,0 +1,54 @@
+"""What `ultraquiet deploy` writes for other programs beside the code."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ultraquiet._base.constraints import one_of
+from ultraquiet._base.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from ultraquiet.deploy import Deployment
+    from ultraquiet.values import StateSpace
+
+
+def require_writable(law: "StateSpace", fmu: Path | None, fmi: str, export: list[Path] | None) -> None:
+    """Refuse what could not be written later, before any work is done."""
+    from ultraquiet.deploy import foton_text
+    from ultraquiet.deploy.exchange import FORMATS
+    from ultraquiet.deploy.fmu import VERSIONS
+
+    one_of("deploy", "--fmi", fmi, VERSIONS)
+    if fmu is not None and fmu.suffix != ".fmu":
+        raise InputError(f"deploy: --fmu needs a file that ends in '.fmu', got '{fmu}'.")
+    for path in export or []:
+        if path.suffix.lower() not in FORMATS:
+            raise InputError(f"deploy: --export writes {', '.join(FORMATS)}, got '{path}'.")
+        if path.suffix.lower() == ".txt":
+            foton_text(law)
+
+
+def show_exports(
+    console: "Console",
+    law: "StateSpace",
+    made: "Deployment",
+    *,
+    fmu: Path | None,
+    fmi: str,
+    export: list[Path] | None,
+    project: Path | None,
+) -> None:
+    """Write what was asked for and say where it is."""
+    from ultraquiet.deploy import export_law, write_fmu, write_project
+
+    def say(*words: Any) -> None:
+        console.print(*words, highlight=False, soft_wrap=True)
+
+    if fmu is not None:
+        unit = write_fmu(made, fmu, fmi)
+        say(f"{unit.path}: FMI {unit.version}.", unit.status.sentence)
+    for path in export or []:
+        say(f"{export_law(law, path)}: the law's coefficients, in float64.")
+    if project is not None:
+        say(f"{write_project(made, project)}: a project for CMake.")
