@@ -127,8 +127,9 @@ def mutants(code):
             changed = re.sub(pattern, other, line, count=1)
             if changed != line:
                 made.append((k, changed))
-        last_of_switch = k + 1 < len(lines) and lines[k + 1] == "    }" and "break" in line
-        if DELETED.fullmatch(line) and not last_of_switch:
+        # A break deleted at the end of a switch, or before a default that does nothing, changes nothing.
+        idle = "break" in line and lines[k + 1].strip().startswith(("}", "default"))
+        if DELETED.fullmatch(line) and not idle:
             made.append((k, ""))
     return made
 
