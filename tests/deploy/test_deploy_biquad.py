@@ -107,6 +107,21 @@ def test_equal_poles_in_mixed_coordinates_still_make_pairs(rng):
     assert error < 1e-8
 
 
+@pytest.mark.parametrize("kind", ["alike", "different", "decoupled"])
+def test_channels_in_mixed_coordinates_are_found(rng, kind):
+    m = 4
+    turns = [np.linalg.qr(rng.standard_normal((m, m)))[0] for _ in range(2)] if kind == "decoupled" else [None, None]
+    plain = decentralised(rng, [8, 8, 8, 8] if kind == "alike" else [3, 8, 6, 5], kind == "alike", *turns)
+    law = rotated(rng, plain)
+    parts = realisation(law, "bank")
+    error = error_of(parts.state_space(RATE_HZ), law)
+    least = kernel_cycles("bank", parts.states, m, m, turned=kind == "decoupled")
+    print(f"{kind}: {parts.channels} blocks, {error:.1e}, {least} against {kernel_cycles('modal', 32, m, m)} cycles")
+    assert sorted(parts.channels) == [4] * m if kind == "alike" else sorted(parts.channels) == [2, 3, 3, 4]
+    assert (parts.turn_in is None) == (kind != "decoupled")
+    assert error < 1e-6
+
+
 def test_channel_without_states_and_states_without_use(rng):
     law = decentralised(rng, [4, 4])
     idle = block_diag(law.A, 0.5 * np.eye(3))
@@ -124,7 +139,7 @@ def test_coupled_laws_are_refused_with_a_sentence(law_of, rng):
     with pytest.raises(ValueError, match=r"a bank needs channels of one measurement and one command, but 12 states"):
         realisation(law_of(12), "bank")
     law = decentralised(rng, [3, 3])
-    crossed = StateSpace(law.A, law.B, law.C, law.D + [[0.0, 0.1], [0.0, 0.0]], rate_hz=RATE_HZ)
+    crossed = StateSpace(law.A, law.B, law.C, law.D + np.array([[0.0, 0.1], [0.0, 0.0]]), rate_hz=RATE_HZ)
     found = realisation(crossed, "bank")
     assert len(found.channels) == 3  # the gain between channels is a channel of its own
     turned = StateSpace(law.A, law.B @ [[1.0, 1.0], [1.0, -2.0]], law.C, law.D + 0.3, rate_hz=RATE_HZ)

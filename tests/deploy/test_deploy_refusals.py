@@ -19,7 +19,7 @@ def gain(value=1.0, rate_hz=RATE_HZ):
         ({"precision": "float16"}, r"'precision' must be one of 'float32', 'float64', got 'float16'"),
         (
             {"form": "companion"},
-            r"'form' must be one of 'auto', 'modal', 'delta', 'bank', 'bank-delta', 'schur', 'dense'",
+            r"'form' must be one of 'auto', 'modal', 'delta', 'bank', 'bank-delta'",
         ),
         ({"name": "my controller"}, r"must be a C identifier .* got 'my controller'"),
         ({"limits_v": [1.0, 2.0, 3.0]}, r"'limits_v' must be one number, \(1,\) or \(1, 2\)"),

@@ -44,7 +44,7 @@ def block_diagonal(A: FloatArray, bound: float) -> tuple[list[FloatArray], Float
 
 
 def _diagonalised(block: FloatArray, bound: float) -> tuple[list[FloatArray], FloatArray]:
-    """Return blocks of one and two, and the change of coordinates, or the block itself where that one costs too much."""
+    """Return blocks of one and two and the change of coordinates, or the block itself where that costs too much."""
     n = len(block)
     if n <= 2:
         return [block], np.eye(n)

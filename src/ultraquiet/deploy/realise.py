@@ -10,8 +10,9 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.biquad import channels, parts_of
+from ultraquiet.deploy.biquad import Channel, channels, parts_of
 from ultraquiet.deploy.blocks import block_diagonal
+from ultraquiet.deploy.decouple import separated
 from ultraquiet.values.state_space import StateSpace
 
 # ||X|| up to which a split counts as well conditioned: sqrt(eps) of float32 is 3e-4, so a tenth of its digits' half.
@@ -130,7 +131,7 @@ def _dense(law: StateSpace) -> Realisation:
 
 
 def _bank(law: StateSpace) -> Realisation:
-    found = channels(law)
+    found = _channels(law)
     parts = [_modal(channel.law) if channel.law.states else None for channel in found]
     held = [p for p in parts if p is not None]
     blocks = tuple(block for p in held for block in p.blocks)
@@ -156,6 +157,17 @@ def _bank(law: StateSpace) -> Realisation:
         None if plain else T,
         None if plain else S,
     )
+
+
+def _channels(law: StateSpace) -> list[Channel]:
+    """Return the channels of a law as it stands, else those that its response shows."""
+    try:
+        return channels(law)
+    except InputError:
+        apart = separated(law)
+        if apart is None:
+            raise
+        return channels(apart)
 
 
 def _bank_delta(law: StateSpace) -> Realisation:
