@@ -215,8 +215,10 @@ class Machine:
     def _ldp(self, label):
         return "other", "DP", self.program.symbols[label] >> 16
 
-    def _nop(self, *_):
-        return None
+    def _nop(self, *moved):
+        for text in moved:  # the pointer moves; a label or a count is the loops' own affair
+            if operand_kind(text) == "memory":
+                self._address(text)
 
     _rpts = _rptb = _reti = _nop
 

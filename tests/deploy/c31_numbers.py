@@ -118,7 +118,7 @@ def np_add(a, b):
 
 
 def np_rounded(a):
-    return cut(a + np.ldexp(1.0, _exponent(a) - 24), 23)
+    return np.where(a == 0, 0.0, cut(a + np.ldexp(1.0, _exponent(a) - 24), 23))
 
 
 def cut(v, bits):

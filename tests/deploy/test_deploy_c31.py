@@ -35,6 +35,18 @@ def law_in(rng, states, form="modal", anti_windup=False, inputs=6, outputs=6, li
     return rounded(parts, L, actuator_limits(limit_v, outputs), "float32", rate_hz=3500.0, order=states)
 
 
+def bank_in(rng, channels, form="bank", anti_windup=False, limit_v=8.0):
+    """Return a random decentralised law of `channels[c]` blocks each; a channel of none is a gain."""
+    design, m = random_law(rng, 2 * sum(channels), mixed=False), len(channels)
+    pairs = [design.A[k : k + 2, k : k + 2] for k in range(0, design.states, 2)]
+    own = np.repeat(np.arange(m), 2 * np.array(channels))[:, None] == np.arange(m)
+    blocks = tuple(p - np.eye(2) for p in pairs) if form == "bank-delta" else tuple(pairs)
+    size = rng.standard_normal((2, *own.shape))
+    parts = Realisation(form, blocks, size[0] * own, (size[1] * own).T, np.diag(rng.standard_normal(m)), 1.0, channels)
+    L = 0.1 * rng.standard_normal(own.shape) * own if anti_windup else None
+    return rounded(parts, L, actuator_limits(limit_v, m), "float32", rate_hz=3500.0, order=design.states)
+
+
 def machine_of(law):
     code = c31_code(law)
     return Machine(Program(code.assembly, code.linker))
@@ -91,6 +103,21 @@ def test_other_sizes_take_the_cycles_of_the_model(rng):
             assert one_frame(law, rng)[0] == modelled(law), (inputs, outputs)
 
 
+BANKS = [(5, 5, 5, 5, 5, 5), (1, 1, 1, 1, 1, 1), (4, 0, 2, 1, 0, 3), (2, 3, 0), (0, 4), (7,)]
+
+
+@pytest.mark.parametrize("form", ["bank", "bank-delta"])
+@pytest.mark.parametrize("anti_windup", [False, True])
+def test_banks_take_the_cycles_of_the_model(form, anti_windup, rng):
+    for channels in BANKS:
+        law = bank_in(rng, channels, form, anti_windup)
+        kernel, rest, spent = one_frame(law, rng)
+        print(f"{form} {channels}, anti-windup {anti_windup}: {kernel} kernel, {rest} around it")
+        assert kernel == modelled(law)
+        assert spent["output"] == budget.output_cycles(law)
+        assert rest <= budget.SKELETON_CYCLES
+
+
 def test_60_states_within_1100_and_120_within_the_frame(rng):
     sixty, twice = one_frame(law_in(rng, 60), rng), one_frame(law_in(rng, 120), rng)
     print(f"60 states: {sixty[0]} kernel cycles; 120 states: {twice[0]} + {budget.SKELETON_CYCLES}")
@@ -103,11 +130,20 @@ def test_60_states_within_1100_and_120_within_the_frame(rng):
     ("form", "anti_windup"), [("modal", False), ("modal", True), ("delta", False), ("delta", True)]
 )
 def test_bits_are_those_of_the_reference_over_1000_steps(form, anti_windup, rng):
-    law = law_in(rng, 8, form, anti_windup, limit_v=1.0)
+    check_bits(law_in(rng, 8, form, anti_windup, limit_v=1.0), rng, STEPS)
+
+
+@pytest.mark.parametrize(("form", "anti_windup"), [("bank", False), ("bank", True), ("bank-delta", True)])
+@pytest.mark.parametrize("channels", [(1, 2, 1, 1, 1, 1), (2, 0, 1)])
+def test_bits_of_a_bank_are_those_of_the_reference(form, anti_windup, channels, rng):
+    check_bits(bank_in(rng, channels, form, anti_windup, limit_v=4.0), rng, STEPS // 5)
+
+
+def check_bits(law, rng, steps):
     machine, reference = machine_of(law), Reference(law)
     low, high = law.limits[:, 0].astype(float), law.limits[:, 1].astype(float)
     clipped, counts_per_step = 0, set()
-    for _ in range(STEPS):
+    for _ in range(steps):
         counts = rng.integers(-(2**15), 2**15, law.inputs) // 2 ** int(rng.integers(12))
         feed(machine, counts)
         counts_per_step.add(machine.run("controller_frame"))
@@ -122,8 +158,9 @@ def test_bits_are_those_of_the_reference_over_1000_steps(form, anti_windup, rng)
         out = np.floor(num.np_multiply(limited, decode(encode(COUNTS_PER_VOLT))))
         sent = [machine.memory[machine.program.symbols["DAC"] + i] for i in range(law.outputs)]
         assert np.array_equal(np.array(sent, dtype=np.uint32).view(np.int32), out)
-    print(f"{form}: {STEPS} steps alike, {clipped} of {STEPS * law.outputs} commands limited, cycles {counts_per_step}")
-    assert 0 < clipped < STEPS * law.outputs
+    commands = steps * law.outputs
+    print(f"{law.form}: {steps} steps alike, {clipped} of {commands} commands limited, cycles {counts_per_step}")
+    assert 0 < clipped < commands
     assert len(counts_per_step) == 1
 
 
@@ -174,7 +211,7 @@ def test_assembly_stands_in_the_folder_when_asked(law_of, tmp_path):
     [
         (
             {"form": "schur", "targets": ("c99", "c31")},
-            "C31 assembly is written for modal and delta form, not for schur",
+            "C31 assembly is written for modal, delta and bank form, not for schur",
         ),
         ({"targets": ("c31",)}, "'targets' must list 'c99'"),
         ({"targets": "c99"}, "'targets' must list 'c99'"),
@@ -193,9 +230,10 @@ def test_gnu_assembler_takes_the_text(rng, tmp_path):
     gas = shutil.which("tic4x-coff-as")
     if gas is None:
         pytest.skip("no tic4x-coff-as (binutils for target tic4x-coff) on this machine")
-    for form, anti_windup in (("modal", False), ("delta", True)):
+    for form in ("modal", "delta", "bank", "bank-delta"):
         source = tmp_path / f"{form}.asm"
-        source.write_text(c31_code(law_in(rng, 12, form, anti_windup)).assembly)
+        law = bank_in(rng, (2, 0, 1), form, True) if form in ("bank", "bank-delta") else law_in(rng, 12, form, True)
+        source.write_text(c31_code(law).assembly)
         done = subprocess.run(
             [gas, "-m31", source, "-o", tmp_path / "a.o"], capture_output=True, text=True, check=False
         )

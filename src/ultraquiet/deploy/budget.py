@@ -19,8 +19,9 @@ SKELETON_CYCLES = 142
 KERNEL_ROW, STATE, DELTA, SET_UP, UPDATE = 8, 3, 1, 8, 9
 # Of hand-written kernels for full matrices: instructions around a row's multiply-adds, and around a whole call.
 ROW, CALL = 10, 5
-# A section of a bank takes in one number and puts out one; its loop is set up once for each channel.
-SECTION = 2 + STATE
+# Of an emitted bank: a state takes in one number and puts out one; a channel more than a row of commands one product,
+# LDF, LDI and RPTB; once one pointer more, and no LDI before the update. A channel that is a gain has no loops.
+SECTION, CHANNEL, BANK, GAIN = 2 + STATE, 1 + 6, 4 + 1, 5
 # Two blocks of on-chip RAM, 1K words of 32 bits each.
 INTERNAL_WORDS = 2048
 
@@ -34,8 +35,8 @@ ASSUMPTIONS = (
     " its four sources from memory; program, states and measurements lie in internal block 0, coefficients in block 1"
     " (1K words each) or, beyond its 896 free words, in external memory without wait states; a block serves two"
     " accesses a cycle, external memory one; a store before two reads costs a cycle, a pointer written and used at once"
-    " two. Numbers are the C31's own. Modal and delta counts are those of the emitted code, instruction by instruction;"
-    " bank, Schur and dense ones are scaled from hand-written kernels by their multiply-adds."
+    " two. Numbers are the C31's own. Modal, delta and plain bank counts are those of the emitted code, instruction by"
+    " instruction; transforms, Schur and dense ones are scaled from hand-written kernels by their multiply-adds."
     f" Conversions, limits and interrupt are allowed {SKELETON_CYCLES} cycles. A law fits the model; it has not run on"
     " the DSP."
 )
@@ -55,8 +56,8 @@ def kernel_cycles(
     """Return the instructions of one step on the C31, without the frame's skeleton.
 
     Six by six: dense (n + 6)(n + 16), modal 15 n + 101, delta 16 n + 101, anti-windup 6 n more; `schur` counts its
-    rows like those of a dense matrix of `block` columns; a bank of m channels 5 n + 21 m + 5, `bank-delta` and its
-    anti-windup n more each, transforms m (inputs + 10) + outputs (m + 10).
+    rows like those of a dense matrix of `block` columns; a bank of m channels 5 n + 15 m + 13, `bank-delta` n and its
+    anti-windup n + m more, transforms m (inputs + 10) + outputs (m + 10).
 
     Args:
         form: `modal`, `delta`, `bank`, `bank-delta`, `schur` or `dense`.
@@ -76,7 +77,8 @@ def kernel_cycles(
         m = min(inputs, outputs) if channels is None else channels
         per_state = SECTION + (DELTA if form == "bank-delta" else 0) + int(anti_windup and not turned)
         transforms = m * (inputs + ROW) + outputs * (m + ROW) + (more if anti_windup else 0) if turned else 0
-        return states * per_state + m * (1 + 2 * ROW) + transforms + CALL
+        per_channel = KERNEL_ROW + CHANNEL + int(anti_windup and not turned)
+        return states * per_state + m * per_channel + transforms + SET_UP + BANK
     if form in ("modal", "delta"):
         per_state = inputs + outputs + STATE + (DELTA if form == "delta" else 0)
         return states * per_state + outputs * (inputs + KERNEL_ROW) + SET_UP + UPDATE + more
@@ -87,7 +89,13 @@ def kernel_cycles(
 
 def cycles(law: Law) -> int:
     """Return the instructions of one frame: kernel and skeleton."""
-    return SKELETON_CYCLES + kernel_cycles(law.form, law.states, law.inputs, law.outputs, **shape(law))
+    kernel = kernel_cycles(law.form, law.states, law.inputs, law.outputs, **shape(law))
+    return SKELETON_CYCLES + kernel - GAIN * law.channels.count(0) - _rows_of_gains(law)
+
+
+def _rows_of_gains(law: Law) -> int:
+    """Return what rows of commands save where a channel is a gain; the last one waits a cycle for its pointer."""
+    return GAIN * law.channels.count(0) - int(law.channels[-1:] == (0,))
 
 
 def shape(law: Law) -> dict[str, Any]:
@@ -106,7 +114,7 @@ def output_cycles(law: Law) -> int:
     if law.channels:
         m = len(law.channels)
         turns = m * (law.inputs + ROW) + law.outputs * (m + ROW) if law.turned else 0
-        return law.states + m * (1 + ROW) + turns + CALL
+        return law.states + m * (1 + KERNEL_ROW) - _rows_of_gains(law) + turns + SET_UP + 1
     if law.form in ("modal", "delta"):
         return law.outputs * (law.states + law.inputs + KERNEL_ROW) + SET_UP
     return law.outputs * (law.states + law.inputs + ROW) + CALL
@@ -119,8 +127,12 @@ def words(law: Law) -> int:
     """
     corrections = 0 if law.L is None else law.outputs + 1
     gains = sum(M.size for M in (*law.blocks, law.B, law.C, law.D, law.L) if M is not None) + 2 * law.outputs
-    coefficients = law.coefficients if law.channels else gains
-    return coefficients + law.states + law.inputs + law.outputs + corrections + POINTERS + AHEAD
+    if law.channels:
+        own = 5 if law.L is not None and not law.turned else 4
+        turns = sum(T.size for T in (law.turn_in, law.turn_out) if T is not None)
+        gains = own * law.states + len(law.channels) + turns + 2 * law.outputs
+        gains += law.L.size if law.L is not None and law.turned else 0
+    return gains + law.states + law.inputs + law.outputs + corrections + POINTERS + AHEAD
 
 
 def largest_order(

@@ -20,7 +20,7 @@ EXTERNAL = 0x80A000
 ADC, DAC = 0xA00000, 0xA00010
 VOLTS_PER_COUNT, COUNTS_PER_VOLT = 10.0 / 2**15, 2**15 / 10.0
 SECTION_STEP = 32  # section origins are multiples of this, at least the alignment of the ring
-FORMS = ("modal", "delta")
+FORMS = ("modal", "delta", "bank", "bank-delta")
 MOST_REPEATS = 2**15  # an immediate of RPTS is 16 bits, taken as signed to be safe
 
 
@@ -43,7 +43,7 @@ def c31_code(law: Law, model_hash: str = "") -> C31Code:
     faults and overruns are left to the background; the C99 code holds them.
 
     Args:
-        law: in modal or delta form.
+        law: in modal, delta or bank form, a bank without transforms.
         model_hash: told in the header.
 
     Raises:
@@ -88,8 +88,12 @@ def coefficients_internal(law: Law) -> bool:
 def _require(law: Law) -> None:
     if law.form not in FORMS:
         raise InputError(
-            f"deploy: C31 assembly is written for modal and delta form, not for {law.form}; take form='modal' or"
+            f"deploy: C31 assembly is written for modal, delta and bank form, not for {law.form}; take form='modal' or"
             " targets=('c99',)."
+        )
+    if law.turned:
+        raise InputError(
+            "deploy: C31 assembly of a bank knows no transforms around it; take form='modal' or targets=('c99',)."
         )
     if law.states + law.inputs > MOST_REPEATS:
         raise InputError(f"deploy: a row of {law.states + law.inputs} terms is beyond one RPTS of the C31.")
@@ -97,7 +101,8 @@ def _require(law: Law) -> None:
 
 def _context(law: Law, model_hash: str) -> dict[str, object]:
     anti_windup = law.L is not None
-    ring = law.inputs - 1 + (law.outputs if anti_windup else 0)
+    bank = bool(law.channels)
+    ring = law.inputs if bank else law.inputs - 1 + (law.outputs if anti_windup else 0)
     align = 2 ** math.ceil(math.log2(ring + 1)) if ring else 1  # circular addressing: 2^K above the block's size
     if align > SECTION_STEP:
         raise InputError(
@@ -117,7 +122,11 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
         "anti_windup": anti_windup,
         "ring": ring,
         "align": align,
-        "pad": -(2 + law.states + 1) % align,
+        "block_size": max(ring, 1),
+        "pad": -(budget.AHEAD + law.states + (0 if bank else 1)) % align,
+        "bank": bank,
+        "channel_states": [2 * blocks for blocks in law.channels],
+        **(_bank_places(law, align) if bank else _places(law, ring)),
         "saved": saved,
         "adc": f"0x{ADC:06X}",
         "dac": f"0x{DAC:06X}",
@@ -131,18 +140,56 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
     }
 
 
+def _places(law: Law, ring: int) -> dict[str, object]:
+    """Return what lies in the state section, in words, and where its pointers begin; y0 has a register of its own."""
+    end, odd = f"{law.name}_ring + {law.inputs - 1}", law.outputs % 2
+    layout = [("", budget.AHEAD), ("_x", law.states), ("_y", 1), ("_ring", ring), ("_u", law.outputs)]
+    return {
+        "layout": layout,
+        "first": end if odd else f"{law.name}_x",
+        "at_ring": f"{law.name}_ring",
+        "excess": end,
+    }
+
+
+def _bank_places(law: Law, align: int) -> dict[str, object]:
+    """Return the same for a bank, whose measurements are one ring and whose corrections are another."""
+    corrections = law.outputs if law.L is not None else 0
+    measured = align if corrections else law.inputs
+    layout = [("", budget.AHEAD), ("_x", law.states), ("_y", measured), ("_ring", corrections), ("_u", law.outputs)]
+    return {
+        "layout": layout,
+        "first": f"{law.name}_x",
+        "at_ring": f"{law.name}_y",
+        "excess": f"{law.name}_ring",
+    }
+
+
 def _stream(law: Law) -> FloatArray:
     """Return the coefficients in the order in which the kernel takes them.
 
     First [C D] row by row, every second one from its end, the last one always; then for each state
-    a_k1, b_0, a_k2, b_1..., with L after B.
+    a_k1, b_0, a_k2, b_1..., with L after B. A bank has of each only its channel's own.
     """
+    if law.channels:
+        return _bank_stream(law)
     gain = np.concatenate([law.C, law.D], axis=1).astype(np.float64)
     rows = [row if (law.outputs - i) % 2 == 0 else row[::-1] for i, row in enumerate(gain)]
     drive = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
     own = np.concatenate(law.blocks, axis=0)
     update = np.concatenate([own[:, :1], drive[:, :1], own[:, 1:], drive[:, 1:]], axis=1).astype(np.float64)
     return np.concatenate([*rows, update.ravel()])
+
+
+def _bank_stream(law: Law) -> FloatArray:
+    ends = np.cumsum([0, *(2 * blocks for blocks in law.channels)])
+    parts = [np.append(law.C[c, ends[c] : ends[c + 1]], law.D[c, c]) for c in range(len(law.channels))]
+    channel = np.repeat(np.arange(len(law.channels)), np.diff(ends))
+    own, row = np.concatenate(law.blocks, axis=0), np.arange(law.states)
+    columns = [own[:, 0], law.B[row, channel], own[:, 1]]
+    if law.L is not None:
+        columns.append(law.L[row, channel])
+    return np.concatenate([*parts, np.stack(columns, axis=1).ravel()]).astype(np.float64)
 
 
 def _words(values: object) -> list[tuple[str, str]]:
