@@ -59,7 +59,7 @@ def test_self_test_counts_what_a_run_counts(law_of, seed, tmp_path):
 
 @pytest.mark.usefixtures("target")
 def test_target_that_ends_early_is_a_sentence(law_of, tmp_path):
-    made = generate(law_of(4), tmp_path / "code")
+    made = generate(law_of(4), tmp_path / "code", ramp_s=0.01)
     path = tmp_path / "code" / "controller_cortex.c"
     asked = "if (frame.ask == ASK_STEP) {"
     path.write_text(path.read_text().replace(asked, "if (s.steps == 7U) { return 0; }\n" + asked))
@@ -136,7 +136,7 @@ def test_emulator_out_of_order_does_not_spoil_the_comparison(law_of, tmp_path, m
 
 
 def test_missing_tools_are_named(law_of, tmp_path, monkeypatch):
-    made = generate(law_of(2), tmp_path / "code")
+    made = generate(law_of(2), tmp_path / "code", ramp_s=0.01)
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ToolError, match="'arm-none-eabi-gcc' is not installed"):
         count_instructions(made.law, made.folder)
