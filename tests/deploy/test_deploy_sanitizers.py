@@ -55,7 +55,8 @@ static bool bank(controller_state *s)
 {
     const uint32_t kind = any(4);
     memcpy(words, s->bank->v, sizeof words);
-    if (kind) for (unsigned k = 0; k < CONTROLLER_BANK_WORDS; k++) if (kind > 1 || any(64) == 0) words[k] = (uint32_t)draw();
+    for (unsigned k = 0; kind && k < CONTROLLER_BANK_WORDS; k++)
+        if (kind > 1 || any(64) == 0) words[k] = (uint32_t)draw();
     if (kind == 2) for (unsigned k = 0; k < CONTROLLER_BANK_WORDS; k++) words[k] &= 0xBFFFFFFFU;
     return controller_load_bank(s, words, any(4) ? sum() : (uint32_t)draw());
 }
@@ -110,7 +111,8 @@ int main(int argc, char **argv)
     printf("%lu steps: %lu in control, %lu with a fault, %lu overruns hooked, %lu excitations, %lu banks, %lu swaps\n",
            count, steps, faults, hooked, excited, loaded, swaps);
     free(s); free(y); free(u);
-    return controller_self_test() == 0U && steps > 1000 && faults > 50 && hooked > 10 && excited > 100 && loaded > 10 && swaps > 10 ? 0 : 1;
+    return controller_self_test() == 0U
+           && steps > 1000 && faults > 50 && hooked > 10 && excited > 100 && loaded > 10 && swaps > 10 ? 0 : 1;
 }
 """.replace("(bits_of(k))", "(k % 2UL)")
 
