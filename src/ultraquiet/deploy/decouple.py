@@ -7,11 +7,12 @@ from ultraquiet.linalg.balance import without_faint
 from ultraquiet.values.interconnect import append
 from ultraquiet.values.state_space import StateSpace
 
-# What may pass between channels, over the largest response: a thousand times below what the choice of a form accepts
-# at 60 dB under the peak. It is left out, and counted in the error that is stated.
-LEAK = 1e-9
-# Hankel values below this share of a channel's largest belong to the states of other channels.
-FAINT = 1e-11
+# What may pass between channels, over the largest response: fifty times below what the choice of a form accepts at
+# 60 dB under the peak. It is left out, and counted in the error that is stated.
+LEAK = 1e-7
+# Hankel values below such a share of a channel's largest belong to the states of other channels, or to rounding, which
+# may leave them unstable: the smallest share is taken that leaves no more states than the law has, all stable.
+FAINT = (1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6)
 POINTS, DECADES = 48, 4.0
 # Transforms worse conditioned than this would amplify rounding more than they save.
 CONDITION = 100.0
@@ -65,12 +66,15 @@ def _transforms(H: ComplexArray) -> tuple[FloatArray, FloatArray]:
     return S, T / np.linalg.norm(T, axis=1, keepdims=True)
 
 
-def _apart(law: StateSpace, S: FloatArray, T: FloatArray) -> StateSpace:
+def _apart(law: StateSpace, S: FloatArray, T: FloatArray) -> StateSpace | None:
     B, C = law.B @ np.linalg.inv(T), np.linalg.solve(S, law.C)
     D = np.linalg.solve(S, law.D) @ np.linalg.inv(T)
-    each = []
-    for c in range(len(D)):
-        own = (law.A, B[:, c : c + 1], C[c : c + 1], D[c : c + 1, c : c + 1])
-        each.append(StateSpace(*without_faint(own, FAINT, discrete=True), rate_hz=law.rate_hz))
-    whole = append(*each)
-    return StateSpace(whole.A, whole.B @ T, S @ whole.C, S @ whole.D @ T, rate_hz=law.rate_hz)
+    for share in FAINT:
+        each = []
+        for c in range(len(D)):
+            own = (law.A, B[:, c : c + 1], C[c : c + 1], D[c : c + 1, c : c + 1])
+            each.append(StateSpace(*without_faint(own, share, discrete=True), rate_hz=law.rate_hz))
+        if sum(k.states for k in each) <= law.states and all(k.is_stable() for k in each):
+            whole = append(*each)
+            return StateSpace(whole.A, whole.B @ T, S @ whole.C, S @ whole.D @ T, rate_hz=law.rate_hz)
+    return None
