@@ -47,6 +47,18 @@ def frequency_array(who: str, f_hz: ArrayLike) -> FloatArray:
     return array
 
 
+def rising_band(who: str, band_hz: ArrayLike, rate_hz: float | None = None) -> tuple[float, float]:
+    """Return two rising frequencies in Hz above zero, below Nyquist where a rate is given."""
+    band = real_array(who, "band_hz", band_hz, 1)
+    if band.size != 2 or not 0 < band[0] < band[1]:
+        raise InputError(f"{who}: 'band_hz' must be two rising frequencies above zero, got {tuple(band.tolist())}.")
+    if rate_hz is not None and band[1] >= rate_hz / 2:
+        raise InputError(
+            f"{who}: 'band_hz' ends at {band[1]:g} Hz, not below Nyquist's {rate_hz / 2:g} Hz; end it lower."
+        )
+    return float(band[0]), float(band[1])
+
+
 def positive(who: str, name: str, value: float, unit: str = "") -> float:
     """Return a finite number above zero."""
     number = _number(who, name, value)

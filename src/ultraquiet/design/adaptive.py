@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._around import Inner
@@ -161,7 +161,7 @@ def contiguous(system: StateSpace) -> Matrices:
 
 def limits_v(who: str, limit_v: float | tuple[float, ...], nu: int) -> FloatArray:
     """Return one limit per actuator, volts."""
-    given = np.atleast_1d(np.asarray(limit_v, dtype=np.float64))
+    given = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
     if given.size not in (1, nu) or not np.all(given > 0):
         raise InputError(f"{who}: 'limit_v' must be one voltage above zero, or {nu}, got {limit_v!r}.")
     return np.ascontiguousarray(np.broadcast_to(given, (nu,)), dtype=np.float64)
@@ -169,7 +169,5 @@ def limits_v(who: str, limit_v: float | tuple[float, ...], nu: int) -> FloatArra
 
 def without_faint_states(system: StateSpace) -> StateSpace:
     """Return a stable system without the states that hardly matter: dozens of copies of it may run beside the loop."""
-    P, Q = balance.gramians(system.A, system.B, system.C, discrete=True)
-    values = balance.balancing(P, Q, 0)[2]
-    left, right, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
-    return StateSpace(*balance.truncate((system.A, system.B, system.C, system.D), left, right), system.rate_hz)
+    M = balance.without_faint((system.A, system.B, system.C, system.D), NEGLIGIBLE, discrete=True)
+    return StateSpace(*M, rate_hz=system.rate_hz)

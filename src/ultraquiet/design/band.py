@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import one_of, positive
+from ultraquiet._base.constraints import one_of, positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
@@ -27,6 +27,7 @@ RISE = 10.0  # the weights on KS and T grow by this factor, one decade in freque
 HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
 HEIGHT_STEPS = 8  # halvings of the logarithm of that range: 2 % in height
 CALMER = (1.1, 1.2)
+WHOLE = 1.1  # a Butterworth edge has lost half of the weight's height at its corner; a tenth inside it is whole
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the scalar function
 
 
@@ -179,8 +180,8 @@ class BandAttenuation:
         return weight(WHO, "uncertainty", given, plant.D.shape[0] if full else 1, plant.rate_hz)
 
     def _quiet_band(self) -> tuple[float, float]:
-        # the corners of a Butterworth edge lie where half of the weight's height is lost: a tenth inside it is whole
-        return self.band_hz[0] * 1.1, self.band_hz[1] / 1.1
+        one, other = self.band_hz[0] * WHOLE, self.band_hz[1] / WHOLE
+        return min(one, other), max(one, other)  # those of a narrow band pass each other
 
 
 def common_mode(plant: StateSpace) -> StateSpace:
@@ -188,14 +189,16 @@ def common_mode(plant: StateSpace) -> StateSpace:
 
     Its unobservable half is removed by balanced truncation at Hankel values of no account; an unstable plant keeps all
     its states.
+
+    Raises:
+        InputError: the plant has not as many outputs as inputs.
     """
+    if plant.D.shape[0] != plant.D.shape[1]:
+        raise InputError(f"common_mode: a square plant is needed, got {plant.D.shape[0]} x {plant.D.shape[1]}.")
     v = np.ones((plant.D.shape[0], 1)) / np.sqrt(plant.D.shape[0])
     M = (plant.A, plant.B @ v, v.T @ plant.C, v.T @ plant.D @ v)
     if plant.is_stable():
-        P, Q = balance.gramians(*M[:3], discrete=plant.rate_hz is not None)
-        values = balance.balancing(P, Q, 0)[2]
-        left, right, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
-        M = balance.truncate(M, left, right)
+        M = balance.without_faint(M, NEGLIGIBLE, discrete=plant.rate_hz is not None)
     return StateSpace(*M, rate_hz=plant.rate_hz)
 
 
@@ -216,7 +219,7 @@ def _both(end: StateSpace, bound: StateSpace) -> StateSpace:
 
 def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> float:
     """Return -20 log10 of the largest singular value of S = (I - G K)^-1 over a band: its worst direction."""
-    f = np.unique(np.geomspace(*band_hz, 400))
+    f = np.unique(np.geomspace(*rising_band("worst_attenuation_db", band_hz, plant.rate_hz), 400))
     G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
     S = np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
     return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, real_array, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
@@ -52,6 +52,10 @@ class Decoupled:
     band_hz: tuple[float, float] = (10.0, 100.0)
     tolerance: float = 0.1
 
+    def __post_init__(self) -> None:
+        rising_band("Decoupled", self.band_hz)
+        between("Decoupled", "tolerance", self.tolerance, 0.0, 1.0)
+
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the joined controller u = K y, judged with the whole plant.
@@ -61,16 +65,17 @@ class Decoupled:
         to an earlier one shares its law), `attenuation_db` the worst direction with the whole plant.
 
         Raises:
-            InputError: a plant that is not square, a band above Nyquist, a matrix that does not fit.
+            InputError: a plant that is not square or does not answer, a band above Nyquist, a matrix that does not fit.
         """
         ny, nu = plant.D.shape
         if ny != nu:
             raise InputError(f"Decoupled: the plant must be square, got {ny} outputs and {nu} inputs.")
-        if plant.rate_hz is not None and self.band_hz[1] >= plant.rate_hz / 2:
+        low, high = rising_band("Decoupled", self.band_hz, plant.rate_hz)
+        G = np.moveaxis(plant.frequency_response(np.geomspace(low, high, POINTS)), 2, 0)
+        if not np.all(np.any(G, axis=(1, 2))):
             raise InputError(
-                f"Decoupled: the band ends at {self.band_hz[1]:g} Hz, at or above Nyquist, {plant.rate_hz / 2:g} Hz."
+                f"Decoupled: the plant does not answer in {low:g}-{high:g} Hz; nothing can be turned there."
             )
-        G = np.moveaxis(plant.frequency_response(np.geomspace(*self.band_hz, POINTS)), 2, 0)
         Ty, Tu, blocks = self._found(G)
         H = Ty.T @ G @ Tu
         laws, loops = [], []
@@ -101,6 +106,8 @@ class Decoupled:
 
     def _method(self, part: StateSpace) -> Any:
         kind = lookup("design", self.method)
+        if not isinstance(self.settings, Mapping):
+            raise InputError(f"Decoupled: 'settings' must be a table of names and values, got {self.settings!r}.")
         known = [f.name for f in fields(kind)]
         wrong = [k for k in self.settings if k not in known]
         if wrong:
@@ -128,7 +135,7 @@ class Decoupled:
                 f"Decoupled: 'transform' must be 'threefold', 'data', 'svd' or a matrix, got {self.transform!r}."
             )
         else:
-            T = np.array(self.transform, dtype=np.float64)
+            T = real_array("Decoupled", "transform", self.transform, 2)
             if T.shape != (n, n) or not np.allclose(T.T @ T, np.eye(n), atol=1e-6):
                 raise InputError(f"Decoupled: the matrix must be ({n}, {n}) and orthonormal, got shape {T.shape}.")
         return T, T, _blocks(T.T @ G @ T, self.tolerance)
@@ -189,11 +196,7 @@ def portion(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpac
     """Return left' G right without the states that it neither sees nor moves; an unstable plant keeps them all."""
     M = (plant.A, plant.B @ right, left.T @ plant.C, left.T @ plant.D @ right)
     if plant.is_stable():
-        P, Q = balance.gramians(*M[:3], discrete=plant.rate_hz is not None)
-        values = balance.balancing(P, Q, 0)[2]
-        if values.size and values[0] > 0:
-            to, back, _ = balance.balancing(P, Q, int(np.sum(values > NEGLIGIBLE * values[0])))
-            M = balance.truncate(M, to, back)
+        M = balance.without_faint(M, NEGLIGIBLE, discrete=plant.rate_hz is not None)
     return StateSpace(*M, rate_hz=plant.rate_hz)
 
 

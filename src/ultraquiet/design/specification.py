@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, positive
+from ultraquiet._base.constraints import FloatArray, between, positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
@@ -84,8 +84,7 @@ class Specification:
 
     def __post_init__(self) -> None:
         who = "Specification"
-        if np.shape(self.band_hz) != (2,) or not 0 < self.band_hz[0] < self.band_hz[1]:
-            raise InputError(f"{who}: 'band_hz' must be two rising frequencies above zero in Hz, got {self.band_hz!r}.")
+        rising_band(who, self.band_hz)
         for name in ("attenuation_db", "peak_db", "control_limit", "roll_off_db", "tone_db"):
             positive(who, name, getattr(self, name))
         if self.disk_margin is not None:
@@ -211,6 +210,8 @@ def specified(value: "Specification | Mapping[str, Any] | None") -> Specificatio
     """Return a specification given as itself or, from a study file, as a table of its settings."""
     if value is None or isinstance(value, Specification):
         return value
+    if not isinstance(value, Mapping):
+        raise InputError(f"Specification: give a Specification or a table of its settings, got {value!r}.")
     known = [f.name for f in fields(Specification)]
     unknown = [k for k in value if k not in known]
     if unknown:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, between, real_array, whole
+from ultraquiet._base.constraints import FloatArray, between, real_array, rising_band, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.limits._limit import Limit, refused
-from ultraquiet.limits.demands import Wishes, checked_band, largest_control
+from ultraquiet.limits.demands import Wishes, largest_control
 from ultraquiet.limits.directions import AllActuators, along, coupling_db, principal
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import Search
@@ -74,7 +74,7 @@ def by_direction(
     24-row cone a demand and frequency for six channels: some 10^5 rows, far beyond a minute. Its bound by directions
     takes seconds and is tight where a constant transform nearly decouples the plant, as it does a hexapod.
     """
-    band = checked_band(WHO, band_hz, plant.rate_hz)
+    band = rising_band(WHO, band_hz, plant.rate_hz)
     between(WHO, "peak_db", peak_db, 0.0, 300.0, "dB")
     whole(WHO, "basis", basis, 7)
     if plant.D.shape[0] != plant.D.shape[1] or not plant.is_stable():

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import between, positive, whole
+from ultraquiet._base.constraints import between, positive, rising_band, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.delays import delayed
-from ultraquiet.limits.demands import WHO, Wishes, checked_band, checked_uncertainty, largest_control
+from ultraquiet.limits.demands import WHO, Wishes, checked_uncertainty, largest_control
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import Search
 from ultraquiet.values.state_space import StateSpace
@@ -64,7 +64,7 @@ def best_flat_attenuation(
     theorem, see `certificate`.
     """
     whole(WHO, "basis", basis, 7)
-    band = checked_band(WHO, band_hz, plant.rate_hz)
+    band = rising_band(WHO, band_hz, plant.rate_hz)
     between(WHO, "peak_db", peak_db, -300.0, 300.0, "dB")
     if plant.D.shape != (1, 1):
         ny, nu = plant.D.shape

@@ -53,18 +53,6 @@ class Wishes:
         return np.maximum(size, 1e-9)  # a weight of zero asks nothing
 
 
-def checked_band(who: str, band_hz: tuple[float, float], rate_hz: float | None) -> tuple[float, float]:
-    """Return the band, or say what is wrong with it."""
-    band = real_array(who, "band_hz", band_hz, 1)
-    if band.size != 2 or not 0 < band[0] < band[1]:
-        raise InputError(f"{who}: 'band_hz' must be two rising frequencies above zero, got {tuple(band.tolist())}.")
-    if rate_hz is not None and band[1] >= rate_hz / 2:
-        raise InputError(
-            f"{who}: the band ends at {band[1]:g} Hz, not below Nyquist's {rate_hz / 2:g} Hz; end it lower."
-        )
-    return float(band[0]), float(band[1])
-
-
 def checked_uncertainty(
     plant: StateSpace, uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | None"
 ) -> "StateSpace | tuple[FloatArray, FloatArray] | None":
@@ -76,6 +64,8 @@ def checked_uncertainty(
         if uncertainty.D.shape != (1, 1):
             raise InputError(f"{WHO}: the uncertainty must be scalar, got {uncertainty.D.shape}.")
         return uncertainty
+    if not isinstance(uncertainty, tuple | list) or len(uncertainty) != 2:
+        raise InputError(f"{WHO}: the uncertainty must be a StateSpace or a table (f_hz, size), got {uncertainty!r}.")
     f, size = (real_array(WHO, f"uncertainty[{k}]", part, 1) for k, part in enumerate(uncertainty))
     if f.size != size.size or f.size == 0 or f.min() <= 0 or size.min() <= 0 or np.any(np.diff(f) <= 0):
         raise InputError(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, rising_band
 from ultraquiet.limits.certificate import outer
 from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.half_plane import half_plane
@@ -18,14 +18,27 @@ NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave a direc
 CIRCLE = 1 << 15  # points from 0 to pi on which the phase of a minimum-phase function is computed
 NO_ANSWER = 1e-12  # a response this small beside the largest counts as that small
 LONGEST_DELAY = 64  # samples
+ALONE_DB = 300.0  # what leaves a direction lies below every digit of what stays
 
 
 def principal(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
     """Return constant orthonormal directions, the columns, from the one the plant moves least over a band.
 
     Eigenvectors of the mean over the band of the real part of G G*, each frequency with the same weight.
+
+    Args:
+        plant: G.
+        band_hz: the band's ends, Hz.
+
+    Raises:
+        InputError: a band that does not rise, or that ends beyond Nyquist.
+
+    >>> G = StateSpace([[-1.0, 0.0], [0.0, -1.0]], np.eye(2), np.diag([3.0, 1.0]), np.zeros((2, 2)))
+    >>> np.abs(principal(G, (1.0, 10.0))).round(3).tolist()
+    [[0.0, 1.0], [1.0, 0.0]]
     """
-    G = np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
+    band = rising_band("principal_directions", band_hz, plant.rate_hz)
+    G = np.moveaxis(plant.frequency_response(np.geomspace(*band, BAND_POINTS)), 2, 0)
     power = G @ np.moveaxis(G.conj(), 1, 2)
     power = power / np.maximum(np.trace(power, axis1=1, axis2=2), np.finfo(float).tiny)[:, None, None]
     return np.linalg.eigh(power.mean(axis=0).real)[1]
@@ -37,10 +50,8 @@ def along(plant: StateSpace, v: FloatArray) -> StateSpace:
     M = plant.A, B, C, v[None, :] @ plant.D @ v[:, None]
     if plant.D.shape == (1, 1) or not plant.is_stable():
         return StateSpace(*M, rate_hz=plant.rate_hz)
-    P, Q = balance.gramians(*M[:3], discrete=plant.rate_hz is not None)
-    values = balance.balancing(P, Q, 0)[2]
-    left, right, _ = balance.balancing(P, Q, max(1, int(np.sum(values > NEGLIGIBLE * values[0]))))
-    return StateSpace(*balance.truncate(M, left, right), rate_hz=plant.rate_hz)
+    M = balance.without_faint(M, NEGLIGIBLE, discrete=plant.rate_hz is not None)
+    return StateSpace(*M, rate_hz=plant.rate_hz)
 
 
 def coupling_db(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) -> float:
@@ -48,8 +59,8 @@ def coupling_db(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) 
     G = np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
     own = np.abs(v @ G @ v)
     other = np.sqrt(np.maximum(np.linalg.norm(G @ v, axis=1) ** 2 - own**2, 0.0))
-    ratio = own / np.maximum(other, np.finfo(float).tiny)
-    return float(min(20 * np.log10(np.maximum(ratio.min(), np.finfo(float).tiny)), 300.0))
+    levels = [20 * np.log10(np.maximum(size, np.finfo(float).tiny)) for size in (own, other)]
+    return float(min((levels[0] - levels[1]).min(), ALONE_DB))
 
 
 class AllActuators:

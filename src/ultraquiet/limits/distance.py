@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, same_rate
+from ultraquiet._base.constraints import FloatArray, rising_band, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import one_direction
-from ultraquiet.limits.demands import checked_band
 from ultraquiet.limits.directions import principal
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -69,7 +68,7 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
     >>> bool(found.left_db > 0), round(found.control_gain, 2)
     (True, 3.56)
     """
-    band = checked_band(WHO, band_hz, plant.rate_hz)
+    band = rising_band(WHO, band_hz, plant.rate_hz)
     same_rate(WHO, "the plant", plant.rate_hz, "the controller", controller.rate_hz)
     ny, nu = plant.D.shape
     if ny != nu or controller.D.shape != (nu, ny):

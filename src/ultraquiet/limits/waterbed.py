@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import between, positive
+from ultraquiet._base.constraints import between, positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet.limits import half_plane
-from ultraquiet.limits.demands import checked_band
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "waterbed_peak"
@@ -43,7 +42,7 @@ def waterbed_peak(
     Freudenberg and Looze 1985, doi:10.1109/TAC.1985.1104004, theorem 2; Seron, Braslavsky and Goodwin 1997,
     doi:10.1007/978-1-4471-0965-5, chapter 3; Skogestad and Postlethwaite 2005, section 5.3.
     """
-    low, high = checked_band(WHO, band_hz, plant.rate_hz)
+    low, high = rising_band(WHO, band_hz, plant.rate_hz)
     between(WHO, "attenuation_db", attenuation_db, 0.0, 1000.0, "dB")
     if bandwidth_hz is not None and positive(WHO, "bandwidth_hz", bandwidth_hz) <= high:
         raise InputError(

@@ -76,6 +76,14 @@ def truncate(M: Matrices, left: Array, right: Array) -> Matrices:
     return left @ A @ right, left @ B, C @ right, D.copy()
 
 
+def without_faint(M: Matrices, share: float, discrete: bool) -> Matrices:
+    """Return a stable system without the states whose Hankel values are below a share of the largest."""
+    P, Q = gramians(*M[:3], discrete=discrete)
+    values = balancing(P, Q, 0)[2]
+    left, right, _ = balancing(P, Q, int(np.sum(values > share * values.max(initial=0.0))))
+    return truncate(M, left, right)
+
+
 def residualize(M: Matrices, keep: int, discrete: bool) -> Matrices:
     """Keep the first states and replace the others by their steady state (singular perturbation)."""
     A, B, C, D = M
