@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of
-from ultraquiet.analyse.margins import default_grid
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of
+from ultraquiet._base.errors import InputError
+from ultraquiet.analyse.margins import default_grid, grid_given
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
 from ultraquiet.analyse.peaks import ends, refined, response_at
 from ultraquiet.values.interconnect import append, gain, sensitivity
@@ -75,7 +76,13 @@ def disk_ranges(alpha: ArrayLike, skew: float = 0.0) -> tuple[FloatArray, FloatA
 
     Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277, equations (9) and (10).
     """
-    a = np.asarray(alpha, dtype=np.float64)
+    between("disk_ranges", "skew", skew, -SKEW, SKEW)
+    try:
+        a = np.asarray(alpha, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"disk_ranges: 'alpha' must be a number or an array of numbers, got {alpha!r}.") from None
+    if not np.all(a >= 0):
+        raise InputError(f"disk_ranges: 'alpha' must not be negative or NaN, got {alpha!r}.")
     with np.errstate(divide="ignore", invalid="ignore"):
         limit = np.float64(skew - 1) / np.float64(1 + skew)
         low = np.where(np.isinf(a), limit, (2 - a * (1 - skew)) / (2 + a * (1 + skew)))
@@ -153,7 +160,7 @@ def disk_margins(
     if not seen.is_stable():
         nothing = frozen(np.zeros(count))
         return DiskMargins(0.0, np.nan, 0.0, frozen(np.ones(count, complex)), nothing, nothing, side, skew, False)
-    f = np.sort(default_grid(seen) if f_hz is None else frequency_array("disk_margins", f_hz))
+    f = default_grid(seen) if f_hz is None else grid_given("disk_margins", f_hz)
     loops = _each(seen, f, ends(seen.rate_hz) if f_hz is None else None)
     largest, at = mu_peak(seen, f_hz=f_hz)
     # by triangular solves: modes cost digits, and this is the proof

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
+from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.peaks import ends, refined, response_at
 from ultraquiet.values.interconnect import sensitivity
@@ -84,7 +85,7 @@ def loop_margins(
     loops = S.D.shape[0]
     if not S.is_stable():
         return Margins(*(np.zeros(loops) for _ in range(5)))
-    f = default_grid(S) if f_hz is None else np.sort(frequency_array("loop_margins", f_hz))
+    f = default_grid(S) if f_hz is None else grid_given("loop_margins", f_hz)
     at = response_at(S)
     response = at(f)
     beside = ends(S.rate_hz) if f_hz is None else None
@@ -130,6 +131,14 @@ def _real_axis_factors(L: ComplexArray) -> FloatArray:
     ends = [v.real for v in L[[0, -1]] if abs(v.imag) < 1e-6 * abs(v)]
     real = np.concatenate([L.real[at] + t * (L.real[at + 1] - L.real[at]), ends])
     return -1 / real[real < 0]
+
+
+def grid_given(who: str, f_hz: ArrayLike) -> FloatArray:
+    """Return a caller's frequencies in Hz, rising, one at least."""
+    f = np.sort(frequency_array(who, f_hz))
+    if not f.size:
+        raise InputError(f"{who}: 'f_hz' must hold at least one frequency.")
+    return f
 
 
 def default_grid(S: StateSpace) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, frozen, positive
+from ultraquiet._base.constraints import FloatArray, between, frozen, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet.analyse.disk import disk_margin
@@ -94,7 +94,9 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
 
     Wilson 1927, doi:10.1080/01621459.1927.10502953.
     """
-    between("wilson_interval", "confidence", confidence, 0.5, 0.9999)
+    who = "wilson_interval"
+    whole(who, "successes", successes, 0, whole(who, "trials", trials, 1))
+    between(who, "confidence", confidence, 0.5, 0.9999)
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
     share, spread = successes / trials, z * z / trials
     middle = (share + spread / 2) / (1 + spread)
@@ -152,6 +154,8 @@ def collected(
 
 def checked_band(who: str, band_hz: tuple[float, float]) -> None:
     """Refuse a band that does not rise."""
+    if np.shape(band_hz) != (2,):
+        raise InputError(f"{who}: 'band_hz' must be two frequencies in Hz, got {band_hz!r}.")
     low, high = band_hz
     between(who, "band_hz", low, 0.0, positive(who, "band_hz", high, "Hz"), "Hz")
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse.margins import default_grid
+from ultraquiet.analyse.margins import default_grid, grid_given
 from ultraquiet.analyse.mu_lower import lower_bound
 from ultraquiet.analyse.mu_upper import Upper, highest, upper_bound
 from ultraquiet.analyse.peaks import ends, refined, response_at
@@ -83,7 +83,7 @@ def mu_bounds(
         Real blocks: the lower bound is zero where no real eigenvalue was found.
 
     Raises:
-        InputError: blocks that do not fit M, lines that do not fit the array.
+        InputError: blocks that do not fit M, lines that do not fit the array or on which M has a pole, no line at all.
 
     >>> bounds = mu_bounds(np.array([[0.0, 10.0], [0.1, 0.0]]))
     >>> float(bounds.upper[0].round(6)), float(bounds.lower[0].round(6)), bounds.levels[:, 0].round(6).tolist()
@@ -93,6 +93,13 @@ def mu_bounds(
     Fan, Tits and Doyle 1991, doi:10.1109/9.62265.
     """
     values, f, stable = _response(M, f_hz)
+    if not f.size:
+        raise InputError("mu_bounds: M has no line; give one frequency at least.")
+    infinite = ~np.isfinite(values).all(axis=(0, 1))
+    if infinite.any():
+        raise InputError(
+            f"mu_bounds: M is infinite at {f[infinite][0]:g} Hz, where it has a pole; leave that line out."
+        )
     made = structure("mu_bounds", blocks, values.shape[:2])
     stack = np.moveaxis(values, 2, 0)
     # sizes far from one would overflow in their squares
@@ -157,7 +164,7 @@ def mu_peak(M: StateSpace, blocks: Blocks | None = None, f_hz: ArrayLike | None 
     made = structure("mu_peak", blocks, M.D.shape)
     if not M.is_stable():
         return np.inf, np.nan
-    f = default_grid(M) if f_hz is None else frequency_array("mu_peak", f_hz)
+    f = default_grid(M) if f_hz is None else grid_given("mu_peak", f_hz)
     return _peak(M, f, None, made, ends(M.rate_hz) if f_hz is None else None)
 
 
@@ -187,7 +194,8 @@ def _response(
     """Return values `(nz, nw, nf)`, their frequencies, and whether they belong to a stable system."""
     if isinstance(M, StateSpace):
         f = default_grid(M) if f_hz is None else frequency_array("mu", f_hz)
-        return M.frequency_response(f), f, M.is_stable()
+        with np.errstate(divide="ignore", invalid="ignore"):  # a pole on a line, refused by name
+            return M.frequency_response(f), f, M.is_stable()
     if isinstance(M, FrequencyResponse):
         return M.values, np.array(M.f_hz), True
     values = np.asarray(M, dtype=np.complex128)
