@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
 from ultraquiet.values.interconnect import feedback, gain, parallel
@@ -71,8 +71,8 @@ def _made(who: str, plant: StateSpace, around: StateSpace | str) -> StateSpace:
 
 def checked_tones(who: str, tones_hz: tuple[float, ...], rate_hz: float) -> FloatArray:
     """Return tones in Hz, all different, above zero and below half the rate."""
-    tones = np.atleast_1d(np.asarray(tones_hz, dtype=np.float64))
-    if tones.ndim != 1 or not tones.size:
+    tones = real_array(who, "tones_hz", np.atleast_1d(np.asarray(tones_hz)), 1)
+    if not tones.size:
         raise InputError(f"{who}: 'tones_hz' must name at least one tone, got {tones_hz!r}.")
     for tone in tones:
         if not 0 < tone < rate_hz / 2:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, one_of, positive
+from ultraquiet._base.constraints import FloatArray, one_of, positive, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
@@ -92,11 +92,10 @@ class _Bank:
             )
             size = float(np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2)).max())
             return [1.0 / size if size > 0 else 1.0]
-        gains = list(np.atleast_1d(np.asarray(self.gain, dtype=np.float64)))
-        if len(gains) not in (1, n):
-            raise InputError(
-                f"{type(self).__name__}: got {len(gains)} gains for {n} channels; give one, or one for each."
-            )
+        who = type(self).__name__
+        gains = real_array(who, "gain", np.atleast_1d(np.asarray(self.gain)), 1)
+        if gains.size not in (1, n):
+            raise InputError(f"{who}: got {gains.size} gains for {n} channels; give one, or one for each.")
         return [float(g) for g in gains]
 
     def _bank(self, who: str, plane: Plane, gain: float) -> Bank:

@@ -76,7 +76,7 @@ def synthesize_hinf(
     who = "synthesize_hinf"
     ny = whole(who, "measurements", measurements, 1, P.D.shape[0] - 1)
     nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
-    if margin < 1:
+    if not positive(who, "margin", margin) >= 1:
         raise InputError(f"{who}: 'margin' must be at least one, got {margin:g}.")
     sentence = out_of_reach(P, ny, nu)
     if sentence:

@@ -84,7 +84,7 @@ class LoopShaping:
     def __post_init__(self) -> None:
         for name in ("height", "floor", "roll_off_hz", "tone_height", "tone_zeta"):
             positive(WHO, name, getattr(self, name))
-        if not self.margin >= 1:
+        if not positive(WHO, "margin", self.margin) >= 1:
             raise InputError(f"{WHO}: 'margin' must be at least one, got {self.margin!r}.")
 
     @single_threaded

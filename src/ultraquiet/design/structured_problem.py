@@ -126,7 +126,8 @@ class Problem:
         self._terms = residues(*M)
         self.loop = self.plane.to_plane(plant)
         poles = np.linalg.eigvals(M[0])
-        size = np.abs(poles[np.abs(poles) > 0]) if poles.size else np.ones(1)
+        size = np.abs(poles[poles != 0])
+        size = size if size.size else np.ones(1)  # a static plant, or integrators alone
         self.low, self.high = float(size.min()), float(size.max())
         if P.rate_hz is not None:
             self.low, self.high = max(self.low, 1e-5), min(self.high, 1.0)
@@ -176,8 +177,11 @@ class Problem:
         return float(np.max(levels * self.weights()[:, None]))
 
     def measured(self, theta: FloatArray) -> FloatArray:
-        """Return the level of each requirement."""
-        return self._levels(theta, self.samples).max(axis=1)
+        """Return the level of each requirement; infinite where law and plant close a loop that is singular at once."""
+        try:
+            return self._levels(theta, self.samples).max(axis=1)
+        except np.linalg.LinAlgError:
+            return np.full(len(self.requirements), np.inf)
 
     def mean_db(self, theta: FloatArray) -> float:
         """Return the mean over the grid of the first requirement's level in dB, where it asks for anything."""

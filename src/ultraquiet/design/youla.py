@@ -9,7 +9,7 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._around import Around, Inner, checked_tones, inner_loop
+from ultraquiet.design._around import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.design._verify import judged
 from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.linalg.equations import discrete_riccati
@@ -74,7 +74,9 @@ def central_law(plant: StateSpace, control_weight: float, sensor_noise: float) -
     A, B, C = plant.A, plant.B, plant.C
     ny, nu = plant.D.shape
     assert plant.rate_hz is not None
-    size = np.abs(plant.frequency_response(np.linspace(0, plant.rate_hz / 2, 64))).max() ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):  # a pole on a line of the grid
+        grid = np.abs(plant.frequency_response(np.linspace(0, plant.rate_hz / 2, COARSE)))
+    size = grid[np.isfinite(grid)].max(initial=0.0) ** 2
     R, V = control_weight * size * np.eye(nu), sensor_noise * size * np.eye(ny)
     X = discrete_riccati(A, B, C.T @ C, R + plant.D.T @ plant.D, C.T @ plant.D).X
     Y = discrete_riccati(A.T, C.T, B @ B.T, V + plant.D @ plant.D.T, B @ plant.D.T).X

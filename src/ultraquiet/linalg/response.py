@@ -26,7 +26,7 @@ def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArra
         return out
     T, Q = cast("tuple[ComplexArray, ComplexArray]", schur(A, output="complex"))
     b, c = Q.conj().T @ B, C @ Q
-    block = max(1, int(1e7 / (n * nu)))  # keeps the stacked solutions below 160 MB
+    block = max(1, int(1e7 / max(1, n * nu)))  # keeps the stacked solutions below 160 MB
     for start in range(0, z.size, block):
         part = z[start : start + block]
         x = _solve_triangular(T, b, part)

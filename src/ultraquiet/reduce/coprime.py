@@ -127,6 +127,7 @@ def reduce_observer_based(
     """
     who = "reduce_observer_based"
     one_of(who, "side", side, SIDES)
+    whole(who, "states", states, 0)
     F, L = real_array(who, "F", F, 2), real_array(who, "L", L, 2)
     A, B, C, D = plant.A, plant.B, plant.C, plant.D
     if (F.shape, L.shape) != (B.T.shape, C.T.shape):

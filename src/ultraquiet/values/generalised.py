@@ -2,10 +2,12 @@
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, same_rate
+from ultraquiet._base.constraints import FloatArray, real_array, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace
+
+WHO = "generalised plant"
 
 
 def output_shaping(
@@ -20,6 +22,9 @@ def output_shaping(
         on_s: W1.
         on_ks: W2.
         on_t: W3.
+
+    Raises:
+        InputError: a weight that does not fit the plant, or is at another rate.
     """
     ny, nu = plant.D.shape
     _fits(plant, on_s, ny, "on_s")
@@ -56,11 +61,17 @@ def four_block(
         on_control: W2.
         disturbance: Vd `(nu, nu)`, volts of disturbance at the plant's input.
         noise: Vn `(ny, ny)`, output units of disturbance and noise at the sensors.
+
+    Raises:
+        InputError: a weight or a matrix that does not fit the plant; a weight at another rate.
     """
     ny, nu = plant.D.shape
     _fits(plant, on_output, ny, "on_output")
     _fits(plant, on_control, nu, "on_control")
-    Vd, Vn = np.asarray(disturbance), np.asarray(noise)
+    Vd, Vn = real_array(WHO, "disturbance", disturbance, 2), real_array(WHO, "noise", noise, 2)
+    for name, V, size in (("disturbance", Vd, nu), ("noise", Vn, ny)):
+        if V.shape != (size, size):
+            raise InputError(f"{WHO}: '{name}' must be ({size}, {size}), got {V.shape}.")
     n = plant.states
     B = np.hstack([plant.B @ Vd, np.zeros((n, ny)), plant.B])
     C = np.vstack([plant.C, np.zeros((nu, n)), plant.C])
@@ -120,9 +131,9 @@ def uncertain(
 
 
 def _fits(plant: StateSpace, weight: StateSpace, size: int, name: str) -> None:
-    same_rate("generalised plant", "the plant", plant.rate_hz, f"the weight '{name}'", weight.rate_hz)
+    same_rate(WHO, "the plant", plant.rate_hz, f"the weight '{name}'", weight.rate_hz)
     if weight.D.shape[1] != size:
-        raise InputError(f"generalised plant: '{name}' takes {weight.D.shape[1]} signals where {size} are wanted.")
+        raise InputError(f"{WHO}: '{name}' takes {weight.D.shape[1]} signals where {size} are wanted.")
 
 
 def full(weight: StateSpace, size: int, name: str) -> StateSpace:
@@ -131,4 +142,4 @@ def full(weight: StateSpace, size: int, name: str) -> StateSpace:
         return weight
     if weight.D.shape == (1, 1):
         return append(*[weight] * size)
-    raise InputError(f"generalised plant: '{name}' is {weight.D.shape}, it must be (1, 1) or ({size}, {size}).")
+    raise InputError(f"{WHO}: '{name}' is {weight.D.shape}, it must be (1, 1) or ({size}, {size}).")
