@@ -8,6 +8,16 @@ from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import gain, series
 
 
+def bbmx():
+    """Return the two-state problem of Benner, Byers, Mehrmann and Xu: its optimum is sqrt(0.65)."""
+    return StateSpace(
+        -np.eye(2),
+        [[0, 0, 1], [0, 1, 1]],
+        [[1, 0], [0, 1], [1, 1]],
+        [[0.5, 0, 0], [0, 0.5, 1], [0, 1, 0]],
+    )
+
+
 def bench_like(rng, modes, rate_hz=3500.0, raw=False):
     """Return a 6 x 6 plant of lightly damped modes with two samples of delay, `2 modes + 12` states.
 

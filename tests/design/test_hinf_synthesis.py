@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from named_plants import array_like, array_problem, closed_poles
+from named_plants import array_like, array_problem, bbmx, closed_poles
 
 from slicot_examples import printed, slicot
 from ultraquiet._base.errors import InputError
@@ -11,15 +11,6 @@ from ultraquiet.design import output_shaping, synthesize_hinf
 from ultraquiet.linalg import discretize
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, gain, lft
-
-
-def bbmx():
-    return StateSpace(
-        -np.eye(2),
-        [[0, 0, 1], [0, 1, 1]],
-        [[1, 0], [0, 1], [1, 1]],
-        [[0.5, 0, 0], [0, 0.5, 1], [0, 1, 0]],
-    )
 
 
 def agreement(result):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from named_plants import sensitivity_db
+from named_plants import bbmx, sensitivity_db
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
@@ -21,16 +21,6 @@ from ultraquiet.values.interconnect import feedback, lft
 @pytest.fixture(scope="module")
 def ground():
     return uq.bench.Hexapod(unit="ground").linear_model()
-
-
-def bbmx():
-    """Return the two-state problem of Benner, Byers, Mehrmann and Xu: its optimum is sqrt(0.65)."""
-    return StateSpace(
-        -np.eye(2),
-        [[0, 0, 1], [0, 1, 1]],
-        [[1, 0], [0, 1], [1, 1]],
-        [[0.5, 0, 0], [0, 0.5, 1], [0, 1, 0]],
-    )
 
 
 def helicopter():
