@@ -111,6 +111,15 @@ def test_foton_holds_bench_laws_to_what_its_two_coefficients_can(arrangement, pr
     assert worst(law, back.state_space()) <= 1e-6
 
 
+def test_channels_alike_are_modules_alike(rng):
+    """A decentralised law with the same filter at every strut: each pole stands six times."""
+    one = modes(rng, 5.0, 300.0, 4, 0.05)
+    text = foton_text(apart([one] * 6))
+    heads = [line.split()[7:] for line in text.splitlines() if line.startswith("CONTROLLER")]
+    assert len(heads) == 6
+    assert all(words == heads[0] for words in heads)
+
+
 def test_a_cascade_runs_as_the_front_ends_run_it(rng):
     """Direct form II, sample by sample, from the numbers in the file alone."""
     law = modes(rng, 5.0, 300.0, 12, 0.02)

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from pathlib import Path
 
 import fmpy
 import numpy as np
@@ -235,6 +236,25 @@ def test_it_controls_a_bench_and_is_one(version, law_of, rng, tmp_path):
     y = np.clip(rng.standard_normal((2, 300)), -10, 10)
     # A bench applies its actuation one sample late and reads its sensors before it moves on: two samples in all.
     assert np.array_equal(bench.run(y).outputs[:, 2:], made.instance().run(y)[:, :-2])
+
+
+def test_a_unit_s_whole_life_under_sanitizers(cc, unit, tmp_path):
+    _, path = unit("2.0")
+    fmpy.extract(str(path), str(tmp_path / "unpacked"))
+    token, sources = fmpy.read_model_description(str(path)).guid, tmp_path / "unpacked" / "sources"
+    names = [sources / f"controller{end}.c" for end in ("", "_host", "_fmi2")]
+    flags = ["-std=c99", "-O1", "-g", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror"]
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    program = tmp_path / "drive"
+    command = [cc, *flags, *checks, f"-I{sources}", *names, Path(__file__).parent / "fmu_drive.c", "-o", program]
+    built = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+    if "asan" in built.stderr or "sanitize" in built.stderr:
+        pytest.skip("this compiler has no sanitizers")
+    assert built.returncode == 0, built.stderr
+    done = subprocess.run([str(program), token], capture_output=True, text=True, check=False)
+    print(done.stdout)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("version", VERSIONS)
