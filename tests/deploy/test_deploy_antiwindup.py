@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from deploy_laws import RATE_HZ
 
-from ultraquiet._base.errors import NumericalError
+from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy import Twin, conditioning_gain, generate
+from ultraquiet.deploy.antiwindup import wish
 from ultraquiet.values import StateSpace
 
 
@@ -59,3 +60,85 @@ def test_gain_that_does_not_exist_is_refused(tmp_path):
     hidden = StateSpace([[1.0, 0.0], [0.0, 0.5]], [[1.0], [1.0]], [[0.0, 1.0]], [[0.0]], rate_hz=RATE_HZ)
     with pytest.raises(NumericalError, match="no anti-windup gain exists"):
         generate(hidden, tmp_path / "code", anti_windup=True)
+
+
+def mode(f_hz, damping, gain=1.0):
+    """A law of one mode whose response peaks at gain / (2 damping) or so."""
+    w = 2 * np.pi * f_hz / RATE_HZ
+    pole = np.exp(w * (-damping + 1j * np.sqrt(1 - damping**2)))
+    A = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+    return StateSpace(A, [[gain * w], [0.0]], [[1.0, 0.0]], [[0.1 * gain]], rate_hz=RATE_HZ)
+
+
+LIMITS = np.array([[-10.0, 10.0]])
+
+
+def test_slow_and_unstable_laws_want_it():
+    assert not wish("auto", mode(20.0, 0.1), LIMITS).on
+    slow = wish("auto", mode(0.3, 0.5), LIMITS)
+    unstable = wish("auto", mode(20.0, -0.01), LIMITS)
+    print(slow.why, "|", unstable.why)
+    assert slow.on
+    assert "0.3 Hz is slower than 1 Hz" in slow.why
+    assert unstable.on
+    assert "outside the unit circle" in unstable.why
+
+
+def test_design_disturbance_decides(rng):
+    law = mode(20.0, 0.1)
+    d = rng.standard_normal((1, 5000))
+    peak = np.abs(law.simulate(d)).max()
+    below, above = (wish("auto", law, LIMITS, None, d * factor * 10.0 / peak) for factor in (0.9, 1.1))
+    print(below.why, "|", above.why)
+    assert (below.on, above.on) == (False, True)
+
+
+def test_a_plant_closes_the_loop_before_commands_are_judged(rng):
+    """u = K (I - G K)^-1 d against a loop stepped sample by sample."""
+    law, plant = mode(20.0, 0.1, -0.5), mode(60.0, 0.2, 0.5)
+    d = rng.standard_normal((1, 2000))
+    G, K = plant, law
+    xg, xk, u = np.zeros(2), np.zeros(2), np.zeros((1, 2000))
+    for k in range(2000):
+        coupling = np.linalg.inv(np.eye(1) - K.D @ G.D)
+        u[:, k] = coupling @ (K.D @ (d[:, k] + G.C @ xg) + K.C @ xk)
+        y = d[:, k] + G.C @ xg + G.D @ u[:, k]
+        xg, xk = G.A @ xg + G.B @ u[:, k], K.A @ xk + K.B @ y
+    peak = np.abs(u).max()
+    below, above = (wish("auto", law, LIMITS, plant, d * factor * 10.0 / peak) for factor in (0.999, 1.001))
+    assert (below.on, above.on) == (False, True)
+
+
+def test_generate_follows_the_wish_while_the_budget_allows(tmp_path, law_of):
+    slow = mode(0.3, 0.5)
+    on = generate(slow, tmp_path / "code", anti_windup="auto")
+    assert on.law.L is not None
+    assert on.tables["anti_windup_because"].startswith("on: a pole of the law at 0.3 Hz")
+    off = generate(mode(20.0, 0.1), tmp_path / "code", anti_windup="auto")
+    assert off.law.L is None
+    big = law_of(130)
+    big = StateSpace(big.A, big.B, big.C, big.D, rate_hz=RATE_HZ)
+    tight = generate(big, tmp_path / "code", form="modal", anti_windup="auto", budget_cycles=2200)
+    print(tight.tables["anti_windup_because"])
+    assert tight.law.L is None
+    assert tight.tables["c31_cycles"] <= 2200
+
+
+def test_auto_without_a_gain_says_so(tmp_path):
+    hidden = StateSpace([[1.0, 0.0], [0.0, 0.5]], [[1.0], [1.0]], [[0.0, 1.0]], [[0.0]], rate_hz=RATE_HZ)
+    made = generate(hidden, tmp_path / "code", anti_windup="auto")
+    assert made.law.L is None
+    assert "no anti-windup gain exists" in made.tables["anti_windup_because"]
+
+
+def test_bad_settings_are_refused(tmp_path):
+    for settings, words in (
+        ({"anti_windup": "maybe"}, "anti_windup"),
+        ({"anti_windup": "auto", "disturbance_v": np.zeros((2, 10))}, "must have 1 channels"),
+        ({"excitation_v": np.nan}, "excitation_v"),
+        ({"excitation_v": [[1.0, 2.0]]}, "must hold 0 V"),
+        ({"overrun_limit": 0}, "overrun_limit"),
+    ):
+        with pytest.raises(InputError, match=words):
+            generate(mode(20.0, 0.1), tmp_path / "code", **settings)
+        assert not (tmp_path / "code").exists()

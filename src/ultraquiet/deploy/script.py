@@ -181,6 +181,8 @@ RUN some+2
 SELECT low_limited    limited 0 on tap 0
 SELECT low_applied    applied 0 on tap 1
 RUN 2
+DISABLE
+RUN 1                 where limited and applied differ
 SELECT 4              no such tap
 SELECT past_y         no such channel
 SELECT past_x
