@@ -42,7 +42,7 @@ def _one(law: Law, limit: int | None) -> Iterator[tuple[str, str, str, bool]]:
         machine.memory[machine.program.symbols["ADC"] + j] = 1000 * j
     whole = machine.run("controller_frame") + INTERRUPT
     kernel = machine.spent["controller_output"] + machine.spent["controller_update"]
-    modelled = budget.cycles(law) - budget.SKELETON_CYCLES
+    modelled = budget.kernel_of(law)
     what = f"{law.states} states, {law.form}{', anti-windup' if law.L is not None else ''}"
     yield f"{what}: kernel", f"{kernel} cycles", f"{modelled} of the model", kernel == modelled
     if limit is not None:

@@ -10,9 +10,11 @@ from ultraquiet.deploy.law import Law
 # Section 4.2 of the paper: half of the 285 us between samples at 3.5 kHz is left to the law; at 50 ns an instruction
 # that is 2800 instructions in 140 us.
 BUDGET_CYCLES = 2800
-# Reading six converters, limiting, writing six, the registers saved and the interrupt's entry and exit: an allowance,
-# which the emitted frame keeps (131 cycles six by six, 140 with anti-windup).
+# Reading six converters, limiting, writing six, the registers saved and the interrupt's entry and exit: an allowance.
+# The emitted frame takes FRAME and so much a measurement and a command, 131 and 140 cycles six by six; where that is
+# more than the allowance, it counts instead.
 SKELETON_CYCLES = 142
+FRAME, FRAME_WITH_CORRECTION, READ, WRITE = 71, 74, 2, 8
 # Of the emitted modal and delta kernels, c31_emit: per row of commands LDF, RPTS (1 + 3), ADDF3, RND, STF; per state
 # two products of its block and one RND; in delta form one ADDF3 more; once eight pointers and settings before the rows,
 # LDI and RPTB (1 + 3) before the update, four to drain it.
@@ -89,8 +91,23 @@ def kernel_cycles(
 
 def cycles(law: Law) -> int:
     """Return the instructions of one frame: kernel and skeleton."""
+    return kernel_of(law) + skeleton_cycles(law.inputs, law.outputs, anti_windup=law.L is not None)
+
+
+def kernel_of(law: Law) -> int:
+    """Return the instructions of one step of this law, without the frame's skeleton."""
     kernel = kernel_cycles(law.form, law.states, law.inputs, law.outputs, **shape(law))
-    return SKELETON_CYCLES + kernel - GAIN * law.channels.count(0) - _rows_of_gains(law)
+    return kernel - GAIN * law.channels.count(0) - _rows_of_gains(law)
+
+
+def skeleton_cycles(inputs: int = 6, outputs: int = 6, *, anti_windup: bool = False) -> int:
+    """Return what the frame around the kernel is allowed: 142, or what the emitted one takes where that is more.
+
+    >>> skeleton_cycles(), skeleton_cycles(12, 12)
+    (142, 191)
+    """
+    counted = FRAME_WITH_CORRECTION + outputs if anti_windup else FRAME
+    return max(SKELETON_CYCLES, counted + READ * inputs + WRITE * outputs)
 
 
 def _rows_of_gains(law: Law) -> int:
@@ -160,8 +177,8 @@ def largest_order(
     """
     stride = 2 if form in ("modal", "delta", "bank", "bank-delta") else 1
     given = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
-    n = 0
-    while SKELETON_CYCLES + kernel_cycles(form, n + stride, inputs, outputs, **given) <= budget:
+    n, frame = 0, skeleton_cycles(inputs, outputs, anti_windup=anti_windup)
+    while frame + kernel_cycles(form, n + stride, inputs, outputs, **given) <= budget:
         n += stride
     return n
 

@@ -39,7 +39,7 @@ class C31Code:
 def c31_code(law: Law, model_hash: str = "") -> C31Code:
     """Return one frame of the law as C31 assembly: converters, output, limits, converters, update.
 
-    The kernel takes `budget.kernel_cycles` cycles, the rest at most `budget.SKELETON_CYCLES` for six by six. Ramps,
+    The kernel takes `budget.kernel_of` cycles, the rest at most `budget.skeleton_cycles`. Ramps,
     faults and overruns are left to the background; the C99 code holds them.
 
     Args:
@@ -135,8 +135,8 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
         "limits": _words(law.limits),
         "coefficients": _words(_stream(law)),
         "place": "internal block 1" if coefficients_internal(law) else "external memory without wait states",
-        "kernel_cycles": budget.cycles(law) - budget.SKELETON_CYCLES,
-        "skeleton": budget.SKELETON_CYCLES,
+        "kernel_cycles": budget.kernel_of(law),
+        "skeleton": budget.skeleton_cycles(law.inputs, law.outputs, anti_windup=anti_windup),
     }
 
 

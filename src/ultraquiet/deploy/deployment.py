@@ -317,7 +317,7 @@ def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str)
 def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
     law = choice.law
     used = budget.cycles(law)
-    kernel = used - budget.SKELETON_CYCLES
+    kernel = budget.kernel_of(law)
     anti_windup = law.L is not None
     return {
         "states": law.order,

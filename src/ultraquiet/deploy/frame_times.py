@@ -74,7 +74,7 @@ class FrameTimes:
         >>> round(1e6 * FrameTimes.c31(law).skeleton_s, 3)
         7.1
         """
-        kernel = budget.cycles(law) - budget.SKELETON_CYCLES
+        kernel = budget.kernel_of(law)
         output = min(kernel, budget.output_cycles(law))
         return cls._of(output, kernel - output, 0, 0, C31_CLOCK_HZ, "TMS320C31-40 model, 50 ns an instruction")
 
