@@ -29,6 +29,7 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
         yield from _one(_law(rng, states, "modal", False), KERNEL_OF_60 if states == 60 else None)
     yield from _one(_law(rng, 158, "delta", False), None)
     yield from _one(_law(rng, 120, "modal", True), None)
+    yield from _one(_bank(rng, 60), None)
     for anti_windup, wanted in ((False, 170), (True, 120)):
         found = budget.largest_order("modal", anti_windup=anti_windup)
         what = "largest modal order, 6 x 6" + (", anti-windup" if anti_windup else "")
@@ -59,6 +60,16 @@ def _one(law: Law, limit: int | None) -> Iterator[tuple[str, str, str, bool]]:
     place = "internal" if code.coefficients_internal else "external"
     words = f"{code.program_words} + {code.data_words} + {code.coefficient_words} {place}"
     yield "words of program, data, coefficients", words, "told", True
+
+
+def _bank(rng: np.random.Generator, states: int) -> Law:
+    """Return one law of the same size for each of six channels."""
+    whole = _law(rng, states, "modal", False)
+    own = np.arange(states)[:, None] // (states // 6) == np.arange(6)
+    parts = Realisation(
+        "bank", whole.blocks, whole.B * own, whole.C * own.T, np.diag(np.diag(whole.D)), 1.0, (states // 12,) * 6
+    )
+    return rounded(parts, None, actuator_limits(25.0, 6), "float32", rate_hz=deploy_laws.RATE_HZ, order=states)
 
 
 def _law(rng: np.random.Generator, states: int, form: str, anti_windup: bool) -> Law:
