@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.antiwindup import conditioning_gain as conditioning_gain
     from ultraquiet.deploy.budget import kernel_cycles as kernel_cycles
     from ultraquiet.deploy.budget import largest_order as largest_order
+    from ultraquiet.deploy.c31_emit import C31Code as C31Code
+    from ultraquiet.deploy.c31_emit import c31_code as c31_code
     from ultraquiet.deploy.cmake import write_project as write_project
     from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
@@ -49,6 +51,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.word_length import rounding_errors as rounding_errors
 
 _HOME = {
+    "C31Code": "c31_emit",
     "CompiledController": "compiled",
     "Deployment": "deployment",
     "FixedDeployment": "fixed_deploy",
@@ -70,6 +73,7 @@ _HOME = {
     "Twin": "twin",
     "Verification": "verify",
     "WordLength": "precisions",
+    "c31_code": "c31_emit",
     "conditioning_gain": "antiwindup",
     "export_law": "exchange",
     "fixed_law": "fixed_point",
