@@ -8,7 +8,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.limits import half_plane
 from ultraquiet.limits.quadrature import nodes
-from ultraquiet.values.interconnect import feedback
+from ultraquiet.values.interconnect import feedback, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
 DB = float(20 / np.log(10))
@@ -110,7 +110,8 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
     zeros = [z for z in half_plane.binding_zeros(plant) if z.direction is not None]
     if not zeros:
         return ()
-    every = np.concatenate([closed, half_plane.half_plane(poles, rate_hz), [z.s for z in zeros]])
+    dips = half_plane.half_plane(_dips(plant, controller, zeros), rate_hz)
+    every = np.concatenate([closed, half_plane.half_plane(poles, rate_hz), [z.s for z in zeros], dips, dips.conj()])
     f, width = nodes(every, rate_hz, FAR)
     S = _loop(plant, controller, f)
     w = half_plane.speeds(f, rate_hz)
@@ -125,6 +126,21 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
         paid = float(np.sum(width * stretch / np.pi * level))
         found.append(Integral(zero.name, DB * paid, DB * owes))
     return tuple(found)
+
+
+def _dips(plant: StateSpace, controller: StateSpace, zeros: list[half_plane.BindingZero]) -> ComplexArray:
+    """Return the zeros of y* S y for every direction y, near which its logarithm is steep.
+
+    With one channel they are the open loop's poles.
+    """
+    S = sensitivity(plant, controller)
+    found = []
+    for zero in zeros:
+        y = np.asarray(zero.direction)
+        direct = y.conj() @ S.D @ y
+        if direct != 0:
+            found.append(np.linalg.eigvals(S.A - np.outer(S.B @ y, y.conj() @ S.C) / direct))
+    return np.concatenate(found) if found else np.zeros(0, dtype=np.complex128)
 
 
 def _tail(slope: float, f_hz: FloatArray) -> float:
