@@ -41,13 +41,22 @@ class Sections:
             # of one size.
             share = 1.0 / max(1.0, abs(b1), abs(b2))
             gain /= share
+            own, seen = _block(a1, a2, b1 - a1, b2 - a2)
             A[2 * k, :] += C[0]
-            A[2 * k, at] += [-a1, -a2]
-            A[2 * k + 1, 2 * k] = 1.0
+            A[at, at] = own
             B[2 * k] = D[0]
             C, D = C * share, D * share
-            C[0, at] += [share * (b1 - a1), share * (b2 - a2)]
+            C[0, at] += share * seen
         return StateSpace(A, B, C * gain, D * gain, rate_hz=rate_hz)
+
+
+def _block(a1: float, a2: float, c1: float, c2: float) -> tuple[FloatArray, FloatArray]:
+    """Return A and C of (c1 z + c2) / (z^2 + a1 z + a2), driven at the first state: a rotation for complex poles."""
+    half, square = -0.5 * a1, a2 - 0.25 * a1 * a1
+    if square <= 0:
+        return np.array([[-a1, -a2], [1.0, 0.0]]), np.array([c1, c2])
+    turn = float(np.sqrt(square))
+    return np.array([[half, turn], [-turn, half]]), np.array([c1, -(c2 + c1 * half) / turn])
 
 
 def cascade(law: StateSpace) -> list[Sections]:
