@@ -10,12 +10,13 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.cli.exported import require_writable, show_exports
 from ultraquiet.cli.frame import asked, show_frames
 from ultraquiet.cli.verified import loaded_plant, rows, wanted
+from ultraquiet.cli.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
 
 
 def deploy(
     controller: Annotated[Path, typer.Argument(help="A controller (HDF5), as `design` leaves it.")],
     out: Annotated[Path | None, typer.Option(help="Folder for the code; default: beside the controller.")] = None,
-    precision: Annotated[str, typer.Option(help="float32 or float64.")] = "float32",
+    precision: Annotated[str, typer.Option(help="float32, float64, or whole numbers: q31, q15.")] = "float32",
     form: Annotated[str, typer.Option(help="auto, modal, delta, schur, dense, bank ...")] = "auto",
     anti_windup: Annotated[
         bool, typer.Option("--anti-windup", help="Correct the state by what the limits take away.")
@@ -25,6 +26,9 @@ def deploy(
     target: Annotated[
         list[str] | None, typer.Option(help="cortex-m4f, cortex-m7 or none; may be repeated; default: both.")
     ] = None,
+    word_lengths: Annotated[
+        bool, typer.Option("--word-lengths", help="Only print what each precision and form would lose.")
+    ] = False,
     steps: Annotated[int, typer.Option(help="Samples to compare bit by bit.")] = 100_000,
     fmu: Annotated[Path | None, typer.Option(help="Write the controller as this FMU, too.")] = None,
     fmi: Annotated[str, typer.Option(help="With --fmu: 3.0 or 2.0 of the standard.")] = "3.0",
@@ -54,8 +58,16 @@ def deploy(
         raise InputError(f"deploy: '{controller}' holds a {type(law).__name__}, not a controller in state space.")
     real_time = asked(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
     folder = out or controller.with_suffix("")
-    require_writable(law, fmu, fmi, export)
     whole("deploy", "steps", steps, 1)
+    if word_lengths or precision in FIXED:
+        refuse_others(precision, word_lengths, anti_windup, budget, target, fmu, export, project, frame)
+        system = None if plant is None else loaded_plant(plant)
+        if word_lengths:
+            show_word_lengths(Console(), law, system)
+        else:
+            deploy_fixed(Console(), law, folder, precision, form, system, steps)
+        return
+    require_writable(law, fmu, fmi, export)
     targets = wanted(target)
     system = None if plant is None else loaded_plant(plant)
     limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}
