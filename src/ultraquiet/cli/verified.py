@@ -40,6 +40,10 @@ def rows(made: "Deployment", found: "Verification") -> list[tuple[str, str]]:
     if found.compiler is not None:
         listed.append(("compared here", f"{found.steps} steps, compiled by {found.compiler}, {found.seconds:.1f} s"))
     listed.extend(on_targets(found))
+    if found.fuzz is not None:
+        listed.append(
+            ("random bits", f"{found.fuzz.steps} steps under sanitizers: {found.fuzz.finding or 'nothing found'}")
+        )
     listed.extend(("did not run", sentence) for sentence in found.missing)
     if found.loop is not None:
         listed.extend((f"loop: {what}", f"{one} as designed, {two} rounded") for what, one, two in found.loop.rows())

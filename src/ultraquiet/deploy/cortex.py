@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law import Law, Rounded
-from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, EMULATOR, Target
+from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, EMULATOR, TICKS, Target
 from ultraquiet.deploy.toolchain import call, compile_c
 
 SECONDS = 300.0
 ASK_STEP, ASK_ENGAGE, ASK_START, ASK_DISABLE = range(4)  # the template's words for a frame
 FRAMES, REPLIES = "frames", "replies"
+SLACK = 128  # ticks: the compiler may put a few instructions more between the readings
 CALIBRATION = 1000  # single instructions between two readings of the clock
 
 
@@ -140,9 +141,9 @@ def reply_type(law: Law) -> np.dtype[Any]:
 
 def instructions(calibration: Any, replies: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return instructions of each half of steps from ticks of the clock; the first reply to a start calibrates it."""
-    empty, thousand = float(calibration["output"]), float(calibration["update"])
-    ticks = (thousand - empty) / CALIBRATION
-    output, update = (np.rint((replies[half].astype(float) - empty) / ticks) for half in ("output", "update"))
+    empty = float(calibration["output"])
+    _require_clock(empty, float(calibration["update"]))
+    output, update = (np.rint((replies[half].astype(float) - empty) / TICKS) for half in ("output", "update"))
     return output.astype(np.int64), update.astype(np.int64)
 
 
@@ -151,6 +152,13 @@ def _read(words: str) -> Count:
     held = {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2 and pair[1].isdigit()}
     if not {"empty", "thousand", "output", "update", "self-test"} <= held.keys():
         raise ToolError(f"deploy: the emulator's words make no sense: {' '.join(words.split())[:200]!r}.")
-    ticks = (held["thousand"] - held["empty"]) / CALIBRATION
-    output, update = (round((held[key] - held["empty"]) / ticks) for key in ("output", "update"))
+    _require_clock(held["empty"], held["thousand"])
+    output, update = (round((held[key] - held["empty"]) / TICKS) for key in ("output", "update"))
     return Count(output, update, held["self-test"] == 0)
+
+
+def _require_clock(empty: float, thousand: float) -> None:
+    """Refuse to count by a clock whose ticks an instruction are not what the counts are divided by."""
+    if abs(thousand - empty - CALIBRATION * TICKS) > SLACK:
+        ticks = (thousand - empty) / CALIBRATION
+        raise ToolError(f"deploy: the emulator's clock ticks {ticks:.3f} times an instruction, not {TICKS:g}.")

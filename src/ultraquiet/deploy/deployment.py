@@ -21,6 +21,7 @@ from ultraquiet.deploy.coefficients import CoefficientBank
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
+from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.law import DTYPES, OVERRUN_LIMIT, Law, actuator_limits, rounded
 from ultraquiet.deploy.realise import FORMS, realisation
 from ultraquiet.deploy.reanalyse import reanalysis
@@ -92,6 +93,7 @@ class Deployment:
         plant: StateSpace | None = None,
         bench: Bench | Callable[[], Bench] | None = None,
         targets: Sequence[str] = tuple(TARGETS),
+        fuzz_steps: int = FUZZ_STEPS,
     ) -> Verification:
         """Compile the code, compare `steps` samples and the self-test bit by bit, and note the outcome.
 
@@ -105,10 +107,12 @@ class Deployment:
             plant: G, for the loop with the rounded law to be analysed again; else the one given to `generate`.
             bench: a bench, or a function that makes one, on which float64 law and compiled code reduce tones.
             targets: emulated processors; empty for none.
+            fuzz_steps: random steps under the compiler's sanitizers; 0 for none.
         """
         whole("Deployment.verify", "steps", steps, 1)
+        whole("Deployment.verify", "fuzz_steps", fuzz_steps, 0)
         plant = self.plant if plant is None else plant
-        found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets)
+        found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets, fuzz_steps)
         law = self.quantised if self.designed is None else self.designed
         loop = None if plant is None else reanalysis(law, self.quantised, plant)
         runs = found.status.word != "not compiled"

@@ -6,6 +6,7 @@ from ultraquiet._base.constraints import one_of
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
 # At 2^10 ns an instruction the emulated SysTick of 25 MHz advances 25.6 ticks for each, so counts round exactly.
+TICKS = 25.6
 COUNTING = ("-icount", "shift=10", "-display", "none", "-serial", "none", "-monitor", "none")
 
 

@@ -14,6 +14,8 @@ from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
+from ultraquiet.deploy.fuzz import Fuzz, fuzz_code
 from ultraquiet.deploy.law import Law, Rounded
 from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
 from ultraquiet.deploy.reanalyse import Reanalysis
@@ -36,7 +38,8 @@ class Verification:
     `bit_exact` is None when nothing could be compared, `mismatches` counts commands that differ in at least one bit,
     `first` is the (step, output) of the first one, `self_test` whether the shipped self-test passed on this machine.
     `targets` is what the emulated processors said, `missing` says what did not run and why. `loop` is the loop with the
-    rounded law analysed again, `bench` the code on a bench, each None unless a plant or a bench was given.
+    rounded law analysed again, `bench` the code on a bench, each None unless a plant or a bench was given; `fuzz` is
+    what random bits found under the sanitizers, None without them.
     """
 
     status: Status
@@ -49,6 +52,7 @@ class Verification:
     seconds: float = 0.0
     targets: tuple[OnTarget, ...] = ()
     missing: tuple[str, ...] = ()
+    fuzz: Fuzz | None = None
     loop: Reanalysis | None = None
     bench: OnBench | None = None
 
@@ -93,14 +97,22 @@ class Verification:
 
 
 def verify_code(
-    law: Law, folder: Path, cc: str | None, steps: int = STEPS, seed: int = 0, targets: Sequence[str] = tuple(TARGETS)
+    law: Law,
+    folder: Path,
+    cc: str | None,
+    steps: int = STEPS,
+    seed: int = 0,
+    targets: Sequence[str] = tuple(TARGETS),
+    fuzz_steps: int = FUZZ_STEPS,
 ) -> Verification:
     """Compile the folder's code, run `steps` samples through it and through the twin, and compare the bits.
 
     The measurements are noise whose size changes so that quiet, limited and bad samples all occur; `seed` draws them.
-    The targets get the same measurements (at most 100 000 of them) where compiler and emulator are at hand.
+    The targets get the same measurements (at most 100 000 of them) where compiler and emulator are at hand; then
+    `fuzz_steps` random steps run under the sanitizers.
     """
-    wanted = [target_named(name) for name in targets]
+    for name in targets:
+        target_named(name)
     if cc is None:
         return Verification(Status("no compiler", _NO_COMPILER), None, missing=(_NO_COMPILER,))
     began = time.perf_counter()
@@ -114,6 +126,25 @@ def verify_code(
     twin.enable()
     expected = twin.run(y)
     mismatches, first = differing(code.run(y), expected)
+    ran, missing = _on_targets(law, folder, y, expected, targets)
+    fuzz = None
+    try:
+        fuzz = fuzz_code(law, folder, cc, fuzz_steps, seed) if fuzz_steps else None
+    except ToolError as refusal:
+        missing.append(str(refusal))
+    exact = mismatches == 0 and self_test and all(each.bit_exact for each in ran)
+    given, seconds = Status("ok", ""), time.perf_counter() - began
+    found = Verification(
+        given, exact, steps, mismatches, first, self_test, cc, seconds, ran, tuple(dict.fromkeys(missing)), fuzz
+    )
+    return replace(found, status=_verdict(found))
+
+
+def _on_targets(
+    law: Law, folder: Path, y: Rounded, expected: Rounded, targets: Sequence[str]
+) -> tuple[tuple[OnTarget, ...], list[str]]:
+    """Return what each target said, and why others said nothing."""
+    wanted = [target_named(name) for name in targets]
     ran: list[OnTarget] = []
     missing: list[str] = []
     if wanted and (absent := missing_tool()) is not None:
@@ -126,13 +157,7 @@ def verify_code(
         except ToolError as refusal:
             # An emulator that does not work is no finding about the code.
             missing.append(str(refusal))
-    exact = mismatches == 0 and self_test and all(each.bit_exact for each in ran)
-    seconds = time.perf_counter() - began
-    given = Status("ok", "")
-    found = Verification(
-        given, exact, steps, mismatches, first, self_test, cc, seconds, tuple(ran), tuple(dict.fromkeys(missing))
-    )
-    return replace(found, status=_verdict(found))
+    return tuple(ran), missing
 
 
 def measurements(law: Law, steps: int, seed: int) -> Rounded:
@@ -178,9 +203,12 @@ def _verdict(found: Verification) -> Status:
             return Status("differs", sentence)
         if not each.self_test:
             return Status("self-test failed", f"The code agrees here but its self-test does not pass on the {title}.")
+    if found.fuzz is not None and found.fuzz.finding:
+        return Status("unsafe", f"The bits agree, but with random bits at its entrances: {found.fuzz.finding}.")
     where = "".join(f", of {each.steps} on an emulated {each.target.title}" for each in found.targets)
     sentence = f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}"
-    return Status("ok", " ".join([f"{sentence}{where}.", *found.missing]))
+    random = "" if found.fuzz is None else f" {found.fuzz.steps} random steps under the sanitizers found nothing."
+    return Status("ok", " ".join([f"{sentence}{where}.{random}", *found.missing]))
 
 
 _NO_COMPILER = (

@@ -1,0 +1,52 @@
+"""Random bits and random calls under the compiler's sanitizers: no finding, no command beyond its limits."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from ultraquiet._base.errors import ToolError
+from ultraquiet.deploy.emit import FLAGS, constant, render
+from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.script import HALF_RANGE, sizes
+from ultraquiet.deploy.toolchain import call, compile_c
+
+STEPS = 10_000
+SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+@dataclass(frozen=True)
+class Fuzz:
+    """Random steps taken, and what was found: a sanitizer's words or a command beyond its limits; empty for nothing."""
+
+    steps: int
+    finding: str
+
+
+def fuzz_code(law: Law, folder: Path, cc: str, steps: int = STEPS, seed: int = 0) -> Fuzz:
+    """Run the folder's code with random bits at its entrances under the address and undefined-behaviour sanitizers.
+
+    Raises:
+        ToolError: the compiler has no sanitizers.
+    """
+    with tempfile.TemporaryDirectory(prefix="ultraquiet-") as held:
+        work = Path(held)
+        (work / "probe.c").write_text("int main(void) { return 0; }\n", encoding="utf-8")
+        try:
+            compile_c([cc, *SANITIZERS, "probe.c", "-o", "probe"], work)
+            able = call([work / "probe"], work).returncode == 0
+        except ToolError:
+            able = False
+        if not able:
+            raise ToolError(f"deploy: '{cc}' has no working sanitizers, so nothing was run with random bits.")
+        context = {
+            "name": law.name,
+            "NAME": law.name.upper(),
+            "limits": [[constant(v, law.precision) for v in row] for row in law.limits],
+            "loud": constant(min(sizes(law)[1] * HALF_RANGE, 1e30), "float64"),
+        }
+        (work / "fuzz.c").write_text(render("fuzz.c.j2", context), encoding="utf-8")
+        sources = ["fuzz.c", folder / f"{law.name}.c"]
+        compile_c([cc, *FLAGS, "-I", folder, *SANITIZERS, *sources, "-o", "fuzz"], work)
+        told = call([work / "fuzz", str(seed), str(steps)], work)
+    words = " ".join((told.stdout + told.stderr).split())[:300]
+    return Fuzz(steps, "" if told.returncode == 0 else words or f"exit code {told.returncode}")
