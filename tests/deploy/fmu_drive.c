@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { CHANNELS = 6, STEPS = 20000 };
+enum { CHANNELS = 6, STEPS = 5000 };
 
 typedef void (*Logger)(void *, const char *, int, const char *, const char *, ...);
 typedef struct {
@@ -66,7 +66,7 @@ static int live(void *m, int wild)
         for (int i = 0; i < CHANNELS; i++)
             if (!(u[i] <= 25.0 && u[i] >= -25.0))
                 return 6;
-        if (k % 7000 == 500 && fmi2GetFMUstate(m, &kept))
+        if (k % 2000 == 500 && fmi2GetFMUstate(m, &kept))
             return 7;
     }
     if (fmi2SetFMUstate(m, kept) || fmi2FreeFMUstate(m, &kept) || fmi2FreeFMUstate(m, &kept))
