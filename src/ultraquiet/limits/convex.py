@@ -56,7 +56,7 @@ def best_flat_attenuation(
     An honest specification lies below the attenuation; one above the bound cannot be met, by no method whatever.
 
     >>> G = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
-    >>> limit = best_flat_attenuation(G, (20.0, 100.0), 6.0, control_gain=10.0, basis=40)
+    >>> limit = best_flat_attenuation(G, (20.0, 100.0), 6.0, control_gain=10.0, basis=60)
     >>> bool(limit.attenuation_db < limit.bound_db < limit.attenuation_db + 1)
     True
 
