@@ -184,6 +184,12 @@ def test_unstable_modes_out_of_reach_name_the_matrix():
         assert "1.1" in str(result.status)
 
 
+def test_a_lone_integrator_that_nothing_drives_is_named():
+    result = Lqg().design(StateSpace([[1.0]], [[0.0]], [[1.0]], [[0.0]], RATE))
+    assert result.status.word == "refused"
+    assert "(B)" in str(result.status)
+
+
 def test_unstable_plants_are_stabilised():
     plant = StateSpace([[1.2]], [[1.0]], [[1.0]], [[0.0]], RATE)
     for settings in (FLAT, FLAT | {"disturbance_at": "output"}):

@@ -54,7 +54,7 @@ def loses_rank(pencil: Array) -> bool:
     if not pencil.size:
         return False
     s = np.linalg.svd(pencil / np.maximum(np.linalg.norm(pencil, axis=1, keepdims=True), 1e-300), compute_uv=False)
-    return bool(len(s) < len(pencil) or s[-1] < RANK * s[0])
+    return bool(len(s) < len(pencil) or not s[-1] > RANK * s[0])
 
 
 def place(z: complex, rate_hz: float | None) -> str:

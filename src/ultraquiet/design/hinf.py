@@ -200,4 +200,4 @@ def _normalised_frequency(plant: kernel.Plant, f_hz: float, rate_hz: float | Non
 
 def _sentence(gamma: float | None, reason: str) -> str:
     level = "any level" if gamma is None else f"level {gamma:g}"
-    return f"{WHO}: no controller reaches {level}: {reason}."
+    return f"{WHO}: no controller reaches {level}: {reason.rstrip('.')}."

@@ -228,6 +228,6 @@ def _advice(P: StateSpace, ny: int, nu: int) -> str:
     B, C, D = P.B[:, -nu:], P.C[:-ny], P.D[:-ny, -nu:]
     cost = np.linalg.svd(D, compute_uv=False)[-1]
     moved, _ = peak_gain(P.A, B, C, D, discrete=True)
-    if cost > CHEAP * moved:
+    if cost > CHEAP * moved or not np.isfinite(moved):
         return ""
     return f" The weight on u, {cost:.1e}, is small against what u moves, {moved:.1e}; raise 'control_weight'."
