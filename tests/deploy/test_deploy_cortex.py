@@ -74,7 +74,9 @@ def test_target_that_ends_early_is_a_sentence(law_of, tmp_path):
 def test_target_notices_a_wrong_bit(law_of, tmp_path):
     made = generate(law_of(6), tmp_path / "code", ramp_s=0.01)
     path = tmp_path / "code" / "controller.c"
-    path.write_text(path.read_text().replace("s->level > 0U", "s->level > 1U"))
+    text = path.read_text()
+    assert "(level > 0U)" in text
+    path.write_text(text.replace("(level > 0U)", "(level > 1U)"))
     assert not count_instructions(made.law, made.folder).self_test
 
 

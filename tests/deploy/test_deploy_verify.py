@@ -12,11 +12,12 @@ import pytest
 from deploy_laws import RATE_HZ
 
 import ultraquiet as uq
-from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import generate, on_bench, reanalysis
+from ultraquiet._base.errors import InputError, ToolError
+from ultraquiet.deploy import emit, generate, on_bench, reanalysis
 from ultraquiet.deploy.call_graph import stack_bytes
 from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.footprint import footprint_on
+from ultraquiet.deploy.fuzz import fuzz_code
 from ultraquiet.deploy.struct_size import state_bytes
 from ultraquiet.deploy.targets import COMPILER, TARGETS
 from ultraquiet.simulate import attenuation
@@ -143,18 +144,18 @@ def test_missing_cross_tools_are_named_and_the_rest_is_done(law_of, seed, tmp_pa
 @pytest.mark.usefixtures("target")
 def test_a_difference_on_one_target_alone_is_found(law_of, seed, tmp_path):
     made = generate(law_of(6), tmp_path / "code", ramp_s=0.01)
-    path = tmp_path / "code" / "controller.c"
-    guard = "s->level > 0U"
+    path = tmp_path / "code" / "controller_cortex.c"
+    told = "reply.output = since(then);"
     text = path.read_text()
-    assert guard in text
-    path.write_text(text.replace(guard, "s->level > ((sizeof(void *) == 4U) ? 1U : 0U)"))
+    assert told in text
+    path.write_text(text.replace(told, f"{told}\n if (s.steps == 300U) {{ reply.u[0] += (controller_real)1; }}"))
     found = made.verify(500, seed)
     print(found.status)
     assert found.mismatches == 0
     assert found.self_test is True
     assert found.bit_exact is False
     assert not found.ok
-    assert "Cortex-M4F" in found.status.sentence
+    assert "1 commands of 500 steps differ on the Cortex-M4F" in found.status.sentence
 
 
 @pytest.mark.usefixtures("target")
@@ -305,3 +306,47 @@ def command(monkeypatch, capsys, folder: Path, *words):
         code = stop.code or 0
     said = capsys.readouterr()
     return code, said.out + said.err
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_random_bits_find_nothing_in_the_code_and_a_missing_limit_at_once(law_of, seed, tmp_path, cc, precision):
+    made = generate(law_of(6), tmp_path / "code", precision, limits_v=[[-3.0, 2.0]] * 6, ramp_s=0.01)
+    clean = fuzzed(made, cc, seed, 20_000)
+    assert clean.finding == ""
+    path = tmp_path / "code" / "controller.h"
+    header = tmp_path / "code" / "controller_coefficients.h"
+    low = emit.constant(made.law.limits[0, 0], precision)
+    changed = 0
+    for file in (path, header):
+        text = file.read_text()
+        changed += text.count(low)
+        file.write_text(text.replace(low, emit.constant(4 * made.law.limits[0, 0], precision)))
+    assert changed
+    broken = fuzzed(made, cc, seed, 20_000)
+    print(broken.finding)
+    assert re.match(r"command \d is -\d", broken.finding)
+    found = made.verify(100, seed, targets=())
+    assert found.status.word in ("differs", "self-test failed", "unsafe")
+
+
+def test_random_bits_meet_an_index_beyond_its_array(law_of, seed, tmp_path, cc):
+    made = generate(law_of(6), tmp_path / "code", ramp_s=0.01)
+    path = tmp_path / "code" / "controller.c"
+    text = path.read_text()
+    start = re.search(r"void controller_output\([^)]*\)\s*\{", text)
+    assert start
+    path.write_text(
+        text[: start.end()] + "\n    u[CONTROLLER_OUTPUTS + s->faults] = (controller_real)0;\n" + text[start.end() :]
+    )
+    broken = fuzzed(made, cc, seed, 1000)
+    print(broken.finding)
+    assert re.search("AddressSanitizer|runtime error", broken.finding)
+
+
+def fuzzed(made, cc, seed, steps):
+    try:
+        return fuzz_code(made.law, made.folder, cc, steps, seed)
+    except ToolError as refusal:
+        if "no working sanitizers" not in str(refusal):
+            raise
+        pytest.skip(str(refusal))
