@@ -68,7 +68,9 @@ def test_bank_bit_for_bit(rng, seed, tmp_path, cc, kind, anti_windup, precision)
         print(found.status)
         assert found.ok, found.status
     assert made.law.turned == (kind in ("decoupled", "wide"))
-    assert made.tables["response_error"] < (1e-3 if precision == "float32" else 1e-9)
+    # Rounding moves a pole by half a last place of z, which counts against its distance from the circle.
+    room = 1.0 - np.abs(law.poles()).max(initial=0.0)
+    assert made.tables["response_error"] < (1e-5 + 2.0**-22 / room if precision == "float32" else 1e-9 + 1e-14 / room)
 
 
 def test_auto_takes_the_bank_and_it_costs_less(rng, tmp_path):
