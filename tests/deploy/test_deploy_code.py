@@ -43,7 +43,7 @@ def test_hundred_thousand_steps_bit_for_bit(law_of, seed, tmp_path, precision):
 def test_every_form_bit_for_bit(law_of, rng, seed, tmp_path, form, anti_windup, precision):
     law = law_of(int(rng.integers(0, 25)), int(rng.integers(1, 8)), int(rng.integers(1, 8)))
     made = generate(law, tmp_path / "code", precision, form=form, anti_windup=anti_windup, ramp_s=0.02)
-    found = made.verify(steps=3000, seed=seed)
+    found = made.verify(steps=3000, seed=seed, targets=(), fuzz_steps=0)
     assert found.ok, (found.status, law.A.shape, law.D.shape)
 
 
@@ -67,7 +67,7 @@ def test_a_changed_coefficient_is_found(law_of, tmp_path):
     digit = text.index("0x1.", table) + len("0x1.")
     changed = "0" if text[digit] != "0" else "8"
     path.write_text(text[:digit] + changed + text[digit + 1 :])
-    found = made.verify(steps=2000)
+    found = made.verify(steps=2000, targets=(), fuzz_steps=0)
     print(found.status)
     assert found.bit_exact is False
     assert found.status.word == "differs"
@@ -183,7 +183,7 @@ def test_unstable_law_is_generated_with_a_warning_and_never_leaves_the_limits(rn
     assert np.all(np.isfinite(u))
     assert np.abs(u).max() == 25.0
     assert u[-1] == 0.0  # float32 overflowed: fault, ramped out
-    assert made.verify(steps=5000).ok
+    assert made.verify(steps=5000, targets=(), fuzz_steps=0).ok
 
 
 def test_make_check_passes_in_the_folder(law_of, tmp_path):

@@ -10,13 +10,12 @@ import numpy as np
 from ultraquiet.deploy.coefficients import numbers, sections
 from ultraquiet.deploy.law import Law
 from ultraquiet.deploy.script import LOADS, OPS, SPECIAL, Row, planted
-from ultraquiet.deploy.targets import CORTEX_M7, TARGETS
+from ultraquiet.deploy.targets import TARGETS
 from ultraquiet.deploy.twin import Twin
 
 if TYPE_CHECKING:
     import jinja2
 
-M7_FLAGS = CORTEX_M7.flags
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 VECTOR_STEPS = 256
 
