@@ -23,7 +23,7 @@ VECTOR_STEPS = 256
 DEVIATIONS = {
     "8.9": "tables stand at file scope in a header of their own, where they can be compared with the model",
     "15.5": "guards leave a function early, so that nothing below them runs on a bad argument",
-    "19.2": "a union turns the words of a coefficient bank into numbers; no library is needed and any other way has one",
+    "19.2": "a union turns the words of a coefficient bank into numbers; any other way needs a library",
 }
 
 # Instructions of a Cortex-M a turn spends on pointers and branch, and a state left over on addresses out of reach; ten
