@@ -8,11 +8,12 @@ import pytest
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCKS = [
     pytest.param(block, id=f"{name}-{k}")
-    for name in ("control.md",)
+    for name in ("control.md", "deployment.md")
     for k, block in enumerate(re.findall(r"```python\n(.*?)```", (DOCS / name).read_text(), re.DOTALL))
 ]
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_example_runs(block):
+def test_example_runs(block, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     exec(compile(block, "docs", "exec"), {})
