@@ -218,8 +218,14 @@ def _both(end: StateSpace, bound: StateSpace) -> StateSpace:
 
 
 def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> float:
-    """Return -20 log10 of the largest singular value of S = (I - G K)^-1 over a band: its worst direction."""
-    f = np.unique(np.geomspace(*rising_band("worst_attenuation_db", band_hz, plant.rate_hz), 400))
+    """Return -20 log10 of the largest singular value of S = (I - G K)^-1 over a band or at a tone: its worst direction.
+
+    A tone is a band of equal ends.
+    """
+    low, high = band_hz
+    if low != high:
+        rising_band("worst_attenuation_db", band_hz, plant.rate_hz)
+    f = np.unique(np.geomspace(positive("worst_attenuation_db", "band_hz", low, "Hz"), high, 400))
     G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
     S = np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
     return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
