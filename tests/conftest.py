@@ -1,6 +1,7 @@
 """One fixture seeds every random draw; a failure prints the seed, `--seed N` repeats it."""
 
 import os
+import sys
 
 # Many small problems side by side: threads inside each cost more than they give. Set before NumPy loads its BLAS.
 for _library in ("OPENBLAS", "MKL", "OMP"):
@@ -33,3 +34,23 @@ def seed(request):
 def rng(seed):
     """A generator started from the run's seed."""
     return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, tmp_path):
+    """Run `ultraquiet WORDS` in `tmp_path`; returns exit code, stdout and stderr."""
+    from ultraquiet.cli.app import main
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+
+    def command(*words):
+        capsys.readouterr()  # what the test itself has printed
+        monkeypatch.setattr(sys, "argv", ["ultraquiet", *map(str, words)])
+        try:
+            main()
+        except SystemExit as stop:
+            return stop.code or 0, *capsys.readouterr()
+        return 0, *capsys.readouterr()
+
+    return command
