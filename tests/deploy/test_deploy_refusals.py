@@ -5,7 +5,7 @@ import pytest
 from deploy_laws import RATE_HZ
 
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy import generate
+from ultraquiet.deploy import Frame, Processor, c31_code, generate, generate_fixed, word_lengths
 from ultraquiet.values import StateSpace
 
 
@@ -26,6 +26,10 @@ def gain(value=1.0, rate_hz=RATE_HZ):
         ({"limits_v": [[5.0, 10.0]]}, r"each actuator's range in 'limits_v' must hold 0 V"),
         ({"limits_v": -1.0}, r"each actuator's range in 'limits_v' must hold 0 V"),
         ({"limits_v": np.nan}, r"NaN or infinite"),
+        ({"limits_v": "all"}, r"'limits_v' must be numbers in volts"),
+        ({"limits_v": 1e-60}, r"in float32 an actuator's range in 'limits_v' is empty"),
+        ({"targets": 3}, r"'targets' must list 'c99'"),
+        ({"plant": 3}, r"'plant' must be a StateSpace, got int"),
         ({"ramp_s": 0.0}, r"'ramp_s' must be above zero s"),
         ({"ramp_s": 1e-5}, r"'ramp_s in samples' must be between 1 and"),
         ({"tolerance": 2.0}, r"'tolerance' must lie between 0 and 1"),
@@ -134,3 +138,57 @@ def test_without_a_compiler_a_sentence_and_the_twin(tmp_path, monkeypatch):
     assert made.controller.step(np.array([2.0])) == pytest.approx([1.0])
     ramped = made.instance(ramp=True)
     assert ramped.step(np.array([2.0]))[0] == pytest.approx(1.0 / 1750)
+
+
+def damped():
+    return StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"name": "../elsewhere"}, r"must be a C identifier"),
+        ({"plant": 3}, r"'plant' must be a StateSpace, got int"),
+        ({"word": "q7"}, r"'word' must be one of 'q15', 'q31'"),
+        ({"word": "q15", "ramp_s": 10.0}, r"'ramp_s' may be 4.68 s in q15 at this rate, got 10 s"),
+        ({"ramp_s": 1e9}, r"'ramp_s' may be 74.9 s in q31"),
+    ],
+)
+def test_bad_settings_of_whole_numbers(tmp_path, settings, sentence):
+    with pytest.raises(InputError, match=sentence):
+        generate_fixed(damped(), tmp_path / "code", **settings)
+    assert not list(tmp_path.iterdir())
+
+
+def test_whole_numbers_need_a_discrete_law_with_channels(tmp_path):
+    deaf = StateSpace([[0.5]], np.zeros((1, 0)), [[1.0]], np.zeros((1, 0)), rate_hz=RATE_HZ)
+    for law, sentence in [(gain(rate_hz=None), "continuous time"), (deaf, "needs measurements"), (None, "NoneType")]:
+        with pytest.raises(InputError, match=sentence):
+            generate_fixed(law, tmp_path / "code")
+
+
+def test_a_loop_that_is_unstable_as_designed_is_never_ok(tmp_path):
+    plant = StateSpace([[1.1]], [[1.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
+    made = generate(damped(), tmp_path / "code", plant=plant)
+    assert not made.status.ok
+    assert "as designed has a pole at" in made.status.sentence
+
+
+def test_what_needs_a_deployment_in_floating_point(tmp_path):
+    whole = generate_fixed(damped(), tmp_path / "whole")
+    made = generate(damped(), tmp_path / "code")
+    calls = [
+        lambda: Frame().simulate(whole, 10),
+        lambda: Frame().controller(whole),
+        lambda: Processor(whole),
+        lambda: c31_code(damped()),
+        lambda: made.bank(3),
+        lambda: made.verify(10, -1),
+        lambda: whole.verify(10, -1),
+        lambda: Frame().simulate(made, 10, seed=-1),
+        lambda: Frame(overloads=3),
+        lambda: word_lengths(damped(), precisions=3),
+    ]
+    for call in calls:
+        with pytest.raises(InputError):
+            call()

@@ -86,6 +86,8 @@ def coefficients_internal(law: Law) -> bool:
 
 
 def _require(law: Law) -> None:
+    if not isinstance(law, Law):
+        raise InputError(f"deploy: C31 assembly needs the rounded law, `generate(...).law`, got {type(law).__name__}.")
     if law.form not in FORMS:
         raise InputError(
             f"deploy: C31 assembly is written for modal, delta and bank form, not for {law.form}; take form='modal' or"

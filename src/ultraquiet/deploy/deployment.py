@@ -1,6 +1,5 @@
 """From a controller to a folder of C99 that proves itself."""
 
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cached_property, partial
@@ -16,13 +15,13 @@ from ultraquiet.bench import Bench
 from ultraquiet.deploy import budget, emit, script, toolchain
 from ultraquiet.deploy.antiwindup import Wish, wish
 from ultraquiet.deploy.c31_emit import c31_files
-from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of
+from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of, loop_radius
 from ultraquiet.deploy.coefficients import CoefficientBank
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
 from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
-from ultraquiet.deploy.law import DTYPES, OVERRUN_LIMIT, Law, actuator_limits, rounded
+from ultraquiet.deploy.law import DTYPES, OVERRUN_LIMIT, Law, actuator_limits, require_discrete, require_plant, rounded
 from ultraquiet.deploy.realise import FORMS, realisation
 from ultraquiet.deploy.reanalyse import reanalysis
 from ultraquiet.deploy.retune import anti_windup_gain, bank_for
@@ -110,7 +109,9 @@ class Deployment:
             fuzz_steps: random steps under the compiler's sanitizers; 0 for none.
         """
         whole("Deployment.verify", "steps", steps, 1)
+        whole("Deployment.verify", "seed", seed, 0)
         whole("Deployment.verify", "fuzz_steps", fuzz_steps, 0)
+        require_plant(plant)
         plant = self.plant if plant is None else plant
         found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets, fuzz_steps)
         law = self.quantised if self.designed is None else self.designed
@@ -205,6 +206,7 @@ def generate(
     """
     folder = Path(folder).absolute()
     _check(controller, precision, name, form, targets)
+    require_plant(plant)
     between("deploy", "tolerance", tolerance, 0.0, 1.0)
     whole("deploy", "budget_cycles", budget_cycles, 1)
     limits = actuator_limits(limits_v, controller.D.shape[0])
@@ -238,7 +240,7 @@ def generate(
     if enforce_budget or budget_share is not None:
         budget.require_fit(choice.law, budget_cycles, 1.0 if budget_share is None else budget_share)
     what = "the response" if plant is None else "the loop's sensitivity"
-    status = _status(controller, choice, tolerance, what)
+    status = _status(controller, choice, tolerance, what, plant)
     rows = script.self_test(choice.law)
     files = emit.sources(choice.law, rows, controller.hash)
     tables = _tables(choice, budget_cycles) | {"anti_windup_because": why} | footprint(choice.law, files)
@@ -251,20 +253,13 @@ def generate(
 
 
 def _check(controller: StateSpace, precision: str, name: str, form: str, targets: Sequence[str]) -> None:
-    if not isinstance(controller, StateSpace):
-        raise InputError(f"deploy: 'controller' must be a StateSpace, got {type(controller).__name__}.")
-    if controller.rate_hz is None:
-        raise InputError("deploy: the controller is in continuous time; discretise it at the bench's rate first.")
-    if 0 in controller.D.shape:
-        raise InputError(f"deploy: a controller needs measurements and commands, got D of shape {controller.D.shape}.")
+    require_discrete(controller, name)
     one_of("deploy", "precision", precision, tuple(DTYPES))
     one_of("deploy", "form", form, ("auto", *FORMS))
-    if isinstance(targets, str) or "c99" not in targets:
+    if isinstance(targets, str) or not isinstance(targets, Sequence) or "c99" not in targets:
         raise InputError(f"deploy: 'targets' must list 'c99' and may list 'c31', got {targets!r}.")
     for target in targets:
         one_of("deploy", "targets", target, TARGET_CODES)
-    if not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
-        raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
 
 
 def _aware(
@@ -301,8 +296,10 @@ def _choice(controller: StateSpace, form: str, make: Any, plant: StateSpace | No
     return Choice(law, error, {form: error}, condition)
 
 
-def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str) -> Status:
+def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str, plant: StateSpace | None) -> Status:
     law = choice.law
+    if plant is not None and (radius := loop_radius(plant, controller)) >= 1.0:
+        return Status("unstable", f"The loop of this plant and the controller as designed has a pole at {radius:.6f}.")
     if not controller.is_stable():
         return Status("unstable", "The controller itself is unstable: it runs to its limits whenever the loop opens.")
     if not law.state_space().is_stable():

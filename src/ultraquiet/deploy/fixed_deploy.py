@@ -1,6 +1,7 @@
 """From a controller to a folder of whole-number C99, with its bounds, twin and self-test."""
 
 import ctypes
+import math
 import tempfile
 import time
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, between, positive, whole
+from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy import toolchain
 from ultraquiet.deploy.choose import TOLERANCE, error_of
@@ -20,12 +21,15 @@ from ultraquiet.deploy.emit import FLAGS, render
 from ultraquiet.deploy.fixed_point import FixedLaw, Whole, fixed_law
 from ultraquiet.deploy.fixed_twin import FixedTwin, words
 from ultraquiet.deploy.folder import manifest_text, require_ours, write_folder
+from ultraquiet.deploy.law import require_discrete, require_plant
 from ultraquiet.deploy.script import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP, MASK
 from ultraquiet.deploy.toolchain import call, compile_c
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
 STEPS = 20_000
+# The level of a ramp counts in bits of the word; 2^18 steps, 75 s at 3.5 kHz, are as many as the self-test can climb.
+RAMP_BITS = {"q15": 14, "q31": 18}
 FILES = {
     "fixed.h.j2": "{name}.h",
     "fixed.c.j2": "{name}.c",
@@ -71,6 +75,7 @@ class FixedDeployment:
     def verify(self, steps: int = STEPS, seed: int = 0) -> FixedVerification:
         """Compile the code and compare `steps` samples over the whole range, and the self-test, with the twin."""
         whole("FixedDeployment.verify", "steps", steps, 1)
+        whole("FixedDeployment.verify", "seed", seed, 0)
         cc = toolchain.compiler()
         if cc is None:
             return FixedVerification(Status("no compiler", "No C compiler was found (cc, gcc, clang or $CC)."), None)
@@ -160,7 +165,8 @@ def generate_fixed(
         tolerance: largest relative error of coefficients, and largest rounding noise as a share of the range.
 
     Raises:
-        InputError: a law or a loop that rounding makes unstable, or that loses more than `tolerance`.
+        InputError: a law in continuous time, one that rounding makes unstable or that loses more than `tolerance`, bad
+            settings.
         StorageError: the folder cannot be written or holds something else.
 
     >>> import tempfile
@@ -169,9 +175,15 @@ def generate_fixed(
     'ok'
     """
     folder = Path(folder).absolute()
+    require_discrete(controller, name)
+    require_plant(plant)
+    one_of("generate_fixed", "word", word, tuple(RAMP_BITS))
     between("generate_fixed", "tolerance", tolerance, 0.0, 1.0)
-    steps = positive("generate_fixed", "ramp_s", ramp_s, "s") * float(controller.rate_hz or 1.0)
-    bits = int(np.clip(np.rint(np.log2(max(steps, 1.0))), 0, {"q15": 14, "q31": 24}.get(word, 0)))
+    steps = positive("generate_fixed", "ramp_s", ramp_s, "s") * float(controller.rate_hz or 0)
+    bits = round(math.log2(max(steps, 1.0)))
+    if bits > RAMP_BITS[word]:
+        longest = 2 ** RAMP_BITS[word] / float(controller.rate_hz or 0)
+        raise InputError(f"generate_fixed: 'ramp_s' may be {longest:.3g} s in {word} at this rate, got {ramp_s:g} s.")
     require_ours(folder)
     settings: dict[str, Any] = {"scaling": scaling, "input_v": input_v, "output_v": output_v, "name": name}
     law, error = _best(controller, word, form, plant, settings | {"ramp_bits": bits})

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, between, frozen, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.frame_times import FrameTimes
+from ultraquiet.deploy.law import require_floating
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
@@ -100,6 +101,8 @@ class Frame:
         between("Frame", "interrupt_s", self.interrupt_s, 0.0, np.inf, "s")
         if self.restart_s is not None:
             positive("Frame", "restart_s", self.restart_s, "s")
+        if not isinstance(self.overloads, tuple) or not all(isinstance(load, Overload) for load in self.overloads):
+            raise InputError(f"Frame: 'overloads' must be a tuple of Overload, got {self.overloads!r}.")
         if self.load + self.interrupt_hz * self.interrupt_s >= 1.0:
             raise InputError(
                 f"Frame: background ({self.load:g}) and interrupts ({self.interrupt_hz * self.interrupt_s:g}) leave"
@@ -132,6 +135,7 @@ class Frame:
         """
         from ultraquiet.deploy.frame_loop import run_frames
 
+        require_floating("Frame", made)
         return run_frames(self, made, frames, times or FrameTimes.c31(made.law), measurements, seed)
 
     def controller(
@@ -140,6 +144,7 @@ class Frame:
         """Return the law as a `Controller` for a bench: each sample is a frame, and a late command arrives late."""
         from ultraquiet.deploy.frame_controller import FrameController
 
+        require_floating("Frame", made)
         return FrameController(self, made, times or FrameTimes.c31(made.law), seed, ramp)
 
     def require(self, frames: int, period_s: float) -> None:
@@ -164,6 +169,7 @@ class Frame:
             InputError: as `require`.
         """
         self.require(frames, period_s)
+        whole("Frame", "seed", seed, 0)
         rng = np.random.default_rng(seed)
         stretch = 1.0 + self.contention * rng.random(frames)
         extra = np.zeros(frames)

@@ -1,5 +1,6 @@
 """The law as it will stand in the code: rounded coefficients, limits, ramp."""
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -152,6 +153,8 @@ def rounded(
             )
         return frozen(held)
 
+    if not np.all(cast(limits)[:, 0] < cast(limits)[:, 1]):
+        raise InputError(f"deploy: in {precision} an actuator's range in 'limits_v' is empty, got {limits.tolist()}.")
     return Law(
         name=name,
         precision=precision,
@@ -179,7 +182,10 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
     >>> actuator_limits(25.0, 2).tolist()
     [[-25.0, 25.0], [-25.0, 25.0]]
     """
-    given = np.asarray(limits_v, dtype=np.float64)
+    try:
+        given = np.asarray(limits_v, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"deploy: '{what}' must be numbers in volts, got {limits_v!r} ({error}).") from None
     if given.ndim < 2:
         size = real_array("deploy", what, np.broadcast_to(given, (outputs,)) if given.size == 1 else given, 1)
         given = np.stack([-size, size], axis=1)
@@ -191,3 +197,39 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
             f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {held.tolist()}."
         )
     return held
+
+
+def require_discrete(controller: StateSpace, name: str) -> None:
+    """Refuse what no code can be generated for: no discrete law with measurements and commands, or no C name.
+
+    Raises:
+        InputError: the first of these that fails.
+    """
+    if not isinstance(controller, StateSpace):
+        raise InputError(f"deploy: 'controller' must be a StateSpace, got {type(controller).__name__}.")
+    if controller.rate_hz is None:
+        raise InputError("deploy: the controller is in continuous time; discretise it at the bench's rate first.")
+    if 0 in controller.D.shape:
+        raise InputError(f"deploy: a controller needs measurements and commands, got D of shape {controller.D.shape}.")
+    if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
+        raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
+
+
+def require_plant(plant: StateSpace | None) -> None:
+    """Refuse a plant that is no state space.
+
+    Raises:
+        InputError: with its type.
+    """
+    if plant is not None and not isinstance(plant, StateSpace):
+        raise InputError(f"deploy: 'plant' must be a StateSpace, got {type(plant).__name__}.")
+
+
+def require_floating(who: str, made: object) -> None:
+    """Refuse what is no deployment of a floating-point law, such as whole-number code.
+
+    Raises:
+        InputError: with what was given.
+    """
+    if not isinstance(getattr(made, "law", None), Law):
+        raise InputError(f"{who}: needs what `generate` returned, got {type(made).__name__}.")

@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.choose import TOLERANCE, error_of, loop_radius, sensitivities
 from ultraquiet.deploy.fixed_point import WORDS, FixedLaw, fixed_law
-from ultraquiet.deploy.law import DTYPES, Law, rounded
+from ultraquiet.deploy.law import DTYPES, Law, require_plant, rounded
 from ultraquiet.deploy.realise import FORMS, realisation
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -80,6 +80,9 @@ def word_lengths(
         raise InputError("word_lengths: the controller must be a StateSpace in discrete time.")
     positive("word_lengths", "input_v", input_v, "V")
     positive("word_lengths", "output_v", output_v, "V")
+    require_plant(plant)
+    if not isinstance(precisions, Sequence):
+        raise InputError(f"word_lengths: 'precisions' must list some of {', '.join(PRECISIONS)}, got {precisions!r}.")
     before = 0.0 if plant is None else loop_radius(plant, controller)
     if before >= 1.0:
         raise InputError(

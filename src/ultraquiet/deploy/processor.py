@@ -28,7 +28,7 @@ from ultraquiet.deploy.cortex import (
     instructions,
     reply_type,
 )
-from ultraquiet.deploy.law import Rounded
+from ultraquiet.deploy.law import Rounded, require_floating
 from ultraquiet.deploy.targets import target_named
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ class Processor:
     def __init__(
         self, deployment: "Deployment", target: str = "cortex-m7", ramp: bool = False, timeout_s: float = ANSWER_S
     ) -> None:
+        require_floating("Processor", deployment)
         self.law, self.target, self.ramp = deployment.law, target_named(target), ramp
         self.timeout_s = positive("Processor", "timeout_s", timeout_s, "s")
         self._frame, self._reply = np.zeros(1, frame_type(self.law)), np.zeros(1, reply_type(self.law))
@@ -115,6 +116,8 @@ class Processor:
 
     def step(self, y: FloatArray) -> FloatArray:
         """Return the commands `(nu,)` in volts for measurements `(ny,)` and advance."""
+        if np.shape(y) != (self.law.inputs,):
+            raise InputError(f"Processor: a sample must be ({self.law.inputs},), got {np.shape(y)}.")
         self._frame["y"][0] = y
         self._ask(ASK_STEP)
         reply = self._reply[0]

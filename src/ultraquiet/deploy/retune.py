@@ -4,7 +4,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.antiwindup import conditioning_gain
 from ultraquiet.deploy.coefficients import CoefficientBank, fitting_bank
-from ultraquiet.deploy.law import Law, rounded
+from ultraquiet.deploy.law import Law, require_discrete, rounded
 from ultraquiet.deploy.realise import Realisation, realisation
 from ultraquiet.values.state_space import StateSpace
 
@@ -15,6 +15,7 @@ def law_like(running: Law, controller: StateSpace) -> Law:
     Raises:
         InputError: another sampling rate, or no such form for this controller.
     """
+    require_discrete(controller, running.name)
     if controller.rate_hz != running.rate_hz:
         raise InputError(f"deploy: the code runs at {running.rate_hz:g} Hz, the controller at {controller.rate_hz} Hz.")
     parts = realisation(controller, running.form)
