@@ -113,6 +113,7 @@ def test_a_silent_emulator_is_given_up(law_of, tmp_path):
     processor = Processor(generate(law_of(2), tmp_path / "code", ramp_s=0.01), timeout_s=0.5)
     assert processor._process is not None
     os.kill(processor._process.pid, signal.SIGSTOP)
+    os.waitpid(processor._process.pid, os.WUNTRACED)  # every thread has stopped
     with pytest.raises(ToolError, match=r"did not answer for 0.5 s"):
         processor.step(np.zeros(6))
     os.kill(processor._process.pid, signal.SIGCONT)
