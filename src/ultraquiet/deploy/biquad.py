@@ -96,7 +96,7 @@ def _gains(D: FloatArray, found: list[Any]) -> FloatArray:
             f"deploy: a bank needs a direct gain within its channels, but {left:.1e} V/V of this law's lie between"
             " them; take form='modal' or 'auto'."
         )
-    return gains
+    return np.asarray(gains, dtype=np.float64)
 
 
 def _channel(law: StateSpace, t: FloatArray, s: FloatArray, parts: list[NDArray[np.intp]], gain: float) -> Channel:
