@@ -1,6 +1,9 @@
 """The stage that says what no controller can reach, and how far each design is from it."""
 
+import os
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any
 
 from ultraquiet import limits
@@ -22,15 +25,14 @@ def bounded(plant: StateSpace, laws: Mapping[str, StateSpace], band_hz: tuple[fl
     What has no limit, an unstable plant of several channels for instance, says so in its `status`.
     """
     bands = [BROADEST_HZ, *([band_hz] if band_hz != BROADEST_HZ else [])]
-    with task("limits", len(bands) + len(laws)) as progress:
-        told = []
-        for band in bands:
-            told.append(_of_band(plant, band))
-            progress.advance(note=told[-1]["status"])
-        designs = {}
-        for name, law in laws.items():
-            designs[name] = _of_design(plant, law, band_hz)
-            progress.advance(note=designs[name]["status"])
+    jobs = [partial(_of_band, plant, band) for band in bands]
+    jobs += [partial(_of_design, plant, law, band_hz) for law in laws.values()]
+    with task("limits", len(jobs)) as progress, ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = []
+        for facts in pool.map(lambda job: job(), jobs):
+            found.append(facts)
+            progress.advance(note=facts["status"])
+    told, designs = found[: len(bands)], dict(zip(laws, found[len(bands) :], strict=True))
     return Outcome({}, {"bands": told, "designs": designs})
 
 
