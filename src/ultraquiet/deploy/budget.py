@@ -200,5 +200,5 @@ def require_fit(law: Law, budget: int, share: float = 1.0) -> None:
     raise InputError(
         f"deploy: {law.order} states in {law.form} form{' with anti-windup' if given['anti_windup'] else ''} need"
         f" {need} of {of} C31 instructions; the largest order that would fit is {fits} in this form and {modal} in"
-        " plain modal form, so reduce the controller or allow it a larger share of the budget (budget_share, enforce_budget)."
+        " plain modal form, so reduce the controller or allow it more of the budget (budget_share, enforce_budget)."
     )
