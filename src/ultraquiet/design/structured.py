@@ -27,7 +27,7 @@ from ultraquiet.values.status import Status
 STRUCTURES = ("alike", "apart", "full")
 STEPS = 60
 ROUNDS = 5
-CALMER = 0.98  # and laws that miss a hard requirement by this
+LEAST_DB = 0.02  # by which a peak that was missed is asked to be lower
 WISHES = ("attenuation_db", "tone_")  # requirements that a law turned down only misses by more
 QUIETER = 0.7  # a start that is unstable with the plant is turned down by this factor, again and again
 TURNS = 40
@@ -143,17 +143,39 @@ def tuned(
 
 
 def _within(problem: Problem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> FloatArray:
-    """Return the law turned down a little at a time until what is hard is met, where that can be had so.
+    """Return a law that meets what is hard, by the exact norms of the finished loop, where one is found.
 
-    Judged by the norms of the finished loop: a grid may miss the last per mille of a peak.
+    A search stops a per mille beside a bound, and a grid may miss the top of a peak: it is asked again for a little
+    more than is wanted, and at last the law is turned down.
     """
-    trial = theta
-    for _ in range(TURNS):
-        score = wanted.score(plant, problem.plane.from_plane(problem.layout.system(trial)))
-        if not any(v > 0 for k, v in score.shortfall.items() if not k.startswith(WISHES)):
+    trial, asked = theta, wanted
+    for _ in range(ROUNDS):
+        missing = _hard(problem, trial, plant, wanted)
+        if not missing:
             return trial
-        trial = _turned(problem, trial, CALMER)
+        asked = _tightened(asked, missing)
+        trial = balanced(posed(plant, problem.layout, asked), trial, STEPS, ROUNDS)[0]
+    for _ in range(TURNS):
+        if not _hard(problem, trial, plant, wanted):
+            return trial
+        trial = _turned(problem, trial, QUIETER)
     return theta
+
+
+def _hard(problem: Problem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> dict[str, float]:
+    """Return what a law misses of the requirements that are more than wishes."""
+    score = wanted.score(plant, problem.plane.from_plane(problem.layout.system(theta)))
+    return {k: v for k, v in score.shortfall.items() if v > 0 and not k.startswith(WISHES)}
+
+
+def _tightened(wanted: Specification, missing: Mapping[str, float]) -> Specification:
+    """Return a specification that asks for twice what is missing more."""
+    more: dict[str, float] = {}
+    if np.isfinite(missing.get("peak_db", np.nan)):
+        more["peak_db"] = wanted.peak_db - max(2 * missing["peak_db"], LEAST_DB)
+    if np.isfinite(missing.get("control_gain", np.nan)):
+        more["control_limit"] = wanted.control_limit / (1 + 2 * missing["control_gain"])
+    return replace(wanted, **more) if more.get("peak_db", 1.0) > 0 else wanted
 
 
 def posed(plant: StateSpace, layout: Layout, wanted: Specification) -> Problem:
