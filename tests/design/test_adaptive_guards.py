@@ -55,7 +55,8 @@ def test_rubbish_never_leaves(method, rubbish, around, seed):
     assert np.isfinite(u).all()
     if not abs(rubbish) < 1e6:
         assert law.status.word == "diverged"
-        assert np.abs(np.diff(u[1499:1503], axis=0)).max() <= np.abs(u[1499]).max() / 100 * 1.01
+        # a hundred steps to rest, from the level at which the ramp began: the law may have been on its way already
+        assert np.abs(np.diff(u[1499:1503], axis=0)).max() <= np.abs(u[1400:1500]).max() / 100 * 1.01
         if not around:
             assert not u[-1].any()
 
