@@ -3,6 +3,7 @@
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import c31_numbers as num
 import numpy as np
@@ -165,6 +166,52 @@ def check_bits(law, rng, steps):
     print(f"{law.form}: {steps} steps alike, {clipped} of {commands} commands limited, cycles {counts_per_step}")
     assert 0 < clipped < commands
     assert len(counts_per_step) == 1
+
+
+@pytest.mark.parametrize("limit_v", [25.0, 10.0, 3.4e38, [-25.0, 4.0], [-10.0, 1e4]])
+@pytest.mark.parametrize("anti_windup", [False, True])
+def test_a_command_beyond_the_converter_stays_at_its_end(limit_v, anti_windup, rng):
+    low_high = np.tile(limit_v, (6, 1)) if isinstance(limit_v, list) else limit_v
+    check_codes(louder(law_in(rng, 8, "modal", anti_windup, limit_v=low_high)), rng)
+    check_codes(louder(bank_in(rng, (2, 0, 1, 1, 1, 1), "bank", anti_windup, limit_v=low_high)), rng)
+
+
+def louder(law):
+    """Return the law with 32 times its commands: a power of two, so every coefficient stays one of the C31's."""
+    L = None if law.L is None else law.L / np.float32(32)
+    return replace(law, C=law.C * np.float32(32), D=law.D * np.float32(32), L=L)
+
+
+def check_codes(law, rng):
+    """Read the converters as 16 bits, which is all they have, and compare with the command held within both ranges."""
+    full_v, count_v = 10.0, 10.0 / 2**15
+    low, high = np.clip(law.limits.astype(float), -full_v, full_v).T
+    machine, beyond = machine_of(law), 0
+    for _ in range(100):
+        feed(machine, rng.integers(-(2**15), 2**15, law.inputs) // 2 ** int(rng.integers(12)))
+        machine.run("controller_frame")
+        raw = held(machine, "u", law.outputs)
+        sent = [machine.memory[machine.program.symbols["DAC"] + i] for i in range(law.outputs)]
+        seen_v = np.array(sent, dtype=np.uint32).astype(np.uint16).view(np.int16) * count_v
+        assert np.abs(seen_v - np.clip(raw, low, high)).max() <= 1.01 * count_v, (raw, seen_v)
+        beyond += int((np.abs(raw) > full_v).sum())
+    print(f"{law.form}, limits {low[0]:g} to {high[0]:g} V: {beyond} commands beyond the converter")
+    assert beyond
+
+
+def test_a_state_that_grows_beyond_all_numbers_sends_no_other_code(rng):
+    """The C31 knows neither NaN nor infinity: sums stay at the largest number, and the code at the converter's end."""
+    law = law_in(rng, 2, inputs=1, outputs=1, limit_v=25.0)
+    block = np.diag([1e4, 1e4]).astype(np.float32)
+    gains = {"B": np.ones_like(law.B), "C": np.ones_like(law.C), "D": np.zeros_like(law.D)}
+    machine = machine_of(replace(law, blocks=(block,), **gains))
+    feed(machine, [1000])
+    codes = []
+    for _ in range(40):
+        machine.run("controller_frame")
+        codes.append(machine.memory[machine.program.symbols["DAC"]])
+    assert held(machine, "u", 1)[0] > 1e38
+    assert set(codes[2:]) == {2**15 - 1}
 
 
 @pytest.mark.parametrize("form", ["modal", "delta"])

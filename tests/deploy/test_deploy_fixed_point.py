@@ -246,3 +246,12 @@ def test_unstable_rounded_loop_is_said_to_be(rng):
     assert rows["float32", "modal"].degradation_db == np.inf
     assert rows["float32", "delta"].status.ok
     assert rows["q15", "modal"].status.word == "refused"
+
+
+def test_a_converter_saturates_and_has_no_code_for_nan():
+    for bits in (16, 32):
+        top = 2 ** (bits - 1) - 1
+        codes = words([15.0, -15.0, np.inf, -np.inf, 5.0], 10.0, bits)
+        assert codes.tolist() == [top, -top, top, -top, 2 ** (bits - 2)]
+        with pytest.raises(InputError, match="a measurement that is NaN has no code"):
+            words([1.0, np.nan], 10.0, bits)

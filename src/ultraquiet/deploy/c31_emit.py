@@ -19,6 +19,10 @@ EXTERNAL = 0x80A000
 # Converters of a board that is not known: addresses, and 16 bits over +-10 V in, +-10 V out.
 ADC, DAC = 0xA00000, 0xA00010
 VOLTS_PER_COUNT, COUNTS_PER_VOLT = 10.0 / 2**15, 2**15 / 10.0
+# A code beyond 16 bits would wrap round to the other end. The lowest code is left as room: the factor's 24 bits lie a
+# little above the true one and FIX goes downwards, so -10 V itself would become -32769, which the converter takes for
+# +32767.
+MOST_COUNTS = 2**15 - 1
 SECTION_STEP = 32  # section origins are multiples of this, at least the alignment of the ring
 FORMS = ("modal", "delta", "bank", "bank-delta")
 MOST_REPEATS = 2**15  # an immediate of RPTS is 16 bits, taken as signed to be safe
@@ -39,8 +43,10 @@ class C31Code:
 def c31_code(law: Law, model_hash: str = "") -> C31Code:
     """Return one frame of the law as C31 assembly: converters, output, limits, converters, update.
 
-    The kernel takes `budget.kernel_of` cycles, the rest at most `budget.skeleton_cycles`. Ramps,
-    faults and overruns are left to the background; the C99 code holds them.
+    The kernel takes `budget.kernel_of` cycles, the rest at most `budget.skeleton_cycles`. Every command
+    is held within the actuator's limits and the converter's range before it becomes a code; the C31 has
+    no NaN or infinity, a sum beyond its numbers stays at their end. Ramps, faults and overruns are left
+    to the background; the C99 code holds them.
 
     Args:
         law: in modal, delta or bank form, a bank without transforms.
@@ -83,6 +89,12 @@ def c31_files(law: Law, model_hash: str) -> dict[str, str]:
 def coefficients_internal(law: Law) -> bool:
     """Return whether the kernel's coefficients fit internal block 1; else they stream from external memory."""
     return len(_stream(law)) <= COEFFICIENTS_END - BLOCK_1
+
+
+def converter_limits(law: Law) -> FloatArray:
+    """Return the range of each command in volts, `(nu, 2)`: the actuator's limits, and nothing the converter cannot."""
+    most = MOST_COUNTS / COUNTS_PER_VOLT
+    return np.clip(law.limits.astype(np.float64), -most, most)
 
 
 def _require(law: Law) -> None:
@@ -134,7 +146,8 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
         "dac": f"0x{DAC:06X}",
         "adc_scale": _words([VOLTS_PER_COUNT])[0][0],
         "dac_scale": _words([COUNTS_PER_VOLT])[0][0],
-        "limits": _words(law.limits),
+        "limits": _words(converter_limits(law)),
+        "most_counts": MOST_COUNTS,
         "coefficients": _words(_stream(law)),
         "place": "internal block 1" if coefficients_internal(law) else "external memory without wait states",
         "kernel_cycles": budget.kernel_of(law),

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.fixed_point import FixedLaw, Whole
 
 
@@ -90,7 +91,13 @@ class FixedTwin:
 
 
 def words(y: ArrayLike, range_v: float, bits: int) -> Whole:
-    """Return volts as a converter of this range and word gives them."""
+    """Return volts as a converter of this range and word gives them, saturated at its ends.
+
+    Raises:
+        InputError: NaN, for which no converter has a code.
+    """
+    if np.any(np.isnan(y)):
+        raise InputError("deploy: a measurement that is NaN has no code; check the sensors.")
     top = 2 ** (bits - 1) - 1
     return np.clip(np.rint(np.asarray(y) * (2.0 ** (bits - 1) / range_v)), -top, top).astype(np.int64)
 
