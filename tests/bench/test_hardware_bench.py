@@ -376,12 +376,14 @@ def test_the_pacer_keeps_time_and_counts_what_it_misses():
 
 
 DRIVER = """
-import sys, time
+import signal, sys, time
 import numpy as np
 from ultraquiet.bench import Hardware, Interlocks
 from ultraquiet.values import Channel
 
 out = open(sys.argv[1], "w", buffering=1)
+for number in (signal.SIGHUP, signal.SIGQUIT):
+    signal.signal(number, getattr(signal, sys.argv[3]))
 bench = Hardware(
     lambda u: out.write(f"{float(u[0])!r}\\n"), lambda: [0.0], 1000.0, [Channel("push", "V", -10.0, 10.0)], ["speed"],
     Interlocks(slew_v_per_s=100.0, frame_s=30.0, late_frames=10**9), None,
@@ -393,25 +395,65 @@ for block in bench.stream(u):
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def driven(log, busy_s, handling):
+    words = [sys.executable, "-c", DRIVER, str(log), str(busy_s), handling]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+
+
+def written_to(log):
+    return np.array([0.0, *(float(line) for line in log.read_text().splitlines())])
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGINT])
 @pytest.mark.parametrize("busy_s", [0.0, 0.2])  # caught inside the loop, or while its blocks are being stored
 def test_a_program_that_is_ended_from_outside_comes_down_softly(number, busy_s, tmp_path, rng):
     log = tmp_path / "written"
-    driver = subprocess.Popen(
-        [sys.executable, "-c", DRIVER, str(log), str(busy_s)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
-    with driver:
+    with driven(log, busy_s, "SIG_DFL") as driver:
         driver.stdout.readline()
         time.sleep(rng.uniform(0.0, 0.3))
         driver.send_signal(number)
         driver.stdout.read()
-    sent = np.array([0.0, *(float(line) for line in log.read_text().splitlines())])
+    sent = written_to(log)
     assert driver.returncode in (128 + number, -number)
     assert sent[-1] == 0.0
     assert len(sent) > 175
     jump = np.abs(np.diff(sent)).max()
     print(f"signal {number.name} after {len(sent)} writes: largest jump {jump:.4g} V of 0.1 V")
     assert 0.0 < jump <= 0.1 * (1 + 1e-9)
+
+
+def test_what_is_ignored_stays_ignored(tmp_path):
+    """As under `nohup`: the run goes on after its terminal is gone, and obeys `kill`."""
+    log = tmp_path / "written"
+    with driven(log, 0.0, "SIG_IGN") as driver:
+        driver.stdout.readline()
+        for number in (signal.SIGHUP, signal.SIGQUIT):
+            driver.send_signal(number)
+            time.sleep(0.2)
+        before = len(written_to(log))
+        for _ in range(3):
+            assert driver.stdout.readline()
+        driver.terminate()
+        driver.stdout.read()
+    sent = written_to(log)
+    assert driver.returncode == 128 + signal.SIGTERM
+    assert len(sent) > before
+    assert sent[-1] == 0.0
+    assert np.abs(np.diff(sent)).max() <= 0.1 * (1 + 1e-9)
+
+
+def test_handlers_are_what_they_were_once_a_run_is_over(rng):
+    ends = (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+    outside = [signal.signal(number, signal.SIG_DFL) for number in ends]
+    try:
+        stream = Lab().bench().stream(smooth(rng, 100), block_samples=10)
+        next(stream)
+        assert signal.SIG_DFL not in [signal.getsignal(number) for number in ends]
+        stream.close()
+        assert {signal.getsignal(number) for number in ends} == {signal.SIG_DFL}
+    finally:
+        for number, handler in zip(ends, outside, strict=True):
+            signal.signal(number, handler)
 
 
 @settings(max_examples=200, deadline=None)

@@ -192,10 +192,11 @@ def laboratory(tmp_path):
 
     children = []
 
-    def start(text, *more):
+    def start(text, *more, ends="SIG_DFL"):
         (tmp_path / "list.toml").write_text(bench + text)
         words = ["experiment", str(tmp_path / "list.toml"), "--out", str(tmp_path / "out"), *more]
-        script = "import sys\nfrom ultraquiet.cli import main\nmain()"
+        handling = "\n".join(f"signal.signal(signal.{name}, signal.{ends})" for name in ("SIGHUP", "SIGQUIT"))
+        script = f"import signal\n{handling}\nfrom ultraquiet.cli import main\nmain()"
         # A session of its own, so that a signal to all of it is what Ctrl-C in a terminal is.
         child = subprocess.Popen(
             [sys.executable, "-c", script, *words],
@@ -215,7 +216,7 @@ def laboratory(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
-@pytest.mark.parametrize("wish", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("wish", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_ctrl_c_ramps_to_zero_and_says_where_everything_stands(laboratory, tmp_path, wish):
     """Asked twice, with 8 V on the actuator: no step of the way down is larger than the ramp's."""
     child = laboratory(SLOW)
@@ -246,6 +247,21 @@ def test_ctrl_c_ramps_to_zero_and_says_where_everything_stands(laboratory, tmp_p
     rows = {e.name: (e.status, e.file) for e in experiments.find(tmp_path / "out")}
     assert rows["long"] == ("ABORTED", "long.partial.h5")
     assert rows["never"] == ("NOT STARTED", "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals to processes are POSIX")
+def test_under_nohup_a_run_outlives_its_terminal(laboratory, tmp_path):
+    child = laboratory(SLOW, ends="SIG_IGN")
+    log, sent = tmp_path / "out" / "long.log", tmp_path / "sent.txt"
+    in_time(log.exists, child)
+    for number in (signal.SIGHUP, signal.SIGQUIT):
+        os.kill(child.pid, number)
+    before = sent.read_text().count("\n")
+    in_time(lambda: sent.read_text().count("\n") > before + 2000, child)  # several ramps later
+    child.terminate()
+    out, err = child.communicate(timeout=60)
+    assert child.returncode == 130, err
+    assert re.search(r"long +│ ABORTED", out)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals to processes are POSIX")

@@ -28,8 +28,9 @@ class Hardware(Stepped):
 
     At frame k it waits for its time, writes the command formed in the frame before plus the disturbance of this one,
     and reads. What is known to trip an interlock is refused before anything moves. However a run ends (its end, a
-    stop, an interlock, an error, Ctrl-C, SIGTERM, an iterator that is closed), the actuators are led from the last
-    value written to zero within the slew limit, and zeros are written at the very end. See docs/hardware.md.
+    stop, an interlock, an error, Ctrl-C, SIGTERM, SIGHUP, SIGQUIT, an iterator that is closed), the actuators are led
+    from the last value written to zero within the slew limit, and zeros are written at the very end. See
+    docs/hardware.md.
 
     A stop through `stream(stop=...)` takes the same way down with the controller off, and records it; differs from
     other benches, which fade the controller's command: a straight line is the one way that keeps any slew limit.

@@ -6,14 +6,16 @@ from types import FrameType
 from typing import Any
 
 # SIGKILL and a power cut reach no program: against them only a watch-dog in the hardware helps.
-ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+# Windows knows neither SIGHUP nor SIGQUIT.
+ENDINGS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGQUIT") if hasattr(signal, name))
 FATAL = 128  # the shell's exit code of a program that a signal ended is this much more
 
 
 class Termination:
     """Turns signals that would end Python on the spot into SystemExit, between `hold` and `release`.
 
-    Handlers that somebody else has installed stay in charge; outside the main thread nothing can be done.
+    Handlers that somebody else has installed stay in charge, and what is ignored stays ignored (SIGHUP under `nohup`);
+    outside the main thread nothing can be done.
     """
 
     def __init__(self) -> None:

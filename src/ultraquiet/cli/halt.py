@@ -6,8 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-# Ctrl-C, the polite end from outside, and the terminal that was closed (which Windows does not know).
-_WISHES = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+from ultraquiet.bench.termination import ENDINGS
+
+# These two are meant for this program by whoever sends them, even where a shell has it start with Ctrl-C ignored.
+_MEANT = (signal.SIGINT, signal.SIGTERM)
 
 
 class Halt:
@@ -28,13 +30,19 @@ class Halt:
 
 @contextmanager
 def halting() -> Iterator[Halt]:
-    """Turn SIGINT, SIGTERM and SIGHUP inside the block into a wish that the run asks for, block of samples by block."""
+    """Turn SIGINT and the signals that end a program into a wish that the run asks for, block of samples by block.
+
+    SIGHUP and SIGQUIT stay ignored where they are, as under `nohup`; afterwards every handler is what it was.
+    """
     halt = Halt()
     if threading.current_thread() is not threading.main_thread():
         yield halt  # signals reach the main thread alone; whoever runs this elsewhere stops it otherwise
         return
-    before = {number: signal.signal(number, halt.ask) for number in _WISHES}
+    held = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS)}
+    before = {n: handler for n, handler in held.items() if n in _MEANT or handler is not signal.SIG_IGN}
     try:
+        for number in before:
+            signal.signal(number, halt.ask)
         yield halt
     finally:
         for number, handler in before.items():
