@@ -1,7 +1,9 @@
 """What is left of a measurement that did not come to its end: never nothing, never called whole, never written over."""
 
 import errno
+import json
 import os
+import zlib
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench import Block, Hexapod
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.measure import Watch, measure, recover
+from ultraquiet.files import LogWriter
 from ultraquiet.files.frames import DATA, MAGIC
 
 LIST = """\
@@ -240,3 +243,76 @@ def test_a_full_disk_keeps_every_block_before(error, tmp_path, monkeypatch):
     assert recover(tmp_path) == {"push": tmp_path / "push.partial.h5"}
     assert files.load(tmp_path / "push.partial.h5").samples == 120
     assert names(tmp_path) == ["first.h5", "push.partial.h5"]
+
+
+def journal_of(folder, *entries):
+    """Write a journal whose sums are right."""
+    folder.mkdir(exist_ok=True)
+    bodies = [json.dumps(entry, sort_keys=True).encode() for entry in entries]
+    (folder / journal.FILE).write_bytes(b"".join(b"%08x %s\n" % (zlib.crc32(body), body) for body in bodies))
+
+
+def tree(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def empty_log(path):
+    with LogWriter(path, {"channels": [["a", "V", None, None]]}):
+        pass
+
+
+LEADING_OUT = [
+    "../victim",
+    "/victim",
+    "..",
+    ".",
+    "",
+    "sub/victim",
+    "sub\\victim",
+    "C:victim",
+    "a\0b",
+    "\ud800",
+    "n" * 300,
+]
+
+
+@pytest.mark.parametrize("name", [*LEADING_OUT, 3, None, ["victim"]])
+@pytest.mark.parametrize("event", ["begun", "planned"])
+def test_a_name_in_a_journal_never_leaves_its_folder(name, event, tmp_path):
+    folder = tmp_path / "records"
+    empty_log(tmp_path / "victim.log")
+    entry = {"name": name, "hash": "h"}
+    journal_of(folder, {"event": event, **({"measurements": [entry]} if event == "planned" else entry)})
+    before = tree(tmp_path)
+    for act in (recover, lambda place: run(place, Streamer(), resume=True)):
+        with pytest.raises(StorageError, match="is no name of a file in its folder; move") as told:
+            act(folder)
+        assert "\n" not in str(told.value)
+    assert [e.name for e in experiments.find(folder)] == []
+    assert {name: data for name, data in tree(tmp_path).items() if "catalogue" not in name} == before
+
+
+@pytest.mark.parametrize(
+    "entry", [{"event": "begun"}, "x", {"name": 3}, {"event": "begun", "name": "a", "hash": []}, []]
+)
+def test_a_sound_line_that_is_no_entry_is_one_sentence(entry, tmp_path):
+    journal_of(tmp_path, entry)
+    with pytest.raises(StorageError, match="holds at byte 0 what is no entry"):
+        recover(tmp_path)
+
+
+def test_a_link_out_of_the_folder_is_refused_and_a_folder_that_is_one_is_not(tmp_path):
+    folder, outside = tmp_path / "records", tmp_path / "victim.log"
+    empty_log(outside)
+    journal_of(folder, {"event": "begun", "name": "push", "hash": "h"})
+    (folder / "push.log").symlink_to(outside)
+    before = tree(tmp_path)
+    with pytest.raises(StorageError, match="is a link that leads out of its folder"):
+        recover(folder)
+    assert tree(tmp_path) == before
+    assert (folder / "push.log").is_symlink()
+    (folder / "push.log").unlink()
+    empty_log(folder / "push.log")
+    (tmp_path / "link").symlink_to(folder)
+    assert recover(tmp_path / "link") == {}
+    assert not (folder / "push.log").exists()

@@ -1,5 +1,6 @@
 """What a study refuses before anything moves, and which records it takes for its own."""
 
+import json
 import re
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet import experiments, pipeline
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.walk import _list_of, _prepare, _recorded, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()
@@ -87,3 +89,23 @@ def test_report_finds_the_list_that_stands_beside_the_study(tmp_path):
     _prepare(pipeline.load_study(tmp_path / "study.toml"), tmp_path / "out", tmp_path)
     again = pipeline.reload_study(tmp_path / "out")
     assert Path(_list_of(again, tmp_path / "out")) == tmp_path / "mine.toml"
+
+
+@pytest.mark.parametrize("path", ["../outside.h5", "models/../../outside.h5", "{absolute}", "models/link.h5", "", 3])
+def test_a_stage_reads_back_nothing_from_outside_its_folder(path, tmp_path):
+    folder, outside = tmp_path / "out", tmp_path / "outside.h5"
+    record = uq.Record([[1.0, 0.0]], [[0.1, 0.3]], rate_hz=3500.0)
+    uq.files.save(uq.Record([[9.0, 9.0]], [[9.0, 9.0]], rate_hz=3500.0), outside)
+    cache = Cache(folder)
+
+    def take():
+        return cache.stage("plant", "models", "key", lambda: Outcome({"plant": record}))
+
+    assert [take().reused for _ in range(2)] == [False, True]
+    (folder / "models" / "link.h5").symlink_to(outside)
+    facts = folder / "stages" / "plant.json"
+    held = json.loads(facts.read_text())
+    held["values"]["plant"] = str(outside) if path == "{absolute}" else path
+    facts.write_text(json.dumps(held))
+    again = take()
+    assert (again.reused, again.values["plant"].hash) == (False, record.hash)

@@ -15,6 +15,7 @@ from typing import Any
 
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files import reason
+from ultraquiet.files.names import is_plain, told
 
 FILE = "journal.txt"
 
@@ -23,7 +24,8 @@ def entries(folder: Path) -> list[dict[str, Any]]:
     """Return the entries of a folder's journal, oldest first; none when there is no journal.
 
     Raises:
-        StorageError: the journal cannot be read, or is damaged before its last line.
+        StorageError: the journal cannot be read, is damaged before its last line, or holds a sound line that is no
+            entry: another layout, or a name that is no file's name.
     """
     path = folder / FILE
     try:
@@ -113,8 +115,39 @@ def _sound(path: Path, data: bytes) -> Iterator[tuple[dict[str, Any], int]]:
             if b"\n" in data[end:]:
                 raise StorageError(f"journal: '{path}' is damaged at byte {end}; move the folder's records elsewhere.")
             return
+        entry = _entry(path, body, end)
         end += len(line)
-        yield json.loads(body), end
+        yield entry, end
+
+
+def _entry(path: Path, body: bytes, at: int) -> dict[str, Any]:
+    """Return the entry of a sound line, whose names become paths: a sum says that it is whole, not who wrote it."""
+    try:
+        entry = json.loads(body)
+        names = _names(entry)
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise StorageError(
+            f"journal: '{path}' holds at byte {at} what is no entry; move the folder's records elsewhere."
+        ) from None
+    for name in names:
+        if not is_plain(name):
+            raise StorageError(
+                f"journal: '{path}' names {told(name)} at byte {at}, which is no name of a file in its folder; move "
+                "the folder's records elsewhere."
+            )
+    return entry
+
+
+def _names(entry: Any) -> list[Any]:
+    """Return the names of measurements in an entry."""
+    event = entry["event"]
+    if event == "planned":
+        return [measurement["name"] for measurement in entry["measurements"]]
+    if event not in ("begun", "aborted", "finished"):
+        return []
+    if not isinstance(entry["hash"], str):
+        raise TypeError(entry["hash"])
+    return [entry["name"]]
 
 
 def _lock(path: Path, handle: int) -> None:

@@ -18,6 +18,7 @@ from ultraquiet.experiments import journal
 from ultraquiet.experiments.listed import ExperimentList
 from ultraquiet.experiments.plan import Measurement, volts
 from ultraquiet.files import LogWriter, finalise, log_header, read_log
+from ultraquiet.files.names import inside
 from ultraquiet.values import Record
 from ultraquiet.values.channel import at_limits
 
@@ -55,17 +56,17 @@ class Measured:
 
 def path_of(folder: Path, name: str) -> Path:
     """Return the file of a record."""
-    return folder / f"{name}.h5"
+    return inside("experiment", folder, f"{name}.h5")
 
 
 def log_path_of(folder: Path, name: str) -> Path:
     """Return the file a measurement writes to while it runs."""
-    return folder / f"{name}.log"
+    return inside("experiment", folder, f"{name}.log")
 
 
 def partial_path_of(folder: Path, name: str, attempt: int = 1) -> Path:
     """Return the file of what is left of a measurement that was broken off, for the n-th time."""
-    return folder / (f"{name}.partial.h5" if attempt == 1 else f"{name}.partial-{attempt}.h5")
+    return inside("experiment", folder, f"{name}.partial.h5" if attempt == 1 else f"{name}.partial-{attempt}.h5")
 
 
 def measure(
@@ -107,7 +108,8 @@ def recover(place: Path) -> dict[str, Path]:
     how much, and why. A log without samples is removed.
 
     Raises:
-        StorageError: the header of a log is damaged, or the disk refuses; the log is still there then.
+        StorageError: the header of a log is damaged, a name or link leads out of the folder, or the disk refuses; the
+            log is still there then.
     """
     found: dict[str, Path] = {}
     # Only logs of measurements that were begun here: others' files may have that suffix too.

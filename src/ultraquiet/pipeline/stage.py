@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet._base.provenance import content_hash, plain, versions
 from ultraquiet.files import archive, write_bytes
+from ultraquiet.files.names import inside
 
 STAGES = "stages"
 PACKAGE = Path(__file__).parents[1]
@@ -62,8 +63,9 @@ class Cache:
             held = json.loads(self._facts(name).read_text(encoding="utf-8"))
             if held["key"] != mark:
                 return None
-            values = {key: archive.load(self.folder / path) for key, path in held["values"].items()}
-        except (OSError, ValueError, KeyError, TypeError, UltraquietError):
+            paths = {key: PurePosixPath(path).parts for key, path in held["values"].items()}
+            values = {key: archive.load(inside("study", self.folder, *parts)) for key, parts in paths.items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, UltraquietError):
             return None  # a stage that cannot be read back is computed again
         return Outcome(values, held["facts"], reused=True)
 

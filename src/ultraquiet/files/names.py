@@ -1,0 +1,48 @@
+"""Names that come out of a file and become a path: plain ones, which cannot lead out of their folder."""
+
+from pathlib import Path
+
+from ultraquiet._base.errors import StorageError
+
+# Separators of every system, and the colon of Windows' drives and streams: a folder may be carried between systems.
+FORBIDDEN = frozenset("/\\:")
+LONGEST_BYTES = 200  # most file systems take 255; a suffix and a number follow
+
+
+def is_plain(name: object) -> bool:
+    r"""Return whether something read from a file is the name of a file, and neither a path nor anything else.
+
+    >>> [is_plain(name) for name in ("push-1", "..", "../victim", "/etc/passwd", "C:x", "", "a\0", 3)]
+    [True, False, False, False, False, False, False, False]
+    """
+    if not isinstance(name, str) or name in ("", ".", "..") or not name.isprintable():
+        return False
+    return not FORBIDDEN.intersection(name) and len(name.encode()) <= LONGEST_BYTES
+
+
+def inside(who: str, folder: Path, *names: str) -> Path:
+    """Return the path of names below a folder, which it does not leave, by a link either.
+
+    Args:
+        who: refuses, in the sentence.
+        folder: where the path begins; it may be a link itself.
+        names: of the folders on the way, then of the file.
+
+    Raises:
+        StorageError: a name that is not plain, or a link that leads out of the folder.
+    """
+    path = folder.joinpath(*names) if names and all(map(is_plain, names)) else None
+    if path is None:
+        raise StorageError(f"{who}: {told('/'.join(map(str, names)))} is no name of a file in '{folder}'.")
+    try:
+        stays = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):  # links that go round in a circle
+        stays = False
+    if not stays:
+        raise StorageError(f"{who}: '{path}' is a link that leads out of its folder; put the file itself there.")
+    return path
+
+
+def told(name: object) -> str:
+    """Return a name that may be anything, short enough for a sentence."""
+    return f"{name!r:.60}"
