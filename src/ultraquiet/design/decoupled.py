@@ -15,6 +15,7 @@ from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
 from ultraquiet.design.band import worst_attenuation_db
 from ultraquiet.linalg import balance
+from ultraquiet.linalg import common_axes as axes
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace
 
@@ -166,15 +167,15 @@ def threefold() -> FloatArray:
 def common_axes(G: ComplexArray) -> FloatArray:
     """Return the orthonormal matrix that comes nearest to diagonalising every G(f), from `(frequency, n, n)`.
 
-    Eigenvectors of the symmetric part of the mean of all G:
-    each G(f) is turned to its nearest real matrix
-    first, so that one constant matrix stands for all.
+    Eigenvectors of the symmetric part of the mean of all G: each G(f) is turned to its nearest real matrix first, so
+    that one constant matrix stands for all. Where eigenvalues coincide, G itself over the band fixes the axes.
     """
-    turned = np.array([nearest_real(g) / max(float(np.linalg.norm(g)), 1e-300) for g in G])
+    unit = G / np.maximum(np.linalg.norm(G, axis=(1, 2)), 1e-300)[:, None, None]
+    turned = np.array([nearest_real(g) for g in unit])
     # signs follow the first, for a real matrix is known up to it
     signs = np.sign(np.einsum("fij,ij->f", turned, turned[0]))
     mean = np.einsum("f,fij->ij", np.where(signs == 0, 1.0, signs), turned)
-    return np.linalg.eigh((mean + mean.T) / 2)[1][:, ::-1]
+    return axes.common_axes((mean + mean.T) / 2, np.concatenate([unit.real, unit.imag]))
 
 
 def nearest_real(g: ComplexArray) -> FloatArray:
