@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.equations import lyapunov, stein
+from ultraquiet.linalg.equations import lyapunov, stein, stein_factor
 
 HUGE = 1e120
 
@@ -23,6 +23,23 @@ def test_no_states():
     nothing = np.zeros((0, 0))
     assert lyapunov(nothing, nothing).shape == (0, 0)
     assert stein(nothing, nothing).shape == (0, 0)
+    assert stein_factor(nothing, np.zeros((0, 2))).shape == (0, 0)
+
+
+@pytest.mark.parametrize("inputs", [1, 3, 9])
+def test_a_factor_holds_the_solution_and_its_smallest_values(rng, inputs):
+    turn = np.linalg.qr(rng.standard_normal((6, 6)))[0]
+    # one state for each input, of sizes whose squares are beyond all digits
+    size = 10.0 ** -np.arange(0, 12, 2)
+    a = rng.uniform(0.1, 0.9, 6)
+    B = turn @ np.diag(size)
+    exact = np.sort(size / np.sqrt(1 - a**2))
+    R = stein_factor(turn @ np.diag(a) @ turn.T, B)
+    np.testing.assert_allclose(np.sort(np.linalg.svd(R, compute_uv=False)), exact, rtol=1e-9, atol=1e-14)
+    A, B = 0.9 * np.linalg.qr(rng.standard_normal((6, 6)))[0], rng.standard_normal((6, inputs))
+    R = stein_factor(A, B)
+    assert R.shape == (6, 6)
+    np.testing.assert_allclose(R @ R.T, stein(A, B @ B.T), atol=1e-12 * float(np.sum(B * B)))
 
 
 @pytest.mark.parametrize("margin", [1.0, 1e-6, 1e-12])
@@ -95,11 +112,12 @@ def test_unstable_and_undamped_equations(rng):
     with pytest.raises(NumericalError, match="share an eigenvalue"):
         lyapunov(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2))
     for radius in (1.0, 1.5):
-        with pytest.raises(NumericalError, match="unit circle"):
-            stein(np.array([[radius]]), np.eye(1))
+        for solve in (stein, stein_factor):
+            with pytest.raises(NumericalError, match="unit circle"):
+                solve(np.array([[radius]]), np.eye(1))
 
 
 def test_matrices_that_overflow_are_refused():
-    for solve in (lyapunov, stein):
+    for solve in (lyapunov, stein, stein_factor):
         with pytest.raises(NumericalError, match="overflow"):
             solve(np.array([[np.inf]]), np.eye(1))

@@ -6,8 +6,9 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.analyse import h2_norm, hinf_norm
-from ultraquiet.linalg.balance import balancing, gramians
+from ultraquiet.linalg.balance import balancing_by, gramian_factors
 from ultraquiet.linalg.cost import largest_order, multiply_adds
+from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.reduce import Balanced, ClosedLoopWeighted, CoprimeFactors, FrequencyWeighted, HankelNorm
 from ultraquiet.reduce.certificate import judging_plant
 from ultraquiet.testing import problems
@@ -33,6 +34,24 @@ def random_stable(rng, n, nu, ny, rate_hz=None):
     return StateSpace(
         A, rng.standard_normal((n, nu)), rng.standard_normal((ny, n)), rng.standard_normal((ny, nu)), rate_hz
     )
+
+
+def of_hankel_values(rng, values, nu, ny, rate_hz=None):
+    """A stable system of given Hankel values, all different: every balanced one is so made, here in other axes."""
+    n = len(values)
+    B, C = rng.standard_normal((n, nu)), rng.standard_normal((ny, n))
+    size = np.sqrt(values) * rng.uniform(0.5, 2.0, n)
+    B *= (size / np.linalg.norm(B, axis=1))[:, None]
+    C *= size / np.linalg.norm(C, axis=0)
+    # off the diagonal of A P + P A' + B B' = 0 and A' P + P A + C' C = 0, P the diagonal of the values
+    column, row = values[:, None], values[None, :]
+    A = (row * (B @ B.T) - column * (C.T @ C)) / np.where(column == row, 1.0, column**2 - row**2)
+    A[np.diag_indices(n)] = -np.sum(B * B, axis=1) / (2 * values)
+    G = (A, B, C, rng.standard_normal((ny, nu)))
+    A, B, C, D = G if rate_hz is None else bilinear_to_discrete(*G)
+    turn, scale = np.linalg.qr(rng.standard_normal((n, n)))[0], 10 ** rng.uniform(-1, 1, n)
+    T, inverse = turn * scale, (turn / scale).T
+    return StateSpace(inverse @ A @ T, inverse @ B, C @ T, D, rate_hz)
 
 
 def difference(first, second):
@@ -139,17 +158,18 @@ def test_settings_that_contradict_are_refused(loop):
 def test_hankel_norm_of_the_error_is_the_first_value_left_out(rate_hz, rng):
     for _ in range(10):
         n, nu, ny = (int(rng.integers(low, high)) for low, high in ((3, 12), (1, 4), (1, 4)))
-        G = random_stable(rng, n, nu, ny, rate_hz)
+        values = np.cumprod(rng.uniform(0.15, 0.9, n))  # the smallest some 1e-8 of the largest, far above round-off
+        G = of_hankel_values(rng, values, nu, ny, rate_hz)
         for states in range(n):
             found = HankelNorm(states=states).reduce(G)
             assert found.controller.is_stable()
             assert found.controller.states == states
+            np.testing.assert_allclose(found.hankel, values, rtol=0, atol=1e-8 * values[0])
             error = difference(G, found.controller)
-            P, Q = gramians(error.A, error.B, error.C, rate_hz is not None)
-            norm = float(balancing(P, Q, 1)[2][0])
-            # square roots of Gramians carry half of the digits, counted from the largest value
-            assert abs(norm - found.hankel[states]) < 1e-4 * found.hankel[states] + 1e-6 * found.hankel[0]
-            assert hinf_norm(error)[0] <= found.details["bound"] * (1 + 1e-6) + 1e-10 * found.hankel[0]
+            R, L = gramian_factors(error.A, error.B, error.C, rate_hz is not None)
+            norm = float(balancing_by(R, L, 1)[2][0])
+            assert abs(norm - values[states]) < 1e-7 * values[0]
+            assert hinf_norm(error)[0] <= found.details["bound"] * (1 + 1e-6) + 1e-10 * values[0]
 
 
 def test_hankel_values_that_are_equal_go_together():

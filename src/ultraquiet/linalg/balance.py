@@ -7,7 +7,8 @@ import numpy as np
 from scipy.linalg import solve_sylvester
 from scipy.sparse.csgraph import connected_components
 
-from ultraquiet.linalg.equations import lyapunov, stein
+from ultraquiet.linalg.discretize import bilinear_to_discrete
+from ultraquiet.linalg.equations import lyapunov, stein, stein_factor
 from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
@@ -50,6 +51,21 @@ def gramians(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array
     return solve(A, B @ B.T), solve(A.T, C.T @ C)
 
 
+def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
+    """Return R and L with R R' and L L' the controllability and observability Gramians of a stable system.
+
+    The Gramians are never formed, so that small Hankel values keep the digits that their roots would lose.
+    """
+    if not discrete and A.shape[0]:
+        speed = np.abs(np.linalg.eigvals(A))
+        # the map keeps Gramians at any scale of time; in the middle of the poles none comes needlessly near z = 1 or -1
+        middle = np.sqrt(speed.min()) * np.sqrt(speed.max())
+        A, B, C, _ = bilinear_to_discrete(
+            A / middle, B / np.sqrt(middle), C / np.sqrt(middle), np.zeros((len(C), B.shape[1]))
+        )
+    return stein_factor(A, B), stein_factor(A.T, C.T)
+
+
 def square_root(P: Array) -> Array:
     """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero; small states keep their digits."""
     d = np.sqrt(np.maximum(np.diag(P), 0.0))
@@ -63,7 +79,11 @@ def balancing(P: Array, Q: Array, order: int) -> tuple[Array, Array, Array]:
 
     Square-root method (Tombs and Postlethwaite 1987): left @ right = I, `left @ A @ right` is the reduced A.
     """
-    R, L = square_root(P), square_root(Q)
+    return balancing_by(square_root(P), square_root(Q), order)
+
+
+def balancing_by(R: Array, L: Array, order: int) -> tuple[Array, Array, Array]:
+    """Return what `balancing` does, from factors of the Gramians R R' and L L'."""
     U, s, Vt = np.linalg.svd(L.T @ R)
     order = min(order, int(np.sum(s > 1e-15 * max(float(s[0]), 1e-300)))) if s.size else 0
     root = np.sqrt(s[:order])

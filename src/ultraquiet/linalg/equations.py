@@ -1,6 +1,6 @@
 """Riccati and Lyapunov equations, each solved by a ladder of methods and checked outside the solver."""
 
-from ultraquiet.linalg.lyapunov import lyapunov, stein
+from ultraquiet.linalg.lyapunov import lyapunov, stein, stein_factor
 from ultraquiet.linalg.riccati import Riccati
 from ultraquiet.linalg.riccati_continuous import continuous_regulator, continuous_residual, continuous_riccati
 from ultraquiet.linalg.riccati_discrete import discrete_gain, discrete_least_squares, discrete_riccati
@@ -15,4 +15,5 @@ __all__ = [
     "discrete_riccati",
     "lyapunov",
     "stein",
+    "stein_factor",
 ]

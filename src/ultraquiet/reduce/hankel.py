@@ -15,8 +15,7 @@ from ultraquiet.reduce._abstract import ReductionResult, Weights, joined, rename
 from ultraquiet.reduce.certificate import certified, fits, judging_plant
 from ultraquiet.values.state_space import StateSpace
 
-MINIMAL = 1e-11  # states with Hankel values below this share of the largest are round-off
-REFINEMENTS = 2  # balancings of the balanced system
+MINIMAL = 1e-13  # states with Hankel values below this share of the largest are round-off
 EQUAL = 1e-7  # Hankel values as near as this, relatively, count as one
 
 
@@ -91,17 +90,12 @@ def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray,
 def _balanced(M: Matrices) -> tuple[Matrices, FloatArray]:
     """Return a balanced system without the states that are round-off, and the Hankel values of all.
 
-    Gramians of general coordinates know small values to half of the digits; those of nearly balanced ones to all.
+    From factors of the Gramians, which know small values to all digits, counted from the largest.
     """
-    P, Q = balance.gramians(*M[:3], discrete=False)
-    left, right, hankel = balance.balancing(P, Q, M[0].shape[0])
-    for _ in range(REFINEMENTS):
-        count = int(np.sum(hankel > MINIMAL * hankel[0])) if hankel.size else 0
-        M = balance.truncate(M, left[:count], right[:, :count])
-        P, Q = balance.gramians(*M[:3], discrete=False)
-        left, right, finer = balance.balancing(P, Q, count)
-        hankel = np.concatenate([finer, hankel[count:]])
-    return balance.truncate(M, left, right), hankel
+    R, L = balance.gramian_factors(*M[:3], discrete=False)
+    left, right, hankel = balance.balancing_by(R, L, M[0].shape[0])
+    count = int(np.sum(hankel > MINIMAL * hankel[0])) if hankel.size else 0
+    return balance.truncate(M, left[:count], right[:, :count]), hankel
 
 
 def _allpass(M: Matrices, hankel: FloatArray, alike: Array) -> Matrices:
@@ -119,9 +113,11 @@ def _allpass(M: Matrices, hankel: FloatArray, alike: Array) -> Matrices:
     U = -Z @ Yt
     S = hankel[rest]
     A1, B1, C1 = A[np.ix_(rest, rest)], B[rest], C[:, rest]
-    inverse = 1 / (S * S - s * s)[:, None]
-    a = inverse * (s * s * A1.T + S[:, None] * A1 * S - s * C1.T @ U @ B1.T)
-    b = inverse * (S[:, None] * B1 + s * C1.T @ U)
-    c = C1 * S + s * U @ B1.T
+    # theorem 6.3 in states that stay as large as the balanced ones, where its own grow with 1 / (S^2 - s^2)
+    gap = S * S - s * s
+    left, right = (np.sign(gap) / np.sqrt(np.abs(gap)))[:, None], 1 / np.sqrt(np.abs(gap))
+    a = left * (s * s * A1.T + S[:, None] * A1 * S - s * C1.T @ U @ B1.T) * right
+    b = left * (S[:, None] * B1 + s * C1.T @ U)
+    c = (C1 * S + s * U @ B1.T) * right
     d = np.pad(D, ((0, size - p), (0, size - m))) - s * U
     return a, b[:, :m], c[:p], d[:p, :m]
