@@ -217,7 +217,7 @@ def _best(
             law = fixed_law(controller, word, shape, **settings)
             tried.append((law, error_of(law.state_space(), controller, plant)))
         except InputError as said:
-            refusal = refusal or said
+            refusal = said  # the last form's: what it says to take has not been tried here
     if not tried:
         assert refusal is not None
         raise refusal

@@ -174,7 +174,7 @@ def fixed_law(
     if not law.saturates and np.any(room > 1.0):
         raise InputError(
             f"fixed_law: in {word} {form} form rounding alone could carry a state past its range (bound"
-            f" {room.max():.1f} of full scale); take {'q31' if word == 'q15' else 'float32'}."
+            f" {room.max():.1f} of full scale); take {_longer(law.bits)}."
         )
     return replace(law, peak=float(room.max()))
 
@@ -237,9 +237,10 @@ def _rounded(parts: Realisation, scale: FloatArray, settings: dict[str, Any]) ->
         **settings,
     )
     if np.abs(np.linalg.eigvals(law.fractions()[0].reshape(law.states, -1))).max(initial=0.0) >= 1.0:
+        form = "" if law.delta else "form='delta' or "
         raise InputError(
-            f"fixed_law: the law is stable, its {law.word} coefficients in {law.form} form are not; take form='delta'"
-            " or a longer word."
+            f"fixed_law: the law is stable, its {law.word} coefficients in {law.form} form are not; take"
+            f" {form}{_longer(bits)}."
         )
     return _noise(law)
 
@@ -260,8 +261,16 @@ def _integers(rows: FloatArray, bits: int, parts: int = 1, lowest: int = 0) -> t
         if not over.any():
             return held.astype(np.int64), shift.astype(np.int64)
         if np.any(shift[over] <= lowest):
-            raise InputError(f"fixed_law: a row of gains sums to {sums.max():.1e} of full scale, too much for a word.")
+            raise InputError(
+                f"fixed_law: a row of gains sums to {sums[over].max():.1e} of full scale, too much for a word of"
+                f" {bits} bits; take {_longer(bits)} or a larger output_v."
+            )
         shift = shift - over
+
+
+def _longer(bits: int) -> str:
+    """Return the next word that holds more than one of so many bits."""
+    return next((word for word, more in WORDS.items() if more > bits), "float32")
 
 
 def _noise(law: FixedLaw) -> FixedLaw:
