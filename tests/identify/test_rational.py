@@ -72,7 +72,7 @@ def test_the_order_is_found_and_the_model_meets_the_plant(rng):
 def test_noise_makes_no_poles(seed, rng):
     """The suite's plant: the order stays what the physics is worth, whatever the noise."""
     from ultraquiet.pipeline import packaged_study
-    from ultraquiet.pipeline.models import plant as identified
+    from ultraquiet.pipeline.identification import plant as identified
 
     bench = uq.bench.Hexapod(unit="ground", seed=seed)
     wanted = packaged_study("suite").plant

@@ -10,8 +10,8 @@ import numpy as np
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
+from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.preflight import as_unit
-from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller

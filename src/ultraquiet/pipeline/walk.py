@@ -13,8 +13,8 @@ from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import lookup
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes
-from ultraquiet.pipeline import bounds, control, evidence, models, preflight, study, summary, tell
-from ultraquiet.pipeline.stage import Cache, Outcome
+from ultraquiet.pipeline import control, identification, limits, preflight, report, study, summary, validation
+from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.report import write
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
@@ -61,7 +61,7 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
     done = _stages(settings, Cache(folder), bench, records, say)
     told = summary.summarise(done)
     write_bytes(folder / "summary.json", summary.to_json(told))
-    write(tell.report(done, told), folder / "report.html")
+    write(report.report(done, told), folder / "report.html")
     return told
 
 
@@ -90,12 +90,12 @@ def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.St
 def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[str, Record], say: Say) -> Done:
     marks = {name: record.hash for name, record in records.items()}
     found = cache.stage(
-        "identify", "models", [marks, settings.identify], partial(models.identified, records, settings.identify)
+        "identify", "models", [marks, settings.identify], partial(identification.identified, records, settings.identify)
     )
     best = found.facts["preferred"]
     say(f"identified: held-out records prefer {best['structure']} of order {best['order']}")
     plant = cache.stage(
-        "plant", "models", [marks, _key(settings.plant)], partial(models.plant, records, settings.plant)
+        "plant", "models", [marks, _key(settings.plant)], partial(identification.plant, records, settings.plant)
     )
     say(f"plant for design: {plant.facts['states']} states, {plant.facts['status']}")
     system = plant.values["plant"]
@@ -103,10 +103,10 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
     polynomial = {k: v for k, v in found.values.items() if isinstance(v, PolynomialMatrix)}
     marks_and_models = [marks, settings.identify, bench, system.hash]
     validated = cache.stage(
-        "validate", "models", marks_and_models, partial(evidence.validated, records, polynomial, system, bench)
+        "validate", "models", marks_and_models, partial(validation.validated, records, polynomial, system, bench)
     )
     paper = polynomial[f"paper-{settings.identify.paper_records[0]}"]
-    analysed = cache.stage("analyse", "models", marks_and_models, partial(evidence.analysed, system, paper))
+    analysed = cache.stage("analyse", "models", marks_and_models, partial(validation.analysed, system, paper))
     say("validated and analysed")
     designs, loops, deployment = {}, {}, {}
     for name, wanted in settings.controllers.items():
@@ -139,7 +139,7 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
     laws = {name: made.values[name] for name, made in designs.items() if name in made.values}
     band_hz = settings.closed_loop.band_hz
     limits_key = [system.hash, band_hz, {name: law.hash for name, law in laws.items()}]
-    bounded = cache.stage("limits", "models", limits_key, partial(bounds.bounded, system, laws, band_hz))
+    bounded = cache.stage("limits", "models", limits_key, partial(limits.bounded, system, laws, band_hz))
     say(f"limits: {bounded.facts['bands'][-1]['status']}")
     return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment, bounded)
 

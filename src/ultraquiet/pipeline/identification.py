@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet import identify, spectra
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
-from ultraquiet.pipeline.stage import Outcome
+from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.study import Plant, Sweep
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet import analyse, validate
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.pipeline.models import group
-from ultraquiet.pipeline.stage import Outcome
+from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.identification import group
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 # The band over which the paper compares its excitations, and that of the bench's own response.

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ultraquiet.pipeline.evidence import SHOWN_HZ
+from ultraquiet.pipeline.validation import SHOWN_HZ
 from ultraquiet.plot import Figure, paper
 from ultraquiet.report import Section, Table
 from ultraquiet.spectra import psd

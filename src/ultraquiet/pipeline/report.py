@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from ultraquiet._base.provenance import versions
-from ultraquiet.pipeline import tell_limits, tell_loops, tell_models
+from ultraquiet.pipeline import report_limits, report_loops, report_models
 from ultraquiet.report import Report
 
 if TYPE_CHECKING:
@@ -24,13 +24,13 @@ def report(done: "Done", summary: dict[str, Any]) -> Report:
         "bench, never from the design model."
     )
     sections = [
-        tell_models.excitation(done),
-        tell_models.identification(done),
-        tell_models.validation(done),
-        tell_models.analysis(done),
-        tell_loops.design(done),
-        tell_loops.closed_loop(done),
-        tell_limits.limits(done),
-        tell_loops.code(done),
+        report_models.excitation(done),
+        report_models.identification(done),
+        report_models.validation(done),
+        report_models.analysis(done),
+        report_loops.design(done),
+        report_loops.closed_loop(done),
+        report_limits.limits(done),
+        report_loops.code(done),
     ]
     return Report(done.study.study.title, lead, facts, sections)

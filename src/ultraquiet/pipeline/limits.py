@@ -9,7 +9,7 @@ from typing import Any
 from ultraquiet import limits
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.progress import task
-from ultraquiet.pipeline.stage import Outcome
+from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.values import StateSpace
 
 # The price at which bands are compared: gain margin 2 in every direction, and what a strut takes of a sensor's noise.
