@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ultraquiet._base.errors import BenchError, InputError, InterlockError
 from ultraquiet.bench import Bench, Hardware, Interlocks, Streaming, Wrapped
-from ultraquiet.bench.pacing import Pacer
+from ultraquiet.bench.hardware.pacing import Pacer
 from ultraquiet.values import Channel, StateSpace
 
 RATE_HZ, SLEW, AMPLITUDE = 1000.0, 2000.0, 10.0  # 2 V a sample

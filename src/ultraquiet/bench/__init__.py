@@ -2,9 +2,9 @@
 
 from ultraquiet.bench._abstract import Bench, Block, Streaming, Tally
 from ultraquiet.bench.fmu import Fmu
-from ultraquiet.bench.hardware import Hardware
+from ultraquiet.bench.hardware.bench import Hardware
+from ultraquiet.bench.hardware.interlocks import Interlocks
 from ultraquiet.bench.hexapod import Hexapod
-from ultraquiet.bench.interlocks import Interlocks
 from ultraquiet.bench.process import Process
 from ultraquiet.bench.replay import Replay
 from ultraquiet.bench.wrapped import Wrapped

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.bench.interlocks import Guard, Interlocks
-from ultraquiet.bench.pacing import Pacer
+from ultraquiet.bench.hardware.interlocks import Guard, Interlocks
+from ultraquiet.bench.hardware.pacing import Pacer
+from ultraquiet.bench.hardware.termination import Termination
 from ultraquiet.bench.stepped import Loop, Plant, Setup, Stepped
-from ultraquiet.bench.termination import Termination
 from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
 

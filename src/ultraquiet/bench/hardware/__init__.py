@@ -1,0 +1,1 @@
+"""Hardware behind two callbacks: the bench itself, its interlocks, its pacing and how it ends."""
