@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet.bench import Bench, Process, Streaming, Wrapped
-from ultraquiet.bench.protocol import number
+from ultraquiet.bench.process.protocol import number
 from ultraquiet.values import StateSpace
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"

@@ -5,7 +5,7 @@ from ultraquiet.bench.fmu import Fmu
 from ultraquiet.bench.hardware.bench import Hardware
 from ultraquiet.bench.hardware.interlocks import Interlocks
 from ultraquiet.bench.hexapod import Hexapod
-from ultraquiet.bench.process import Process
+from ultraquiet.bench.process.bench import Process
 from ultraquiet.bench.replay import Replay
 from ultraquiet.bench.wrapped import Wrapped
 

@@ -11,8 +11,8 @@ from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench.link import Child, Link, Remote
-from ultraquiet.bench.protocol import SHOWN, Card, number, spoken
+from ultraquiet.bench.process.link import Child, Link, Remote
+from ultraquiet.bench.process.protocol import SHOWN, Card, number, spoken
 from ultraquiet.bench.stepped import Plant, Setup, Stepped
 from ultraquiet.values import Channel
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from ultraquiet._base.constraints import positive, whole
 from ultraquiet._base.errors import BenchError
-from ultraquiet.bench.link import Link
+from ultraquiet.bench.process.link import Link
 from ultraquiet.values import Channel
 
 VERSION = 1
