@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from ultraquiet.deploy import budget
-from ultraquiet.deploy.antiwindup import conditioning_gain
 from ultraquiet.deploy.c31_emit import c31_code
-from ultraquiet.deploy.law import Law, actuator_limits, rounded
-from ultraquiet.deploy.realise import Realisation
+from ultraquiet.deploy.law.anti_windup import conditioning_gain
+from ultraquiet.deploy.law.law import Law, actuator_limits, rounded
+from ultraquiet.deploy.law.realisation import Realisation
 
 # The interpreter and the random laws live with the tests that check them.
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "deploy"))

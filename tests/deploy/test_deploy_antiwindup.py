@@ -6,7 +6,7 @@ from deploy_laws import RATE_HZ
 
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy import Twin, conditioning_gain, generate
-from ultraquiet.deploy.antiwindup import wish
+from ultraquiet.deploy.law.anti_windup import wish
 from ultraquiet.values import StateSpace
 
 

@@ -7,11 +7,11 @@ from scipy.linalg import block_diag
 
 import ultraquiet as uq
 from ultraquiet.deploy import generate, kernel_cycles, realisation
-from ultraquiet.deploy.biquad import channels
-from ultraquiet.deploy.choose import error_of
 from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.law.biquad import channels
+from ultraquiet.deploy.law.form_choice import error_of
+from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.precisions import multiply_adds
-from ultraquiet.deploy.twin import Twin
 from ultraquiet.deploy.verify import compare, measurements
 from ultraquiet.values import StateSpace
 

@@ -14,11 +14,11 @@ from c31_reference import Reference
 from deploy_laws import random_law
 
 from ultraquiet.deploy import budget, generate
-from ultraquiet.deploy.antiwindup import conditioning_gain
 from ultraquiet.deploy.c31_emit import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31_code
 from ultraquiet.deploy.c31_float import decode, encode
-from ultraquiet.deploy.law import actuator_limits, rounded
-from ultraquiet.deploy.realise import Realisation
+from ultraquiet.deploy.law.anti_windup import conditioning_gain
+from ultraquiet.deploy.law.law import actuator_limits, rounded
+from ultraquiet.deploy.law.realisation import Realisation
 
 INTERRUPT = 4  # the vector's fetch empties the pipeline as a branch does
 STEPS = 1000

@@ -20,7 +20,7 @@ from ultraquiet.bench import Fmu, Wrapped
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.fmu import binary_folder, write_fmu
 from ultraquiet.deploy.fmu_controller import FmuController
-from ultraquiet.deploy.twin import Twin
+from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.values import Channel, Controller
 
 VERSIONS = ["2.0", "3.0"]

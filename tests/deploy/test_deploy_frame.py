@@ -14,7 +14,7 @@ from ultraquiet.cli.frame import asked, show_frames
 from ultraquiet.deploy import Frame, FrameTimes, Overload, generate, toolchain
 from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.frame import BURST_EVERY, BURST_FRAMES
-from ultraquiet.deploy.twin import FAULT, FAULT_OVERRUN, ON
+from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
 from ultraquiet.values import StateSpace
 
 T = 1.0 / RATE_HZ

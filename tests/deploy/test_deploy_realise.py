@@ -7,8 +7,8 @@ from scipy.linalg import block_diag
 
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.deploy import generate, kernel_cycles, realisation
-from ultraquiet.deploy.blocks import block_diagonal
-from ultraquiet.deploy.choose import choose, error_of, loop_radius
+from ultraquiet.deploy.law.blocks import block_diagonal
+from ultraquiet.deploy.law.form_choice import choose, error_of, loop_radius
 from ultraquiet.values import StateSpace
 
 FORMS = ("modal", "delta", "schur", "dense")

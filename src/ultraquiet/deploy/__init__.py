@@ -9,7 +9,6 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ultraquiet.deploy.antiwindup import conditioning_gain as conditioning_gain
     from ultraquiet.deploy.budget import kernel_cycles as kernel_cycles
     from ultraquiet.deploy.budget import largest_order as largest_order
     from ultraquiet.deploy.c31_emit import C31Code as C31Code
@@ -35,20 +34,21 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.frame_controller import FrameController as FrameController
     from ultraquiet.deploy.frame_result import FrameSimulation as FrameSimulation
     from ultraquiet.deploy.frame_times import FrameTimes as FrameTimes
-    from ultraquiet.deploy.law import Law as Law
+    from ultraquiet.deploy.law.anti_windup import conditioning_gain as conditioning_gain
+    from ultraquiet.deploy.law.law import Law as Law
+    from ultraquiet.deploy.law.realisation import Realisation as Realisation
+    from ultraquiet.deploy.law.realisation import realisation as realisation
+    from ultraquiet.deploy.law.twin import Twin as Twin
+    from ultraquiet.deploy.law.word_length import rounding_errors as rounding_errors
     from ultraquiet.deploy.on_target import OnTarget as OnTarget
     from ultraquiet.deploy.precisions import WordLength as WordLength
     from ultraquiet.deploy.precisions import word_lengths as word_lengths
     from ultraquiet.deploy.processor import Processor as Processor
-    from ultraquiet.deploy.realise import Realisation as Realisation
-    from ultraquiet.deploy.realise import realisation as realisation
     from ultraquiet.deploy.reanalyse import Reanalysis as Reanalysis
     from ultraquiet.deploy.reanalyse import reanalysis as reanalysis
     from ultraquiet.deploy.tones import OnBench as OnBench
     from ultraquiet.deploy.tones import on_bench as on_bench
-    from ultraquiet.deploy.twin import Twin as Twin
     from ultraquiet.deploy.verify import Verification as Verification
-    from ultraquiet.deploy.word_length import rounding_errors as rounding_errors
 
 _HOME = {
     "C31Code": "c31_emit",
@@ -63,18 +63,18 @@ _HOME = {
     "FrameController": "frame_controller",
     "FrameSimulation": "frame_result",
     "FrameTimes": "frame_times",
-    "Law": "law",
+    "Law": "law.law",
     "OnBench": "tones",
     "OnTarget": "on_target",
     "Overload": "frame",
     "Processor": "processor",
-    "Realisation": "realise",
+    "Realisation": "law.realisation",
     "Reanalysis": "reanalyse",
-    "Twin": "twin",
+    "Twin": "law.twin",
     "Verification": "verify",
     "WordLength": "precisions",
     "c31_code": "c31_emit",
-    "conditioning_gain": "antiwindup",
+    "conditioning_gain": "law.anti_windup",
     "export_law": "exchange",
     "fixed_law": "fixed_point",
     "foton_text": "foton",
@@ -85,9 +85,9 @@ _HOME = {
     "read_foton": "foton",
     "read_law": "exchange",
     "on_bench": "tones",
-    "realisation": "realise",
+    "realisation": "law.realisation",
     "reanalysis": "reanalyse",
-    "rounding_errors": "word_length",
+    "rounding_errors": "law.word_length",
     "word_lengths": "precisions",
     "write_fmu": "fmu",
     "write_project": "cmake",

@@ -5,7 +5,7 @@ from typing import Any
 
 from ultraquiet._base.constraints import between
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.law import Law
 
 # Section 4.2 of the paper: half of the 285 us between samples at 3.5 kHz is left to the law; at 50 ns an instruction
 # that is 2800 instructions in 140 us.

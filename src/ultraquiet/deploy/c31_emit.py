@@ -10,7 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import budget
 from ultraquiet.deploy.c31_float import decode, encode
 from ultraquiet.deploy.emit import render
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.law import Law
 
 BLOCK_0, BLOCK_1 = 0x809800, 0x809C00
 # The boot loader keeps the last 63 words of block 1 for the interrupts' branches; 64 below them are left to the stack.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy import emit
 from ultraquiet.deploy.folder import write_folder
-from ultraquiet.deploy.law import DTYPES
+from ultraquiet.deploy.law.law import DTYPES
 from ultraquiet.deploy.targets import COMPILER, EMULATOR, TARGETS
 
 if TYPE_CHECKING:

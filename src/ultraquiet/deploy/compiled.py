@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.emit import FLAGS
-from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain import compile_c
 
 

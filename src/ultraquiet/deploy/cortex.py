@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.emit import FLAGS
-from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, EMULATOR, TICKS, Target
 from ultraquiet.deploy.toolchain import call, compile_c
 

@@ -13,21 +13,29 @@ from ultraquiet._base.constraints import between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.bench import Bench
 from ultraquiet.deploy import budget, emit, script, toolchain
-from ultraquiet.deploy.antiwindup import Wish, wish
 from ultraquiet.deploy.c31_emit import c31_files
-from ultraquiet.deploy.choose import TOLERANCE, Choice, choose, error_of, loop_radius
-from ultraquiet.deploy.coefficients import CoefficientBank
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.footprint import footprint
 from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
-from ultraquiet.deploy.law import DTYPES, OVERRUN_LIMIT, Law, actuator_limits, require_discrete, require_plant, rounded
-from ultraquiet.deploy.realise import FORMS, realisation
+from ultraquiet.deploy.law.anti_windup import Wish, wish
+from ultraquiet.deploy.law.coefficients import CoefficientBank
+from ultraquiet.deploy.law.form_choice import TOLERANCE, Choice, choose, error_of, loop_radius
+from ultraquiet.deploy.law.law import (
+    DTYPES,
+    OVERRUN_LIMIT,
+    Law,
+    actuator_limits,
+    require_discrete,
+    require_plant,
+    rounded,
+)
+from ultraquiet.deploy.law.realisation import FORMS, realisation
+from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.reanalyse import reanalysis
 from ultraquiet.deploy.retune import anti_windup_gain, bank_for
 from ultraquiet.deploy.targets import TARGETS
 from ultraquiet.deploy.tones import on_bench
-from ultraquiet.deploy.twin import Twin
 from ultraquiet.deploy.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ultraquiet.deploy.coefficients import numbers, sections
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.coefficients import numbers, sections
+from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.script import LOADS, OPS, SPECIAL, Row, planted
 from ultraquiet.deploy.targets import TARGETS
-from ultraquiet.deploy.twin import Twin
 
 if TYPE_CHECKING:
     import jinja2

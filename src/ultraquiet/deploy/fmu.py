@@ -19,7 +19,7 @@ from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy import emit, toolchain
 from ultraquiet.deploy.fmu_refused import REFUSED
-from ultraquiet.deploy.law import DTYPES, Law
+from ultraquiet.deploy.law.law import DTYPES, Law
 from ultraquiet.files import write_bytes
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.status import Status

@@ -12,7 +12,7 @@ import numpy as np
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.call_graph import stack_bytes
 from ultraquiet.deploy.emit import FLAGS
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.struct_size import state_bytes
 from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, Target
 from ultraquiet.deploy.toolchain import compile_c, compiler, flash_of

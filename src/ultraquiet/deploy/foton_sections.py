@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frozen
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.realise import realisation
+from ultraquiet.deploy.law.realisation import realisation
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.state_space import StateSpace
 

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, between, frozen, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.frame_times import FrameTimes
-from ultraquiet.deploy.law import require_floating
+from ultraquiet.deploy.law.law import require_floating
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet.deploy.frame import Draws
-from ultraquiet.deploy.twin import ON, STOPPING
+from ultraquiet.deploy.law.twin import ON, STOPPING
 
 
 class FrameClock:

@@ -11,7 +11,7 @@ from ultraquiet.deploy.frame import Frame, frame_settings
 from ultraquiet.deploy.frame_clock import FrameClock
 from ultraquiet.deploy.frame_loop import FrameHarness
 from ultraquiet.deploy.frame_times import FrameTimes
-from ultraquiet.deploy.twin import Twin
+from ultraquiet.deploy.law.twin import Twin
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

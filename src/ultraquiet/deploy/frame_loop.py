@@ -14,9 +14,9 @@ from ultraquiet.deploy import emit, toolchain
 from ultraquiet.deploy.frame import Draws, Frame, frame_settings
 from ultraquiet.deploy.frame_clock import FrameClock, empty_arrays, run_clock
 from ultraquiet.deploy.frame_times import FrameTimes
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.script import sizes
-from ultraquiet.deploy.twin import Twin
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

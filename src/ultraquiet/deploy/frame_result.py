@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ultraquiet._base.constraints import FloatArray, frozen, whole
 from ultraquiet.deploy.frame import Frame
 from ultraquiet.deploy.frame_times import FrameTimes
-from ultraquiet.deploy.law import Law
-from ultraquiet.deploy.twin import FAULT, ON
+from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.twin import FAULT, ON
 from ultraquiet.values.status import Status
 
 WIDTH = 60  # characters of a period in the time line

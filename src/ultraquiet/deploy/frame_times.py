@@ -8,7 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import budget
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.script import HALF_RANGE, sizes
 
 if TYPE_CHECKING:
@@ -66,8 +66,8 @@ class FrameTimes:
     def c31(cls, law: Law) -> "FrameTimes":
         """Return the times of the TMS320C31-40 model, 50 ns an instruction; the guards are no part of that model.
 
-        >>> from ultraquiet.deploy.realise import realisation
-        >>> from ultraquiet.deploy.law import actuator_limits, rounded
+        >>> from ultraquiet.deploy.law.realisation import realisation
+        >>> from ultraquiet.deploy.law.law import actuator_limits, rounded
         >>> from ultraquiet.values import StateSpace
         >>> gain = realisation(StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=3500.0), "modal")
         >>> law = rounded(gain, None, actuator_limits(1.0, 1), "float32", rate_hz=3500.0, order=1)

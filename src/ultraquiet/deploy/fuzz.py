@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.emit import FLAGS, constant, render
-from ultraquiet.deploy.law import Law
+from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.script import HALF_RANGE, sizes
 from ultraquiet.deploy.toolchain import call, compile_c
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ultraquiet.deploy.cortex import Run, count_instructions, run_on_target
 from ultraquiet.deploy.footprint import footprint_on
-from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.targets import Target
 
 # Emulated soft doubles take some hundred times as long as a unit's.

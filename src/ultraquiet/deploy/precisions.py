@@ -8,10 +8,10 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.choose import TOLERANCE, error_of, loop_radius, sensitivities
 from ultraquiet.deploy.fixed_point import WORDS, FixedLaw, fixed_law
-from ultraquiet.deploy.law import DTYPES, Law, require_plant, rounded
-from ultraquiet.deploy.realise import FORMS, realisation
+from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, sensitivities
+from ultraquiet.deploy.law.law import DTYPES, Law, require_plant, rounded
+from ultraquiet.deploy.law.realisation import FORMS, realisation
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 

@@ -28,7 +28,7 @@ from ultraquiet.deploy.cortex import (
     instructions,
     reply_type,
 )
-from ultraquiet.deploy.law import Rounded, require_floating
+from ultraquiet.deploy.law.law import Rounded, require_floating
 from ultraquiet.deploy.targets import target_named
 
 if TYPE_CHECKING:

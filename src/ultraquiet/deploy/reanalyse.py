@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
-from ultraquiet.deploy.choose import loop_radius
+from ultraquiet.deploy.law.form_choice import loop_radius
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status

@@ -2,10 +2,10 @@
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.antiwindup import conditioning_gain
-from ultraquiet.deploy.coefficients import CoefficientBank, fitting_bank
-from ultraquiet.deploy.law import Law, require_discrete, rounded
-from ultraquiet.deploy.realise import Realisation, realisation
+from ultraquiet.deploy.law.anti_windup import conditioning_gain
+from ultraquiet.deploy.law.coefficients import CoefficientBank, fitting_bank
+from ultraquiet.deploy.law.law import Law, require_discrete, rounded
+from ultraquiet.deploy.law.realisation import Realisation, realisation
 from ultraquiet.values.state_space import StateSpace
 
 

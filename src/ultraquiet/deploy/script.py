@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet.deploy import script_text as text_of
-from ultraquiet.deploy.coefficients import CoefficientBank, bank_from, numbers
-from ultraquiet.deploy.law import Law
-from ultraquiet.deploy.twin import Twin
+from ultraquiet.deploy.law.coefficients import CoefficientBank, bank_from, numbers
+from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.twin import Twin
 
 OPS = (
     "INIT",

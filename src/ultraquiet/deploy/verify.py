@@ -16,14 +16,14 @@ from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.fuzz import Fuzz, fuzz_code
-from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.law.law import Law, Rounded
+from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
 from ultraquiet.deploy.reanalyse import Reanalysis
 from ultraquiet.deploy.script import sizes
 from ultraquiet.deploy.targets import TARGETS, target_named
 from ultraquiet.deploy.tones import OnBench
 from ultraquiet.deploy.toolchain import call, compile_c
-from ultraquiet.deploy.twin import Twin
 from ultraquiet.values.status import Status
 
 STEPS = 100_000

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import frozen
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import biquad
-from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.law import biquad
+from ultraquiet.deploy.law.law import Law, Rounded
 
 
 @dataclass(frozen=True, eq=False)

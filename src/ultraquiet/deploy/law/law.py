@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray, frozen, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
-from ultraquiet.deploy.realise import DELTA_FORMS, Realisation, turned
+from ultraquiet.deploy.law.realisation import DELTA_FORMS, Realisation, turned
 from ultraquiet.values.state_space import StateSpace
 
 Rounded = NDArray[Any]

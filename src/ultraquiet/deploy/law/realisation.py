@@ -10,9 +10,9 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.biquad import Channel, channels, parts_of
-from ultraquiet.deploy.blocks import block_diagonal
-from ultraquiet.deploy.decouple import separated
+from ultraquiet.deploy.law.biquad import Channel, channels, parts_of
+from ultraquiet.deploy.law.blocks import block_diagonal
+from ultraquiet.deploy.law.decoupling import separated
 from ultraquiet.values.state_space import StateSpace
 
 # ||X|| up to which a split counts as well conditioned: sqrt(eps) of float32 is 3e-4, so a tenth of its digits' half.

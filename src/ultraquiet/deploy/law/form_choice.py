@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.law import Law
-from ultraquiet.deploy.realise import FORMS
+from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.realisation import FORMS
 from ultraquiet.values.state_space import StateSpace
 
 # 0.5 % of the response or of the loop's sensitivity: 0.04 dB, a tenth of what identification resolves.

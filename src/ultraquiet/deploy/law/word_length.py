@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.choose import error_of
-from ultraquiet.deploy.realise import FORMS, Realisation, realisation
+from ultraquiet.deploy.law.form_choice import error_of
+from ultraquiet.deploy.law.realisation import FORMS, Realisation, realisation
 from ultraquiet.values.state_space import StateSpace
 
 SIGNIFICANT = (8, 12, 16, 20, 24)  # 24: float32, and the TMS320C31's own format
@@ -20,7 +20,7 @@ def rounding_errors(
     """Return for each form the largest relative error of the response at each number of significant bits.
 
     A coefficient c becomes 2^(e - b) round(c 2^(b - e)), 2^(e - 1) <= |c| < 2^e: a float of b significant bits and any
-    exponent. What the error means is said in `ultraquiet.deploy.choose.error_of`.
+    exponent. What the error means is said in `ultraquiet.deploy.law.form_choice.error_of`.
 
     Args:
         controller: discrete law from measurements to commands.

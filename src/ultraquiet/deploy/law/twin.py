@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.deploy.biquad import Bank
-from ultraquiet.deploy.coefficients import numbers, with_numbers
-from ultraquiet.deploy.law import Law, Rounded
+from ultraquiet.deploy.law.biquad import Bank
+from ultraquiet.deploy.law.coefficients import numbers, with_numbers
+from ultraquiet.deploy.law.law import Law, Rounded
 
 OFF, ON, STOPPING, FAULT = range(4)
 FAULT_INPUT, FAULT_OUTPUT, FAULT_OVERRUN = 1, 2, 4
