@@ -10,7 +10,7 @@ import numpy as np
 
 import ultraquiet as uq
 from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.targets import TARGETS
+from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.deploy.verify import Verification
 
 RATE_HZ = 3500.0

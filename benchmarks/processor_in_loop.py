@@ -13,7 +13,7 @@ import numpy as np
 
 import ultraquiet as uq
 from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.targets import TARGETS
+from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.simulate import attenuation
 
 TONES_HZ = (5.0, 25.0, 100.0)

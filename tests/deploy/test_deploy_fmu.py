@@ -266,7 +266,7 @@ def test_the_sources_alone_compile_to_the_same_bits(version, unit, rng, monkeypa
             assert held.read(f"sources/{name}") == (made.folder / name).read_bytes()
     again = write_fmu(made, tmp_path / "again.fmu", version)
     assert again.path.read_bytes() == path.read_bytes()
-    monkeypatch.setattr("ultraquiet.deploy.toolchain.compiler", lambda: None)
+    monkeypatch.setattr("ultraquiet.deploy.toolchain.compiler.compiler", lambda: None)
     bare = write_fmu(made, tmp_path / "bare.fmu", version)
     assert bare.platform is None
     assert "No C compiler was found" in bare.status.sentence

@@ -11,10 +11,11 @@ from rich.console import Console
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.frame import asked, show_frames
-from ultraquiet.deploy import Frame, FrameTimes, Overload, generate, toolchain
+from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
 from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.frame import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
+from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.values import StateSpace
 
 T = 1.0 / RATE_HZ
@@ -30,7 +31,7 @@ def made(law_of, tmp_path):
 
 
 def without_compiler(monkeypatch):
-    monkeypatch.setattr(toolchain, "compiler", lambda: None)
+    monkeypatch.setattr(compiler, "compiler", lambda: None)
 
 
 def test_instants_of_an_undisturbed_frame(made):

@@ -13,7 +13,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy import Processor, generate, on_bench
 from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.targets import EMULATOR, TARGETS
+from ultraquiet.deploy.toolchain.targets import EMULATOR, TARGETS
 from ultraquiet.deploy.verify import compare, measurements
 from ultraquiet.simulate import attenuation
 from ultraquiet.values import Controller

@@ -19,7 +19,7 @@ from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.footprint import footprint_on
 from ultraquiet.deploy.fuzz import fuzz_code
 from ultraquiet.deploy.struct_size import state_bytes
-from ultraquiet.deploy.targets import COMPILER, TARGETS
+from ultraquiet.deploy.toolchain.targets import COMPILER, TARGETS
 from ultraquiet.simulate import attenuation
 from ultraquiet.values import StateSpace
 
@@ -194,7 +194,7 @@ def painted(folder, target) -> int:
     """Return the deepest byte that output and update touched below their caller's frame."""
     from ultraquiet.deploy.cortex import emulation
     from ultraquiet.deploy.emit import FLAGS
-    from ultraquiet.deploy.toolchain import compile_c
+    from ultraquiet.deploy.toolchain.compiler import compile_c
 
     path = folder / "controller_cortex.c"
     text = path.read_text()

@@ -27,7 +27,7 @@ def loaded_plant(path: Path) -> "StateSpace":
 
 def wanted(names: list[str] | None) -> tuple[str, ...]:
     """Return the targets that were asked for, known ones; all of them by default."""
-    from ultraquiet.deploy.targets import TARGETS, target_named
+    from ultraquiet.deploy.toolchain.targets import TARGETS, target_named
 
     if names is None:
         return tuple(TARGETS)

@@ -8,7 +8,7 @@ from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy import emit
 from ultraquiet.deploy.folder import write_folder
 from ultraquiet.deploy.law.law import DTYPES
-from ultraquiet.deploy.targets import COMPILER, EMULATOR, TARGETS
+from ultraquiet.deploy.toolchain.targets import COMPILER, EMULATOR, TARGETS
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

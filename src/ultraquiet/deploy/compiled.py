@@ -12,7 +12,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law.law import Law, Rounded
-from ultraquiet.deploy.toolchain import compile_c
+from ultraquiet.deploy.toolchain.compiler import compile_c
 
 
 class Library:

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law.law import Law, Rounded
-from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, EMULATOR, TICKS, Target
-from ultraquiet.deploy.toolchain import call, compile_c
+from ultraquiet.deploy.toolchain.compiler import call, compile_c
+from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, EMULATOR, TICKS, Target
 
 SECONDS = 300.0
 ASK_STEP, ASK_ENGAGE, ASK_START, ASK_DISABLE = range(4)  # the template's words for a frame

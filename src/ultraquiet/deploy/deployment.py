@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.bench import Bench
-from ultraquiet.deploy import budget, emit, script, toolchain
+from ultraquiet.deploy import budget, emit, script
 from ultraquiet.deploy.c31_emit import c31_files
 from ultraquiet.deploy.compiled import CompiledController, Library
 from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
@@ -34,8 +34,9 @@ from ultraquiet.deploy.law.realisation import FORMS, realisation
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.reanalyse import reanalysis
 from ultraquiet.deploy.retune import anti_windup_gain, bank_for
-from ultraquiet.deploy.targets import TARGETS
 from ultraquiet.deploy.tones import on_bench
+from ultraquiet.deploy.toolchain import compiler
+from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.deploy.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
@@ -80,7 +81,7 @@ class Deployment:
 
     def instance(self, ramp: bool = False) -> Controller:
         """Return a new `Controller` that runs the compiled code; `ramp` starts it as a real start would."""
-        cc = toolchain.compiler()
+        cc = compiler.compiler()
         if self._library is None and cc is not None:
             self._library = Library(self.law, self.folder, cc)
         if self._library is not None:
@@ -121,7 +122,7 @@ class Deployment:
         whole("Deployment.verify", "fuzz_steps", fuzz_steps, 0)
         require_plant(plant)
         plant = self.plant if plant is None else plant
-        found = verify_code(self.law, self.folder, toolchain.compiler(), steps, seed, targets, fuzz_steps)
+        found = verify_code(self.law, self.folder, compiler.compiler(), steps, seed, targets, fuzz_steps)
         law = self.quantised if self.designed is None else self.designed
         loop = None if plant is None else reanalysis(law, self.quantised, plant)
         runs = found.status.word != "not compiled"

@@ -11,7 +11,7 @@ from ultraquiet.deploy.law.coefficients import numbers, sections
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.script import LOADS, OPS, SPECIAL, Row, planted
-from ultraquiet.deploy.targets import TARGETS
+from ultraquiet.deploy.toolchain.targets import TARGETS
 
 if TYPE_CHECKING:
     import jinja2

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy import toolchain
 from ultraquiet.deploy.emit import FLAGS, render
 from ultraquiet.deploy.fixed_point import FixedLaw, Whole, fixed_law
 from ultraquiet.deploy.fixed_twin import FixedTwin, words
@@ -23,7 +22,8 @@ from ultraquiet.deploy.folder import manifest_text, require_ours, write_folder
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of
 from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.script import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP, MASK
-from ultraquiet.deploy.toolchain import call, compile_c
+from ultraquiet.deploy.toolchain import compiler
+from ultraquiet.deploy.toolchain.compiler import call, compile_c
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
@@ -69,14 +69,14 @@ class FixedDeployment:
     @cached_property
     def controller(self) -> "FixedTwin | FixedCode":
         """The law in control, from rest: the compiled code, without a compiler its twin."""
-        cc = toolchain.compiler()
+        cc = compiler.compiler()
         return FixedTwin(self.law) if cc is None else FixedCode(self.law, self.folder, cc)
 
     def verify(self, steps: int = STEPS, seed: int = 0) -> FixedVerification:
         """Compile the code and compare `steps` samples over the whole range, and the self-test, with the twin."""
         whole("FixedDeployment.verify", "steps", steps, 1)
         whole("FixedDeployment.verify", "seed", seed, 0)
-        cc = toolchain.compiler()
+        cc = compiler.compiler()
         if cc is None:
             return FixedVerification(Status("no compiler", "No C compiler was found (cc, gcc, clang or $CC)."), None)
         began = time.perf_counter()

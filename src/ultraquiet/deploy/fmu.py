@@ -17,9 +17,10 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy import emit, toolchain
+from ultraquiet.deploy import emit
 from ultraquiet.deploy.fmu_refused import REFUSED
 from ultraquiet.deploy.law.law import DTYPES, Law
+from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.status import Status
@@ -112,7 +113,7 @@ def write_fmu(
     if version == "3.0":
         entries["sources/buildDescription.xml"] = emit.render("fmu_build.xml.j2", context).encode()
     place, status = None, Status("sources only", "The unit holds sources; the importer compiles them.")
-    cc = toolchain.compiler() if binary else None
+    cc = compiler.compiler() if binary else None
     if cc is not None:
         place = binary_folder(version)
         entries[f"binaries/{place}/{law.name}{_extension()}"] = _compiled(cc, held, context["sources"])
@@ -231,7 +232,7 @@ def _compiled(cc: str, held: dict[str, str], sources: list[str]) -> bytes:
             (Path(work) / name).write_text(text)
         library = Path(work) / f"unit{_extension()}"
         hidden = "-fvisibility=hidden"
-        toolchain.compile_c([cc, *emit.FLAGS, "-fPIC", "-shared", hidden, *sources, "-o", library], Path(work))
+        compiler.compile_c([cc, *emit.FLAGS, "-fPIC", "-shared", hidden, *sources, "-o", library], Path(work))
         return library.read_bytes()
 
 

@@ -14,8 +14,8 @@ from ultraquiet.deploy.call_graph import stack_bytes
 from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.struct_size import state_bytes
-from ultraquiet.deploy.targets import COMPILER, CORTEX_M7, Target
-from ultraquiet.deploy.toolchain import compile_c, compiler, flash_of
+from ultraquiet.deploy.toolchain.compiler import compile_c, compiler, flash_of
+from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, Target
 
 SIZE_TOOL = "arm-none-eabi-size"
 GRAPH = "-fcallgraph-info=su"  # gcc 10 and later

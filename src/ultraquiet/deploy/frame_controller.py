@@ -6,12 +6,12 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import toolchain
 from ultraquiet.deploy.frame import Frame, frame_settings
 from ultraquiet.deploy.frame_clock import FrameClock
 from ultraquiet.deploy.frame_loop import FrameHarness
 from ultraquiet.deploy.frame_times import FrameTimes
 from ultraquiet.deploy.law.twin import Twin
+from ultraquiet.deploy.toolchain import compiler
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
@@ -30,7 +30,7 @@ class FrameController:
         self.made, self.ramp = made, ramp
         self._settings = frame_settings(frame, times, made.law.rate_hz)
         self._draws = frame.draw(MOST_SAMPLES, self._settings["period_s"], seed)
-        cc = toolchain.compiler()
+        cc = compiler.compiler()
         self._harness = None if cc is None else FrameHarness(made.law, made.folder, cc)
         self.reset()
 

@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import signal_array
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy import emit, toolchain
+from ultraquiet.deploy import emit
 from ultraquiet.deploy.frame import Draws, Frame, frame_settings
 from ultraquiet.deploy.frame_clock import FrameClock, empty_arrays, run_clock
 from ultraquiet.deploy.frame_times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.script import sizes
+from ultraquiet.deploy.toolchain import compiler
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
@@ -64,7 +65,7 @@ class FrameHarness:
             text = emit.render("frame_harness.c.j2", {"name": law.name, "NAME": law.name.upper()})
             source.write_text(text, encoding="utf-8")
             own = folder / f"{law.name}.c"
-            toolchain.compile_c([cc, *emit.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder)
+            compiler.compile_c([cc, *emit.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder)
             try:
                 self._library = ctypes.CDLL(str(made))
             except OSError as error:
@@ -142,7 +143,7 @@ def run_frames(
     settings = frame_settings(frame, times, made.law.rate_hz)
     draws = frame.draw(frames, settings["period_s"], seed)
     y = _measurements(made.law, measurements, seed)
-    cc = toolchain.compiler()
+    cc = compiler.compiler()
     if cc is not None:
         held = FrameHarness(made.law, made.folder, cc).run(settings, draws, frames, y)
     else:

@@ -134,7 +134,7 @@ class FrameTimes:
             ToolError: the target's compiler or emulator is missing or refuses.
         """
         from ultraquiet.deploy.cortex import run_on_target
-        from ultraquiet.deploy.targets import target_named
+        from ultraquiet.deploy.toolchain.targets import target_named
 
         law, chosen = made.law, target_named(target)
         y = np.random.default_rng(0).standard_normal((law.inputs, COUNTED_STEPS)) * sizes(law)[1] * HALF_RANGE

@@ -8,7 +8,7 @@ from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.emit import FLAGS, constant, render
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.script import HALF_RANGE, sizes
-from ultraquiet.deploy.toolchain import call, compile_c
+from ultraquiet.deploy.toolchain.compiler import call, compile_c
 
 STEPS = 10_000
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")

@@ -29,7 +29,7 @@ from ultraquiet.deploy.cortex import (
     reply_type,
 )
 from ultraquiet.deploy.law.law import Rounded, require_floating
-from ultraquiet.deploy.targets import target_named
+from ultraquiet.deploy.toolchain.targets import target_named
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

@@ -21,9 +21,9 @@ from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
 from ultraquiet.deploy.reanalyse import Reanalysis
 from ultraquiet.deploy.script import sizes
-from ultraquiet.deploy.targets import TARGETS, target_named
 from ultraquiet.deploy.tones import OnBench
-from ultraquiet.deploy.toolchain import call, compile_c
+from ultraquiet.deploy.toolchain.compiler import call, compile_c
+from ultraquiet.deploy.toolchain.targets import TARGETS, target_named
 from ultraquiet.values.status import Status
 
 STEPS = 100_000

@@ -11,7 +11,7 @@ from ultraquiet import experiments
 from ultraquiet._base.errors import StorageError
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import lookup
-from ultraquiet.deploy.toolchain import compiler
+from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.files import write_bytes
 from ultraquiet.pipeline import control, identification, limits, preflight, report, study, summary, validation
 from ultraquiet.pipeline.cache import Cache, Outcome

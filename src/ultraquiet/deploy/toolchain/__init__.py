@@ -1,0 +1,1 @@
+"""Compilers, and the processors they compile for."""
