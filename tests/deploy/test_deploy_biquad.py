@@ -7,7 +7,7 @@ from scipy.linalg import block_diag
 
 import ultraquiet as uq
 from ultraquiet.deploy import generate, kernel_cycles, realisation
-from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.law.biquad import channels
 from ultraquiet.deploy.law.form_choice import error_of
 from ultraquiet.deploy.law.twin import Twin

@@ -9,8 +9,8 @@ import pytest
 from deploy_laws import RATE_HZ
 
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.compiled import CompiledController, Library
-from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.c_code.compiled import CompiledController, Library
+from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.verify import compare, measurements
 from ultraquiet.values import Controller, StateSpace, SteppedController

@@ -8,7 +8,7 @@ from deploy_laws import RATE_HZ, block, random_law
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import FixedTwin, fixed_law, generate_fixed, word_lengths
-from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.fixed_deploy import measurements
 from ultraquiet.deploy.fixed_twin import words
 from ultraquiet.deploy.law.form_choice import error_of

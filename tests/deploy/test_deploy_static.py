@@ -7,7 +7,7 @@ import subprocess
 import pytest
 
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.emit import DEVIATIONS
+from ultraquiet.deploy.c_code.render import DEVIATIONS
 
 STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror", "-Wstrict-prototypes", "-Wundef")
 

@@ -13,10 +13,11 @@ from deploy_laws import RATE_HZ
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy import emit, generate, on_bench, reanalysis
+from ultraquiet.deploy import generate, on_bench, reanalysis
+from ultraquiet.deploy.c_code import render
+from ultraquiet.deploy.c_code.footprint import footprint_on
 from ultraquiet.deploy.call_graph import stack_bytes
 from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.footprint import footprint_on
 from ultraquiet.deploy.fuzz import fuzz_code
 from ultraquiet.deploy.struct_size import state_bytes
 from ultraquiet.deploy.toolchain.targets import COMPILER, TARGETS
@@ -192,8 +193,8 @@ def test_stack_bound_holds_what_a_step_really_uses(law_of, rng, tmp_path, name):
 
 def painted(folder, target) -> int:
     """Return the deepest byte that output and update touched below their caller's frame."""
+    from ultraquiet.deploy.c_code.render import FLAGS
     from ultraquiet.deploy.cortex import emulation
-    from ultraquiet.deploy.emit import FLAGS
     from ultraquiet.deploy.toolchain.compiler import compile_c
 
     path = folder / "controller_cortex.c"
@@ -315,12 +316,12 @@ def test_random_bits_find_nothing_in_the_code_and_a_missing_limit_at_once(law_of
     assert clean.finding == ""
     path = tmp_path / "code" / "controller.h"
     header = tmp_path / "code" / "controller_coefficients.h"
-    low = emit.constant(made.law.limits[0, 0], precision)
+    low = render.constant(made.law.limits[0, 0], precision)
     changed = 0
     for file in (path, header):
         text = file.read_text()
         changed += text.count(low)
-        file.write_text(text.replace(low, emit.constant(4 * made.law.limits[0, 0], precision)))
+        file.write_text(text.replace(low, render.constant(4 * made.law.limits[0, 0], precision)))
     assert changed
     broken = fuzzed(made, cc, seed, 20_000)
     print(broken.finding)

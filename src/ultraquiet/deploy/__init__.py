@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.budget import largest_order as largest_order
     from ultraquiet.deploy.c31_emit import C31Code as C31Code
     from ultraquiet.deploy.c31_emit import c31_code as c31_code
+    from ultraquiet.deploy.c_code.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.cmake import write_project as write_project
-    from ultraquiet.deploy.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
     from ultraquiet.deploy.exchange import export_law as export_law
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "C31Code": "c31_emit",
-    "CompiledController": "compiled",
+    "CompiledController": "c_code.compiled",
     "Deployment": "deployment",
     "FixedDeployment": "fixed_deploy",
     "FixedLaw": "fixed_point",

@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import budget
 from ultraquiet.deploy.c31_float import decode, encode
-from ultraquiet.deploy.emit import render
+from ultraquiet.deploy.c_code.render import render
 from ultraquiet.deploy.law.law import Law
 
 BLOCK_0, BLOCK_1 = 0x809800, 0x809C00

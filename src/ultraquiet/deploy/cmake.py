@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy import emit
-from ultraquiet.deploy.folder import write_folder
+from ultraquiet.deploy.c_code import render
+from ultraquiet.deploy.c_code.output_folder import write_folder
 from ultraquiet.deploy.law.law import DTYPES
 from ultraquiet.deploy.toolchain.targets import COMPILER, EMULATOR, TARGETS
 
@@ -66,15 +66,15 @@ def write_project(made: "Deployment", folder: str | Path, owner: str = NOBODY) -
         "version": metadata.version("ultraquiet"),
         "model_hash": made.model_hash,
         "owner": owner,
-        "flags": " ".join(emit.FLAGS[1:]),  # the standard is CMake's to ask for
+        "flags": " ".join(render.FLAGS[1:]),  # the standard is CMake's to ask for
         "targets": tuple(TARGETS.values()),
         "compiler": COMPILER,
         "emulator": EMULATOR,
     }
     files = _generated(made.folder, law.name)
-    files |= {name: emit.render(template, context) for template, name in TEMPLATES.items()}
+    files |= {name: render.render(template, context) for template, name in TEMPLATES.items()}
     for target in TARGETS.values():
-        files[f"cmake/{target.name}.cmake"] = emit.render("github_cortex.cmake.j2", context | {"target": target})
+        files[f"cmake/{target.name}.cmake"] = render.render("github_cortex.cmake.j2", context | {"target": target})
     write_folder(folder, files)
     return folder
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.compiler import call, compile_c
 from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, EMULATOR, TICKS, Target

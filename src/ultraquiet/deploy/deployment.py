@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.bench import Bench
-from ultraquiet.deploy import budget, emit, script
+from ultraquiet.deploy import budget
 from ultraquiet.deploy.c31_emit import c31_files
-from ultraquiet.deploy.compiled import CompiledController, Library
-from ultraquiet.deploy.folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
-from ultraquiet.deploy.footprint import footprint
+from ultraquiet.deploy.c_code import render, self_test
+from ultraquiet.deploy.c_code.compiled import CompiledController, Library
+from ultraquiet.deploy.c_code.footprint import footprint
+from ultraquiet.deploy.c_code.output_folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.law.anti_windup import Wish, wish
 from ultraquiet.deploy.law.coefficients import CoefficientBank
@@ -151,7 +152,7 @@ class Deployment:
             "status": asdict(self.status),
             "verified": said,
         }
-        text = emit.readme(self.law, self.model_hash, self.tables, [str(self.status), said], budget.ASSUMPTIONS)
+        text = render.readme(self.law, self.model_hash, self.tables, [str(self.status), said], budget.ASSUMPTIONS)
         return {"README.md": text, MANIFEST: manifest_text(manifest)}
 
 
@@ -250,10 +251,10 @@ def generate(
         budget.require_fit(choice.law, budget_cycles, 1.0 if budget_share is None else budget_share)
     what = "the response" if plant is None else "the loop's sensitivity"
     status = _status(controller, choice, tolerance, what, plant)
-    rows = script.self_test(choice.law)
-    files = emit.sources(choice.law, rows, controller.hash)
+    rows = self_test.self_test(choice.law)
+    files = render.sources(choice.law, rows, controller.hash)
     tables = _tables(choice, budget_cycles) | {"anti_windup_because": why} | footprint(choice.law, files)
-    files["vectors.csv"] = emit.vectors(choice.law)
+    files["vectors.csv"] = render.vectors(choice.law)
     if "c31" in targets:
         files |= c31_files(choice.law, controller.hash)
     made = Deployment(choice.law, folder, tables, status, controller.hash, controller, plant)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy import emit
+from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.fmu_refused import REFUSED
 from ultraquiet.deploy.law.law import DTYPES, Law
 from ultraquiet.deploy.toolchain import compiler
@@ -108,10 +108,10 @@ def write_fmu(
     context = _context(law, wires, version, list(held))
     held |= _interface(context, version)
     entries: dict[str, bytes] = {f"sources/{name}": text.encode() for name, text in held.items()}
-    entries["modelDescription.xml"] = emit.render(f"fmu_{version[0]}.xml.j2", context).encode()
+    entries["modelDescription.xml"] = render.render(f"fmu_{version[0]}.xml.j2", context).encode()
     entries["documentation/README.md"] = (made.folder / "README.md").read_bytes()
     if version == "3.0":
-        entries["sources/buildDescription.xml"] = emit.render("fmu_build.xml.j2", context).encode()
+        entries["sources/buildDescription.xml"] = render.render("fmu_build.xml.j2", context).encode()
     place, status = None, Status("sources only", "The unit holds sources; the importer compiles them.")
     cc = compiler.compiler() if binary else None
     if cc is not None:
@@ -175,8 +175,8 @@ def _generated(folder: Path, name: str) -> dict[str, str]:
 def _interface(context: dict[str, Any], version: str) -> dict[str, str]:
     name = context["name"]
     return {
-        f"{name}_fmu.h": emit.render("fmu_core.h.j2", context),
-        f"{name}_fmi{version[0]}.c": emit.render(f"fmu_{version[0]}.c.j2", context),
+        f"{name}_fmu.h": render.render("fmu_core.h.j2", context),
+        f"{name}_fmi{version[0]}.c": render.render(f"fmu_{version[0]}.c.j2", context),
     }
 
 
@@ -212,7 +212,7 @@ def _context(
         "ramp_description": _RAMP_SAYS,
         "time_name": TIME,
         "sources": [*sources, f"{law.name}_fmi{version[0]}.c"],
-        "flags": " ".join(emit.FLAGS),
+        "flags": " ".join(render.FLAGS),
         "refused": REFUSED[version],
     }
 
@@ -232,7 +232,7 @@ def _compiled(cc: str, held: dict[str, str], sources: list[str]) -> bytes:
             (Path(work) / name).write_text(text)
         library = Path(work) / f"unit{_extension()}"
         hidden = "-fvisibility=hidden"
-        compiler.compile_c([cc, *emit.FLAGS, "-fPIC", "-shared", hidden, *sources, "-o", library], Path(work))
+        compiler.compile_c([cc, *render.FLAGS, "-fPIC", "-shared", hidden, *sources, "-o", library], Path(work))
         return library.read_bytes()
 
 

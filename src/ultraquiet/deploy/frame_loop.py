@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import signal_array
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy import emit
+from ultraquiet.deploy.c_code import render
+from ultraquiet.deploy.c_code.self_test import sizes
 from ultraquiet.deploy.frame import Draws, Frame, frame_settings
 from ultraquiet.deploy.frame_clock import FrameClock, empty_arrays, run_clock
 from ultraquiet.deploy.frame_times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.script import sizes
 from ultraquiet.deploy.toolchain import compiler
 
 if TYPE_CHECKING:
@@ -62,10 +62,10 @@ class FrameHarness:
         self.law = law
         with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
             source, made = Path(work) / "frame.c", Path(work) / "frame.so"
-            text = emit.render("frame_harness.c.j2", {"name": law.name, "NAME": law.name.upper()})
+            text = render.render("frame_harness.c.j2", {"name": law.name, "NAME": law.name.upper()})
             source.write_text(text, encoding="utf-8")
             own = folder / f"{law.name}.c"
-            compiler.compile_c([cc, *emit.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder)
+            compiler.compile_c([cc, *render.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder)
             try:
                 self._library = ctypes.CDLL(str(made))
             except OSError as error:

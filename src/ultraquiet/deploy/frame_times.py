@@ -8,8 +8,8 @@ import numpy as np
 from ultraquiet._base.constraints import between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import budget
+from ultraquiet.deploy.c_code.self_test import HALF_RANGE, sizes
 from ultraquiet.deploy.law.law import Law
-from ultraquiet.deploy.script import HALF_RANGE, sizes
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.emit import FLAGS, constant, render
+from ultraquiet.deploy.c_code.render import FLAGS, constant, render
+from ultraquiet.deploy.c_code.self_test import HALF_RANGE, sizes
 from ultraquiet.deploy.law.law import Law
-from ultraquiet.deploy.script import HALF_RANGE, sizes
 from ultraquiet.deploy.toolchain.compiler import call, compile_c
 
 STEPS = 10_000

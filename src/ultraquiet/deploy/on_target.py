@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ultraquiet.deploy.c_code.footprint import footprint_on
 from ultraquiet.deploy.cortex import Run, count_instructions, run_on_target
-from ultraquiet.deploy.footprint import footprint_on
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.targets import Target
 

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.compiled import CompiledController, Library
+from ultraquiet.deploy.c_code.compiled import CompiledController, Library
+from ultraquiet.deploy.c_code.render import FLAGS
+from ultraquiet.deploy.c_code.self_test import sizes
 from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.fuzz import Fuzz, fuzz_code
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
 from ultraquiet.deploy.reanalyse import Reanalysis
-from ultraquiet.deploy.script import sizes
 from ultraquiet.deploy.tones import OnBench
 from ultraquiet.deploy.toolchain.compiler import call, compile_c
 from ultraquiet.deploy.toolchain.targets import TARGETS, target_named

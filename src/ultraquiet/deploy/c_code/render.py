@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, Row, planted
 from ultraquiet.deploy.law.coefficients import numbers, sections
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.script import LOADS, OPS, SPECIAL, Row, planted
 from ultraquiet.deploy.toolchain.targets import TARGETS
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy.emit import FLAGS
+from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.compiler import compile_c
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
+from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.call_graph import stack_bytes
-from ultraquiet.deploy.emit import FLAGS
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.struct_size import state_bytes
 from ultraquiet.deploy.toolchain.compiler import compile_c, compiler, flash_of

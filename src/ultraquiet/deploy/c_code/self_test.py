@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet.deploy import script_text as text_of
+from ultraquiet.deploy.c_code import self_test_text as text_of
 from ultraquiet.deploy.law.coefficients import CoefficientBank, bank_from, numbers
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin

@@ -1,0 +1,1 @@
+"""C99 from a law: rendered, compiled, tested by itself, measured."""
