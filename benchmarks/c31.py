@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ultraquiet.deploy import budget
-from ultraquiet.deploy.c31_emit import c31_code
+from ultraquiet.deploy.c31.assembly import c31_code
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
 from ultraquiet.deploy.law.law import Law, actuator_limits, rounded
 from ultraquiet.deploy.law.realisation import Realisation

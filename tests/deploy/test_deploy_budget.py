@@ -3,7 +3,7 @@
 import pytest
 
 from ultraquiet.deploy import generate, kernel_cycles, largest_order
-from ultraquiet.deploy.budget import BUDGET_CYCLES, SKELETON_CYCLES
+from ultraquiet.deploy.c31.cycles import BUDGET_CYCLES, SKELETON_CYCLES
 
 # Instructions six by six, of hand-written kernels and of the emitted ones alike: form, anti-windup, at 60 states,
 # at 120, largest order in 2800.

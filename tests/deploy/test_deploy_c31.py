@@ -13,9 +13,10 @@ from c31_program import Program, RefusedError
 from c31_reference import Reference
 from deploy_laws import random_law
 
-from ultraquiet.deploy import budget, generate
-from ultraquiet.deploy.c31_emit import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31_code
-from ultraquiet.deploy.c31_float import decode, encode
+from ultraquiet.deploy import generate
+from ultraquiet.deploy.c31 import cycles as budget
+from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31_code
+from ultraquiet.deploy.c31.float_format import decode, encode
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
 from ultraquiet.deploy.law.law import actuator_limits, rounded
 from ultraquiet.deploy.law.realisation import Realisation

@@ -9,10 +9,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ultraquiet.deploy.budget import kernel_cycles as kernel_cycles
-    from ultraquiet.deploy.budget import largest_order as largest_order
-    from ultraquiet.deploy.c31_emit import C31Code as C31Code
-    from ultraquiet.deploy.c31_emit import c31_code as c31_code
+    from ultraquiet.deploy.c31.assembly import C31Code as C31Code
+    from ultraquiet.deploy.c31.assembly import c31_code as c31_code
+    from ultraquiet.deploy.c31.cycles import kernel_cycles as kernel_cycles
+    from ultraquiet.deploy.c31.cycles import largest_order as largest_order
     from ultraquiet.deploy.c_code.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.cmake import write_project as write_project
     from ultraquiet.deploy.deployment import Deployment as Deployment
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.verify import Verification as Verification
 
 _HOME = {
-    "C31Code": "c31_emit",
+    "C31Code": "c31.assembly",
     "CompiledController": "c_code.compiled",
     "Deployment": "deployment",
     "FixedDeployment": "fixed_deploy",
@@ -73,15 +73,15 @@ _HOME = {
     "Twin": "law.twin",
     "Verification": "verify",
     "WordLength": "precisions",
-    "c31_code": "c31_emit",
+    "c31_code": "c31.assembly",
     "conditioning_gain": "law.anti_windup",
     "export_law": "exchange",
     "fixed_law": "fixed_point",
     "foton_text": "foton",
     "generate": "deployment",
     "generate_fixed": "fixed_deploy",
-    "kernel_cycles": "budget",
-    "largest_order": "budget",
+    "kernel_cycles": "c31.cycles",
+    "largest_order": "c31.cycles",
     "read_foton": "foton",
     "read_law": "exchange",
     "on_bench": "tones",

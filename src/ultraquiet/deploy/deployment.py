@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.bench import Bench
-from ultraquiet.deploy import budget
-from ultraquiet.deploy.c31_emit import c31_files
+from ultraquiet.deploy.c31 import cycles
+from ultraquiet.deploy.c31.assembly import c31_files
 from ultraquiet.deploy.c_code import render, self_test
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.footprint import footprint
@@ -152,7 +152,7 @@ class Deployment:
             "status": asdict(self.status),
             "verified": said,
         }
-        text = render.readme(self.law, self.model_hash, self.tables, [str(self.status), said], budget.ASSUMPTIONS)
+        text = render.readme(self.law, self.model_hash, self.tables, [str(self.status), said], cycles.ASSUMPTIONS)
         return {"README.md": text, MANIFEST: manifest_text(manifest)}
 
 
@@ -171,7 +171,7 @@ def generate(
     ramp_s: float = RAMP_S,
     plant: StateSpace | None = None,
     tolerance: float = TOLERANCE,
-    budget_cycles: int = budget.BUDGET_CYCLES,
+    budget_cycles: int = cycles.BUDGET_CYCLES,
     enforce_budget: bool = False,
     budget_share: float | None = None,
     targets: Sequence[str] = ("c99",),
@@ -248,7 +248,7 @@ def generate(
     room = budget_cycles * (1.0 if budget_share is None else budget_share)
     choice, why = _aware(controller, form, make, plant, tolerance, wanted, room if anti_windup == "auto" else np.inf)
     if enforce_budget or budget_share is not None:
-        budget.require_fit(choice.law, budget_cycles, 1.0 if budget_share is None else budget_share)
+        cycles.require_fit(choice.law, budget_cycles, 1.0 if budget_share is None else budget_share)
     what = "the response" if plant is None else "the loop's sensitivity"
     status = _status(controller, choice, tolerance, what, plant)
     rows = self_test.self_test(choice.law)
@@ -291,7 +291,7 @@ def _aware(
         if np.isinf(room):
             raise
         return _choice(controller, form, plain, plant, tolerance), f"off: {wanted.why}, but {refusal}"
-    need = budget.cycles(choice.law)
+    need = cycles.cycles(choice.law)
     if need > room:
         off = f"off: {wanted.why}, but {need} C31 instructions do not fit the {room:g} allowed"
         return _choice(controller, form, plain, plant, tolerance), off
@@ -300,7 +300,7 @@ def _aware(
 
 def _choice(controller: StateSpace, form: str, make: Any, plant: StateSpace | None, tolerance: float) -> Choice:
     if form == "auto":
-        return choose(controller, make, budget.cycles, plant, tolerance)
+        return choose(controller, make, cycles.cycles, plant, tolerance)
     law, condition = make(form)
     error = error_of(law.state_space(), controller, plant)
     return Choice(law, error, {form: error}, condition)
@@ -327,8 +327,8 @@ def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str,
 
 def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
     law = choice.law
-    used = budget.cycles(law)
-    kernel = budget.kernel_of(law)
+    used = cycles.cycles(law)
+    kernel = cycles.kernel_of(law)
     anti_windup = law.L is not None
     return {
         "states": law.order,
@@ -337,14 +337,14 @@ def _tables(choice: Choice, budget_cycles: int) -> dict[str, Any]:
         "anti_windup": anti_windup,
         "c31_cycles": used,
         "c31_kernel_cycles": kernel,
-        "c31_output_cycles": budget.output_cycles(law),
+        "c31_output_cycles": cycles.output_cycles(law),
         "c31_budget": budget_cycles,
         "c31_budget_share": used / budget_cycles,
         "c31_fits_the_model": used <= budget_cycles,
-        "c31_words": budget.words(law),
-        "c31_internal_words": budget.INTERNAL_WORDS,
-        "c31_largest_order": budget.largest_order(
-            law.form, budget_cycles, law.inputs, law.outputs, **budget.shape(law)
+        "c31_words": cycles.words(law),
+        "c31_internal_words": cycles.INTERNAL_WORDS,
+        "c31_largest_order": cycles.largest_order(
+            law.form, budget_cycles, law.inputs, law.outputs, **cycles.shape(law)
         ),
         "cortex_m7_instructions": None,
         "coefficients": law.coefficients,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import between, positive, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import budget
+from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c_code.self_test import HALF_RANGE, sizes
 from ultraquiet.deploy.law.law import Law
 
@@ -74,8 +74,8 @@ class FrameTimes:
         >>> round(1e6 * FrameTimes.c31(law).skeleton_s, 3)
         7.1
         """
-        kernel = budget.kernel_of(law)
-        output = min(kernel, budget.output_cycles(law))
+        kernel = cycles.kernel_of(law)
+        output = min(kernel, cycles.output_cycles(law))
         return cls._of(output, kernel - output, 0, 0, C31_CLOCK_HZ, "TMS320C31-40 model, 50 ns an instruction")
 
     @classmethod

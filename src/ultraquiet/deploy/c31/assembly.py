@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import budget
-from ultraquiet.deploy.c31_float import decode, encode
+from ultraquiet.deploy.c31 import cycles
+from ultraquiet.deploy.c31.float_format import decode, encode
 from ultraquiet.deploy.c_code.render import render
 from ultraquiet.deploy.law.law import Law
 
@@ -137,7 +137,7 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
         "ring": ring,
         "align": align,
         "block_size": max(ring, 1),
-        "pad": -(budget.AHEAD + law.states + (0 if bank else 1)) % align,
+        "pad": -(cycles.AHEAD + law.states + (0 if bank else 1)) % align,
         "bank": bank,
         "channel_states": [2 * blocks for blocks in law.channels],
         **(_bank_places(law, align) if bank else _places(law, ring)),
@@ -150,15 +150,15 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
         "most_counts": MOST_COUNTS,
         "coefficients": _words(_stream(law)),
         "place": "internal block 1" if coefficients_internal(law) else "external memory without wait states",
-        "kernel_cycles": budget.kernel_of(law),
-        "skeleton": budget.skeleton_cycles(law.inputs, law.outputs, anti_windup=anti_windup),
+        "kernel_cycles": cycles.kernel_of(law),
+        "skeleton": cycles.skeleton_cycles(law.inputs, law.outputs, anti_windup=anti_windup),
     }
 
 
 def _places(law: Law, ring: int) -> dict[str, object]:
     """Return what lies in the state section, in words, and where its pointers begin; y0 has a register of its own."""
     end, odd = f"{law.name}_ring + {law.inputs - 1}", law.outputs % 2
-    layout = [("", budget.AHEAD), ("_x", law.states), ("_y", 1), ("_ring", ring), ("_u", law.outputs)]
+    layout = [("", cycles.AHEAD), ("_x", law.states), ("_y", 1), ("_ring", ring), ("_u", law.outputs)]
     return {
         "layout": layout,
         "first": end if odd else f"{law.name}_x",
@@ -171,7 +171,7 @@ def _bank_places(law: Law, align: int) -> dict[str, object]:
     """Return the same for a bank, whose measurements are one ring and whose corrections are another."""
     corrections = law.outputs if law.L is not None else 0
     measured = align if corrections else law.inputs
-    layout = [("", budget.AHEAD), ("_x", law.states), ("_y", measured), ("_ring", corrections), ("_u", law.outputs)]
+    layout = [("", cycles.AHEAD), ("_x", law.states), ("_y", measured), ("_ring", corrections), ("_u", law.outputs)]
     return {
         "layout": layout,
         "first": f"{law.name}_x",

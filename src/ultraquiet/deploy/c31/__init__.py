@@ -1,0 +1,1 @@
+"""The TMS320C31: its cycle model, its number format and its assembly."""
