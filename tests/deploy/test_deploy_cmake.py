@@ -8,7 +8,7 @@ import pytest
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.cmake import write_project
+from ultraquiet.deploy.exchange.cmake import write_project
 from ultraquiet.deploy.toolchain.targets import COMPILER, EMULATOR, TARGETS
 
 

@@ -12,8 +12,8 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.exchange import export_law, read_law
-from ultraquiet.deploy.foton import foton_text, read_foton, response_error
+from ultraquiet.deploy.exchange.exchange import export_law, read_law
+from ultraquiet.deploy.exchange.foton import foton_text, read_foton, response_error
 from ultraquiet.values import Channel, Record, StateSpace
 
 F_HZ = np.geomspace(0.5, 0.499 * RATE_HZ, 300)

@@ -18,8 +18,8 @@ from fmpy.validation import validate_fmu
 from ultraquiet._base.errors import InputError, StorageError, ToolError
 from ultraquiet.bench import Fmu, Wrapped
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.fmu import binary_folder, write_fmu
-from ultraquiet.deploy.fmu_controller import FmuController
+from ultraquiet.deploy.exchange.fmu import binary_folder, write_fmu
+from ultraquiet.deploy.exchange.fmu_controller import FmuController
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.values import Channel, Controller
 
@@ -331,7 +331,7 @@ def test_a_unit_that_cannot_control_says_why(unit, rng, tmp_path):
     with pytest.raises(ToolError, match=r"at sample 0 .* whole number of sample periods"):
         wrong.step(np.zeros(6))
     script = (
-        "import sys; sys.modules['fmpy'] = None; from ultraquiet.deploy.fmu_controller import FmuController as F; "
+        "import sys; sys.modules['fmpy'] = None; from ultraquiet.deploy import FmuController as F; "
         f"from ultraquiet._base.errors import ToolError\ntry: F({str(path)!r})\nexcept ToolError as e: print(e)"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)

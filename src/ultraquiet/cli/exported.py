@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 def require_writable(law: "StateSpace", fmu: Path | None, fmi: str, export: list[Path] | None) -> None:
     """Refuse what could not be written later, before any work is done."""
     from ultraquiet.deploy import foton_text
-    from ultraquiet.deploy.exchange import FORMATS
-    from ultraquiet.deploy.fmu import VERSIONS
+    from ultraquiet.deploy.exchange.exchange import FORMATS
+    from ultraquiet.deploy.exchange.fmu import VERSIONS
 
     one_of("deploy", "--fmi", fmi, VERSIONS)
     if fmu is not None and fmu.suffix != ".fmu":

@@ -14,21 +14,21 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.c31.cycles import kernel_cycles as kernel_cycles
     from ultraquiet.deploy.c31.cycles import largest_order as largest_order
     from ultraquiet.deploy.c_code.compiled import CompiledController as CompiledController
-    from ultraquiet.deploy.cmake import write_project as write_project
     from ultraquiet.deploy.deployment import Deployment as Deployment
     from ultraquiet.deploy.deployment import generate as generate
-    from ultraquiet.deploy.exchange import export_law as export_law
-    from ultraquiet.deploy.exchange import read_law as read_law
+    from ultraquiet.deploy.exchange.cmake import write_project as write_project
+    from ultraquiet.deploy.exchange.exchange import export_law as export_law
+    from ultraquiet.deploy.exchange.exchange import read_law as read_law
+    from ultraquiet.deploy.exchange.fmu import FmuFile as FmuFile
+    from ultraquiet.deploy.exchange.fmu import write_fmu as write_fmu
+    from ultraquiet.deploy.exchange.fmu_controller import FmuController as FmuController
+    from ultraquiet.deploy.exchange.foton import foton_text as foton_text
+    from ultraquiet.deploy.exchange.foton import read_foton as read_foton
     from ultraquiet.deploy.fixed_deploy import FixedDeployment as FixedDeployment
     from ultraquiet.deploy.fixed_deploy import generate_fixed as generate_fixed
     from ultraquiet.deploy.fixed_point import FixedLaw as FixedLaw
     from ultraquiet.deploy.fixed_point import fixed_law as fixed_law
     from ultraquiet.deploy.fixed_twin import FixedTwin as FixedTwin
-    from ultraquiet.deploy.fmu import FmuFile as FmuFile
-    from ultraquiet.deploy.fmu import write_fmu as write_fmu
-    from ultraquiet.deploy.fmu_controller import FmuController as FmuController
-    from ultraquiet.deploy.foton import foton_text as foton_text
-    from ultraquiet.deploy.foton import read_foton as read_foton
     from ultraquiet.deploy.frame import Frame as Frame
     from ultraquiet.deploy.frame import Overload as Overload
     from ultraquiet.deploy.frame_controller import FrameController as FrameController
@@ -57,8 +57,8 @@ _HOME = {
     "FixedDeployment": "fixed_deploy",
     "FixedLaw": "fixed_point",
     "FixedTwin": "fixed_twin",
-    "FmuController": "fmu_controller",
-    "FmuFile": "fmu",
+    "FmuController": "exchange.fmu_controller",
+    "FmuFile": "exchange.fmu",
     "Frame": "frame",
     "FrameController": "frame_controller",
     "FrameSimulation": "frame_result",
@@ -75,22 +75,22 @@ _HOME = {
     "WordLength": "precisions",
     "c31_code": "c31.assembly",
     "conditioning_gain": "law.anti_windup",
-    "export_law": "exchange",
+    "export_law": "exchange.exchange",
     "fixed_law": "fixed_point",
-    "foton_text": "foton",
+    "foton_text": "exchange.foton",
     "generate": "deployment",
     "generate_fixed": "fixed_deploy",
     "kernel_cycles": "c31.cycles",
     "largest_order": "c31.cycles",
-    "read_foton": "foton",
-    "read_law": "exchange",
+    "read_foton": "exchange.foton",
+    "read_law": "exchange.exchange",
     "on_bench": "tones",
     "realisation": "law.realisation",
     "reanalysis": "reanalyse",
     "rounding_errors": "law.word_length",
     "word_lengths": "precisions",
-    "write_fmu": "fmu",
-    "write_project": "cmake",
+    "write_fmu": "exchange.fmu",
+    "write_project": "exchange.cmake",
 }
 
 __all__ = list(_HOME)  # pyright: ignore[reportUnsupportedDunderAll]

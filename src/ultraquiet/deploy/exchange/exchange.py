@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy.foton import foton_text, read_foton
+from ultraquiet.deploy.exchange.foton import foton_text, read_foton
 from ultraquiet.files import load, save, write_bytes
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace

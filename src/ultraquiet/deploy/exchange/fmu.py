@@ -18,7 +18,7 @@ import numpy as np
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy.c_code import render
-from ultraquiet.deploy.fmu_refused import REFUSED
+from ultraquiet.deploy.exchange.fmu_refused import REFUSED
 from ultraquiet.deploy.law.law import DTYPES, Law
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes

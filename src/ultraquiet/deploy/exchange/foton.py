@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, one_of
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy.foton_sections import Sections, cascade, modal_sum
+from ultraquiet.deploy.exchange.foton_sections import Sections, cascade, modal_sum
 from ultraquiet.deploy.law.biquad import Channel, channels
 from ultraquiet.values.state_space import StateSpace
 
