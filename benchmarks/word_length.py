@@ -8,7 +8,7 @@ import numpy as np
 
 import ultraquiet as uq
 from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.fixed_deploy import measurements
+from ultraquiet.deploy.fixed_point.deployment import measurements
 from ultraquiet.deploy.tones import on_bench
 
 LOSS_DB = 0.5

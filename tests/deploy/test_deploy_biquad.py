@@ -8,10 +8,10 @@ from scipy.linalg import block_diag
 import ultraquiet as uq
 from ultraquiet.deploy import generate, kernel_cycles, realisation
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
+from ultraquiet.deploy.fixed_point.word_lengths import multiply_adds
 from ultraquiet.deploy.law.biquad import channels
 from ultraquiet.deploy.law.form_choice import error_of
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.precisions import multiply_adds
 from ultraquiet.deploy.verify import compare, measurements
 from ultraquiet.values import StateSpace
 

@@ -24,11 +24,13 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.exchange.fmu_controller import FmuController as FmuController
     from ultraquiet.deploy.exchange.foton import foton_text as foton_text
     from ultraquiet.deploy.exchange.foton import read_foton as read_foton
-    from ultraquiet.deploy.fixed_deploy import FixedDeployment as FixedDeployment
-    from ultraquiet.deploy.fixed_deploy import generate_fixed as generate_fixed
-    from ultraquiet.deploy.fixed_point import FixedLaw as FixedLaw
-    from ultraquiet.deploy.fixed_point import fixed_law as fixed_law
-    from ultraquiet.deploy.fixed_twin import FixedTwin as FixedTwin
+    from ultraquiet.deploy.fixed_point.deployment import FixedDeployment as FixedDeployment
+    from ultraquiet.deploy.fixed_point.deployment import generate_fixed as generate_fixed
+    from ultraquiet.deploy.fixed_point.law import FixedLaw as FixedLaw
+    from ultraquiet.deploy.fixed_point.law import fixed_law as fixed_law
+    from ultraquiet.deploy.fixed_point.twin import FixedTwin as FixedTwin
+    from ultraquiet.deploy.fixed_point.word_lengths import WordLength as WordLength
+    from ultraquiet.deploy.fixed_point.word_lengths import word_lengths as word_lengths
     from ultraquiet.deploy.frame import Frame as Frame
     from ultraquiet.deploy.frame import Overload as Overload
     from ultraquiet.deploy.frame_controller import FrameController as FrameController
@@ -41,8 +43,6 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.law.twin import Twin as Twin
     from ultraquiet.deploy.law.word_length import rounding_errors as rounding_errors
     from ultraquiet.deploy.on_target import OnTarget as OnTarget
-    from ultraquiet.deploy.precisions import WordLength as WordLength
-    from ultraquiet.deploy.precisions import word_lengths as word_lengths
     from ultraquiet.deploy.processor import Processor as Processor
     from ultraquiet.deploy.reanalyse import Reanalysis as Reanalysis
     from ultraquiet.deploy.reanalyse import reanalysis as reanalysis
@@ -54,9 +54,9 @@ _HOME = {
     "C31Code": "c31.assembly",
     "CompiledController": "c_code.compiled",
     "Deployment": "deployment",
-    "FixedDeployment": "fixed_deploy",
-    "FixedLaw": "fixed_point",
-    "FixedTwin": "fixed_twin",
+    "FixedDeployment": "fixed_point.deployment",
+    "FixedLaw": "fixed_point.law",
+    "FixedTwin": "fixed_point.twin",
     "FmuController": "exchange.fmu_controller",
     "FmuFile": "exchange.fmu",
     "Frame": "frame",
@@ -72,14 +72,14 @@ _HOME = {
     "Reanalysis": "reanalyse",
     "Twin": "law.twin",
     "Verification": "verify",
-    "WordLength": "precisions",
+    "WordLength": "fixed_point.word_lengths",
     "c31_code": "c31.assembly",
     "conditioning_gain": "law.anti_windup",
     "export_law": "exchange.exchange",
-    "fixed_law": "fixed_point",
+    "fixed_law": "fixed_point.law",
     "foton_text": "exchange.foton",
     "generate": "deployment",
-    "generate_fixed": "fixed_deploy",
+    "generate_fixed": "fixed_point.deployment",
     "kernel_cycles": "c31.cycles",
     "largest_order": "c31.cycles",
     "read_foton": "exchange.foton",
@@ -88,7 +88,7 @@ _HOME = {
     "realisation": "law.realisation",
     "reanalysis": "reanalyse",
     "rounding_errors": "law.word_length",
-    "word_lengths": "precisions",
+    "word_lengths": "fixed_point.word_lengths",
     "write_fmu": "exchange.fmu",
     "write_project": "exchange.cmake",
 }

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.fixed_point import FixedLaw, Whole
+from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 
 
 class FixedTwin:

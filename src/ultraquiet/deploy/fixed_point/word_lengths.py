@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.fixed_point import WORDS, FixedLaw, fixed_law
+from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw, fixed_law
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, sensitivities
 from ultraquiet.deploy.law.law import DTYPES, Law, require_plant, rounded
 from ultraquiet.deploy.law.realisation import FORMS, realisation

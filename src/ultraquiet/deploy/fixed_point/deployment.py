@@ -18,8 +18,8 @@ from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.c_code.output_folder import manifest_text, require_ours, write_folder
 from ultraquiet.deploy.c_code.render import FLAGS, render
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP, MASK
-from ultraquiet.deploy.fixed_point import FixedLaw, Whole, fixed_law
-from ultraquiet.deploy.fixed_twin import FixedTwin, words
+from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole, fixed_law
+from ultraquiet.deploy.fixed_point.twin import FixedTwin, words
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of
 from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.toolchain import compiler

@@ -10,8 +10,8 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray, frozen, one_of, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
+from ultraquiet.deploy.fixed_point.state_bounds import energies, peaks, rounding_peaks, rounding_powers
 from ultraquiet.deploy.law.realisation import Realisation, realisation
-from ultraquiet.deploy.peaks import energies, peaks, rounding_peaks, rounding_powers
 from ultraquiet.values.state_space import StateSpace
 
 Whole = NDArray[np.int64]

@@ -1,0 +1,1 @@
+"""A law in whole numbers: bounds, twin, deployment, word lengths."""
