@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.fixed_point.twin import FixedTwin as FixedTwin
     from ultraquiet.deploy.fixed_point.word_lengths import WordLength as WordLength
     from ultraquiet.deploy.fixed_point.word_lengths import word_lengths as word_lengths
-    from ultraquiet.deploy.frame import Frame as Frame
-    from ultraquiet.deploy.frame import Overload as Overload
-    from ultraquiet.deploy.frame_controller import FrameController as FrameController
-    from ultraquiet.deploy.frame_result import FrameSimulation as FrameSimulation
-    from ultraquiet.deploy.frame_times import FrameTimes as FrameTimes
+    from ultraquiet.deploy.frame.controller import FrameController as FrameController
+    from ultraquiet.deploy.frame.frame import Frame as Frame
+    from ultraquiet.deploy.frame.frame import Overload as Overload
+    from ultraquiet.deploy.frame.result import FrameSimulation as FrameSimulation
+    from ultraquiet.deploy.frame.times import FrameTimes as FrameTimes
     from ultraquiet.deploy.law.anti_windup import conditioning_gain as conditioning_gain
     from ultraquiet.deploy.law.law import Law as Law
     from ultraquiet.deploy.law.realisation import Realisation as Realisation
@@ -59,14 +59,14 @@ _HOME = {
     "FixedTwin": "fixed_point.twin",
     "FmuController": "exchange.fmu_controller",
     "FmuFile": "exchange.fmu",
-    "Frame": "frame",
-    "FrameController": "frame_controller",
-    "FrameSimulation": "frame_result",
-    "FrameTimes": "frame_times",
+    "Frame": "frame.frame",
+    "FrameController": "frame.controller",
+    "FrameSimulation": "frame.result",
+    "FrameTimes": "frame.times",
     "Law": "law.law",
     "OnBench": "tones",
     "OnTarget": "on_target",
-    "Overload": "frame",
+    "Overload": "frame.frame",
     "Processor": "processor",
     "Realisation": "law.realisation",
     "Reanalysis": "reanalyse",

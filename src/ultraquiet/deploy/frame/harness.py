@@ -12,16 +12,16 @@ from ultraquiet._base.constraints import signal_array
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.self_test import sizes
-from ultraquiet.deploy.frame import Draws, Frame, frame_settings
-from ultraquiet.deploy.frame_clock import FrameClock, empty_arrays, run_clock
-from ultraquiet.deploy.frame_times import FrameTimes
+from ultraquiet.deploy.frame.clock import FrameClock, empty_arrays, run_clock
+from ultraquiet.deploy.frame.frame import Draws, Frame, frame_settings
+from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import compiler
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
-    from ultraquiet.deploy.frame_result import FrameSimulation
+    from ultraquiet.deploy.frame.result import FrameSimulation
 
 # Measurements that are drawn and then repeated.
 NOISE_SAMPLES = 4096
@@ -138,7 +138,7 @@ def run_frames(
     frame: Frame, made: "Deployment", frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
 ) -> "FrameSimulation":
     """Return what `Frame.simulate` promises."""
-    from ultraquiet.deploy.frame_result import judge
+    from ultraquiet.deploy.frame.result import judge
 
     settings = frame_settings(frame, times, made.law.rate_hz)
     draws = frame.draw(frames, settings["period_s"], seed)

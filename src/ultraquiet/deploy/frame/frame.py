@@ -8,13 +8,13 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, between, frozen, one_of, positive, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.frame_times import FrameTimes
+from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import require_floating
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
-    from ultraquiet.deploy.frame_controller import FrameController
-    from ultraquiet.deploy.frame_result import FrameSimulation
+    from ultraquiet.deploy.frame.controller import FrameController
+    from ultraquiet.deploy.frame.result import FrameSimulation
 
 JITTERS = ("uniform", "gaussian", "bursts")
 # Bursts: a disc, a network driver: this many late interrupts in a row, one such burst in so many frames on average.
@@ -133,7 +133,7 @@ class Frame:
         Raises:
             InputError: a frame shorter than its skeleton, jitter of a period or more, measurements of another shape.
         """
-        from ultraquiet.deploy.frame_loop import run_frames
+        from ultraquiet.deploy.frame.harness import run_frames
 
         require_floating("Frame", made)
         return run_frames(self, made, frames, times or FrameTimes.c31(made.law), measurements, seed)
@@ -142,7 +142,7 @@ class Frame:
         self, made: "Deployment", *, times: FrameTimes | None = None, seed: int = 0, ramp: bool = False
     ) -> "FrameController":
         """Return the law as a `Controller` for a bench: each sample is a frame, and a late command arrives late."""
-        from ultraquiet.deploy.frame_controller import FrameController
+        from ultraquiet.deploy.frame.controller import FrameController
 
         require_floating("Frame", made)
         return FrameController(self, made, times or FrameTimes.c31(made.law), seed, ramp)

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray, frozen, whole
-from ultraquiet.deploy.frame import Frame
-from ultraquiet.deploy.frame_times import FrameTimes
+from ultraquiet.deploy.frame.frame import Frame
+from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import FAULT, ON
 from ultraquiet.values.status import Status

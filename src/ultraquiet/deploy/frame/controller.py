@@ -6,10 +6,10 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.frame import Frame, frame_settings
-from ultraquiet.deploy.frame_clock import FrameClock
-from ultraquiet.deploy.frame_loop import FrameHarness
-from ultraquiet.deploy.frame_times import FrameTimes
+from ultraquiet.deploy.frame.clock import FrameClock
+from ultraquiet.deploy.frame.frame import Frame, frame_settings
+from ultraquiet.deploy.frame.harness import FrameHarness
+from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import compiler
 
