@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.cortex import missing_tool, run_on_target
 from ultraquiet.deploy.deployment import Deployment
-from ultraquiet.deploy.verify import measurements
+from ultraquiet.deploy.verification.cortex_m import missing_tool, run_on_target
+from ultraquiet.deploy.verification.verify import measurements
 from ultraquiet.values import StateSpace
 
 RATE_HZ, CHANNELS = 3500.0, 6

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 import ultraquiet as uq
-from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.toolchain.targets import TARGETS
-from ultraquiet.deploy.verify import Verification
+from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.verification.verify import Verification
 
 RATE_HZ = 3500.0
 HOST_STEPS, TARGET_STEPS = 1_000_000, 100_000

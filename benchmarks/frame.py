@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 import ultraquiet as uq
-from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
+from ultraquiet.deploy.verification.cortex_m import missing_tool
 
 FRAMES, STATES, CHANNELS, RATE_HZ, LIMIT_S = 1_000_000, 60, 6, 3500.0, 10.0
 PERIOD_S = 1.0 / RATE_HZ

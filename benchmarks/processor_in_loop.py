@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import ultraquiet as uq
-from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.toolchain.targets import TARGETS
+from ultraquiet.deploy.verification.cortex_m import missing_tool
 from ultraquiet.simulate import attenuation
 
 TONES_HZ = (5.0, 25.0, 100.0)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 import ultraquiet as uq
-from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.fixed_point.deployment import measurements
-from ultraquiet.deploy.tones import on_bench
+from ultraquiet.deploy.verification.bench_tones import on_bench
+from ultraquiet.deploy.verification.cortex_m import missing_tool
 
 LOSS_DB = 0.5
 STEPS = 20_000

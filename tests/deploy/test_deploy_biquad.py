@@ -12,7 +12,7 @@ from ultraquiet.deploy.fixed_point.word_lengths import multiply_adds
 from ultraquiet.deploy.law.biquad import channels
 from ultraquiet.deploy.law.form_choice import error_of
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.verify import compare, measurements
+from ultraquiet.deploy.verification.verify import compare, measurements
 from ultraquiet.values import StateSpace
 
 

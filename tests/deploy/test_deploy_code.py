@@ -12,7 +12,7 @@ from ultraquiet.deploy import generate
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.verify import compare, measurements
+from ultraquiet.deploy.verification.verify import compare, measurements
 from ultraquiet.values import Controller, StateSpace, SteppedController
 
 pytestmark = pytest.mark.usefixtures("cc")

@@ -8,11 +8,11 @@ import pytest
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.cortex import count_instructions, missing_tool, run_on_target
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain.compiler import compile_c
 from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, EMULATOR, TARGETS
-from ultraquiet.deploy.verify import compare, measurements
+from ultraquiet.deploy.verification.cortex_m import count_instructions, missing_tool, run_on_target
+from ultraquiet.deploy.verification.verify import compare, measurements
 
 
 @pytest.fixture

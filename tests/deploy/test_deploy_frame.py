@@ -12,10 +12,10 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.frame import asked, show_frames
 from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
-from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.frame.frame import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
 from ultraquiet.deploy.toolchain import compiler
+from ultraquiet.deploy.verification.cortex_m import missing_tool
 from ultraquiet.values import StateSpace
 
 T = 1.0 / RATE_HZ

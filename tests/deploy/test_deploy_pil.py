@@ -12,9 +12,9 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy import Processor, generate, on_bench
-from ultraquiet.deploy.cortex import missing_tool
 from ultraquiet.deploy.toolchain.targets import EMULATOR, TARGETS
-from ultraquiet.deploy.verify import compare, measurements
+from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.verification.verify import compare, measurements
 from ultraquiet.simulate import attenuation
 from ultraquiet.values import Controller
 

@@ -17,10 +17,10 @@ from ultraquiet.deploy import generate, on_bench, reanalysis
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.footprint import footprint_on
 from ultraquiet.deploy.call_graph import stack_bytes
-from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.fuzz import fuzz_code
 from ultraquiet.deploy.struct_size import state_bytes
 from ultraquiet.deploy.toolchain.targets import COMPILER, TARGETS
+from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.verification.fuzz import fuzz_code
 from ultraquiet.simulate import attenuation
 from ultraquiet.values import StateSpace
 
@@ -194,8 +194,8 @@ def test_stack_bound_holds_what_a_step_really_uses(law_of, rng, tmp_path, name):
 def painted(folder, target) -> int:
     """Return the deepest byte that output and update touched below their caller's frame."""
     from ultraquiet.deploy.c_code.render import FLAGS
-    from ultraquiet.deploy.cortex import emulation
     from ultraquiet.deploy.toolchain.compiler import compile_c
+    from ultraquiet.deploy.verification.cortex_m import emulation
 
     path = folder / "controller_cortex.c"
     text = path.read_text()

@@ -42,13 +42,13 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.law.realisation import realisation as realisation
     from ultraquiet.deploy.law.twin import Twin as Twin
     from ultraquiet.deploy.law.word_length import rounding_errors as rounding_errors
-    from ultraquiet.deploy.on_target import OnTarget as OnTarget
     from ultraquiet.deploy.processor import Processor as Processor
-    from ultraquiet.deploy.reanalyse import Reanalysis as Reanalysis
-    from ultraquiet.deploy.reanalyse import reanalysis as reanalysis
-    from ultraquiet.deploy.tones import OnBench as OnBench
-    from ultraquiet.deploy.tones import on_bench as on_bench
-    from ultraquiet.deploy.verify import Verification as Verification
+    from ultraquiet.deploy.verification.bench_tones import OnBench as OnBench
+    from ultraquiet.deploy.verification.bench_tones import on_bench as on_bench
+    from ultraquiet.deploy.verification.emulated_target import OnTarget as OnTarget
+    from ultraquiet.deploy.verification.rounded_loop import Reanalysis as Reanalysis
+    from ultraquiet.deploy.verification.rounded_loop import reanalysis as reanalysis
+    from ultraquiet.deploy.verification.verify import Verification as Verification
 
 _HOME = {
     "C31Code": "c31.assembly",
@@ -64,14 +64,14 @@ _HOME = {
     "FrameSimulation": "frame.result",
     "FrameTimes": "frame.times",
     "Law": "law.law",
-    "OnBench": "tones",
-    "OnTarget": "on_target",
+    "OnBench": "verification.bench_tones",
+    "OnTarget": "verification.emulated_target",
     "Overload": "frame.frame",
     "Processor": "processor",
     "Realisation": "law.realisation",
-    "Reanalysis": "reanalyse",
+    "Reanalysis": "verification.rounded_loop",
     "Twin": "law.twin",
-    "Verification": "verify",
+    "Verification": "verification.verify",
     "WordLength": "fixed_point.word_lengths",
     "c31_code": "c31.assembly",
     "conditioning_gain": "law.anti_windup",
@@ -84,9 +84,9 @@ _HOME = {
     "largest_order": "c31.cycles",
     "read_foton": "exchange.foton",
     "read_law": "exchange.exchange",
-    "on_bench": "tones",
+    "on_bench": "verification.bench_tones",
     "realisation": "law.realisation",
-    "reanalysis": "reanalyse",
+    "reanalysis": "verification.rounded_loop",
     "rounding_errors": "law.word_length",
     "word_lengths": "fixed_point.word_lengths",
     "write_fmu": "exchange.fmu",

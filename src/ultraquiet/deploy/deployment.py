@@ -18,7 +18,6 @@ from ultraquiet.deploy.c_code import render, self_test
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.footprint import footprint
 from ultraquiet.deploy.c_code.output_folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
-from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.law.anti_windup import Wish, wish
 from ultraquiet.deploy.law.coefficients import CoefficientBank
 from ultraquiet.deploy.law.form_choice import TOLERANCE, Choice, choose, error_of, loop_radius
@@ -33,12 +32,13 @@ from ultraquiet.deploy.law.law import (
 )
 from ultraquiet.deploy.law.realisation import FORMS, realisation
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.reanalyse import reanalysis
 from ultraquiet.deploy.retune import anti_windup_gain, bank_for
-from ultraquiet.deploy.tones import on_bench
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.toolchain.targets import TARGETS
-from ultraquiet.deploy.verify import STEPS, Verification, verify_code
+from ultraquiet.deploy.verification.bench_tones import on_bench
+from ultraquiet.deploy.verification.fuzz import STEPS as FUZZ_STEPS
+from ultraquiet.deploy.verification.rounded_loop import reanalysis
+from ultraquiet.deploy.verification.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy.cortex import (
+from ultraquiet.deploy.law.law import Rounded, require_floating
+from ultraquiet.deploy.toolchain.targets import target_named
+from ultraquiet.deploy.verification.cortex_m import (
     ASK_DISABLE,
     ASK_ENGAGE,
     ASK_START,
@@ -28,8 +30,6 @@ from ultraquiet.deploy.cortex import (
     instructions,
     reply_type,
 )
-from ultraquiet.deploy.law.law import Rounded, require_floating
-from ultraquiet.deploy.toolchain.targets import target_named
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment

@@ -133,8 +133,8 @@ class FrameTimes:
         Raises:
             ToolError: the target's compiler or emulator is missing or refuses.
         """
-        from ultraquiet.deploy.cortex import run_on_target
         from ultraquiet.deploy.toolchain.targets import target_named
+        from ultraquiet.deploy.verification.cortex_m import run_on_target
 
         law, chosen = made.law, target_named(target)
         y = np.random.default_rng(0).standard_normal((law.inputs, COUNTED_STEPS)) * sizes(law)[1] * HALF_RANGE

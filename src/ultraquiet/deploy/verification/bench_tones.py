@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, between, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
-from ultraquiet.deploy.reanalyse import LOSS_DB, TONES_HZ
+from ultraquiet.deploy.verification.rounded_loop import LOSS_DB, TONES_HZ
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.record import Record
 from ultraquiet.values.state_space import StateSpace

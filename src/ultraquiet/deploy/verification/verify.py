@@ -14,16 +14,16 @@ from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.c_code.self_test import sizes
-from ultraquiet.deploy.cortex import missing_tool
-from ultraquiet.deploy.fuzz import STEPS as FUZZ_STEPS
-from ultraquiet.deploy.fuzz import Fuzz, fuzz_code
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.on_target import OnTarget, differing, try_on_target
-from ultraquiet.deploy.reanalyse import Reanalysis
-from ultraquiet.deploy.tones import OnBench
 from ultraquiet.deploy.toolchain.compiler import call, compile_c
 from ultraquiet.deploy.toolchain.targets import TARGETS, target_named
+from ultraquiet.deploy.verification.bench_tones import OnBench
+from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.verification.emulated_target import OnTarget, differing, try_on_target
+from ultraquiet.deploy.verification.fuzz import STEPS as FUZZ_STEPS
+from ultraquiet.deploy.verification.fuzz import Fuzz, fuzz_code
+from ultraquiet.deploy.verification.rounded_loop import Reanalysis
 from ultraquiet.values.status import Status
 
 STEPS = 100_000

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet.deploy.c_code.footprint import footprint_on
-from ultraquiet.deploy.cortex import Run, count_instructions, run_on_target
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.targets import Target
+from ultraquiet.deploy.verification.cortex_m import Run, count_instructions, run_on_target
 
 # Emulated soft doubles take some hundred times as long as a unit's.
 STEPS, STEPS_IN_SOFTWARE = 100_000, 2_000
