@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.law.realisation import realisation as realisation
     from ultraquiet.deploy.law.twin import Twin as Twin
     from ultraquiet.deploy.law.word_length import rounding_errors as rounding_errors
-    from ultraquiet.deploy.processor import Processor as Processor
+    from ultraquiet.deploy.processor_in_loop import Processor as Processor
     from ultraquiet.deploy.verification.bench_tones import OnBench as OnBench
     from ultraquiet.deploy.verification.bench_tones import on_bench as on_bench
     from ultraquiet.deploy.verification.emulated_target import OnTarget as OnTarget
@@ -67,7 +67,7 @@ _HOME = {
     "OnBench": "verification.bench_tones",
     "OnTarget": "verification.emulated_target",
     "Overload": "frame.frame",
-    "Processor": "processor",
+    "Processor": "processor_in_loop",
     "Realisation": "law.realisation",
     "Reanalysis": "verification.rounded_loop",
     "Twin": "law.twin",
