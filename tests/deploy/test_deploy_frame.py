@@ -10,7 +10,7 @@ from rich.console import Console
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.frame import asked, show_frames
+from ultraquiet.cli.deploy.frame import asked, show_frames
 from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
 from ultraquiet.deploy.frame.frame import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON

@@ -7,7 +7,6 @@ import typer
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet.cli import (
     convert,
-    deploy,
     design,
     doctor,
     experiment,
@@ -19,6 +18,7 @@ from ultraquiet.cli import (
     study,
     validate,
 )
+from ultraquiet.cli.deploy import command as deploy
 
 app = typer.Typer(
     help="From the first excitation of a vibration-isolation bench to verified controller code.",

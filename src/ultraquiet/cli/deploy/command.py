@@ -7,10 +7,10 @@ import typer
 
 from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.exported import require_writable, show_exports
-from ultraquiet.cli.frame import asked, show_frames
-from ultraquiet.cli.verified import loaded_plant, rows, wanted
-from ultraquiet.cli.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
+from ultraquiet.cli.deploy.exports import require_writable, show_exports
+from ultraquiet.cli.deploy.frame import asked, show_frames
+from ultraquiet.cli.deploy.table import loaded_plant, rows, wanted
+from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
 
 
 def deploy(
