@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ultraquiet import experiments, files
-from ultraquiet.cli.watch import Board, Lines, Steady, watching
+from ultraquiet.cli.experiment.watch import Board, Lines, Steady, watching
 from ultraquiet.experiments import journal
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "campaign.toml"

@@ -5,20 +5,9 @@ import sys
 import typer
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.cli import (
-    convert,
-    design,
-    doctor,
-    experiment,
-    identify,
-    inspect,
-    methods,
-    records,
-    spectra,
-    study,
-    validate,
-)
+from ultraquiet.cli import convert, design, doctor, identify, inspect, methods, records, spectra, study, validate
 from ultraquiet.cli.deploy import command as deploy
+from ultraquiet.cli.experiment import command as experiment
 
 app = typer.Typer(
     help="From the first excitation of a vibration-isolation bench to verified controller code.",

@@ -34,8 +34,8 @@ def experiment(
 
     from ultraquiet import experiments
     from ultraquiet._base.errors import UltraquietError
-    from ultraquiet.cli.halt import halting
-    from ultraquiet.cli.watch import watching
+    from ultraquiet.cli.experiment.halt import halting
+    from ultraquiet.cli.experiment.watch import watching
 
     listed = experiments.load(commands)
     told = Console(highlight=False)

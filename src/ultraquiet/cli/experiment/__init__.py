@@ -1,0 +1,1 @@
+"""The command `experiment`: the run, its halt and the watch on its levels."""
