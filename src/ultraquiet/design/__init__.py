@@ -19,7 +19,7 @@ from ultraquiet.design.specification import Score, Specification
 from ultraquiet.design.structured import FixedStructure
 from ultraquiet.design.structured_synthesis import synthesize_structured
 from ultraquiet.design.tonal import Resonators
-from ultraquiet.design.weights import band_pass, high_pass, peak
+from ultraquiet.design.weights.filters import band_pass, high_pass, peak
 from ultraquiet.design.youla import YoulaKucera
 from ultraquiet.values.generalised import four_block, output_shaping
 

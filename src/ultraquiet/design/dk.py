@@ -14,8 +14,8 @@ from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.dk_scaling import Scaling, constant, fitted, scaled
 from ultraquiet.design.hinf import synthesize_hinf
-from ultraquiet.design.weight_given import Weight, weight
-from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, with_tones
+from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
+from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.values.generalised import uncertain
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace

@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.mu import MuBounds
-from ultraquiet.design.weights import realised
+from ultraquiet.design.weights.filters import realised
 from ultraquiet.linalg.magnitude_fit import fit_near
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace

@@ -16,8 +16,8 @@ from ultraquiet.analyse.singular import singular_values
 from ultraquiet.design import loop_shaping_kernel as kernel
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
-from ultraquiet.design.weight_given import Weight, weight
-from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, peak, rational
+from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, peak, rational
+from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values.generalised import four_block

@@ -17,7 +17,7 @@ from ultraquiet.design.h2 import AGREEMENT
 from ultraquiet.design.h2_kernel import Problem, Solution, solve
 from ultraquiet.design.lqg_problem import Parts, generalised, integrator, regular_noise, shaped, unreachable_integrator
 from ultraquiet.design.ltr import recovery
-from ultraquiet.design.weights import band_pass, below_nyquist, high_pass
+from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain
 from ultraquiet.values.generalised import full

@@ -15,8 +15,8 @@ from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.robust import stands, tallest
-from ultraquiet.design.weight_given import Weight, weight
-from ultraquiet.design.weights import band_pass, below_nyquist, high_pass, rational, with_tones
+from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
+from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.values.generalised import four_block, output_shaping
 from ultraquiet.values.state_space import StateSpace
 

@@ -1,0 +1,1 @@
+"""Weights of a design: filters, and how they are given."""
