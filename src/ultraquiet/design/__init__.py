@@ -7,11 +7,11 @@ from ultraquiet.design.classical import LeadLag, Notch
 from ultraquiet.design.decoupled import Decoupled, threefold
 from ultraquiet.design.dk import MuSynthesis
 from ultraquiet.design.filtered_x import FilteredXLms
-from ultraquiet.design.h2 import synthesize_h2
+from ultraquiet.design.h2.lqg import Lqg
+from ultraquiet.design.h2.synthesis import synthesize_h2
 from ultraquiet.design.hinf import synthesize_hinf
 from ultraquiet.design.hinf_opinion import Opinion, verify_level
 from ultraquiet.design.loop_shaping import LoopShaping
-from ultraquiet.design.lqg import Lqg
 from ultraquiet.design.mixed import MixedSensitivity
 from ultraquiet.design.modal import Modal
 from ultraquiet.design.skyhook import Skyhook

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.design.h2_kernel import Solution
+from ultraquiet.design.h2.riccati import Solution
 from ultraquiet.values.interconnect import series
 from ultraquiet.values.state_space import StateSpace
 

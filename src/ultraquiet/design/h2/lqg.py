@@ -13,10 +13,17 @@ from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._refusal import lost_modes, stable_weight
 from ultraquiet.design._verify import judged
-from ultraquiet.design.h2 import AGREEMENT
-from ultraquiet.design.h2_kernel import Problem, Solution, solve
-from ultraquiet.design.lqg_problem import Parts, generalised, integrator, regular_noise, shaped, unreachable_integrator
-from ultraquiet.design.ltr import recovery
+from ultraquiet.design.h2.loop_transfer_recovery import recovery
+from ultraquiet.design.h2.lqg_problem import (
+    Parts,
+    generalised,
+    integrator,
+    regular_noise,
+    shaped,
+    unreachable_integrator,
+)
+from ultraquiet.design.h2.riccati import Problem, Solution, solve
+from ultraquiet.design.h2.synthesis import AGREEMENT
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain

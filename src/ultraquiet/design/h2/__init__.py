@@ -1,0 +1,1 @@
+"""H2 synthesis: LQG and loop transfer recovery."""
