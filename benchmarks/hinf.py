@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks import _peer
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import DesignResult, band_pass, high_pass, synthesize_hinf
-from ultraquiet.design import hinf_kernel as kernel
+from ultraquiet.design.hinf import riccati as kernel
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import lft

@@ -5,8 +5,8 @@ import pytest
 
 from slicot_examples import printed, slicot
 from ultraquiet.analyse import hinf_norm
-from ultraquiet.design import hinf_discrete as direct
 from ultraquiet.design import synthesize_hinf, verify_level
+from ultraquiet.design.hinf import discrete_riccati as direct
 from ultraquiet.linalg import discretize
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import lft

@@ -7,7 +7,7 @@ from slicot_examples import SLICOT, numbers, printed
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import LoopShaping
-from ultraquiet.design import loop_shaping_kernel as kernel
+from ultraquiet.design.hinf import coprime_stabilisation as kernel
 from ultraquiet.linalg import discretize, realize
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, lft

@@ -13,7 +13,7 @@ from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
-from ultraquiet.design.band import worst_attenuation_db
+from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
 from ultraquiet.linalg import balance
 from ultraquiet.linalg import common_axes as axes
 from ultraquiet.values.interconnect import append, gain, series

@@ -12,7 +12,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
-from ultraquiet.design.band import common_mode
+from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.specification import Specification, specified
 from ultraquiet.design.structured_elements import Element, Sections, from_system
 from ultraquiet.design.structured_layout import Layout, alike, apart

@@ -10,7 +10,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
-from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.structured_elements import Dense, Sections
 from ultraquiet.design.structured_layout import Layout
 from ultraquiet.design.structured_layout import whole as one_element

@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.design import hinf_kernel as kernel
-from ultraquiet.design.hinf_bound import lower_bound
+from ultraquiet.design.hinf import riccati as kernel
+from ultraquiet.design.hinf.lower_bound import lower_bound
 from ultraquiet.linalg.ordered import Array
 
 LARGEST = 1e12  # times the first level: above it the assumptions of the theory must be violated

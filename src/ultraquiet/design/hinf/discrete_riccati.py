@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.design.hinf_kernel import INDEFINITE, ROUND_OFF, with_direct_term
+from ultraquiet.design.hinf.riccati import INDEFINITE, ROUND_OFF, with_direct_term
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import Riccati, discrete_riccati
 from ultraquiet.linalg.ordered import Array, Matrices

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet.design.hinf_kernel import Plant, direct_terms
+from ultraquiet.design.hinf.riccati import Plant, direct_terms
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 

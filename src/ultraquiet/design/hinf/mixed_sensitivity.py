@@ -13,7 +13,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import from_synthesis
-from ultraquiet.design.hinf import synthesize_hinf
+from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.robust import stands, tallest
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
 from ultraquiet.design.weights.given import Weight, weight

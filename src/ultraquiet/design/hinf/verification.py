@@ -8,7 +8,7 @@ from ultraquiet._base.constraints import positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design import hinf_discrete
+from ultraquiet.design.hinf import discrete_riccati
 from ultraquiet.linalg.discretize import bilinear_to_discrete
 from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.values.interconnect import lft
@@ -100,7 +100,7 @@ def _middle(size: Array) -> float:
 def _reached(M: Matrices, ny: int, nu: int, level: float) -> tuple[float, str]:
     """Return the norm of the loop with the level's central controller, infinite with the reason when there is none."""
     try:
-        K, _ = hinf_discrete.central(M, ny, nu, level)
+        K, _ = discrete_riccati.central(M, ny, nu, level)
         return hinf_norm(lft(StateSpace(*M, rate_hz=1.0), StateSpace(*K, rate_hz=1.0)))[0], ""
     except (NumericalError, InputError, np.linalg.LinAlgError) as error:
         return np.inf, str(error)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.design.hinf_kernel import Plant, direct_terms, equation
+from ultraquiet.design.hinf.riccati import Plant, direct_terms, equation
 from ultraquiet.linalg.modal_response import split
 from ultraquiet.linalg.ordered import Array
 
