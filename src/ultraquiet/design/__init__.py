@@ -4,7 +4,6 @@ from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.classical import LeadLag, Notch
 from ultraquiet.design.decoupled import Decoupled, threefold
-from ultraquiet.design.dk import MuSynthesis
 from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.h2.lqg import Lqg
 from ultraquiet.design.h2.synthesis import synthesize_h2
@@ -14,6 +13,7 @@ from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
 from ultraquiet.design.modal import Modal
+from ultraquiet.design.mu.dk_iteration import MuSynthesis
 from ultraquiet.design.skyhook import Skyhook
 from ultraquiet.design.specification import Score, Specification
 from ultraquiet.design.structured import FixedStructure

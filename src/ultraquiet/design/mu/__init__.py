@@ -1,0 +1,1 @@
+"""Mu synthesis: D-K iteration and its scalings."""
