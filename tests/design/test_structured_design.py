@@ -8,11 +8,11 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import FixedStructure, Specification, common_mode, synthesize_structured
-from ultraquiet.design.structured import posed
-from ultraquiet.design.structured_bank import Bank
-from ultraquiet.design.structured_elements import Dense, Sections
-from ultraquiet.design.structured_layout import alike, apart
-from ultraquiet.design.structured_layout import whole as one_element
+from ultraquiet.design.fixed_structure.controller_structure import alike, apart
+from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
+from ultraquiet.design.fixed_structure.elements import Dense, Sections
+from ultraquiet.design.fixed_structure.method import posed
+from ultraquiet.design.fixed_structure.sections import Bank
 from ultraquiet.linalg import balance
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, lft

@@ -2,9 +2,13 @@
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
-from ultraquiet.design.classical import LeadLag, Notch
 from ultraquiet.design.decoupled import Decoupled, threefold
 from ultraquiet.design.filtered_x import FilteredXLms
+from ultraquiet.design.fixed_structure.classical import LeadLag, Notch
+from ultraquiet.design.fixed_structure.method import FixedStructure
+from ultraquiet.design.fixed_structure.skyhook import Skyhook
+from ultraquiet.design.fixed_structure.specification import Score, Specification
+from ultraquiet.design.fixed_structure.synthesis import synthesize_structured
 from ultraquiet.design.h2.lqg import Lqg
 from ultraquiet.design.h2.synthesis import synthesize_h2
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, common_mode, worst_attenuation_db
@@ -14,10 +18,6 @@ from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
 from ultraquiet.design.modal import Modal
 from ultraquiet.design.mu.dk_iteration import MuSynthesis
-from ultraquiet.design.skyhook import Skyhook
-from ultraquiet.design.specification import Score, Specification
-from ultraquiet.design.structured import FixedStructure
-from ultraquiet.design.structured_synthesis import synthesize_structured
 from ultraquiet.design.tonal import Resonators
 from ultraquiet.design.weights.filters import band_pass, high_pass, peak
 from ultraquiet.design.youla import YoulaKucera

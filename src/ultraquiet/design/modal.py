@@ -11,7 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
-from ultraquiet.design.specification import Specification
+from ultraquiet.design.fixed_structure.specification import Specification
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.state_space import StateSpace
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.structured_layout import Layout
+from ultraquiet.design.fixed_structure.controller_structure import Layout
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.ordered import Matrices

@@ -12,11 +12,11 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult
 from ultraquiet.design._verify import judged
-from ultraquiet.design.specification import Specification, specified
-from ultraquiet.design.structured import Start, posed, tuned, worded
-from ultraquiet.design.structured_bank import Bank
-from ultraquiet.design.structured_layout import Layout, alike, apart
-from ultraquiet.design.structured_problem import Plane, plane_of
+from ultraquiet.design.fixed_structure.controller_structure import Layout, alike, apart
+from ultraquiet.design.fixed_structure.method import Start, posed, tuned, worded
+from ultraquiet.design.fixed_structure.problem import Plane, plane_of
+from ultraquiet.design.fixed_structure.sections import Bank
+from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.values.state_space import StateSpace
 
 # Gains tried when none is given: this many a decade over these decades about 1 / |G|, of both signs.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.registry import register
-from ultraquiet.design.classical import _Bank
+from ultraquiet.design.fixed_structure.classical import _Bank
 
 
 @register("design", "skyhook")

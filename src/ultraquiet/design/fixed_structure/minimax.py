@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.design.structured_problem import Problem, abscissa
+from ultraquiet.design.fixed_structure.problem import Problem, abscissa
 
 # weak Wolfe: sufficient decrease, sufficient increase of the slope (Lewis and Overton 2013)
 DECREASE, CURVATURE = 1e-4, 0.5

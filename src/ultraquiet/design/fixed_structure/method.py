@@ -12,13 +12,13 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
 from ultraquiet.design._verify import judged
+from ultraquiet.design.fixed_structure.controller_structure import Layout, alike, apart
+from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
+from ultraquiet.design.fixed_structure.elements import Element, Sections, from_system
+from ultraquiet.design.fixed_structure.minimax import balanced, lowest
+from ultraquiet.design.fixed_structure.problem import Plane, Problem, plane_of
+from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.hinf.band_attenuation import common_mode
-from ultraquiet.design.specification import Specification, specified
-from ultraquiet.design.structured_elements import Element, Sections, from_system
-from ultraquiet.design.structured_layout import Layout, alike, apart
-from ultraquiet.design.structured_layout import whole as one_element
-from ultraquiet.design.structured_problem import Plane, Problem, plane_of
-from ultraquiet.design.structured_search import balanced, lowest
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace

@@ -10,8 +10,8 @@ from ultraquiet._base.constraints import FloatArray, between, positive, rising_b
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.design.fixed_structure.problem import Requirement
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, worst_attenuation_db
-from ultraquiet.design.structured_problem import Requirement
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import feedback, gain, lft, sensitivity
 from ultraquiet.values.state_space import StateSpace

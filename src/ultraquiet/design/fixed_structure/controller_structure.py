@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.structured_elements import Element
+from ultraquiet.design.fixed_structure.elements import Element
 from ultraquiet.linalg.ordered import Matrices
 
 

@@ -1,0 +1,1 @@
+"""Laws of a given structure, tuned on the loop."""
