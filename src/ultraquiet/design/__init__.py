@@ -2,7 +2,8 @@
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
-from ultraquiet.design.decoupled import Decoupled, threefold
+from ultraquiet.design.decoupling.decoupled import Decoupled, threefold
+from ultraquiet.design.decoupling.modal import Modal
 from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.fixed_structure.classical import LeadLag, Notch
 from ultraquiet.design.fixed_structure.method import FixedStructure
@@ -16,7 +17,6 @@ from ultraquiet.design.hinf.loop_shaping import LoopShaping
 from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
-from ultraquiet.design.modal import Modal
 from ultraquiet.design.mu.dk_iteration import MuSynthesis
 from ultraquiet.design.tonal import Resonators
 from ultraquiet.design.weights.filters import band_pass, high_pass, peak

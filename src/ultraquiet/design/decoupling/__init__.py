@@ -1,0 +1,1 @@
+"""Laws of a few scalar loops: in given directions, by symmetry, by modes."""
