@@ -7,7 +7,7 @@ from tone_runs import mild_damping, reduction_db, run, seconds, tone
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.design import Resonators, YoulaKucera
-from ultraquiet.design.youla import central_law
+from ultraquiet.design.tones.youla_kucera import central_law
 from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, parallel, sensitivity

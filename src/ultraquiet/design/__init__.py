@@ -1,10 +1,8 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
 from ultraquiet.design._abstract import DesignMethod, DesignResult
-from ultraquiet.design.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.decoupling.decoupled import Decoupled, threefold
 from ultraquiet.design.decoupling.modal import Modal
-from ultraquiet.design.filtered_x import FilteredXLms
 from ultraquiet.design.fixed_structure.classical import LeadLag, Notch
 from ultraquiet.design.fixed_structure.method import FixedStructure
 from ultraquiet.design.fixed_structure.skyhook import Skyhook
@@ -18,9 +16,11 @@ from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
 from ultraquiet.design.mu.dk_iteration import MuSynthesis
-from ultraquiet.design.tonal import Resonators
+from ultraquiet.design.tones.adaptive_feedforward import AdaptiveFeedforward
+from ultraquiet.design.tones.filtered_x_lms import FilteredXLms
+from ultraquiet.design.tones.resonators import Resonators
+from ultraquiet.design.tones.youla_kucera import YoulaKucera
 from ultraquiet.design.weights.filters import band_pass, high_pass, peak
-from ultraquiet.design.youla import YoulaKucera
 from ultraquiet.values.generalised import four_block, output_shaping
 
 __all__ = [

@@ -10,9 +10,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult
-from ultraquiet.design._around import Around, Inner, inner_loop
 from ultraquiet.design._verify import judged
-from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
+from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
+from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
@@ -164,7 +164,7 @@ class FilteredXLaw(AdaptiveLaw):
         self._commands, self._quiet = np.zeros(nu), np.zeros(ne)
 
     def _adapt(self, y: FloatArray) -> int:
-        from ultraquiet.design.tonal_kernels import filtered_x_step
+        from ultraquiet.design.tones.kernels import filtered_x_step
 
         met = filtered_x_step(y, self._system, self._channels, self._design, self._state, self._commands, self._quiet)
         self._v[self._drives] = self._commands

@@ -9,9 +9,9 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._around import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.design._verify import judged
-from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
+from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
+from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
@@ -231,7 +231,7 @@ class YoulaLaw(AdaptiveLaw):
         )
 
     def _adapt(self, y: FloatArray) -> int:
-        from ultraquiet.design.tonal_kernels import youla_step
+        from ultraquiet.design.tones.kernels import youla_step
 
         models = self._seen, self._gains, self._regress, self._filters
         return youla_step(y, models, self.limit_v, self._squares, self._state, self._v, self._y0)

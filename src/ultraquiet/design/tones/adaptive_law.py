@@ -8,7 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.design._abstract import DesignResult
-from ultraquiet.design._around import Inner
+from ultraquiet.design.tones.inner_loop import Inner
 from ultraquiet.linalg import balance
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -105,7 +105,7 @@ class AdaptiveLaw:
         return self._sent.copy()
 
     def _linear(self, y: FloatArray) -> FloatArray | None:
-        from ultraquiet.design.tonal_kernels import linear_step
+        from ultraquiet.design.tones.kernels import linear_step
 
         if not self._x.size:
             return self._first[3] @ y

@@ -11,10 +11,10 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._around import Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design._verify import judged
-from ultraquiet.design.adaptive import AdaptiveLaw, adapting, contiguous, limits_v
-from ultraquiet.design.tonal import SETTLED, facts, quiet_bank, resonators
+from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v
+from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse
+from ultraquiet.design.tones.resonators import SETTLED, facts, quiet_bank, resonators
 from ultraquiet.values.state_space import StateSpace
 
 STATIONS = 5  # frequencies of the span at which the linear law must be stable
@@ -202,7 +202,7 @@ class FeedforwardLaw(AdaptiveLaw):
         )
 
     def _adapt(self, y: FloatArray) -> int:
-        from ultraquiet.design.tonal_kernels import feedforward_step
+        from ultraquiet.design.tones.kernels import feedforward_step
 
         return feedforward_step(y, self._system, self._design, self._state, self._v, self._y0)
 

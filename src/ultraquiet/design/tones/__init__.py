@@ -1,0 +1,1 @@
+"""Laws against tones: resonators, adaptive laws, Youla-Kucera."""
