@@ -6,7 +6,7 @@ from test_band_attenuation import judged, measured
 
 import ultraquiet as uq
 from ultraquiet.design import BandAttenuation
-from ultraquiet.design.robust import robust_stability
+from ultraquiet.design.robust_stability import robust_stability
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.interconnect import append, feedback, parallel, sensitivity
 

@@ -1,6 +1,5 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
-from ultraquiet.design._abstract import DesignMethod, DesignResult
 from ultraquiet.design.decoupling.decoupled import Decoupled, threefold
 from ultraquiet.design.decoupling.modal import Modal
 from ultraquiet.design.fixed_structure.classical import LeadLag, Notch
@@ -16,6 +15,7 @@ from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
 from ultraquiet.design.mu.dk_iteration import MuSynthesis
+from ultraquiet.design.result import DesignMethod, DesignResult
 from ultraquiet.design.tones.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.tones.filtered_x_lms import FilteredXLms
 from ultraquiet.design.tones.resonators import Resonators

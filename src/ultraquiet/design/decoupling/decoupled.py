@@ -11,9 +11,9 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, real
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
 from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.linalg import common_axes as axes
 from ultraquiet.values.interconnect import append, gain, series

@@ -9,9 +9,9 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
 from ultraquiet.design.fixed_structure.specification import Specification
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.state_space import StateSpace
 

@@ -10,13 +10,13 @@ from ultraquiet._base.constraints import FloatArray, one_of, positive, real_arra
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult
-from ultraquiet.design._verify import judged
 from ultraquiet.design.fixed_structure.controller_structure import Layout, alike, apart
 from ultraquiet.design.fixed_structure.method import Start, posed, tuned, worded
 from ultraquiet.design.fixed_structure.problem import Plane, plane_of
 from ultraquiet.design.fixed_structure.sections import Bank
 from ultraquiet.design.fixed_structure.specification import Specification, specified
+from ultraquiet.design.result import DesignResult
+from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
 
 # Gains tried when none is given: this many a decade over these decades about 1 / |G|, of both signs.

@@ -10,8 +10,6 @@ from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
 from ultraquiet.design.fixed_structure.controller_structure import Layout, alike, apart
 from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
 from ultraquiet.design.fixed_structure.elements import Element, Sections, from_system
@@ -19,6 +17,8 @@ from ultraquiet.design.fixed_structure.minimax import balanced, lowest
 from ultraquiet.design.fixed_structure.problem import Plane, Problem, plane_of
 from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.hinf.band_attenuation import common_mode
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace

@@ -8,14 +8,14 @@ from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
 from ultraquiet.design.fixed_structure.controller_structure import Layout
 from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
 from ultraquiet.design.fixed_structure.elements import Dense, Sections
 from ultraquiet.design.fixed_structure.minimax import lowest
 from ultraquiet.design.fixed_structure.problem import Problem, Requirement
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace

@@ -10,9 +10,6 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._refusal import lost_modes, stable_weight
-from ultraquiet.design._verify import judged
 from ultraquiet.design.h2.loop_transfer_recovery import recovery
 from ultraquiet.design.h2.lqg_problem import (
     Parts,
@@ -24,6 +21,9 @@ from ultraquiet.design.h2.lqg_problem import (
 )
 from ultraquiet.design.h2.riccati import Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.stabilisability import lost_modes, stable_weight
+from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain

@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, real_array
 from ultraquiet._base.errors import InputError
-from ultraquiet.design._refusal import loses_rank
+from ultraquiet.design.stabilisability import loses_rank
 from ultraquiet.linalg.realize import sections
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace

@@ -5,8 +5,8 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
-from ultraquiet.design._abstract import DesignResult, is_stable, refused
 from ultraquiet.design.h2.riccati import Problem, solve
+from ultraquiet.design.result import DesignResult, is_stable, refused
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status

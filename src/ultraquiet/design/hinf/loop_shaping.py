@@ -13,9 +13,9 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.singular import singular_values
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
 from ultraquiet.design.hinf import coprime_stabilisation as kernel
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, peak, rational
 from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.linalg.balance import modal

@@ -11,10 +11,10 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design._abstract import DesignResult
-from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
-from ultraquiet.design.robust import stands, tallest
+from ultraquiet.design.result import DesignResult
+from ultraquiet.design.robust_stability import stands, tallest
+from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
 from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.values.generalised import four_block, output_shaping

@@ -10,11 +10,11 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design._abstract import DesignResult, is_stable, refused
 from ultraquiet.design.hinf import riccati as kernel
 from ultraquiet.design.hinf.assumptions import WHO, out_of_reach, zeros_on_boundary
 from ultraquiet.design.hinf.gamma_search import Bracket, given, search
 from ultraquiet.design.hinf.verification import verify_level
+from ultraquiet.design.result import DesignResult, is_stable, refused
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace

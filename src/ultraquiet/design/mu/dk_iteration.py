@@ -10,10 +10,10 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import from_synthesis
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.mu.scalings import Scaling, constant, fitted, scaled
+from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.values.generalised import uncertain

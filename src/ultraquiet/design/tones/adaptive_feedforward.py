@@ -10,11 +10,11 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, posi
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
+from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v
 from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design.tones.resonators import SETTLED, facts, quiet_bank, resonators
+from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
 
 STATIONS = 5  # frequencies of the span at which the linear law must be stable

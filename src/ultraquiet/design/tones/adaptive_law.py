@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError
-from ultraquiet.design._abstract import DesignResult
+from ultraquiet.design.result import DesignResult
 from ultraquiet.design.tones.inner_loop import Inner
 from ultraquiet.linalg import balance
 from ultraquiet.values.state_space import StateSpace

@@ -9,10 +9,10 @@ from ultraquiet._base.constraints import FloatArray, between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult
-from ultraquiet.design._verify import judged
+from ultraquiet.design.result import DesignResult
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
+from ultraquiet.design.verification import judged
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 

@@ -12,9 +12,9 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, posi
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
+from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.tones.inner_loop import Around, Inner, Inverse, checked_tones, inner_loop, inverse
+from ultraquiet.design.verification import judged
 from ultraquiet.values.interconnect import feedback, gain, parallel, sensitivity
 from ultraquiet.values.state_space import StateSpace
 

@@ -8,10 +8,10 @@ from ultraquiet._base.constraints import FloatArray, between, one_of, positive, 
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design._abstract import DesignResult, refused
-from ultraquiet.design._verify import judged
+from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
+from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace

@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design._abstract import DesignResult
+from ultraquiet.design.result import DesignResult
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.response import points
 from ultraquiet.values.interconnect import feedback, lft, series

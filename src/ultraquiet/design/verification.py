@@ -6,7 +6,7 @@ from typing import Any
 
 from ultraquiet._base.provenance import Provenance, plain, versions
 from ultraquiet.analyse.margins import loop_margins, peak_sensitivity
-from ultraquiet.design._abstract import DesignResult, is_stable
+from ultraquiet.design.result import DesignResult, is_stable
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
