@@ -5,9 +5,9 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 
 from ultraquiet.identify._abstract import Identification, Result
 from ultraquiet.identify.joint import identify_joint
-from ultraquiet.identify.matrix import MatrixResult, identify_matrix
-from ultraquiet.identify.order import Candidate, Sweep, sweep
-from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError
+from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
+from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
+from ultraquiet.identify.polynomial.order_selection import Candidate, Sweep, sweep
 from ultraquiet.identify.predictor import PredictorSubspace
 from ultraquiet.identify.rational import Rational, ResponseFit
 from ultraquiet.identify.recursion import Recursion

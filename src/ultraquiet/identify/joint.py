@@ -9,13 +9,13 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
-from ultraquiet.identify import matrix
 from ultraquiet.identify._abstract import Result
 from ultraquiet.identify.fit import Fit, Search
 from ultraquiet.identify.joint_fit import fit_parts
 from ultraquiet.identify.joint_search import Part
 from ultraquiet.identify.layout import Layout
-from ultraquiet.identify.prediction_error import PolynomialMethod, gather
+from ultraquiet.identify.polynomial import matrix
+from ultraquiet.identify.polynomial.methods import PolynomialMethod, gather
 from ultraquiet.identify.share import Share
 from ultraquiet.identify.starts import Channel
 from ultraquiet.values import PolynomialMatrix, Record

@@ -14,7 +14,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify import fit as one_fit
 from ultraquiet.identify._abstract import Result, worst
-from ultraquiet.identify.prediction_error import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
+from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.recursion import Recursion
 from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.trajectory import Trajectory

@@ -32,7 +32,7 @@ from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status
 
 if TYPE_CHECKING:
-    from ultraquiet.identify.prediction_error import PolynomialMethod
+    from ultraquiet.identify.polynomial.methods import PolynomialMethod
 
 # Samples of the piece in memory that the search starts from: its estimate is off by some hundred standard deviations of
 # an hour's, which a few passes mend. Two pieces are tried before a residual that is not white is blamed on the model.
@@ -313,7 +313,7 @@ def _clipping(status: Status, seen: Survey, output: int, record: LongRecord) -> 
 def _gathered(
     model: PolynomialMatrix, fits: list[one_fit.Fit], passes: list[int], seen: Survey, made: Provenance
 ) -> Result:
-    from ultraquiet.identify.prediction_error import gather
+    from ultraquiet.identify.polynomial.methods import gather
 
     held = gather(model, fits, made)
     return replace(held, details={**held.details, "passes": tuple(passes), "samples": seen.samples})

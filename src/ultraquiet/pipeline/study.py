@@ -13,7 +13,7 @@ from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet.experiments import command
 from ultraquiet.files import reason
-from ultraquiet.identify.prediction_error import PolynomialMethod
+from ultraquiet.identify.polynomial.methods import PolynomialMethod
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.

@@ -1,0 +1,1 @@
+"""The polynomial methods, the transfer matrix of many channels and the choice of orders."""
