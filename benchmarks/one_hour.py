@@ -138,7 +138,8 @@ def probe(path: Path, what: str) -> dict:
 def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[float, float, float]:
     """Return the time per sample of a pass of BJ5, of the products at all lags, and of the modal least squares."""
     import ultraquiet as uq
-    from ultraquiet.identify import streaming, streaming_bank
+    from ultraquiet.identify import streaming_bank
+    from ultraquiet.identify.prediction_error import long_record
     from ultraquiet.identify.streaming_subspace import ScaledStream
     from ultraquiet.identify.survey import survey
     from ultraquiet.linalg.lagged import Lagged
@@ -148,8 +149,8 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     plant = write_hour(rng, path, samples / RATE_HZ)
     record = uq.files.LongRecord(path)
     single = record.pick(inputs=[0])
-    data = streaming.Stream(single, 0, survey(single))
-    shape = streaming.Shape.of(method.structure(), 1, True, True)
+    data = long_record.Stream(single, 0, survey(single))
+    shape = long_record.Shape.of(method.structure(), 1, True, True)
     table = method.structure().empty(1)
     table[[2, 4], : plant.noise_filter.size] = plant.noise_filter
     table[3, 0] = 1.0

@@ -12,9 +12,9 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.identify import joint_search
 from ultraquiet.identify.joint_search import Part, posed
-from ultraquiet.identify.layout import Layout
+from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.share import Share
-from ultraquiet.identify.starts import Channel
 
 RATE_HZ = 3500.0
 NOISE_C, NOISE_D = np.array([1.0, 0.5]), np.array([1.0, -0.9])

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.identify import filter_kernels, kernels, normal_kernels, state_kernels
-from ultraquiet.identify.structure import Structure, free_rows
+from ultraquiet.identify import state_kernels
+from ultraquiet.identify.prediction_error import filter_kernels, kernels, normal_kernels
+from ultraquiet.identify.prediction_error.structure import Structure, free_rows
 from ultraquiet.values import PolynomialModel
 
 CASES = {
@@ -173,7 +174,7 @@ def test_roots_inside(rng):
 
 def test_no_model_leaves_with_a_root_outside_however_crowded(rng):
     """Eight roots, most of them near z = 1, the largest a hair outside: the recursion cannot tell, the fit must."""
-    from ultraquiet.identify.fit import settled
+    from ultraquiet.identify.prediction_error.fit import settled
 
     for _ in range(200):
         pairs = np.exp(rng.uniform(-0.2, -0.001, 3) + 1j * rng.uniform(0.005, 1.5, 3))

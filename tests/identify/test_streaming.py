@@ -10,10 +10,11 @@ from truths import draw, modal_truth
 
 import ultraquiet as uq
 from ultraquiet.files import LongRecord, LongWriter
-from ultraquiet.identify import kernels, modal, state_kernels, streaming, streaming_kernels
+from ultraquiet.identify import modal, state_kernels
+from ultraquiet.identify.prediction_error import kernels, long_record, long_record_kernels
+from ultraquiet.identify.prediction_error.structure import free_rows
 from ultraquiet.identify.streaming_bank import StreamedBank
 from ultraquiet.identify.streaming_subspace import hankel_gram
-from ultraquiet.identify.structure import free_rows
 from ultraquiet.identify.survey import survey
 from ultraquiet.linalg.lagged import Lagged
 
@@ -52,8 +53,8 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
             table[row, :order] = rng.standard_normal(order)
         elif order:
             table[row, : order + 1] = np.poly(0.7 * np.exp(2j * np.pi * np.array([0.13, -0.13, 0.0])[:order])).real
-    data = streaming.Stream(stored(tmp_path, record, block=1234), 0, survey(stored(tmp_path, record)))
-    shape = streaming.Shape.of(structure, nu, True, True)
+    data = long_record.Stream(stored(tmp_path, record, block=1234), 0, survey(stored(tmp_path, record)))
+    shape = long_record.Shape.of(structure, nu, True, True)
     q = int(shape.states.sum())
     u, y = record.inputs / data.input_size[:, None], record.outputs[0] / data.output_size
     work = [np.zeros((nu, y.size)), np.zeros((nu, y.size)), np.zeros(y.size), np.zeros(y.size)]
@@ -65,7 +66,7 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     x = np.zeros(q)
     for _ in range(3):  # the gradient is taken at the past given: a few rounds find it
         found, _ = data.gram(table, x, shape, "test")
-        x = x + streaming_kernels.past(found, q, np.zeros(len(wanted) - 1))
+        x = x + long_record_kernels.past(found, q, np.zeros(len(wanted) - 1))
     S = kernels.reduced(found, q)
     size = np.sqrt(np.diag(wanted))
     miss = np.abs(S - wanted) / np.outer(size, size)

@@ -11,7 +11,9 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify._abstract import SIGNIFICANCE
-from ultraquiet.identify.fit import (
+from ultraquiet.identify.joint_search import Ended, Part, Problem, covariance_root, posed, search
+from ultraquiet.identify.joint_starts import starts
+from ultraquiet.identify.prediction_error.fit import (
     CONVERGED,
     PROMISING,
     REPAIRS,
@@ -25,11 +27,9 @@ from ultraquiet.identify.fit import (
     simulated,
     verdict,
 )
-from ultraquiet.identify.joint_search import Ended, Part, Problem, covariance_root, posed, search
-from ultraquiet.identify.joint_starts import starts
-from ultraquiet.identify.layout import Layout, delta
-from ultraquiet.identify.starts import Channel
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, b_rows, f_rows, reduced
+from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.parameterisation import Layout, delta
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, b_rows, f_rows, reduced
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialModel
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ultraquiet.identify import kernels
+from ultraquiet.identify.prediction_error import kernels
 
 compiled: Any = njit(cache=True, nogil=True, fastmath=False)
 

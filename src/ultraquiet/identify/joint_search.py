@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.layout import Layout
-from ultraquiet.identify.starts import Channel
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray
+from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray
 
 FIRST_DAMPING = 1e-3
 LEAST_DAMPING = 1e-12
@@ -131,7 +131,7 @@ def search(
     damping: float = FIRST_DAMPING,
 ) -> Ended:
     """Minimise the criterion from the given tables, one per set; every table stays admissible at every step."""
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     with ThreadPoolExecutor(workers) as pool:
         run: Any = map if workers == 1 else pool.map
@@ -215,7 +215,7 @@ def _judged(parts: Sequence[Part], losses: Sequence[float]) -> tuple[float, Floa
 
 def _moved(problem: Problem, tables: Sequence[FloatArray], step: FloatArray) -> list[FloatArray] | None:
     """Return the tables after a step of all unknowns; None when one of them is not admissible."""
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     out: list[FloatArray] = []
     for part, place, table in zip(problem.parts, problem.places, tables, strict=True):

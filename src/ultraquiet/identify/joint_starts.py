@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.fit import Search
 from ultraquiet.identify.joint_search import LEAST_DAMPING, Ended, Part, posed, search
-from ultraquiet.identify.layout import Layout
-from ultraquiet.identify.starts import NOISE_RADIUS, RADIUS, drawn_in, noise_start, stable
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows
+from ultraquiet.identify.prediction_error.fit import Search
+from ultraquiet.identify.prediction_error.initial_models import NOISE_RADIUS, RADIUS, drawn_in, noise_start, stable
+from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows
 
 LINEAR_STEPS = 3  # the first solves a linear problem, the others settle the weights of the groups
 LINEAR_TOLERANCE = 1e-3

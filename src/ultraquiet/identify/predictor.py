@@ -11,7 +11,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.identify import state_fit, state_result
 from ultraquiet.identify._abstract import Result, usable
-from ultraquiet.identify.starts import drawn_in
+from ultraquiet.identify.prediction_error.initial_models import drawn_in
 from ultraquiet.values import Record
 
 LONGEST = 100  # block rows of the past tried when no horizon is given

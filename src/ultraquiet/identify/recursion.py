@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, signal_array
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify import fit as one_fit
 from ultraquiet.identify._abstract import SAMPLES_PER_PARAMETER
-from ultraquiet.identify.structure import ROW_FIRST, Structure
+from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error.structure import ROW_FIRST, Structure
 from ultraquiet.identify.trajectory import Trajectory
 from ultraquiet.values import PolynomialModel
 

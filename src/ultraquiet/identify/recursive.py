@@ -12,11 +12,11 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
-from ultraquiet.identify import fit as one_fit
 from ultraquiet.identify._abstract import Result, worst
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
+from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.recursion import Recursion
-from ultraquiet.identify.starts import Channel
 from ultraquiet.identify.trajectory import Trajectory
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
@@ -302,7 +302,7 @@ def _blocks(record: Record | LongRecord, output: int, every: int) -> Iterator[tu
 def _fit_percent(method: RecursiveMethod, record: Record | LongRecord, output: int, model: PolynomialModel) -> float:
     """Return the simulated fit of the last model on the whole record."""
     if isinstance(record, LongRecord):
-        from ultraquiet.identify.streaming import simulated_fit
+        from ultraquiet.identify.prediction_error.long_record import simulated_fit
 
         return simulated_fit(record, output, model, method.offset)
     denominators = [model.denominator(j) for j in range(len(model.b))]

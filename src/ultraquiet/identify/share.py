@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify.layout import Layout
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, IntArray, b_rows, f_rows
+from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, IntArray, b_rows, f_rows
 from ultraquiet.values import Channel
 
 NAMES = ("threefold", "rotation", "symmetric", "poles", "poles-by-input", "poles-by-output", "noise")

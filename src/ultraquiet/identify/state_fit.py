@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify import modal, refine
-from ultraquiet.identify.starts import drawn_in
+from ultraquiet.identify.prediction_error.initial_models import drawn_in
 from ultraquiet.linalg import response
 from ultraquiet.values import Record
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify import modal
-from ultraquiet.identify.kernels import FLUSH, compiled
+from ultraquiet.identify.prediction_error.kernels import FLUSH, compiled
 
 CELL = 512  # samples whose states are held at once
 

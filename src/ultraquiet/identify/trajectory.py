@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
-from ultraquiet.identify.structure import Structure
+from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.values import PolynomialModel
 
 

@@ -12,11 +12,11 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify._abstract import Result, exciting, usable, worst
-from ultraquiet.identify.fit import Fit, Search, fit_channel
-from ultraquiet.identify.focus import FOCUSES, fit_focused
-from ultraquiet.identify.layout import Layout, check_known, each, laid_out
-from ultraquiet.identify.starts import Channel, starting_models
-from ultraquiet.identify.structure import Structure
+from ultraquiet.identify.prediction_error.fit import Fit, Search, fit_channel
+from ultraquiet.identify.prediction_error.initial_models import Channel, starting_models
+from ultraquiet.identify.prediction_error.parameterisation import Layout, check_known, each, laid_out
+from ultraquiet.identify.prediction_error.simulation_focus import FOCUSES, fit_focused
+from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 HIGHEST_ORDER = 30
@@ -126,7 +126,7 @@ class PolynomialMethod:
                     f"{type(self).__name__}: known parts and settings per input need the record in memory; read it "
                     f"with its method `part`, or leave them out."
                 )
-            from ultraquiet.identify.streaming import identify_long
+            from ultraquiet.identify.prediction_error.long_record import identify_long
 
             return identify_long(self, record)
         if not isinstance(record, Record):

@@ -10,10 +10,10 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
-from ultraquiet.identify.fit import Fit
 from ultraquiet.identify.polynomial.matrix import columns, in_threads
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
-from ultraquiet.identify.starts import Channel
+from ultraquiet.identify.prediction_error.fit import Fit
+from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record
 

@@ -6,8 +6,17 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify._abstract import SIGNIFICANCE
-from ultraquiet.identify.starts import Channel, starting_tables, table_of
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows, reduced
+from ultraquiet.identify.prediction_error.initial_models import Channel, starting_tables, table_of
+from ultraquiet.identify.prediction_error.structure import (
+    ROW_A,
+    ROW_C,
+    ROW_D,
+    Structure,
+    b_rows,
+    f_rows,
+    free_rows,
+    reduced,
+)
 from ultraquiet.linalg import portmanteau, prediction, realize
 from ultraquiet.values import PolynomialModel, Status
 
@@ -181,7 +190,7 @@ def run_search(
     data: Channel, structure: Structure, search: Search, table: FloatArray, steps: int, *, noise_only: bool = False
 ) -> "Found":
     """Search from a table; with `noise_only` the plant is held and C and D alone move."""
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     nu = data.u.shape[0]
     plant = [] if noise_only else [ROW_A, *b_rows(nu), *f_rows(nu)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, one_of, real_array, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray, b_rows, f_rows
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray, b_rows, f_rows
 
 LONGEST_PAST = 60  # initial conditions of one path; what an input did longer before the record is taken as zero
 
@@ -118,7 +118,7 @@ class Layout:
 
     def with_poles(self, table: FloatArray, row: int, roots: ComplexArray) -> None:
         """Write into a row the known factor and the roots that are left when those nearest to its own are taken out."""
-        from ultraquiet.identify.starts import expanded
+        from ultraquiet.identify.prediction_error.initial_models import expanded
 
         left = roots
         for pole in np.roots(self.known):

@@ -8,7 +8,7 @@ normal matrix beside the gradient's, and whose free responses are driven by puls
 
 import numpy as np
 
-from ultraquiet.identify.kernels import (
+from ultraquiet.identify.prediction_error.kernels import (
     BLAS_SERIAL,
     FLUSH,
     RIDGE,

@@ -10,7 +10,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify import hankel
-from ultraquiet.identify.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.linalg.prediction import repaired
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 
@@ -173,7 +173,7 @@ def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ..
 
 def _least_squares(data: Channel, structure: Structure) -> FloatArray:
     """Return A and B of the equation-error model: linear, so one undamped step is the whole search."""
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     nu = data.u.shape[0]
     found = kernels.search(
@@ -198,7 +198,7 @@ UNDAMPED = 0.0
 
 def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArray:
     """Return a table with the given F: B by least squares on the simulated output, C and D from what remains."""
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     nu = data.u.shape[0]
     table = structure.empty(nu)
@@ -228,7 +228,7 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
 
     Hannan and Rissanen 1982, doi:10.1093/biomet/69.1.81.
     """
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
     from ultraquiet.linalg.prediction import filtered
 
     before = max(c_order, d_order)

@@ -9,8 +9,16 @@ matrix of their products would keep none (Jacobian condition 1e8, squared).
 
 import numpy as np
 
-from ultraquiet.identify.filter_kernels import FLUSH, all_pole, combine, compiled, expanded, moving, whiten
-from ultraquiet.identify.normal_kernels import (
+from ultraquiet.identify.prediction_error.filter_kernels import (
+    FLUSH,
+    all_pole,
+    combine,
+    compiled,
+    expanded,
+    moving,
+    whiten,
+)
+from ultraquiet.identify.prediction_error.normal_kernels import (
     BLAS_SERIAL,
     RIDGE,
     back_substitute,

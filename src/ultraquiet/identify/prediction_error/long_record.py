@@ -11,10 +11,10 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
-from ultraquiet.identify import fit as one_fit
 from ultraquiet.identify._abstract import SIGNIFICANCE, Result
-from ultraquiet.identify.starts import Channel
-from ultraquiet.identify.structure import (
+from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
     ROW_C,
     ROW_D,
@@ -59,7 +59,7 @@ class Stream:
 
         `watch` is handed inputs, output and residual of every block.
         """
-        from ultraquiet.identify import streaming_kernels as kernels
+        from ultraquiet.identify.prediction_error import long_record_kernels as kernels
 
         _, lags, counts = kernels.plan(shape.degree, shape.lag, shape.free, shape.states)
         q, width = int(shape.states.sum()), int(counts.sum())
@@ -184,8 +184,8 @@ def _search(
     data: Stream, shape: Shape, start: FloatArray, method: "PolynomialMethod", title: str
 ) -> tuple[Place, int, int]:
     """Minimise as `kernels.search`, one pass a trial; return the place, the iterations and the state reached."""
-    from ultraquiet.identify import kernels
-    from ultraquiet.identify.streaming_kernels import past
+    from ultraquiet.identify.prediction_error import kernels
+    from ultraquiet.identify.prediction_error.long_record_kernels import past
 
     n = data.record.samples
     place = _place(data, shape, start, np.zeros(int(shape.states.sum())), title)
@@ -218,7 +218,7 @@ def _search(
 
 
 def _place(data: Stream, shape: Shape, table: FloatArray, x: FloatArray, title: str) -> Place:
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     G, q = data.gram(table, x, shape, title)
     S = kernels.reduced(G, q)
@@ -227,7 +227,7 @@ def _place(data: Stream, shape: Shape, table: FloatArray, x: FloatArray, title: 
 
 def _evidence(data: Stream, place: Place, shape: Shape, structure: Structure, title: str) -> tuple[float, float]:
     """Return the p-values of `fit.residual_tests` from one more pass."""
-    from ultraquiet.identify.streaming_kernels import past
+    from ultraquiet.identify.prediction_error.long_record_kernels import past
 
     n = data.record.samples
     lags = min(one_fit.TEST_LAGS, n // 10)
@@ -252,7 +252,7 @@ def _simulated_fit(
     data: Stream, model: PolynomialModel, seen: Survey, output: int, fitted: tuple[bool, bool], title: str
 ) -> float:
     """Return the simulated fit in percent: the output-error loss of the model, its past and a constant fitted."""
-    from ultraquiet.identify import kernels
+    from ultraquiet.identify.prediction_error import kernels
 
     nu = data.input_size.size
     lag = min(int(np.flatnonzero(b)[0]) if np.any(b) else 0 for b in model.b)

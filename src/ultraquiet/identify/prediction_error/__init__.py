@@ -1,0 +1,1 @@
+"""The prediction-error engine: parameterisation, initial models, search, records on disk."""
