@@ -10,11 +10,11 @@ from truths import draw
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
-from ultraquiet.identify import joint_search
-from ultraquiet.identify.joint_search import Part, posed
+from ultraquiet.identify.joint import search
+from ultraquiet.identify.joint.search import Part, posed
+from ultraquiet.identify.joint.ties import Share
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.parameterisation import Layout
-from ultraquiet.identify.share import Share
 
 RATE_HZ = 3500.0
 NOISE_C, NOISE_D = np.array([1.0, 0.5]), np.array([1.0, -0.9])
@@ -293,10 +293,10 @@ def test_gradient_of_the_joint_criterion(rng):
         layout.with_poles(table, 4, np.array([0.5, -0.3 + 0j]))
         layout.with_poles(table, 6, np.array([0.5, 0.6 + 0.3j, 0.6 - 0.3j]))
         tables.append(table)
-    start = joint_search._moved(problem, tables, 0.01 * rng.standard_normal(problem.size))
+    start = search._moved(problem, tables, 0.01 * rng.standard_normal(problem.size))
     step = rng.standard_normal(problem.size)
-    W = [joint_search._criterion(problem, joint_search._moved(problem, start, h * step), map) for h in (1e-6, -1e-6)]
-    S = joint_search._summed(problem, start, map)[3]
+    W = [search._criterion(problem, search._moved(problem, start, h * step), map) for h in (1e-6, -1e-6)]
+    S = search._summed(problem, start, map)[3]
     slope, promised = (W[0] - W[1]) / 2e-6, 2 * S[:-1, -1] @ step
     print(f"\n{problem.size} unknowns of three sets: slope {promised:.6g} by filters, {slope:.6g} by differences")
     assert promised == pytest.approx(slope, rel=1e-3, abs=1e-2)

@@ -4,7 +4,7 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 """
 
 from ultraquiet.identify._abstract import Identification, Result
-from ultraquiet.identify.joint import identify_joint
+from ultraquiet.identify.joint.identify import identify_joint
 from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.polynomial.order_selection import Candidate, Sweep, sweep

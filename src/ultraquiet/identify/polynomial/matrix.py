@@ -89,7 +89,7 @@ def identify_matrix(
     if share is not None or method.informed or len(single) < len(records):
         if start is not None:
             raise InputError("identify_matrix: start is for channels that share nothing, one record per actuator.")
-        from ultraquiet.identify.joint import identify_tied_matrix
+        from ultraquiet.identify.joint.identify import identify_tied_matrix
 
         return identify_tied_matrix(method, records, share, workers)
     picked = columns(method, single)

@@ -130,7 +130,7 @@ class PolynomialMethod:
 
             return identify_long(self, record)
         if not isinstance(record, Record):
-            from ultraquiet.identify.joint import identify_joint
+            from ultraquiet.identify.joint.identify import identify_joint
 
             return identify_joint(self, record)
         self.check(record)
@@ -150,7 +150,7 @@ class PolynomialMethod:
     def fit(self, data: Channel, rate_hz: float) -> Fit:
         """Return the model of one output."""
         if self.informed:
-            from ultraquiet.identify.joint import fit_alone
+            from ultraquiet.identify.joint.identify import fit_alone
 
             return fit_alone(self, data, rate_hz)
         return fit_channel(data, self.structure(), self.search(), rate_hz)

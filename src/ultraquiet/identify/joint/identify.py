@@ -10,14 +10,14 @@ from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.identify._abstract import Result
-from ultraquiet.identify.joint_fit import fit_parts
-from ultraquiet.identify.joint_search import Part
+from ultraquiet.identify.joint.fit import fit_parts
+from ultraquiet.identify.joint.search import Part
+from ultraquiet.identify.joint.ties import Share
 from ultraquiet.identify.polynomial import matrix
 from ultraquiet.identify.polynomial.methods import PolynomialMethod, gather
 from ultraquiet.identify.prediction_error.fit import Fit, Search
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.parameterisation import Layout
-from ultraquiet.identify.share import Share
 from ultraquiet.values import PolynomialMatrix, Record
 
 Sharing = str | Sequence[str] | ArrayLike | None

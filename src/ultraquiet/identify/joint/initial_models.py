@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.joint_search import LEAST_DAMPING, Ended, Part, posed, search
+from ultraquiet.identify.joint.search import LEAST_DAMPING, Ended, Part, posed, search
 from ultraquiet.identify.prediction_error.fit import Search
 from ultraquiet.identify.prediction_error.initial_models import NOISE_RADIUS, RADIUS, drawn_in, noise_start, stable
 from ultraquiet.identify.prediction_error.parameterisation import Layout

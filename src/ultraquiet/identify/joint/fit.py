@@ -11,8 +11,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify._abstract import SIGNIFICANCE
-from ultraquiet.identify.joint_search import Ended, Part, Problem, covariance_root, posed, search
-from ultraquiet.identify.joint_starts import starts
+from ultraquiet.identify.joint.initial_models import starts
+from ultraquiet.identify.joint.search import Ended, Part, Problem, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.fit import (
     CONVERGED,
     PROMISING,

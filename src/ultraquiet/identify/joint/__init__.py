@@ -1,0 +1,1 @@
+"""Several experiments, and ties between channels, in one fit."""
