@@ -138,9 +138,9 @@ def probe(path: Path, what: str) -> dict:
 def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[float, float, float]:
     """Return the time per sample of a pass of BJ5, of the products at all lags, and of the modal least squares."""
     import ultraquiet as uq
-    from ultraquiet.identify import streaming_bank
     from ultraquiet.identify.prediction_error import long_record
-    from ultraquiet.identify.streaming_subspace import ScaledStream
+    from ultraquiet.identify.subspace import long_record_bank
+    from ultraquiet.identify.subspace.long_record import ScaledStream
     from ultraquiet.identify.survey import survey
     from ultraquiet.linalg.lagged import Lagged
 
@@ -157,7 +157,7 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     stream, sums = ScaledStream(record, survey(record)), Lagged(2 * WIRES, LAGS)
 
     def modal() -> None:
-        streaming_bank.StreamedBank(plant.poles, stream.blocks("bank"), (WIRES, WIRES, record.samples), True, True)
+        long_record_bank.StreamedBank(plant.poles, stream.blocks("bank"), (WIRES, WIRES, record.samples), True, True)
 
     def lagged() -> None:
         for u, y in stream.blocks("lags"):

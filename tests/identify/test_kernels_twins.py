@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.identify import state_kernels
 from ultraquiet.identify.prediction_error import filter_kernels, kernels, normal_kernels
 from ultraquiet.identify.prediction_error.structure import Structure, free_rows
+from ultraquiet.identify.subspace import kernels as state_kernels
 from ultraquiet.values import PolynomialModel
 
 CASES = {

@@ -5,7 +5,8 @@ import pytest
 from truths import modal_truth
 
 import ultraquiet as uq
-from ultraquiet.identify import refine, state_fit, state_kernels
+from ultraquiet.identify.subspace import fit as state_fit
+from ultraquiet.identify.subspace import gauss_newton, kernels
 from ultraquiet.linalg import response
 
 FIT, SHARE = 95.0, 0.01  # percent; of a mode's frequency
@@ -16,12 +17,12 @@ def point(rng, ny=2, inputs=3):
     tau, sigma, kappa = np.array([0.9, 0.6, 0.5, 0.7]), np.array([0.2, 0.2, 0.0, 0.1]), np.array([-1.0, 1.0, 0.0, -0.3])
     b, c = rng.standard_normal((4, 2, inputs)), rng.standard_normal((ny, 4, 2))
     b[2, 1], c[:, 2, 1] = 0.0, 0.0
-    return refine.Point(tau, sigma, kappa, b, c, rng.standard_normal((ny, 2)), np.zeros((0, 0)))
+    return gauss_newton.Point(tau, sigma, kappa, b, c, rng.standard_normal((ny, 2)), np.zeros((0, 0)))
 
 
 def signals(rng, ny=2, inputs=3, n=300):
     drive = np.hstack([np.zeros((inputs, 1)), rng.standard_normal((inputs, n - 1))])
-    return refine.Signals(drive, rng.standard_normal((2, n)), rng.standard_normal((ny, n)))
+    return gauss_newton.Signals(drive, rng.standard_normal((2, n)), rng.standard_normal((ny, n)))
 
 
 def errors(at, data):
@@ -34,19 +35,19 @@ def errors(at, data):
 
 
 def test_the_kernel_and_its_plain_twin(rng):
-    at, data = point(rng), signals(rng, n=2 * state_kernels.MODAL_BLOCK + 100)
+    at, data = point(rng), signals(rng, n=2 * kernels.MODAL_BLOCK + 100)
     e = errors(at, data)
-    assert refine.evaluated(at, data).covariance == pytest.approx(e @ e.T, rel=1e-9)
+    assert gauss_newton.evaluated(at, data).covariance == pytest.approx(e @ e.T, rel=1e-9)
 
 
 @pytest.mark.parametrize("weighted", [True, False])
 def test_the_gradient_is_that_of_finite_differences(weighted, rng):
     data = signals(rng)
-    at = refine._even(refine.evaluated(point(rng), data))
-    normal = refine._Normal(at, data, weighted)
+    at = gauss_newton._even(gauss_newton.evaluated(point(rng), data))
+    normal = gauss_newton._Normal(at, data, weighted)
 
     def loss(step):
-        return refine._loss(refine.evaluated(normal.moved(step), data), data, weighted)
+        return gauss_newton._loss(gauss_newton.evaluated(normal.moved(step), data), data, weighted)
 
     size, wide = len(normal.right), normal.right_c.shape
     told, found, h = [], [], 1e-5

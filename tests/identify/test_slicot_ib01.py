@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ultraquiet.identify import hankel, modal, state_sequence
+from ultraquiet.identify.subspace import hankel, modal_least_squares, state_sequence
 
 SLICOT = Path(__file__).parents[1] / "data" / "slicot"
 PRINTED = 5e-5  # half of the last digit
@@ -78,7 +78,7 @@ def test_inputs_and_initial_state_by_simulation():
     poles, vectors = np.linalg.eig(made.A)
     kept = poles.imag >= 0
     poles = poles[kept].astype(complex)
-    bank = modal.Bank(poles, u, y, feedthrough=True, offset=False)
+    bank = modal_least_squares.Bank(poles, u, y, feedthrough=True, offset=False)
     modes = bank.fit_b((made.C @ vectors)[:, kept].astype(complex))
     V = vectors[:, kept]
     B, x0 = V @ modes.b[:, :-1], V @ modes.b[:, -1:]

@@ -8,7 +8,6 @@ from ultraquiet.identify.joint.identify import identify_joint
 from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.polynomial.order_selection import Candidate, Sweep, sweep
-from ultraquiet.identify.predictor import PredictorSubspace
 from ultraquiet.identify.rational import Rational, ResponseFit
 from ultraquiet.identify.recursion import Recursion
 from ultraquiet.identify.recursive import RecursiveArmax, RecursiveArx, RecursiveBoxJenkins, RecursiveOutputError
@@ -17,7 +16,8 @@ from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
 from ultraquiet.identify.structured_modal import StructuredModal
 from ultraquiet.identify.structured_modal_fit import ModalFit
-from ultraquiet.identify.subspace import Subspace
+from ultraquiet.identify.subspace.method import Subspace
+from ultraquiet.identify.subspace.predictor import PredictorSubspace
 from ultraquiet.identify.threefold import Folded, Threefold, ThreefoldFit, fold
 from ultraquiet.identify.trajectory import Trajectory
 from ultraquiet.identify.weighted_rational import WeightedRational

@@ -9,8 +9,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify import hankel
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
+from ultraquiet.identify.subspace import hankel
 from ultraquiet.linalg.prediction import repaired
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 

@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify import hankel, modal, state_fit
+from ultraquiet.identify.subspace import fit as state_fit
+from ultraquiet.identify.subspace import hankel, modal_least_squares
 from ultraquiet.values import Record
 
 if TYPE_CHECKING:
-    from ultraquiet.identify.subspace import Subspace
+    from ultraquiet.identify.subspace.method import Subspace
 
 HELD_OUT = 3  # one sample in so many, at the end of the record, judges
 HIGHEST = 120
@@ -60,7 +61,7 @@ def chosen(method: "Subspace", record: Record) -> int:
     return min(n for n, value in losses.items() if value <= floor)
 
 
-def cost(bank: modal.Bank, modes: modal.Modes) -> float:
+def cost(bank: modal_least_squares.Bank, modes: modal_least_squares.Modes) -> float:
     """Return n sum_i log(mean squared error of output i) + log n (states) (inputs + outputs): Schwarz's criterion."""
     states = int(np.sum(np.where(modes.poles.imag == 0.0, 1, 2)))
     fit = bank.n * float(np.sum(np.log(np.maximum(bank.loss(modes), np.finfo(float).tiny))))
@@ -73,7 +74,7 @@ def _held_out(
     """Return the mean over outputs of the logarithm of the simulated error's size after `split`."""
     A, C = hankel.transition(basis, values, order, len(data.y))
     poles, directions, _ = state_fit.modes_of(A, C)
-    bank = modal.Bank(poles, data.u[:, :split], data.y[:, :split], method.feedthrough, method.offset)
+    bank = modal_least_squares.Bank(poles, data.u[:, :split], data.y[:, :split], method.feedthrough, method.offset)
     found = state_fit.system(bank.fit_b(directions))
     error = (data.y - found.simulated(data.u))[:, split:]
     return float(np.mean(np.log(error.std(axis=1))))

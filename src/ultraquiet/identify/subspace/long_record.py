@@ -11,15 +11,15 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
-from ultraquiet.identify import hankel, modal, state_fit, state_order, state_result
 from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable, worst
+from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection
 from ultraquiet.identify.survey import Survey, survey
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status
 
 if TYPE_CHECKING:
-    from ultraquiet.identify.subspace import Start, Subspace
+    from ultraquiet.identify.subspace.method import Start, Subspace
 
 # Samples from the record's beginning that the noise gain is fitted to: some hundred for each of its numbers.
 NOISE_SAMPLES = 65_536
@@ -46,14 +46,14 @@ class ScaledStream:
                 yield self._scaled(u, y)
                 progress.advance(u.shape[1])
 
-    def first(self, samples: int) -> state_fit.Scaled:
+    def first(self, samples: int) -> fit.Scaled:
         """Return the beginning of the record in memory."""
         return self.scaled(self.record.part(0, min(samples, self.samples)))
 
-    def scaled(self, part: Record) -> state_fit.Scaled:
+    def scaled(self, part: Record) -> fit.Scaled:
         """Return a part in memory in the scale of the whole."""
         u, y = self._scaled(part.inputs, part.outputs)
-        return state_fit.Scaled(u, y, self.seen.input_size[:, None], self.seen.output_size[:, None])
+        return fit.Scaled(u, y, self.seen.input_size[:, None], self.seen.output_size[:, None])
 
     @property
     def input_level(self) -> FloatArray:
@@ -86,14 +86,14 @@ def identify_long_subspace(method: "Subspace", record: LongRecord) -> Result:
     piece = _most_excited(record, seen, PIECE_SAMPLES)
     method.horizons(piece, method.order or 1)
     usable("Subspace", piece, method.order or 1, 0)
-    state_result.independent("Subspace", piece)
-    order = state_order.chosen(method, piece) if method.order is None else method.order
+    evidence.independent("Subspace", piece)
+    order = order_selection.chosen(method, piece) if method.order is None else method.order
     data = ScaledStream(record, seen)
     best = min(_starts(method, data, order), key=lambda s: s.loss)
     modes, steps, converged = _finished(method, data, best)
     early = data.first(NOISE_SAMPLES)
-    found = state_fit.system(modes)
-    found = replace(found, K=state_fit.noise_gain(found, best.innovations(early), early))
+    found = fit.system(modes)
+    found = replace(found, K=fit.noise_gain(found, best.innovations(early), early))
     made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
     details = {"horizon": best.rows, "order": len(found.A), "singular_values": best.values, "samples": data.samples}
     return _judged(found, data, (steps, converged), made, details)
@@ -107,7 +107,7 @@ def _most_excited(record: LongRecord, seen: Survey, samples: int) -> Record:
 
 def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Start]":
     """Yield what each horizon gives."""
-    from ultraquiet.identify.subspace import GAIN, TRIAL_ROUNDS, Start
+    from ultraquiet.identify.subspace.method import GAIN, TRIAL_ROUNDS, Start
 
     nu, ny = len(data.record.actuators), len(data.record.sensors)
     horizons = method.horizons(data.record, order)
@@ -118,35 +118,35 @@ def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Sta
     for rows in horizons:
         held = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
         basis, values = hankel.directions(held, method.weight)
-        poles, directions, _ = state_fit.modes_of(*hankel.transition(basis, values, order, ny))
-        bank: modal.Bank = _bank(method, data, poles, f"subspace: least squares at horizon {rows}")
-        modes = modal.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
+        poles, directions, _ = fit.modes_of(*hankel.transition(basis, values, order, ny))
+        bank: modal_least_squares.Bank = _bank(method, data, poles, f"subspace: least squares at horizon {rows}")
+        modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
         if method.order is None:
-            bank, modes = modal.pruned(bank, modes)
-        yield Start(state_order.cost(bank, modes), rows, modes, held, basis, values, order, bank)
+            bank, modes = modal_least_squares.pruned(bank, modes)
+        yield Start(order_selection.cost(bank, modes), rows, modes, held, basis, values, order, bank)
 
 
-def _bank(method: "Subspace", data: ScaledStream, poles: ComplexArray, title: str) -> modal.Bank:
-    from ultraquiet.identify.streaming_bank import StreamedBank
+def _bank(method: "Subspace", data: ScaledStream, poles: ComplexArray, title: str) -> modal_least_squares.Bank:
+    from ultraquiet.identify.subspace.long_record_bank import StreamedBank
 
     shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
     return StreamedBank(poles, data.blocks(title), shape, method.feedthrough, method.offset)
 
 
-def _finished(method: "Subspace", data: ScaledStream, best: "Start") -> tuple[modal.Modes, int, bool]:
+def _finished(method: "Subspace", data: ScaledStream, best: "Start") -> tuple[modal_least_squares.Modes, int, bool]:
     """Return the modes after the last rounds, poles refined when asked for, with the search's steps and its end."""
-    from ultraquiet.identify.subspace import GAIN, ROUNDS
+    from ultraquiet.identify.subspace.method import GAIN, ROUNDS
 
     assert best.bank is not None
     if not method.refine:
-        return modal.alternate(best.bank, best.modes.c, ROUNDS, GAIN), 0, True
+        return modal_least_squares.alternate(best.bank, best.modes.c, ROUNDS, GAIN), 0, True
     piece = data.scaled(_most_excited(data.record, data.seen, REFINED_SAMPLES))
-    options = state_fit.Options(method.feedthrough, method.offset, method.weighted, method.max_iterations)
-    found, steps, converged = state_fit.refined_simulation(state_fit.system(best.modes), piece, options)
-    poles, directions, _ = state_fit.modes_of(found.A, found.C)
+    options = fit.Options(method.feedthrough, method.offset, method.weighted, method.max_iterations)
+    found, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, options)
+    poles, directions, _ = fit.modes_of(found.A, found.C)
     bank = _bank(method, data, poles, "subspace: least squares at the refined poles")
-    modes = modal.alternate(bank, directions, ROUNDS, GAIN)
-    better = state_order.cost(bank, modes) < state_order.cost(best.bank, best.modes)
+    modes = modal_least_squares.alternate(bank, directions, ROUNDS, GAIN)
+    better = order_selection.cost(bank, modes) < order_selection.cost(best.bank, best.modes)
     return (modes if better else best.modes), steps, converged
 
 
@@ -173,12 +173,12 @@ def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
 
 
 def _judged(
-    found: state_fit.System, data: ScaledStream, search: tuple[int, bool], made: Provenance, details: dict[str, Any]
+    found: fit.System, data: ScaledStream, search: tuple[int, bool], made: Provenance, details: dict[str, Any]
 ) -> Result:
     """Return the result of a system in scaled units, its evidence from one more pass."""
     ny, nu = found.D.shape
-    lags = min(state_result.TEST_LAGS, data.samples // 10)
-    memory = min(state_result.RESIDUAL_LAGS, data.samples // 10)
+    lags = min(evidence.TEST_LAGS, data.samples // 10)
+    memory = min(evidence.RESIDUAL_LAGS, data.samples // 10)
     simulated, predicted = Lagged(ny + nu, lags + memory), Lagged(ny, lags)
     for u, v, e in _errors(found, data):
         simulated.add(np.vstack([v, u]))
@@ -191,7 +191,7 @@ def _judged(
     squares = np.diag(simulated.products()[0])[:ny] / n
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
-    model = state_result.modelled(found, like, data.record.part(0, 1), data.first(1), made)
+    model = evidence.modelled(found, like, data.record.part(0, 1), data.first(1), made)
     return Result(
         model,
         worst(statuses),
@@ -207,9 +207,9 @@ def _judged(
     )
 
 
-def _errors(found: state_fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+def _errors(found: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Yield inputs, simulated and one-step errors block by block."""
-    from ultraquiet.identify.streaming_bank import simulated
+    from ultraquiet.identify.subspace.long_record_bank import simulated
 
     inner = np.ascontiguousarray(found.A - found.K @ found.C)
     A, into = np.ascontiguousarray(found.A), found.B - found.K @ found.D

@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.identify._abstract import SIGNIFICANCE, Result, worst
-from ultraquiet.identify.state_fit import Scaled, System
+from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
 from ultraquiet.values import InnovationForm, Record, Status
 
@@ -34,7 +34,7 @@ class Search:
 
 def independent(who: str, record: Record) -> None:
     """Refuse inputs of which one can be had from the others, shifted or not: whose effect is whose is then unknown."""
-    from ultraquiet.identify.state_kernels import hankel_gram
+    from ultraquiet.identify.subspace.kernels import hankel_gram
 
     nu, rows = len(record.actuators), 2 * SHIFTS + 1
     if nu == 1 or record.samples < SAMPLES_PER_SHIFT * nu * rows:

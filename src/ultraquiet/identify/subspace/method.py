@@ -10,8 +10,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
-from ultraquiet.identify import hankel, modal, state_fit, state_order, state_result, state_sequence
 from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection, state_sequence
 from ultraquiet.values import Record
 
 CANDIDATES = (10, 20, 40, 60, 90)  # block rows tried when no horizon is given; the lowest simulated error wins
@@ -95,14 +95,14 @@ class Subspace:
                 other, a horizon too short for the order.
         """
         if isinstance(record, LongRecord):
-            from ultraquiet.identify.streaming_subspace import identify_long_subspace
+            from ultraquiet.identify.subspace.long_record import identify_long_subspace
 
             return identify_long_subspace(self, record)
         self.horizons(record, self.order or 1)
         usable("Subspace", record, self.order or 1, 0)
-        state_result.independent("Subspace", record)
-        data = state_fit.Scaled.of(record)
-        order = state_order.chosen(self, record) if self.order is None else self.order
+        evidence.independent("Subspace", record)
+        data = fit.Scaled.of(record)
+        order = order_selection.chosen(self, record) if self.order is None else self.order
         found = min((self._modes(data, rows, order) for rows in self.horizons(record, order)), key=lambda s: s.loss)
         return self._finished(record, data, found)
 
@@ -123,34 +123,34 @@ class Subspace:
             )
         return usable_rows
 
-    def _modes(self, data: state_fit.Scaled, rows: int, order: int) -> "Start":
+    def _modes(self, data: fit.Scaled, rows: int, order: int) -> "Start":
         """Return the modes found with `rows` block rows."""
         held = hankel.factor(data.centred_u, data.y, rows)
         basis, values = hankel.directions(held, self.weight)
         A, C = hankel.transition(basis, values, order, len(data.y))
-        poles, directions, _ = state_fit.modes_of(A, C)
-        bank = modal.Bank(poles, data.u, data.y, self.feedthrough, self.offset)
-        modes = modal.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
+        poles, directions, _ = fit.modes_of(A, C)
+        bank = modal_least_squares.Bank(poles, data.u, data.y, self.feedthrough, self.offset)
+        modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
         if self.order is None:
-            bank, modes = modal.pruned(bank, modes)
-        return Start(state_order.cost(bank, modes), rows, modes, held, basis, values, order, bank)
+            bank, modes = modal_least_squares.pruned(bank, modes)
+        return Start(order_selection.cost(bank, modes), rows, modes, held, basis, values, order, bank)
 
-    def _finished(self, record: Record, data: state_fit.Scaled, start: "Start") -> Result:
+    def _finished(self, record: Record, data: fit.Scaled, start: "Start") -> Result:
         modes = start.modes
         if start.bank is not None and not self.refine:
-            modes = modal.alternate(start.bank, modes.c, ROUNDS, GAIN)
-        system, steps, converged = state_fit.system(modes), 0, True
-        options = state_fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
+            modes = modal_least_squares.alternate(start.bank, modes.c, ROUNDS, GAIN)
+        system, steps, converged = fit.system(modes), 0, True
+        options = fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
         if self.refine:
-            system, steps, converged = state_fit.refined_simulation(system, data, options)
-        system = replace(system, K=state_fit.noise_gain(system, start.innovations(data), data))
+            system, steps, converged = fit.refined_simulation(system, data, options)
+        system = replace(system, K=fit.noise_gain(system, start.innovations(data), data))
         if self.refine and self.focus == "prediction":
-            system, more, converged = state_fit.refined_prediction(system, data, options)
+            system, more, converged = fit.refined_prediction(system, data, options)
             steps += more
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        search = state_result.Search(steps, converged, self.focus == "prediction" and self.refine)
+        search = evidence.Search(steps, converged, self.focus == "prediction" and self.refine)
         details = {"horizon": start.rows, "order": len(system.A), "singular_values": start.values}
-        return state_result.judged(system, record, data, search, made, details)
+        return evidence.judged(system, record, data, search, made, details)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,18 +159,18 @@ class Start:
 
     loss: float
     rows: int
-    modes: modal.Modes
+    modes: modal_least_squares.Modes
     held: hankel.Factor
     basis: FloatArray
     values: FloatArray
     order: int
-    bank: modal.Bank | None = None
+    bank: modal_least_squares.Bank | None = None
 
-    def innovations(self, data: state_fit.Scaled) -> FloatArray:
+    def innovations(self, data: fit.Scaled) -> FloatArray:
         """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""
         made = state_sequence.realised(self.held, self.basis, self.values, self.order)
         rest = np.zeros(self.order), np.zeros(len(data.y))
-        filtered = state_fit.System(made.A, made.B, made.C, made.D, made.K, *rest)
+        filtered = fit.System(made.A, made.B, made.C, made.D, made.K, *rest)
         if filtered.predicts():
             return filtered.errors(data.centred_u, data.y)
-        return data.y - state_fit.system(self.modes).simulated(data.u)
+        return data.y - fit.system(self.modes).simulated(data.u)

@@ -170,7 +170,7 @@ def search(
 
 def evaluated(at: Point, signals: Signals) -> Point:
     """Return the point with its own Gram matrix."""
-    from ultraquiet.identify.state_kernels import sensitivity_gram
+    from ultraquiet.identify.subspace.kernels import sensitivity_gram
 
     blocks = (at.tau, at.sigma, at.kappa, np.ascontiguousarray(at.b), np.ascontiguousarray(at.c))
     return replace(at, G=sensitivity_gram(*blocks, at.direct, signals.drive, signals.tail, signals.outputs))

@@ -39,7 +39,7 @@ class Factor:
 
 def factor(u: FloatArray, y: FloatArray, rows: int) -> Factor:
     """Return the factor of a record `(nu, n)`, `(ny, n)` with `rows` block rows of past and of future."""
-    from ultraquiet.identify.state_kernels import hankel_gram
+    from ultraquiet.identify.subspace.kernels import hankel_gram
 
     z = np.ascontiguousarray(np.vstack([u, y]))
     return factored(hankel_gram(z, 2 * rows), u.shape[0], y.shape[0], rows, u.shape[1])

@@ -55,7 +55,7 @@ class Bank:
     """Products of all filtered inputs, inputs and outputs for one set of poles."""
 
     def __init__(self, poles: ComplexArray, u: FloatArray, y: FloatArray, feedthrough: bool, offset: bool) -> None:
-        from ultraquiet.identify.state_kernels import modal_gram
+        from ultraquiet.identify.subspace.kernels import modal_gram
 
         self.poles = poles
         self.nu, self.ny, self.n = u.shape[0], y.shape[0], u.shape[1]

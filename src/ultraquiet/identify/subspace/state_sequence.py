@@ -9,7 +9,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.identify.hankel import Factor
+from ultraquiet.identify.subspace.hankel import Factor
 from ultraquiet.linalg import equations
 
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify import modal, refine
 from ultraquiet.identify.prediction_error.initial_models import drawn_in
+from ultraquiet.identify.subspace import gauss_newton, modal_least_squares
 from ultraquiet.linalg import response
 from ultraquiet.values import Record
 
@@ -108,7 +108,7 @@ def modes_of(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, 
     """
     values, vectors = np.linalg.eig(A)
     values = drawn_in(values.astype(np.complex128), STABLE_RADIUS)
-    real = np.abs(values.imag) <= modal.IMAGINARY
+    real = np.abs(values.imag) <= modal_least_squares.IMAGINARY
     kept = np.concatenate([np.flatnonzero(~real & (values.imag > 0)), np.flatnonzero(real)])
     count = int(np.count_nonzero(~real & (values.imag > 0)))
     states = vectors[:, kept].astype(np.complex128)
@@ -120,7 +120,7 @@ def modes_of(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, 
     return poles, directions / size, states / size
 
 
-def system(modes: modal.Modes) -> System:
+def system(modes: modal_least_squares.Modes) -> System:
     """Return real matrices of modes, without noise."""
     ny, nu = modes.D.shape
     joined = replace(modes, b=np.hstack([modes.b, modes.b[:, -1:]]), D=np.hstack([modes.D, np.zeros((ny, 1))]))
@@ -132,9 +132,9 @@ def system(modes: modal.Modes) -> System:
 def refined_simulation(start: System, data: Scaled, options: Options) -> tuple[System, int, bool]:
     """Return the system of least simulated error, the steps taken, and whether the search came to its end."""
     drive = np.hstack([start.B, start.x0[:, None]])
-    at = refine.Point.of(start.A, drive, start.C, options.direct(start))
-    signals = refine.Signals.of(data.u, data.u, data.y, options.feedthrough, options.offset)
-    found = refine.search(at, signals, options.weighted, options.steps, lambda p: p.radius <= STABLE_RADIUS)
+    at = gauss_newton.Point.of(start.A, drive, start.C, options.direct(start))
+    signals = gauss_newton.Signals.of(data.u, data.u, data.y, options.feedthrough, options.offset)
+    found = gauss_newton.search(at, signals, options.weighted, options.steps, lambda p: p.radius <= STABLE_RADIUS)
     A, B, C = found.point.matrices()
     D, constant = options.parts(found.point.direct, len(data.u))
     none = np.zeros((len(A), len(C)))
@@ -154,10 +154,10 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
     settled = np.linalg.solve(np.eye(len(inner)) - inner, start.K)
     shifted = replace(start, constant=start.constant - start.C @ settled @ start.constant)
     drive = np.hstack([start.B - start.K @ start.D, start.K, (start.x0 - settled @ start.constant)[:, None]])
-    at = refine.Point.of(inner, drive, start.C, options.direct(shifted))
-    signals = refine.Signals.of(np.vstack([data.u, data.y]), data.u, data.y, options.feedthrough, options.offset)
+    at = gauss_newton.Point.of(inner, drive, start.C, options.direct(shifted))
+    signals = gauss_newton.Signals.of(np.vstack([data.u, data.y]), data.u, data.y, options.feedthrough, options.offset)
 
-    def made(at: refine.Point) -> System:
+    def made(at: gauss_newton.Point) -> System:
         A, B, C = at.matrices()
         K = B[:, nu : nu + ny]
         D, total = options.parts(at.direct, nu)
@@ -165,10 +165,10 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         constant = np.linalg.solve(np.eye(ny) - C @ settled, total).astype(np.float64)
         return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] + settled @ constant, constant)
 
-    def admissible(at: refine.Point) -> bool:
+    def admissible(at: gauss_newton.Point) -> bool:
         return at.radius <= STABLE_RADIUS and (not stable or made(at).stable())
 
-    found = refine.search(at, signals, options.weighted, options.steps, admissible)
+    found = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
     return made(found.point), found.steps, found.converged
 
 
@@ -183,7 +183,7 @@ def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:
     poles, directions, states = modes_of(start.A, start.C)
     best, loss = np.zeros_like(start.K), _spread(v)
     for _ in range(GAIN_ROUNDS):
-        bank = modal.Bank(poles, e, v, feedthrough=False, offset=False)
+        bank = modal_least_squares.Bank(poles, e, v, feedthrough=False, offset=False)
         gain = (states @ bank.fit_b(directions).b[:, :-1]).real
         tried = replace(start, K=gain)
         if not tried.predicts():

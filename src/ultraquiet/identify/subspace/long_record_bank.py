@@ -10,13 +10,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify import modal
 from ultraquiet.identify.prediction_error.kernels import FLUSH, compiled
+from ultraquiet.identify.subspace import modal_least_squares
 
 CELL = 512  # samples whose states are held at once
 
 
-class StreamedBank(modal.Bank):
+class StreamedBank(modal_least_squares.Bank):
     """A `modal.Bank` filled from blocks `(nu, m)`, `(ny, m)` of a record of `samples`."""
 
     def __init__(

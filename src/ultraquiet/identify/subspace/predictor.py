@@ -9,9 +9,9 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify import state_fit, state_result
 from ultraquiet.identify._abstract import Result, usable
 from ultraquiet.identify.prediction_error.initial_models import drawn_in
+from ultraquiet.identify.subspace import evidence, fit
 from ultraquiet.values import Record
 
 LONGEST = 100  # block rows of the past tried when no horizon is given
@@ -86,8 +86,8 @@ class PredictorSubspace:
         # Every state brings a column of B and a row of C at least.
         wires = len(record.actuators) + len(record.sensors)
         usable("PredictorSubspace", record, (self.order or 2) * wires // len(record.sensors), longest)
-        state_result.independent("PredictorSubspace", record)
-        data = state_fit.Scaled.of(record)
+        evidence.independent("PredictorSubspace", record)
+        data = fit.Scaled.of(record)
         regression = Regression.of(data, longest, self.feedthrough)
         past = self.horizon or regression.memory(1 + (self.order or 1) // len(record.sensors))
         states = regression.states(past)
@@ -98,11 +98,11 @@ class PredictorSubspace:
         start = replace(start, K=start.K if start.predicts() else np.zeros_like(start.K))
         system, steps, converged = start, 0, True
         if self.refine:
-            options = state_fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
-            system, steps, converged = state_fit.refined_prediction(start, data, options, self.stable)
+            options = fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
+            system, steps, converged = fit.refined_prediction(start, data, options, self.stable)
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         details = {"horizon": past, "order": order, "singular_values": states.values}
-        return state_result.judged(system, record, data, state_result.Search(steps, converged, True), made, details)
+        return evidence.judged(system, record, data, evidence.Search(steps, converged, True), made, details)
 
     def _longest(self, record: Record) -> int:
         width = len(record.actuators) + len(record.sensors)
@@ -128,9 +128,9 @@ class Regression:
     feedthrough: bool
 
     @classmethod
-    def of(cls, data: state_fit.Scaled, longest: int, feedthrough: bool) -> "Regression":
+    def of(cls, data: fit.Scaled, longest: int, feedthrough: bool) -> "Regression":
         """Sum the products of a record with a past of `longest` samples."""
-        from ultraquiet.identify.state_kernels import hankel_gram
+        from ultraquiet.identify.subspace.kernels import hankel_gram
 
         z = np.ascontiguousarray(np.vstack([data.centred_u, data.y]))
         width = len(z)
@@ -205,7 +205,7 @@ class States(NamedTuple):
             costs.append(self.samples * np.linalg.slogdet(left / self.samples)[1] + np.log(self.samples) * free)
         return int(np.argmin(costs)) + 1
 
-    def model(self, order: int) -> state_fit.System:
+    def model(self, order: int) -> fit.System:
         """Return the model whose state is the first `order` directions: y, then the next state, regressed on it."""
         width, nu, ny = self.nu + self.ny, self.nu, self.ny
         size = len(self.G)
@@ -220,7 +220,7 @@ class States(NamedTuple):
         e = y - first @ known
         second = self._regressed(ahead, np.vstack([x, u, e]))
         A, B, K = second[:, :order], second[:, order : order + nu], second[:, order + nu :]
-        return state_fit.System(A, B, C, D, K, np.zeros(order), np.zeros(ny))
+        return fit.System(A, B, C, D, K, np.zeros(order), np.zeros(ny))
 
     def _regressed(self, target: FloatArray, on: FloatArray) -> FloatArray:
         N = on @ self.G @ on.T
@@ -229,10 +229,10 @@ class States(NamedTuple):
         return (found * scale[:, None]).T
 
 
-def _drawn_in(start: state_fit.System) -> state_fit.System:
+def _drawn_in(start: fit.System) -> fit.System:
     """Return the system with its poles inside the circle, all else as it was."""
     values, vectors = np.linalg.eig(start.A)
-    if np.abs(values).max() <= state_fit.STABLE_RADIUS:
+    if np.abs(values).max() <= fit.STABLE_RADIUS:
         return start
-    inside = drawn_in(values.astype(np.complex128), state_fit.STABLE_RADIUS)
+    inside = drawn_in(values.astype(np.complex128), fit.STABLE_RADIUS)
     return replace(start, A=(vectors @ np.diag(inside) @ np.linalg.inv(vectors)).real)
