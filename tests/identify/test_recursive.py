@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from truths import draw
 
 import ultraquiet as uq
-from ultraquiet.identify import recursive_kernels as kernels
+from ultraquiet.identify.recursive import kernels
 from ultraquiet.linalg import prediction
 
 SECOND_ORDER = np.array([1.0, -1.6, 0.8]), np.array([0.0, 1.0, 0.5])

@@ -9,8 +9,14 @@ from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.polynomial.order_selection import Candidate, Sweep, sweep
 from ultraquiet.identify.rational import Rational, ResponseFit
-from ultraquiet.identify.recursion import Recursion
-from ultraquiet.identify.recursive import RecursiveArmax, RecursiveArx, RecursiveBoxJenkins, RecursiveOutputError
+from ultraquiet.identify.recursive.estimator import Recursion
+from ultraquiet.identify.recursive.methods import (
+    RecursiveArmax,
+    RecursiveArx,
+    RecursiveBoxJenkins,
+    RecursiveOutputError,
+)
+from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.structured import Structured, StructuredFit
@@ -19,7 +25,6 @@ from ultraquiet.identify.structured_modal_fit import ModalFit
 from ultraquiet.identify.subspace.method import Subspace
 from ultraquiet.identify.subspace.predictor import PredictorSubspace
 from ultraquiet.identify.threefold import Folded, Threefold, ThreefoldFit, fold
-from ultraquiet.identify.trajectory import Trajectory
 from ultraquiet.identify.weighted_rational import WeightedRational
 
 __all__ = [

@@ -12,11 +12,11 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.identify._abstract import SAMPLES_PER_PARAMETER
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.structure import ROW_FIRST, Structure
-from ultraquiet.identify.trajectory import Trajectory
+from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.values import PolynomialModel
 
 if TYPE_CHECKING:
-    from ultraquiet.identify.recursive import RecursiveMethod
+    from ultraquiet.identify.recursive.methods import RecursiveMethod
 
 SLACK = 4096  # samples that are taken in before the filters' past is moved to the front
 # A step changes the filters' past as well: with the new coefficients it is computed again over this many samples. Left
@@ -43,7 +43,7 @@ class Recursion:
         still: int = 0,
         constant: float = 0.0,
     ) -> None:
-        from ultraquiet.identify.recursive_kernels import DIRECTIONAL, EXPONENTIAL
+        from ultraquiet.identify.recursive.kernels import DIRECTIONAL, EXPONENTIAL
 
         self.structure: Structure = method.batch().structure()
         self.rate_hz, self.input_size, self.output_size = rate_hz, input_size, output_size
@@ -91,7 +91,7 @@ class Recursion:
 
     def update(self, inputs: ArrayLike, outputs: ArrayLike) -> FloatArray:
         """Take in samples, `(nu, m)` and `(1, m)`; return the errors of the predictions made before each, `(m,)`."""
-        from ultraquiet.identify.recursive_kernels import recurse
+        from ultraquiet.identify.recursive.kernels import recurse
 
         u = signal_array("Recursion.update", "inputs", inputs)
         y = signal_array("Recursion.update", "outputs", outputs)
@@ -127,7 +127,7 @@ class Recursion:
     @property
     def deviation(self) -> FloatArray:
         """Their standard deviations; infinite while nothing is known of one."""
-        from ultraquiet.identify.recursive_kernels import deviations
+        from ultraquiet.identify.recursive.kernels import deviations
 
         with np.errstate(invalid="ignore"):
             found = deviations(self._R, self._to_shift) * np.sqrt(self._squares / max(self._weight, 1.0))
@@ -171,7 +171,7 @@ class Recursion:
 
     def _begin(self, start: PolynomialModel, constant: float) -> None:
         """Take over a model of the same structure, and the constant at the output."""
-        from ultraquiet.identify.recursive_kernels import table_of
+        from ultraquiet.identify.recursive.kernels import table_of
 
         parts = [start.a[1:]]
         for j, (b, f) in enumerate(zip(start.b, start.f, strict=True)):

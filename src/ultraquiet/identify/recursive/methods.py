@@ -16,8 +16,8 @@ from ultraquiet.identify._abstract import Result, worst
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
-from ultraquiet.identify.recursion import Recursion
-from ultraquiet.identify.trajectory import Trajectory
+from ultraquiet.identify.recursive.estimator import Recursion
+from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status

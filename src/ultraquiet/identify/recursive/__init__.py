@@ -1,0 +1,1 @@
+"""Estimates that follow a drifting plant sample by sample."""
