@@ -5,8 +5,8 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify import structured_strut as strut
-from ultraquiet.identify.structured import Structured
+from ultraquiet.identify.grey_box import strut_equation as strut
+from ultraquiet.identify.grey_box.strut import Structured
 from ultraquiet.values import FrequencyResponse
 
 RATE_HZ = 3500.0

@@ -6,7 +6,7 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify import StructuredModal
-from ultraquiet.identify.structured_modes import basis
+from ultraquiet.identify.grey_box.modal_basis import basis
 from ultraquiet.values import FrequencyResponse
 
 RATE_HZ = 3500.0

@@ -6,7 +6,7 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify import StructuredModal, Threefold
-from ultraquiet.identify.threefold import contrasts, fold, transform
+from ultraquiet.identify.grey_box.threefold import contrasts, fold, transform
 from ultraquiet.values import FrequencyResponse
 
 RATE_HZ = 3500.0

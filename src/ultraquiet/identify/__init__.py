@@ -4,6 +4,10 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 """
 
 from ultraquiet.identify._abstract import Identification, Result
+from ultraquiet.identify.grey_box.modal import StructuredModal
+from ultraquiet.identify.grey_box.modal_result import ModalFit
+from ultraquiet.identify.grey_box.strut import Structured, StructuredFit
+from ultraquiet.identify.grey_box.threefold import Folded, Threefold, ThreefoldFit, fold
 from ultraquiet.identify.joint.identify import identify_joint
 from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
@@ -19,12 +23,8 @@ from ultraquiet.identify.recursive.methods import (
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
-from ultraquiet.identify.structured import Structured, StructuredFit
-from ultraquiet.identify.structured_modal import StructuredModal
-from ultraquiet.identify.structured_modal_fit import ModalFit
 from ultraquiet.identify.subspace.method import Subspace
 from ultraquiet.identify.subspace.predictor import PredictorSubspace
-from ultraquiet.identify.threefold import Folded, Threefold, ThreefoldFit, fold
 from ultraquiet.identify.weighted_rational import WeightedRational
 
 __all__ = [

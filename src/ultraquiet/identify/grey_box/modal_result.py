@@ -7,9 +7,9 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify._abstract import SIGNIFICANCE
-from ultraquiet.identify.structured_data import Lines
-from ultraquiet.identify.structured_modes import SHARED, modes_of
-from ultraquiet.identify.structured_search import Minimum
+from ultraquiet.identify.grey_box.data import Lines
+from ultraquiet.identify.grey_box.least_squares import Minimum
+from ultraquiet.identify.grey_box.modal_basis import SHARED, modes_of
 from ultraquiet.values import StateSpace, Status
 
 POOR = 0.2

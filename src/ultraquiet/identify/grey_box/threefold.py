@@ -10,8 +10,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.identify._abstract import SIGNIFICANCE, worst
-from ultraquiet.identify.structured_data import smoothed
-from ultraquiet.identify.structured_modal import StructuredModal
+from ultraquiet.identify.grey_box.data import smoothed
+from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.values import FrequencyResponse, StateSpace, Status
 
 WHO = "Threefold"

@@ -13,12 +13,12 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable
-from ultraquiet.identify.structured_data import Lines, of_record, of_response, parents
-from ultraquiet.identify.structured_modal_fit import ModalFit, names, share, verdict
-from ultraquiet.identify.structured_modes import SHARED, Channels, modes_of, residue_terms
-from ultraquiet.identify.structured_record import fitted_to_record
-from ultraquiet.identify.structured_search import Minimum, chi_squared, search, told
-from ultraquiet.identify.structured_system import realised
+from ultraquiet.identify.grey_box.data import Lines, of_record, of_response, parents
+from ultraquiet.identify.grey_box.least_squares import Minimum, chi_squared, search, told
+from ultraquiet.identify.grey_box.modal_basis import SHARED, Channels, modes_of, residue_terms
+from ultraquiet.identify.grey_box.modal_result import ModalFit, names, share, verdict
+from ultraquiet.identify.grey_box.realisation import realised
+from ultraquiet.identify.grey_box.record import fitted_to_record
 from ultraquiet.values import FrequencyResponse, Record
 
 WHO = "StructuredModal"
@@ -84,7 +84,7 @@ class StructuredModal:
 
     >>> f_hz = np.linspace(2.0, 200.0, 200)
     >>> x = np.log([90.0, 12.5, 0.6, 1000.0, np.sqrt(0.5), 1500.0, 0.01, 30.0, 0.05])
-    >>> from ultraquiet.identify.structured_modes import basis
+    >>> from ultraquiet.identify.grey_box.modal_basis import basis
     >>> G = (basis(x, f_hz, 3500.0, 2, general=False) @ [0.3, 1.0])[None, None]
     >>> fit = StructuredModal(modes=1).identify_response(FrequencyResponse(f_hz, G), 3500.0)
     >>> round(float(fit.modes_hz[0]), 3), round(fit.parameters["geophone_hz"], 3)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.structured_data import Lines
-from ultraquiet.identify.structured_strut import fractions, held_each, separated
+from ultraquiet.identify.grey_box.data import Lines
+from ultraquiet.identify.grey_box.strut_equation import fractions, held_each, separated
 
 # Order of the shared logarithms; frequency and damping of every mode follow in pairs.
 SHARED = (

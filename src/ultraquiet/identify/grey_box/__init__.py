@@ -1,0 +1,1 @@
+"""Models with the physics' own parameters: struts, modes, threefold symmetry."""
