@@ -5,7 +5,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify import empirical_bayes
+from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.linalg.finite_response import HankelForm, response_of
 
 TAPS, SAMPLES, NOISE = 80, 300, 10 ** (-10 / 20)
@@ -46,7 +46,7 @@ def short_noisy_record(g, rng):
 
 
 def least_squares(record):
-    R = empirical_bayes.compressed(record.inputs, [1], [TAPS], record.outputs[0], TAPS)
+    R = marginal_likelihood.compressed(record.inputs, [1], [TAPS], record.outputs[0], TAPS)
     return np.linalg.solve(R[:-1, :-1], R[:-1, -1])
 
 
@@ -100,13 +100,13 @@ def test_the_spline_kernel_serves_smooth_responses(rng):
     assert np.mean(wins) >= 0.9
 
 
-@pytest.mark.parametrize("kernel", list(empirical_bayes.KERNELS))
+@pytest.mark.parametrize("kernel", list(marginal_likelihood.KERNELS))
 def test_the_likelihood_is_that_of_the_gaussian_it_says(kernel, rng):
     """Two blocks; value by the dense covariance of y, gradient by differences, posterior by the textbook formula."""
     n, taps = 60, (5, 7)
     signals, y = rng.standard_normal((2, n)), rng.standard_normal(n)
-    R = empirical_bayes.compressed(signals, [1, 0], taps, y, 7)
-    problem = empirical_bayes._Likelihood(R, n - 8, taps, kernel)
+    R = marginal_likelihood.compressed(signals, [1, 0], taps, y, 7)
+    problem = marginal_likelihood._Likelihood(R, n - 8, taps, kernel)
     eta = problem.first() + 0.1 * rng.standard_normal(2 * problem.each)
     columns = [
         np.concatenate([np.zeros(lag + k), x[: n - lag - k]])
@@ -205,7 +205,7 @@ def test_regularised_arx_beats_least_squares_of_as_many_lags(rng):
     errors, shares = [], []
     for _ in range(40):
         record, truth = arx_record(rng, 250)
-        R = empirical_bayes.compressed(
+        R = marginal_likelihood.compressed(
             np.vstack([-record.outputs, record.inputs]), [1, 1], [lags, lags], record.outputs[0], lags
         )
         t = np.linalg.solve(R[:-1, :-1], R[:-1, -1])

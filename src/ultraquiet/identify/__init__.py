@@ -21,7 +21,7 @@ from ultraquiet.identify.recursive.methods import (
     RecursiveOutputError,
 )
 from ultraquiet.identify.recursive.trajectory import Trajectory
-from ultraquiet.identify.regularised import ImpulseResponse, RegularisedArx, ResponseResult
+from ultraquiet.identify.regularised.methods import ImpulseResponse, RegularisedArx, ResponseResult
 from ultraquiet.identify.response_model import Band, WeightedFit
 from ultraquiet.identify.subspace.method import Subspace
 from ultraquiet.identify.subspace.predictor import PredictorSubspace

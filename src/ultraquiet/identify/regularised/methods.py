@@ -9,8 +9,8 @@ from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify import empirical_bayes
 from ultraquiet.identify._abstract import SIGNIFICANCE, Result, exciting, usable, worst
+from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.finite_response import HankelForm, response_of
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
@@ -72,14 +72,14 @@ class _Regularised:
 
     def _fit(
         self, record: Record, i: int, signals: FloatArray, lags: list[int], taps: list[int], kernel: str, start: int
-    ) -> tuple[FloatArray, FloatArray, empirical_bayes.Posterior]:
+    ) -> tuple[FloatArray, FloatArray, marginal_likelihood.Posterior]:
         """Return coefficients and covariance of one output in units of the record, and the posterior in scaled ones."""
         size = np.maximum(signals.std(axis=1), np.finfo(float).tiny)
         y_size = float(record.outputs[i].std())
         scaled = signals / size[:, None]
-        R = empirical_bayes.compressed(scaled, lags, taps, record.outputs[i] / y_size, start)
+        R = marginal_likelihood.compressed(scaled, lags, taps, record.outputs[i] / y_size, start)
         try:
-            found = empirical_bayes.estimate(R, record.samples - start - 1, taps, kernel)
+            found = marginal_likelihood.estimate(R, record.samples - start - 1, taps, kernel)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"{type(self).__name__}: output '{record.sensors[i].name}' leaves normal equations of no full rank: it "
@@ -146,7 +146,7 @@ class ImpulseResponse(_Regularised):
         nu, ny = record.inputs.shape[0], record.outputs.shape[0]
         m = self._taps(record)
         start = self.delay + m - 1 if self.initial == "estimate" else 0
-        usable("ImpulseResponse", record, empirical_bayes.KERNELS[self.kernel][1] * nu, start)
+        usable("ImpulseResponse", record, marginal_likelihood.KERNELS[self.kernel][1] * nu, start)
         exciting("ImpulseResponse", record, LEAST_LINES)
         fits = [self._fit(record, i, record.inputs, [self.delay] * nu, [m] * nu, self.kernel, start) for i in range(ny)]
         g = np.stack([f[0].reshape(nu, m) for f in fits])
@@ -172,7 +172,7 @@ class ImpulseResponse(_Regularised):
         self,
         record: Record,
         models: list[PolynomialModel],
-        fits: list[tuple[FloatArray, FloatArray, empirical_bayes.Posterior]],
+        fits: list[tuple[FloatArray, FloatArray, marginal_likelihood.Posterior]],
         start: int,
         details: dict[str, object],
     ) -> ResponseResult:
@@ -253,7 +253,7 @@ class RegularisedArx(_Regularised):
         """
         nu, ny, p = record.inputs.shape[0], record.outputs.shape[0], self.lags
         start = max(p, self.delay + p - 1)
-        usable("RegularisedArx", record, empirical_bayes.KERNELS[self.kernel][1] * (nu + 1), start)
+        usable("RegularisedArx", record, marginal_likelihood.KERNELS[self.kernel][1] * (nu + 1), start)
         exciting("RegularisedArx", record, LEAST_LINES)
         fits = [
             self._fit(
@@ -283,7 +283,7 @@ class RegularisedArx(_Regularised):
         self,
         record: Record,
         models: list[PolynomialModel],
-        fits: list[tuple[FloatArray, FloatArray, empirical_bayes.Posterior]],
+        fits: list[tuple[FloatArray, FloatArray, marginal_likelihood.Posterior]],
         start: int,
     ) -> ResponseResult:
         residuals = [

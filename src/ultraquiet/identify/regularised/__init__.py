@@ -1,0 +1,1 @@
+"""Long responses held down by a prior fitted to the data."""
