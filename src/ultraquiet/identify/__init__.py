@@ -12,7 +12,6 @@ from ultraquiet.identify.joint.identify import identify_joint
 from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
 from ultraquiet.identify.polynomial.order_selection import Candidate, Sweep, sweep
-from ultraquiet.identify.rational import Rational, ResponseFit
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.methods import (
     RecursiveArmax,
@@ -22,10 +21,11 @@ from ultraquiet.identify.recursive.methods import (
 )
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.regularised.methods import ImpulseResponse, RegularisedArx, ResponseResult
-from ultraquiet.identify.response_model import Band, WeightedFit
+from ultraquiet.identify.response.model import Band, WeightedFit
+from ultraquiet.identify.response.rational import Rational, ResponseFit
+from ultraquiet.identify.response.weighted_rational import WeightedRational
 from ultraquiet.identify.subspace.method import Subspace
 from ultraquiet.identify.subspace.predictor import PredictorSubspace
-from ultraquiet.identify.weighted_rational import WeightedRational
 
 __all__ = [
     "Armax",

@@ -1,0 +1,1 @@
+"""Rational models of a measured frequency response."""
