@@ -138,10 +138,10 @@ def probe(path: Path, what: str) -> dict:
 def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[float, float, float]:
     """Return the time per sample of a pass of BJ5, of the products at all lags, and of the modal least squares."""
     import ultraquiet as uq
+    from ultraquiet.identify.long_record_statistics import survey
     from ultraquiet.identify.prediction_error import long_record
     from ultraquiet.identify.subspace import long_record_bank
     from ultraquiet.identify.subspace.long_record import ScaledStream
-    from ultraquiet.identify.survey import survey
     from ultraquiet.linalg.lagged import Lagged
 
     method = uq.identify.BoxJenkins(order=5)

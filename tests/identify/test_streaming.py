@@ -10,13 +10,13 @@ from truths import draw, modal_truth
 
 import ultraquiet as uq
 from ultraquiet.files import LongRecord, LongWriter
+from ultraquiet.identify.long_record_statistics import survey
 from ultraquiet.identify.prediction_error import kernels, long_record, long_record_kernels
 from ultraquiet.identify.prediction_error.structure import free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
 from ultraquiet.identify.subspace import modal_least_squares
 from ultraquiet.identify.subspace.long_record import hankel_gram
 from ultraquiet.identify.subspace.long_record_bank import StreamedBank
-from ultraquiet.identify.survey import survey
 from ultraquiet.linalg.lagged import Lagged
 
 

@@ -3,7 +3,6 @@
 Importing the room registers its methods; the compiled kernels are loaded by the first identification.
 """
 
-from ultraquiet.identify._abstract import Identification, Result
 from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.identify.grey_box.modal_result import ModalFit
 from ultraquiet.identify.grey_box.strut import Structured, StructuredFit
@@ -24,6 +23,7 @@ from ultraquiet.identify.regularised.methods import ImpulseResponse, Regularised
 from ultraquiet.identify.response.model import Band, WeightedFit
 from ultraquiet.identify.response.rational import Rational, ResponseFit
 from ultraquiet.identify.response.weighted_rational import WeightedRational
+from ultraquiet.identify.result import Identification, Result
 from ultraquiet.identify.subspace.method import Subspace
 from ultraquiet.identify.subspace.predictor import PredictorSubspace
 

@@ -12,13 +12,13 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable
 from ultraquiet.identify.grey_box.data import Lines, of_record, of_response, parents
 from ultraquiet.identify.grey_box.least_squares import Minimum, chi_squared, search, told
 from ultraquiet.identify.grey_box.modal_basis import SHARED, Channels, modes_of, residue_terms
 from ultraquiet.identify.grey_box.modal_result import ModalFit, names, share, verdict
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
+from ultraquiet.identify.result import SIGNIFICANCE, Result, usable
 from ultraquiet.values import FrequencyResponse, Record
 
 WHO = "StructuredModal"

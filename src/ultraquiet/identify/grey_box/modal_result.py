@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.grey_box.data import Lines
 from ultraquiet.identify.grey_box.least_squares import Minimum
 from ultraquiet.identify.grey_box.modal_basis import SHARED, modes_of
+from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.values import StateSpace, Status
 
 POOR = 0.2

@@ -9,7 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, worst
+from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.prediction import fit_percent, repaired
 from ultraquiet.values import Record, StateSpace, Status

@@ -11,12 +11,12 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable
 from ultraquiet.identify.grey_box import strut_equation as strut
 from ultraquiet.identify.grey_box.data import Lines, of_record, of_response, parents
 from ultraquiet.identify.grey_box.least_squares import SHARE, Combination, Minimum, Told, chi_squared, search, told
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
+from ultraquiet.identify.result import SIGNIFICANCE, Result, usable
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
 
 WHO = "Structured"

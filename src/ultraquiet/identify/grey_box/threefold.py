@@ -9,9 +9,9 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.identify._abstract import SIGNIFICANCE, worst
 from ultraquiet.identify.grey_box.data import smoothed
 from ultraquiet.identify.grey_box.modal import StructuredModal
+from ultraquiet.identify.result import SIGNIFICANCE, worst
 from ultraquiet.values import FrequencyResponse, StateSpace, Status
 
 WHO = "Threefold"

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.joint.initial_models import starts
 from ultraquiet.identify.joint.search import Ended, Part, Problem, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.fit import (
@@ -30,6 +29,7 @@ from ultraquiet.identify.prediction_error.fit import (
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.parameterisation import Layout, delta
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, b_rows, f_rows, reduced
+from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialModel
 

@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
-from ultraquiet.identify._abstract import Result
 from ultraquiet.identify.joint.fit import fit_parts
 from ultraquiet.identify.joint.search import Part
 from ultraquiet.identify.joint.ties import Share
@@ -18,6 +17,7 @@ from ultraquiet.identify.polynomial.methods import PolynomialMethod, gather
 from ultraquiet.identify.prediction_error.fit import Fit, Search
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.result import Result
 from ultraquiet.values import PolynomialMatrix, Record
 
 Sharing = str | Sequence[str] | ArrayLike | None

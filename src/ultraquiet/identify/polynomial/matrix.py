@@ -13,10 +13,10 @@ from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
-from ultraquiet.identify._abstract import worst
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import Channel, starting_models
+from ultraquiet.identify.result import worst
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
 
 T = TypeVar("T")

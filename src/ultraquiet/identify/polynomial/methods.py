@@ -11,12 +11,12 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
-from ultraquiet.identify._abstract import Result, exciting, usable, worst
 from ultraquiet.identify.prediction_error.fit import Fit, Search, fit_channel
 from ultraquiet.identify.prediction_error.initial_models import Channel, starting_models
 from ultraquiet.identify.prediction_error.parameterisation import Layout, check_known, each, laid_out
 from ultraquiet.identify.prediction_error.simulation_focus import FOCUSES, fit_focused
 from ultraquiet.identify.prediction_error.structure import Structure
+from ultraquiet.identify.result import Result, exciting, usable, worst
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 HIGHEST_ORDER = 30

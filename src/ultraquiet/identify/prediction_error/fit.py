@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.prediction_error.initial_models import Channel, starting_tables, table_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
@@ -17,6 +16,7 @@ from ultraquiet.identify.prediction_error.structure import (
     free_rows,
     reduced,
 )
+from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import portmanteau, prediction, realize
 from ultraquiet.values import PolynomialModel, Status
 

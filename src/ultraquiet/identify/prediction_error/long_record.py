@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result
+from ultraquiet.identify.long_record_statistics import Survey, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.structure import (
@@ -26,7 +26,7 @@ from ultraquiet.identify.prediction_error.structure import (
     free_rows,
     reduced,
 )
-from ultraquiet.identify.survey import Survey, survey
+from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ultraquiet.identify._abstract import SIGNIFICANCE
 from ultraquiet.identify.prediction_error.fit import Fit, Search, finished, fit_channel, modelled, run_search, simulated
 from ultraquiet.identify.prediction_error.initial_models import Channel, noise_start, table_of
 from ultraquiet.identify.prediction_error.structure import ROW_C, ROW_D, Structure
+from ultraquiet.identify.result import SIGNIFICANCE
 
 FOCUSES = ("auto", "prediction", "simulation")
 # Points of simulated fit that the other focus must bring: the record's own scatter moves it by less.

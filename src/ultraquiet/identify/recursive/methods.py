@@ -12,12 +12,12 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
-from ultraquiet.identify._abstract import Result, worst
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.trajectory import Trajectory
+from ultraquiet.identify.result import Result, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status

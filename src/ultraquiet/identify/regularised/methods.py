@@ -9,8 +9,8 @@ from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, exciting, usable, worst
 from ultraquiet.identify.regularised import marginal_likelihood
+from ultraquiet.identify.result import SIGNIFICANCE, Result, exciting, usable, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.finite_response import HankelForm, response_of
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status

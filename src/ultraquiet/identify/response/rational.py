@@ -10,7 +10,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable, worst
+from ultraquiet.identify.result import SIGNIFICANCE, Result, usable, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
 from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.prediction import fit_percent

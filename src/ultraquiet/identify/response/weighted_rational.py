@@ -11,9 +11,9 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response
 from ultraquiet.identify.response.model import WeightedFit
+from ultraquiet.identify.result import SIGNIFICANCE, Result, exciting, usable
 from ultraquiet.linalg import portmanteau, section_start
 from ultraquiet.linalg import section_search as sections
 from ultraquiet.linalg.innovation import free_motion

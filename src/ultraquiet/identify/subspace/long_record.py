@@ -11,9 +11,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
-from ultraquiet.identify._abstract import SIGNIFICANCE, Result, usable, worst
+from ultraquiet.identify.long_record_statistics import Survey, survey
+from ultraquiet.identify.result import SIGNIFICANCE, Result, usable, worst
 from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection
-from ultraquiet.identify.survey import Survey, survey
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status

@@ -10,7 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
-from ultraquiet.identify._abstract import Result, usable
+from ultraquiet.identify.result import Result, usable
 from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection, state_sequence
 from ultraquiet.values import Record
 

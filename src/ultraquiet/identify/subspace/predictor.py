@@ -9,8 +9,8 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify._abstract import Result, usable
 from ultraquiet.identify.prediction_error.initial_models import drawn_in
+from ultraquiet.identify.result import Result, usable
 from ultraquiet.identify.subspace import evidence, fit
 from ultraquiet.values import Record
 
