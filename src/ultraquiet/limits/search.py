@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.limits import certificate, half_plane, places
+from ultraquiet.limits import certificate, grid, half_plane
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.basis import Basis, chain
 from ultraquiet.limits.circle import Circle
@@ -35,9 +35,9 @@ class Search:
         self.circle = Circle(plant.rate_hz, float(np.sqrt(band_hz[0] * band_hz[1])))
         zeros = invariant_zeros(plant.A, plant.B, plant.C, plant.D)
         self.roots = half_plane.half_plane(np.concatenate([plant.poles(), zeros, *self._regulated()]), plant.rate_hz)
-        self.poles = places.basis_poles(self.roots, self.circle, band_hz, basis)
+        self.poles = grid.basis_poles(self.roots, self.circle, band_hz, basis)
         self.basis = chain(self.poles)
-        self.f_hz = places.frequencies(self.roots, self.circle, band_hz)
+        self.f_hz = grid.frequencies(self.roots, self.circle, band_hz)
         self.lines = loops.at(self.f_hz)
         self.inside = (self.f_hz >= band_hz[0]) & (self.f_hz <= band_hz[1])
 
