@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.bench.hexapod import equations as eq
-from ultraquiet.bench.hexapod.sensors import Geophone, strut_voltage
-from ultraquiet.bench.hexapod.strut import Stack
+from ultraquiet.bench.hexapod.physics import equations as eq
+from ultraquiet.bench.hexapod.physics.sensors import Geophone, strut_voltage
+from ultraquiet.bench.hexapod.physics.strut import Stack
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 from ultraquiet import StateSpace, signals
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Hexapod
-from ultraquiet.bench.hexapod.monitors import TILT_DEG, triaxial_axes
-from ultraquiet.bench.hexapod.parameters import PAYLOAD
+from ultraquiet.bench.hexapod.physics.monitors import TILT_DEG, triaxial_axes
+from ultraquiet.bench.hexapod.physics.parameters import PAYLOAD
 from ultraquiet.values import SteppedController
 
 UNITS = ("ground", "flight", "rigid")
@@ -95,8 +95,8 @@ def test_free_struts_behave_as_without_instruments(held, seed):
     """Held fast, the proof masses are part of the bodies: the struts cannot tell."""
     from dataclasses import replace
 
-    from ultraquiet.bench.hexapod.assemble import assemble
     from ultraquiet.bench.hexapod.chain import sampled_response
+    from ultraquiet.bench.hexapod.physics.assemble import assemble
 
     parts = Hexapod(unit="flight", instruments="all").model.parts
     if held:

@@ -14,7 +14,7 @@ from ultraquiet._base.errors import InputError, RateError
 from ultraquiet._base.registry import methods
 from ultraquiet.bench import Bench, Hexapod
 from ultraquiet.bench._abstract import fade
-from ultraquiet.bench.hexapod.drift import REFERENCE_C
+from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C
 from ultraquiet.values import SteppedController
 
 sys.path.insert(0, str(Path(__file__).parent))

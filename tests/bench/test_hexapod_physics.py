@@ -10,9 +10,9 @@ from scipy.linalg import eigvals
 from ultraquiet import signals
 from ultraquiet.bench import Hexapod
 from ultraquiet.bench.hexapod.chain import continuous_response
-from ultraquiet.bench.hexapod.geometry import joints
-from ultraquiet.bench.hexapod.maxwell import LOSS_BAND_HZ, stage
-from ultraquiet.bench.hexapod.parameters import Geometry, Strut
+from ultraquiet.bench.hexapod.physics.geometry import joints
+from ultraquiet.bench.hexapod.physics.maxwell import LOSS_BAND_HZ, stage
+from ultraquiet.bench.hexapod.physics.parameters import Geometry, Strut
 
 UNITS = ("ground", "flight", "rigid")
 RATE = 3500.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet.bench import Hexapod
-from ultraquiet.bench.hexapod.geometry import decoupling
+from ultraquiet.bench.hexapod.physics.geometry import decoupling
 
 WIDE = np.geomspace(1.0, 1500.0, 160)
 

@@ -10,9 +10,9 @@ from ultraquiet import StateSpace
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.symmetry import reciprocity_error, threefold_error
 from ultraquiet.bench import Hexapod
-from ultraquiet.bench.hexapod import drift, spread
-from ultraquiet.bench.hexapod.drift import CYCLES, REFERENCE_C, at_temperature, weather
-from ultraquiet.bench.hexapod.parts import nominal
+from ultraquiet.bench.hexapod.physics import drift, spread
+from ultraquiet.bench.hexapod.physics.drift import CYCLES, REFERENCE_C, at_temperature, weather
+from ultraquiet.bench.hexapod.physics.parts import nominal
 from ultraquiet.values import SteppedController
 
 RATE = 3500.0

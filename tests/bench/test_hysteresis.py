@@ -5,7 +5,7 @@ import pytest
 
 from ultraquiet import signals
 from ultraquiet.bench import Hexapod
-from ultraquiet.bench.hexapod.hysteresis import typical
+from ultraquiet.bench.hexapod.physics.hysteresis import typical
 from ultraquiet.bench.kernels import slip
 
 RATE = 3500.0

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.linalg import block_diag, expm
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.bench.hexapod.assemble import Mechanics
-from ultraquiet.bench.hexapod.parameters import RATE_HZ, STRUTS
-from ultraquiet.bench.hexapod.parts import Parts
-from ultraquiet.bench.hexapod.sensors import Geophone
+from ultraquiet.bench.hexapod.physics.assemble import Mechanics
+from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ, STRUTS
+from ultraquiet.bench.hexapod.physics.parts import Parts
+from ultraquiet.bench.hexapod.physics.sensors import Geophone
 
 # The sampled response sums this many images of the spectrum to either side. The chain falls off as f^-4 and the hold as
 # 1/f, so the images left out together hold less than 1e-5 of the response at any frequency up to 1500 Hz.

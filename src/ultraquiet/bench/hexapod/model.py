@@ -3,12 +3,12 @@
 from functools import cached_property, lru_cache
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.bench.hexapod.assemble import Mechanics, assemble
 from ultraquiet.bench.hexapod.chain import Basis, Chain, chain, sampled_response
-from ultraquiet.bench.hexapod.drift import REFERENCE_C, at_temperature
-from ultraquiet.bench.hexapod.parameters import RATE_HZ
-from ultraquiet.bench.hexapod.parts import Parts, nominal
-from ultraquiet.bench.hexapod.spread import draw
+from ultraquiet.bench.hexapod.physics.assemble import Mechanics, assemble
+from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, at_temperature
+from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ
+from ultraquiet.bench.hexapod.physics.parts import Parts, nominal
+from ultraquiet.bench.hexapod.physics.spread import draw
 
 UNITS_KEPT = 128  # a campaign of a hundred units is put together once
 Sampled = tuple[FloatArray, FloatArray, FloatArray]

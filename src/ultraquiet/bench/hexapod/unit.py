@@ -14,12 +14,12 @@ from ultraquiet._base.registry import register
 from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, Tally, checked_signals
 from ultraquiet.bench.hexapod.campaign import campaign
 from ultraquiet.bench.hexapod.chain import Chain
-from ultraquiet.bench.hexapod.drift import REFERENCE_C, RENEWED_EVERY_S, RUN_EVERY_S, weather
-from ultraquiet.bench.hexapod.hysteresis import none, typical
 from ultraquiet.bench.hexapod.laws import Limits, Matrices, closing, turned
 from ultraquiet.bench.hexapod.model import Model, built
-from ultraquiet.bench.hexapod.parameters import BASES, RATE_HZ, STRUTS
-from ultraquiet.bench.hexapod.parts import INSTRUMENTS
+from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, RENEWED_EVERY_S, RUN_EVERY_S, weather
+from ultraquiet.bench.hexapod.physics.hysteresis import none, typical
+from ultraquiet.bench.hexapod.physics.parameters import BASES, RATE_HZ, STRUTS
+from ultraquiet.bench.hexapod.physics.parts import INSTRUMENTS
 from ultraquiet.bench.hexapod.simulation import Simulation
 from ultraquiet.bench.hexapod.wiring import ACTUATORS, SENSORS, channels, limits, noise
 from ultraquiet.values import Channel, Record, StateSpace

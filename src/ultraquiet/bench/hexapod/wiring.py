@@ -6,9 +6,9 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench.hexapod.laws import Limits
-from ultraquiet.bench.hexapod.monitors import AXES, BODIES
-from ultraquiet.bench.hexapod.parameters import STRUTS, Electronics
-from ultraquiet.bench.hexapod.parts import Parts
+from ultraquiet.bench.hexapod.physics.monitors import AXES, BODIES
+from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Electronics
+from ultraquiet.bench.hexapod.physics.parts import Parts
 from ultraquiet.values import Channel
 
 _STRUTS = tuple(f"strut {i + 1}" for i in range(STRUTS))

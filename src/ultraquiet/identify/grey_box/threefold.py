@@ -49,7 +49,7 @@ def transform() -> FloatArray:
     >>> bool(np.allclose(T.T @ T, np.eye(6)))
     True
     """
-    from ultraquiet.bench.hexapod.geometry import decoupling
+    from ultraquiet.bench.hexapod.physics.geometry import decoupling
 
     return decoupling()
 

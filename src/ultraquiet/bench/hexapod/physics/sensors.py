@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet.bench.hexapod.strut import Stack
+from ultraquiet.bench.hexapod.physics.strut import Stack
 
 
 @dataclass(frozen=True)

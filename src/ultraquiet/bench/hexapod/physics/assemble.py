@@ -6,11 +6,11 @@ import numpy as np
 from scipy.linalg import eigh
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.bench.hexapod.geometry import jacobian
-from ultraquiet.bench.hexapod.maxwell import Stage, stage
-from ultraquiet.bench.hexapod.monitors import AXES, ProofMass, triaxial_axes
-from ultraquiet.bench.hexapod.parameters import STRUTS, Body
-from ultraquiet.bench.hexapod.parts import Parts
+from ultraquiet.bench.hexapod.physics.geometry import jacobian
+from ultraquiet.bench.hexapod.physics.maxwell import Stage, stage
+from ultraquiet.bench.hexapod.physics.monitors import AXES, ProofMass, triaxial_axes
+from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Body
+from ultraquiet.bench.hexapod.physics.parts import Parts
 
 # Modes below this are the free motions of a floating hexapod: nothing inside it can excite them, nor read them.
 RIGID_BODY_HZ = 0.1

@@ -6,8 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from ultraquiet.bench.hexapod.parameters import Electronics, Strut
-from ultraquiet.bench.hexapod.parts import Parts
+from ultraquiet.bench.hexapod.physics.parameters import Electronics, Strut
+from ultraquiet.bench.hexapod.physics.parts import Parts
 
 REFERENCE_C = 20.0  # where the parts are as drawn
 # Cycles of the temperature: period in seconds and amplitude in kelvin at a drift of 1, all assumed. A low orbit takes

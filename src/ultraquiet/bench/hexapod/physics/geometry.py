@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.bench.hexapod.parameters import STRUTS, Geometry
+from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Geometry
 
 
 @dataclass(frozen=True, eq=False)

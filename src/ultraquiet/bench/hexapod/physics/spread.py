@@ -6,10 +6,10 @@ from typing import TypeVar
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.bench.hexapod.geometry import Joints
-from ultraquiet.bench.hexapod.monitors import ProofMass
-from ultraquiet.bench.hexapod.parameters import STRUTS, Base, Body, Electronics, Strut
-from ultraquiet.bench.hexapod.parts import Parts
+from ultraquiet.bench.hexapod.physics.geometry import Joints
+from ultraquiet.bench.hexapod.physics.monitors import ProofMass
+from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Base, Body, Electronics, Strut
+from ultraquiet.bench.hexapod.physics.parts import Parts
 
 # Each number lies evenly within plus or minus this share of the drawing's. "Data sheets" are the usual figures of the
 # trade for such parts, not SUITE's own; the paper states none.

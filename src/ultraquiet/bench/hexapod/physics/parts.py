@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.bench.hexapod.geometry import Joints, joints
-from ultraquiet.bench.hexapod.monitors import AXES, BODIES, PROOF_MASSES, TRIAXIAL_GAIN, ProofMass
-from ultraquiet.bench.hexapod.parameters import BASES, PAYLOAD, STRUTS, Base, Body, Electronics, Geometry, Strut
+from ultraquiet.bench.hexapod.physics.geometry import Joints, joints
+from ultraquiet.bench.hexapod.physics.monitors import AXES, BODIES, PROOF_MASSES, TRIAXIAL_GAIN, ProofMass
+from ultraquiet.bench.hexapod.physics.parameters import BASES, PAYLOAD, STRUTS, Base, Body, Electronics, Geometry, Strut
 
 INSTRUMENTS = ("struts", "all")
 
