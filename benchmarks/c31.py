@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ultraquiet.deploy import budget
+from ultraquiet.deploy.c31 import cycles as budget
 from ultraquiet.deploy.c31.assembly import c31_code
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
 from ultraquiet.deploy.law.law import Law, actuator_limits, rounded

@@ -14,7 +14,8 @@ import numpy as np
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import budget, on_bench
+from ultraquiet.deploy import on_bench
+from ultraquiet.deploy.c31 import cycles as budget
 from ultraquiet.pipeline.control import designed
 from ultraquiet.pipeline.study import packaged_study
 

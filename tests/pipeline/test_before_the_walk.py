@@ -9,7 +9,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet import experiments, pipeline
-from ultraquiet.pipeline.stage import Cache, Outcome
+from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.walk import _list_of, _prepare, _recorded, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from ultraquiet.bench.termination import ENDINGS
+from ultraquiet.bench.hardware.termination import ENDINGS
 
 # These two are meant for this program by whoever sends them, even where a shell has it start with Ctrl-C ignored.
 _MEANT = (signal.SIGINT, signal.SIGTERM)
