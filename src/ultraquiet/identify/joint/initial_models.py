@@ -8,9 +8,10 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.joint.search import LEAST_DAMPING, Ended, Part, posed, search
 from ultraquiet.identify.prediction_error.fit import Search
-from ultraquiet.identify.prediction_error.initial_models import NOISE_RADIUS, RADIUS, drawn_in, noise_start, stable
+from ultraquiet.identify.prediction_error.initial_models import NOISE_RADIUS, RADIUS, noise_start
 from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows
+from ultraquiet.linalg.polynomial_roots import mirrored_inside, stabilised
 
 LINEAR_STEPS = 3  # the first solves a linear problem, the others settle the weights of the groups
 LINEAR_TOLERANCE = 1e-3
@@ -52,7 +53,7 @@ def _from_poles(
             roots = source.data.poles(int(part.layout.degree()[row]), rows)
             if roots is None:
                 return None
-            part.layout.with_poles(table, row, drawn_in(roots, RADIUS))
+            part.layout.with_poles(table, row, mirrored_inside(roots, RADIUS))
         tables.append(table)
     return _completed(parts, outputs, tables, workers)
 
@@ -106,7 +107,7 @@ def _as_wanted(part: Part, table: FloatArray) -> FloatArray:
         return out
     out[ROW_A, :width] = first[:width]
     if layout.free(ROW_C) is not None:
-        c = stable(stable(first[: layout.a + 1], NOISE_RADIUS)[: layout.c + 1], NOISE_RADIUS)
+        c = stabilised(stabilised(first[: layout.a + 1], NOISE_RADIUS)[: layout.c + 1], NOISE_RADIUS)
         out[ROW_C, : c.size] = c
     return out
 
@@ -124,7 +125,7 @@ def _from_least_squares(parts: Sequence[Part], how: Search, workers: int) -> lis
     degree = max(own.layout.f)
     layout = Layout(degree, 0, 0, own.layout.b, tuple(0 for _ in own.layout.f), own.layout.delay)
     alone = replace(own, layout=layout, states=layout.states(how.estimate, how.offset))
-    a = stable(_all_linear([alone], how, 1)[0][ROW_A, : degree + 1], RADIUS)
+    a = stabilised(_all_linear([alone], how, 1)[0][ROW_A, : degree + 1], RADIUS)
     outputs = [_output_error(part, how) for part in parts]
     tables: list[FloatArray] = []
     for part in outputs:

@@ -5,17 +5,13 @@ fixed number of taps, missing ones zero, states and coefficients never leave the
 left: a third of the time of a loop over taps, for any order up to REGISTERS.
 """
 
-from typing import Any
-
 import numpy as np
-from numba import njit
+
+from ultraquiet.identify.compiled import FLUSH, compiled
 
 ROW_C, ROW_D = 1, 2
 REGISTERS = 8
-FLUSH = 1e-140  # its square is still a normal number; denormal tails of decaying responses cost 20 times the work
 CHECKED = 64  # samples between two looks for such a tail
-
-compiled: Any = njit(cache=True, nogil=True, fastmath=False)
 
 
 @compiled

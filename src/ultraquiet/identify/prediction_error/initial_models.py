@@ -11,6 +11,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
+from ultraquiet.linalg.polynomial_roots import mirrored_inside, monic_from_roots, stabilised
 from ultraquiet.linalg.prediction import repaired
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 
@@ -125,7 +126,7 @@ def table_of(data: Channel, structure: Structure, model: PolynomialModel) -> Flo
 
 def _movable(p: FloatArray) -> FloatArray:
     """Return p, its roots drawn in if any stands so near to the circle that no step could leave it."""
-    return p if np.all(np.abs(np.roots(p)) <= START_RADIUS) else stable(p, START_RADIUS)
+    return p if np.all(np.abs(np.roots(p)) <= START_RADIUS) else stabilised(p, START_RADIUS)
 
 
 def starting_tables(data: Channel, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
@@ -139,10 +140,10 @@ def starting_tables(data: Channel, structure: Structure, horizons: tuple[int, ..
         if poles is None:
             continue
         fallback = False
-        yield _from_poles(data, structure, expanded(drawn_in(poles, RADIUS)))
+        yield _from_poles(data, structure, monic_from_roots(mirrored_inside(poles, RADIUS)))
     if fallback:
         table = _least_squares(data, Structure(structure.f, structure.b, 0, 0, 0, structure.delay))
-        f = stable(table[ROW_A, : structure.f + 1], RADIUS)
+        f = stabilised(table[ROW_A, : structure.f + 1], RADIUS)
         yield _from_poles(data, structure, f)
 
 
@@ -158,13 +159,13 @@ def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ..
         poles = data.poles(structure.a, rows)
         if poles is None:
             continue
-        a = expanded(drawn_in(poles, RADIUS))
+        a = monic_from_roots(mirrored_inside(poles, RADIUS))
         simulated = _from_poles(data, output_error, a)
         table = structure.empty(nu)
         table[ROW_A, : structure.a + 1] = a
         table[b_rows(nu), : structure.b] = simulated[b_rows(nu), : structure.b]
-        c = stable(a, NOISE_RADIUS)[: structure.c + 1]
-        table[ROW_C, : c.size] = stable(c, NOISE_RADIUS)
+        c = stabilised(a, NOISE_RADIUS)[: structure.c + 1]
+        table[ROW_C, : c.size] = stabilised(c, NOISE_RADIUS)
         yield table
     table = structure.empty(nu)
     table[:, : plain.shape[1]] = plain[:, : table.shape[1]]
@@ -242,8 +243,8 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
         known = np.stack([np.zeros(v.size), v, -e, v])[:, memory - before :]
         known[0, 0] = 1.0
         found, _ = kernels.damped_step(kernels.reduced(kernels.gram(known, lags, counts, NOTHING), before), 0.0)
-        d = stable(np.concatenate([[1.0], kernels.expanded(found[:d_order])]), NOISE_RADIUS)
-        c = stable(np.concatenate([[1.0], kernels.expanded(found[d_order:])]), NOISE_RADIUS)
+        d = stabilised(np.concatenate([[1.0], kernels.expanded(found[:d_order])]), NOISE_RADIUS)
+        c = stabilised(np.concatenate([[1.0], kernels.expanded(found[d_order:])]), NOISE_RADIUS)
         e = filtered(v, d, c)
     return c, d
 
@@ -266,22 +267,3 @@ def _innovations(v: FloatArray, memory: int) -> FloatArray:
     G[np.diag_indices_from(G)] += LONG_RIDGE * G[0, 0]
     weights = np.linalg.solve(G[1:, 1:], G[1:, 0])
     return filtered(v, np.concatenate([[1.0], -weights]), np.ones(1))
-
-
-def drawn_in(roots: ComplexArray, radius: float) -> ComplexArray:
-    """Return the roots with those outside mirrored into the unit circle, and none beyond `radius`."""
-    size = np.maximum(np.abs(roots), 1e-300)
-    inside = np.where(size > 1.0, 1.0 / size, size)
-    return roots / size * np.minimum(inside, radius)
-
-
-def expanded(roots: ComplexArray) -> FloatArray:
-    """Return the monic real polynomial with these roots."""
-    return np.real(np.poly(roots)).astype(np.float64)
-
-
-def stable(polynomial: FloatArray, radius: float) -> FloatArray:
-    """Return the monic polynomial with its roots drawn in; for starts only, the search itself never reflects."""
-    if polynomial.size < 2:
-        return polynomial
-    return expanded(drawn_in(np.roots(polynomial).astype(np.complex128), radius))

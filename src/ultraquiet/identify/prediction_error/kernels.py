@@ -9,15 +9,8 @@ matrix of their products would keep none (Jacobian condition 1e8, squared).
 
 import numpy as np
 
-from ultraquiet.identify.prediction_error.filter_kernels import (
-    FLUSH,
-    all_pole,
-    combine,
-    compiled,
-    expanded,
-    moving,
-    whiten,
-)
+from ultraquiet.identify.compiled import compiled
+from ultraquiet.identify.prediction_error.filter_kernels import all_pole, combine, expanded, moving, whiten
 from ultraquiet.identify.prediction_error.normal_kernels import (
     BLAS_SERIAL,
     RIDGE,
@@ -31,10 +24,8 @@ from ultraquiet.identify.prediction_error.normal_kernels import (
 
 __all__ = [
     "BLAS_SERIAL",
-    "FLUSH",
     "RIDGE",
     "all_pole",
-    "compiled",
     "damped_step",
     "evaluate",
     "expanded",

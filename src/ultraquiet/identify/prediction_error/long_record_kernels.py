@@ -8,15 +8,14 @@ normal matrix beside the gradient's, and whose free responses are driven by puls
 
 import numpy as np
 
+from ultraquiet.identify.compiled import FLUSH, compiled
 from ultraquiet.identify.prediction_error.kernels import (
     BLAS_SERIAL,
-    FLUSH,
     RIDGE,
     ROW_A,
     ROW_C,
     ROW_D,
     ROW_FIRST,
-    compiled,
     gradient_rows,
     unit_diagonal,
 )

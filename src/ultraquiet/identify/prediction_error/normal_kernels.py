@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet.identify.prediction_error.filter_kernels import compiled
+from ultraquiet.identify.compiled import compiled
 
 # OpenBLAS starts threads above 2^18 multiplications; blocks stay below, for the threads belong to whole fits.
 BLAS_SERIAL = 200_000

@@ -10,6 +10,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray, one_of, real_array, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray, b_rows, f_rows
+from ultraquiet.linalg.polynomial_roots import monic_from_roots
 
 LONGEST_PAST = 60  # initial conditions of one path; what an input did longer before the record is taken as zero
 
@@ -118,12 +119,10 @@ class Layout:
 
     def with_poles(self, table: FloatArray, row: int, roots: ComplexArray) -> None:
         """Write into a row the known factor and the roots that are left when those nearest to its own are taken out."""
-        from ultraquiet.identify.prediction_error.initial_models import expanded
-
         left = roots
         for pole in np.roots(self.known):
             left = np.delete(left, np.argmin(np.abs(left - pole)))
-        polynomial = np.convolve(self.known, expanded(left))
+        polynomial = np.convolve(self.known, monic_from_roots(left))
         table[row] = 0.0
         table[row, : polynomial.size] = polynomial
 

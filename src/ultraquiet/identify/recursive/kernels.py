@@ -7,15 +7,8 @@ no covariance is ever subtracted from, so that none can turn indefinite.
 
 import numpy as np
 
-from ultraquiet.identify.prediction_error.kernels import (
-    ROW_A,
-    ROW_C,
-    ROW_D,
-    ROW_FIRST,
-    admissible,
-    compiled,
-    gradient_rows,
-)
+from ultraquiet.identify.compiled import compiled
+from ultraquiet.identify.prediction_error.kernels import ROW_A, ROW_C, ROW_D, ROW_FIRST, admissible, gradient_rows
 
 EXPONENTIAL, DIRECTIONAL = 0, 1
 HALVINGS = 6  # of a step that would leave the stable region, before it is dropped

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.prediction_error.initial_models import drawn_in
 from ultraquiet.identify.subspace import gauss_newton, modal_least_squares
 from ultraquiet.linalg import response
+from ultraquiet.linalg.polynomial_roots import mirrored_inside
 from ultraquiet.values import Record
 
 STABLE_RADIUS = 0.99999  # at 3.5 kHz a decay of 30 s: poles beyond are mirrored, the model must simulate
@@ -107,7 +107,7 @@ def modes_of(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, 
     The third holds the states `(n, m)` of these directions.
     """
     values, vectors = np.linalg.eig(A)
-    values = drawn_in(values.astype(np.complex128), STABLE_RADIUS)
+    values = mirrored_inside(values.astype(np.complex128), STABLE_RADIUS)
     real = np.abs(values.imag) <= modal_least_squares.IMAGINARY
     kept = np.concatenate([np.flatnonzero(~real & (values.imag > 0)), np.flatnonzero(real)])
     count = int(np.count_nonzero(~real & (values.imag > 0)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet.identify.prediction_error.kernels import FLUSH, compiled
+from ultraquiet.identify.compiled import FLUSH, compiled
 
 MODAL_BLOCK = 2048  # samples of a filter bank held at once
 

@@ -9,9 +9,9 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify.prediction_error.initial_models import drawn_in
 from ultraquiet.identify.result import Result, usable
 from ultraquiet.identify.subspace import evidence, fit
+from ultraquiet.linalg.polynomial_roots import mirrored_inside
 from ultraquiet.values import Record
 
 LONGEST = 100  # block rows of the past tried when no horizon is given
@@ -94,7 +94,7 @@ class PredictorSubspace:
         order = min(self.order or states.order(), len(states.values))
         start = states.model(order)
         if self.stable:
-            start = _drawn_in(start)
+            start = _mirrored_inside(start)
         start = replace(start, K=start.K if start.predicts() else np.zeros_like(start.K))
         system, steps, converged = start, 0, True
         if self.refine:
@@ -229,10 +229,10 @@ class States(NamedTuple):
         return (found * scale[:, None]).T
 
 
-def _drawn_in(start: fit.System) -> fit.System:
+def _mirrored_inside(start: fit.System) -> fit.System:
     """Return the system with its poles inside the circle, all else as it was."""
     values, vectors = np.linalg.eig(start.A)
     if np.abs(values).max() <= fit.STABLE_RADIUS:
         return start
-    inside = drawn_in(values.astype(np.complex128), fit.STABLE_RADIUS)
+    inside = mirrored_inside(values.astype(np.complex128), fit.STABLE_RADIUS)
     return replace(start, A=(vectors @ np.diag(inside) @ np.linalg.inv(vectors)).real)
