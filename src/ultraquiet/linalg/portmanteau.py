@@ -1,5 +1,6 @@
 """Tests of residuals on plain arrays: whether they are white, and free of the inputs."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -76,3 +77,15 @@ def chi_squared(statistic: float, freedom: int) -> Evidence:
     from scipy.special import chdtrc
 
     return Evidence(statistic, freedom, float(chdtrc(freedom, statistic)))
+
+
+def sidak(p_values: Iterable[float]) -> float:
+    """Return the p-value of the least of several independent ones: 1 - (1 - min p)^n.
+
+    Sidak 1967, doi:10.1080/01621459.1967.10482935.
+
+    >>> sidak([0.5, 0.25])
+    0.4375
+    """
+    values = list(p_values)
+    return 1.0 - (1.0 - min(values)) ** len(values)

@@ -18,7 +18,8 @@ from ultraquiet.identify.grey_box.modal_basis import SHARED, Channels, modes_of,
 from ultraquiet.identify.grey_box.modal_result import ModalFit, names, share, verdict
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
-from ultraquiet.identify.result import SIGNIFICANCE, Result, usable
+from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.values import FrequencyResponse, Record
 
 WHO = "StructuredModal"
@@ -310,21 +311,21 @@ class StructuredModal:
             made,
         )
         return ModalFit(
-            model,
-            verdict(minimum, p_value, error),
-            dict(zip(SHARED, np.exp(x[: len(SHARED)]).tolist(), strict=True)),
-            dict(zip(SHARED, deviation[: len(SHARED)].tolist(), strict=True)),
-            modes[:, 0],
-            modes[:, 1],
-            spread.T,
-            self._ordered(residues, order),
-            found.covariance,
-            tuple(n for n, f in zip(every, free, strict=True) if f),
-            error,
-            p_value,
-            self.delay,
-            minimum.iterations,
-            x,
+            model=model,
+            status=verdict(minimum, p_value, error),
+            parameters=dict(zip(SHARED, np.exp(x[: len(SHARED)]).tolist(), strict=True)),
+            deviations=dict(zip(SHARED, deviation[: len(SHARED)].tolist(), strict=True)),
+            modes_hz=modes[:, 0],
+            modes_damping=modes[:, 1],
+            modes_deviation=spread.T,
+            residues=self._ordered(residues, order),
+            covariance=found.covariance,
+            free=tuple(n for n, f in zip(every, free, strict=True) if f),
+            error=error,
+            p_value=p_value,
+            delay=self.delay,
+            iterations=minimum.iterations,
+            logarithms=x,
         )
 
 

@@ -15,7 +15,7 @@ from ultraquiet.values import StateSpace, Status
 POOR = 0.2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ModalFit:
     """A modal grey box as the data tell it.
 

@@ -80,17 +80,17 @@ def _result(method: Any, record: Record, found: Any, simulated: FloatArray, clip
     statuses = [_verdict(found.status, p) for p in free]
     made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
     return Result(
-        found.model,
-        worst(statuses),
-        np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
-        np.mean(error**2, axis=1),
-        np.broadcast_to(found.covariance, (len(error), *found.covariance.shape)),
-        np.array([portmanteau.ljung_box(e, lags).p_value for e in error]),
-        free,
-        np.full(len(error), found.iterations),
-        tuple(statuses),
-        made,
-        {"fit": found, "repaired": clipped if method.repair else 0},
+        model=found.model,
+        status=worst(statuses),
+        fit_percent=np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
+        loss=np.mean(error**2, axis=1),
+        covariance=np.broadcast_to(found.covariance, (len(error), *found.covariance.shape)),
+        whiteness_p=np.array([portmanteau.ljung_box(e, lags).p_value for e in error]),
+        correlation_p=free,
+        iterations=np.full(len(error), found.iterations),
+        statuses=tuple(statuses),
+        provenance=made,
+        details={"fit": found, "repaired": clipped if method.repair else 0},
     )
 
 
@@ -105,8 +105,7 @@ def _within(signals: FloatArray, rate_hz: float, band_hz: tuple[float, float]) -
 
 def _free_of_inputs(e: FloatArray, u: FloatArray, lags: int, memory: int) -> float:
     moving = [x for x in u if np.ptp(x) > 0.0]
-    least = min(portmanteau.cross_correlation(e, x, lags, memory).p_value for x in moving)
-    return 1.0 - (1.0 - least) ** len(moving)
+    return portmanteau.sidak(portmanteau.cross_correlation(e, x, lags, memory).p_value for x in moving)
 
 
 def _verdict(found: Status, p: float) -> Status:

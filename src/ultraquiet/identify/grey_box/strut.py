@@ -16,7 +16,8 @@ from ultraquiet.identify.grey_box.data import Lines, of_record, of_response, par
 from ultraquiet.identify.grey_box.least_squares import SHARE, Combination, Minimum, Told, chi_squared, search, told
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
-from ultraquiet.identify.result import SIGNIFICANCE, Result, usable
+from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
 
 WHO = "Structured"
@@ -30,7 +31,7 @@ DERIVED_STEP = 1e-6
 POOR = 0.2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StructuredFit:
     """Eq. (10) as the data tell it.
 
@@ -301,19 +302,19 @@ class Structured:
             [(poles, weights[:, None, None])], delay, lines.rate_hz, source.actuators, source.sensors, made
         )
         return StructuredFit(
-            model,
-            status,
-            values,
-            deviations,
-            self.free,
-            covariance,
-            found.combinations,
-            self._quantities(minimum.x, found),
-            polarity,
-            delay,
-            error,
-            p_value,
-            minimum.iterations,
+            model=model,
+            status=status,
+            parameters=values,
+            deviations=deviations,
+            free=self.free,
+            covariance=covariance,
+            combinations=found.combinations,
+            quantities=self._quantities(minimum.x, found),
+            polarity=polarity,
+            delay=delay,
+            error=error,
+            p_value=p_value,
+            iterations=minimum.iterations,
         )
 
     def _quantities(self, x: FloatArray, found: Told) -> dict[str, tuple[float, float]]:

@@ -16,7 +16,8 @@ from ultraquiet.identify.prediction_error.initial_models import Channel, startin
 from ultraquiet.identify.prediction_error.parameterisation import Layout, check_known, each, laid_out
 from ultraquiet.identify.prediction_error.simulation_focus import FOCUSES, fit_focused
 from ultraquiet.identify.prediction_error.structure import Structure
-from ultraquiet.identify.result import Result, exciting, usable, worst
+from ultraquiet.identify.record_checks import exciting, usable
+from ultraquiet.identify.result import Result, worst
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 HIGHEST_ORDER = 30
@@ -169,17 +170,17 @@ class PolynomialMethod:
 def gather(model: PolynomialMatrix, fits: list[Fit], made: Provenance) -> Result:
     """Put the fits of several outputs into one result."""
     return Result(
-        model,
-        worst([f.status for f in fits]),
-        np.array([f.fit_percent for f in fits]),
-        np.array([f.loss for f in fits]),
-        np.stack([f.covariance for f in fits]),
-        np.array([f.whiteness_p for f in fits]),
-        np.array([f.correlation_p for f in fits]),
-        np.array([f.iterations for f in fits]),
-        tuple(f.status for f in fits),
-        made,
-        {"starts": tuple(f.starts for f in fits), "repaired": tuple(f.repaired for f in fits)},
+        model=model,
+        status=worst([f.status for f in fits]),
+        fit_percent=np.array([f.fit_percent for f in fits]),
+        loss=np.array([f.loss for f in fits]),
+        covariance=np.stack([f.covariance for f in fits]),
+        whiteness_p=np.array([f.whiteness_p for f in fits]),
+        correlation_p=np.array([f.correlation_p for f in fits]),
+        iterations=np.array([f.iterations for f in fits]),
+        statuses=tuple(f.status for f in fits),
+        provenance=made,
+        details={"starts": tuple(f.starts for f in fits), "repaired": tuple(f.repaired for f in fits)},
     )
 
 

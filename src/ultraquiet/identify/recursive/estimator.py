@@ -11,8 +11,8 @@ from ultraquiet._base.constraints import FloatArray, signal_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.structure import ROW_FIRST, Structure
+from ultraquiet.identify.record_checks import SAMPLES_PER_PARAMETER
 from ultraquiet.identify.recursive.trajectory import Trajectory
-from ultraquiet.identify.result import SAMPLES_PER_PARAMETER
 from ultraquiet.values import PolynomialModel
 
 if TYPE_CHECKING:

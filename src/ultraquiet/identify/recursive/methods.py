@@ -91,17 +91,17 @@ class RecursiveMethod:
         found = [self._follow(record, i, piece) for i in range(len(record.sensors))]
         model = PolynomialMatrix([[f.model] for f in found], record.actuators, record.sensors, made)
         return Result(
-            model,
-            worst([f.status for f in found]),
-            np.array([f.fit_percent for f in found]),
-            np.array([f.model.noise_variance for f in found]),
-            np.stack([f.covariance for f in found]),
-            np.array([f.whiteness_p for f in found]),
-            np.array([f.correlation_p for f in found]),
-            np.zeros(len(found), dtype=np.int64),
-            tuple(f.status for f in found),
-            made,
-            {
+            model=model,
+            status=worst([f.status for f in found]),
+            fit_percent=np.array([f.fit_percent for f in found]),
+            loss=np.array([f.model.noise_variance for f in found]),
+            covariance=np.stack([f.covariance for f in found]),
+            whiteness_p=np.array([f.whiteness_p for f in found]),
+            correlation_p=np.array([f.correlation_p for f in found]),
+            iterations=np.zeros(len(found), dtype=np.int64),
+            statuses=tuple(f.status for f in found),
+            provenance=made,
+            details={
                 "trajectory": tuple(f.trajectory for f in found),
                 "held_steps": tuple(f.held for f in found),
             },
@@ -249,10 +249,10 @@ def _followed(running: Recursion, way: Trajectory, sums: Lagged, fit_percent: fl
     n, s = sums.samples, running.structure
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, s.a + s.c + s.d).p_value
-    least = min(
+    free = portmanteau.sidak(
         portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
     )
-    evidence = white, 1.0 - (1.0 - least) ** (r.shape[1] - 1)
+    evidence = white, free
     status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
     if running.held > HELD_SHARE * n:
         status = Status(

@@ -9,8 +9,9 @@ from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.regularised import marginal_likelihood
-from ultraquiet.identify.result import SIGNIFICANCE, Result, exciting, usable, worst
+from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.finite_response import HankelForm, response_of
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
@@ -27,7 +28,7 @@ RAN_OUT = 0.05  # of the response's norm in its last twentieth: it had not decay
 LAST = 20
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ResponseResult(Result):
     """`Result` of a regularised fit; `covariance` is that of the posterior.
 
@@ -187,19 +188,19 @@ class ImpulseResponse(_Regularised):
         ]
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
-            PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, made),
-            worst(statuses),
-            np.array(
+            model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, made),
+            status=worst(statuses),
+            fit_percent=np.array(
                 [prediction.fit_percent(y[start:], y[start:] - e) for y, e in zip(record.outputs, errors, strict=True)]
             ),
-            np.array([float(np.mean(e**2)) for e in errors]),
-            np.stack([f[1] for f in fits]),
-            np.array([portmanteau.ljung_box(e, lags).p_value for e in errors]),
-            np.array(free),
-            np.array([f[2].evaluations for f in fits]),
-            tuple(statuses),
-            made,
-            details,
+            loss=np.array([float(np.mean(e**2)) for e in errors]),
+            covariance=np.stack([f[1] for f in fits]),
+            whiteness_p=np.array([portmanteau.ljung_box(e, lags).p_value for e in errors]),
+            correlation_p=np.array(free),
+            iterations=np.array([f[2].evaluations for f in fits]),
+            statuses=tuple(statuses),
+            provenance=made,
+            details=details,
         )
 
 
@@ -294,7 +295,7 @@ class RegularisedArx(_Regularised):
         white = np.array([portmanteau.ljung_box(e, lags).p_value for e in residuals])
         free = np.array(
             [
-                _sidak([portmanteau.cross_correlation(e, u[start:], lags).p_value for u in record.inputs])
+                portmanteau.sidak(portmanteau.cross_correlation(e, u[start:], lags).p_value for u in record.inputs)
                 for e in residuals
             ]
         )
@@ -304,17 +305,17 @@ class RegularisedArx(_Regularised):
         ]
         made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
-            PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, made),
-            worst(statuses),
-            np.array([_simulated_fit(m, record, i) for i, m in enumerate(models)]),
-            np.array([float(np.mean(e**2)) for e in residuals]),
-            np.stack([f[1] for f in fits]),
-            white,
-            free,
-            np.array([f[2].evaluations for f in fits]),
-            tuple(statuses),
-            made,
-            {"eta": tuple(f[2].eta for f in fits)},
+            model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, made),
+            status=worst(statuses),
+            fit_percent=np.array([_simulated_fit(m, record, i) for i, m in enumerate(models)]),
+            loss=np.array([float(np.mean(e**2)) for e in residuals]),
+            covariance=np.stack([f[1] for f in fits]),
+            whiteness_p=white,
+            correlation_p=free,
+            iterations=np.array([f[2].evaluations for f in fits]),
+            statuses=tuple(statuses),
+            provenance=made,
+            details={"eta": tuple(f[2].eta for f in fits)},
         )
 
 
@@ -335,11 +336,7 @@ def _free_of_earlier(e: FloatArray, u: FloatArray, length: int, lags: int, memor
     if used <= lags + memory:
         return 1.0
     e = e[-used:]
-    return _sidak([portmanteau.cross_correlation(e, x[first : n - length], lags, memory).p_value for x in u])
-
-
-def _sidak(p: list[float]) -> float:
-    return 1.0 - (1.0 - min(p)) ** len(p)
+    return portmanteau.sidak(portmanteau.cross_correlation(e, x[first : n - length], lags, memory).p_value for x in u)
 
 
 def _left(g: FloatArray) -> FloatArray:

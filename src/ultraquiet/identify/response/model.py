@@ -35,7 +35,7 @@ class Band:
     radius: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class WeightedFit:
     """A system fitted to a response, weighted by its noise.
 

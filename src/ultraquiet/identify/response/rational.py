@@ -10,7 +10,8 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify.result import SIGNIFICANCE, Result, usable, worst
+from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
 from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.prediction import fit_percent
@@ -106,17 +107,17 @@ class Rational:
         unknown = np.full(ny, np.nan)
         made = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
         return Result(
-            found.model,
-            worst(statuses),
-            fits,
-            np.mean(residual**2, axis=1),
-            np.full((ny, 0, 0), np.nan),
-            unknown,
-            unknown,
-            np.full(ny, self.iterations),
-            tuple(statuses),
-            made,
-            {"order": found.order, "error": found.error},
+            model=found.model,
+            status=worst(statuses),
+            fit_percent=fits,
+            loss=np.mean(residual**2, axis=1),
+            covariance=np.full((ny, 0, 0), np.nan),
+            whiteness_p=unknown,
+            correlation_p=unknown,
+            iterations=np.full(ny, self.iterations),
+            statuses=tuple(statuses),
+            provenance=made,
+            details={"order": found.order, "error": found.error},
         )
 
     @single_threaded

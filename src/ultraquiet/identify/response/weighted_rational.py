@@ -11,9 +11,10 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response
 from ultraquiet.identify.response.model import WeightedFit
-from ultraquiet.identify.result import SIGNIFICANCE, Result, exciting, usable
+from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.linalg import portmanteau, section_start
 from ultraquiet.linalg import section_search as sections
 from ultraquiet.linalg.innovation import free_motion
@@ -253,19 +254,19 @@ def _finished(method: WeightedRational, data: Data, found: _Found, scores: dict[
     delay = found.held_delay_s + (float(found.point.theta[-1]) if found.shape.delay else 0.0)
     at_limit = method.order is None and found.shape.order >= max(scores) and len(scores) > 1
     return WeightedFit(
-        _model(method, data, found),
-        _verdict(found, cost, p, at_limit),
-        found.shape.order,
-        delay,
-        cost,
-        p,
-        scores,
-        found.steps,
-        _of_inputs(found.point, ny, nu),
-        found.shape,
-        data.samples,
-        (ny, nu),
-        found.held_delay_s,
+        model=_model(method, data, found),
+        status=_verdict(found, cost, p, at_limit),
+        order=found.shape.order,
+        delay_s=delay,
+        cost=cost,
+        whiteness_p=p,
+        errors_by_order=scores,
+        iterations=found.steps,
+        point=_of_inputs(found.point, ny, nu),
+        shape=found.shape,
+        samples=data.samples,
+        outputs_inputs=(ny, nu),
+        held_delay_s=found.held_delay_s,
     )
 
 
@@ -331,15 +332,15 @@ def _result(method: WeightedRational, found: WeightedFit, record: Record) -> Res
     ny = len(record.sensors)
     made = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
     return Result(
-        found.model,
-        found.status,
-        np.array([fit_percent(y, y - e) for y, e in zip(record.outputs, residual, strict=True)]),
-        np.mean(residual**2, axis=1),
-        np.full((ny, 0, 0), np.nan),
-        np.full(ny, found.whiteness_p),
-        np.full(ny, np.nan),
-        np.full(ny, found.iterations),
-        (found.status,) * ny,
-        made,
-        {"order": found.order, "cost": found.cost, "delay_s": found.delay_s, "fit": found},
+        model=found.model,
+        status=found.status,
+        fit_percent=np.array([fit_percent(y, y - e) for y, e in zip(record.outputs, residual, strict=True)]),
+        loss=np.mean(residual**2, axis=1),
+        covariance=np.full((ny, 0, 0), np.nan),
+        whiteness_p=np.full(ny, found.whiteness_p),
+        correlation_p=np.full(ny, np.nan),
+        iterations=np.full(ny, found.iterations),
+        statuses=(found.status,) * ny,
+        provenance=made,
+        details={"order": found.order, "cost": found.cost, "delay_s": found.delay_s, "fit": found},
     )

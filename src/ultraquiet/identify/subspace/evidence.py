@@ -73,17 +73,17 @@ def judged(
     ]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     return Result(
-        modelled(found, e, record, data, made),
-        worst(statuses),
-        np.array([prediction.fit_percent(y, y - x) for y, x in zip(data.y, v, strict=True)]),
-        loss,
-        np.full((ny, 0, 0), np.nan),
-        np.array(white),
-        np.array(free),
-        np.full(ny, search.steps, dtype=np.int64),
-        tuple(statuses),
-        made,
-        {**details, "spare_modes": spare},
+        model=modelled(found, e, record, data, made),
+        status=worst(statuses),
+        fit_percent=np.array([prediction.fit_percent(y, y - x) for y, x in zip(data.y, v, strict=True)]),
+        loss=loss,
+        covariance=np.full((ny, 0, 0), np.nan),
+        whiteness_p=np.array(white),
+        correlation_p=np.array(free),
+        iterations=np.full(ny, search.steps, dtype=np.int64),
+        statuses=tuple(statuses),
+        provenance=made,
+        details={**details, "spare_modes": spare},
     )
 
 
@@ -161,8 +161,7 @@ def free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
     if not np.all(np.isfinite(e)):
         return 0.0
     lags = min(TEST_LAGS, e.size // 10)
-    least = min(portmanteau.cross_correlation(e, x, lags, min(memory, e.size // 10)).p_value for x in u)
-    return 1.0 - (1.0 - least) ** u.shape[0]
+    return portmanteau.sidak(portmanteau.cross_correlation(e, x, lags, min(memory, e.size // 10)).p_value for x in u)
 
 
 def _verdict(search: Search, free: float, white: float, spare: int, order: int, grows: bool) -> Status:

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -12,14 +13,15 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.long_record_statistics import Survey, survey
-from ultraquiet.identify.result import SIGNIFICANCE, Result, usable, worst
-from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection
+from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
+from ultraquiet.identify.subspace import evidence, fit, hankel, order_selection
+from ultraquiet.identify.subspace.modal_least_squares import Bank, Modes, alternate
+from ultraquiet.identify.subspace.settings import SubspaceSettings
+from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Start
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status
-
-if TYPE_CHECKING:
-    from ultraquiet.identify.subspace.method import Start, Subspace
 
 # Samples from the record's beginning that the noise gain is fitted to: some hundred for each of its numbers.
 NOISE_SAMPLES = 65_536
@@ -29,7 +31,7 @@ PIECE_SAMPLES = 32_768  # the most excited stretch, on which an order is chosen 
 
 @dataclass(frozen=True, eq=False)
 class ScaledStream:
-    """A long record whose blocks come scaled as `state_fit.Scaled` has them."""
+    """A long record whose blocks come scaled as `fit.Scaled` has them."""
 
     record: LongRecord
     seen: Survey
@@ -65,7 +67,7 @@ class ScaledStream:
         return u / s.input_size[:, None], (y - s.output_mean[:, None]) / s.output_size[:, None]
 
 
-def identify_long_subspace(method: "Subspace", record: LongRecord) -> Result:
+def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Result:
     """Return the state-space model of all channels of a record of any length.
 
     One pass for the sizes, one for the products of all lags (they hold the Hankel matrix of every horizon), one for
@@ -77,24 +79,24 @@ def identify_long_subspace(method: "Subspace", record: LongRecord) -> Result:
         InputError: as `Subspace.identify`; a search for the one-step error (`focus="prediction"`).
         StorageError: the file is cut short, damaged or went away.
     """
-    if method.refine and method.focus == "prediction":
+    if settings.refine and settings.focus == "prediction":
         raise InputError(
             "Subspace: a record on disk is not refined for its one-step error; set focus='simulation', or refine on a "
             "part in memory."
         )
     seen = survey(record)
     piece = _most_excited(record, seen, PIECE_SAMPLES)
-    method.horizons(piece, method.order or 1)
-    usable("Subspace", piece, method.order or 1, 0)
+    settings.horizons(piece, settings.order or 1)
+    usable("Subspace", piece, settings.order or 1, 0)
     evidence.independent("Subspace", piece)
-    order = order_selection.chosen(method, piece) if method.order is None else method.order
+    order = order_selection.chosen(settings, piece) if settings.order is None else settings.order
     data = ScaledStream(record, seen)
-    best = min(_starts(method, data, order), key=lambda s: s.loss)
-    modes, steps, converged = _finished(method, data, best)
+    best = min(_starts(settings, data, order), key=lambda s: s.loss)
+    modes, steps, converged = _finished(settings, data, best)
     early = data.first(NOISE_SAMPLES)
     found = fit.system(modes)
     found = replace(found, K=fit.noise_gain(found, best.innovations(early), early))
-    made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
+    made = Provenance(settings.name, asdict(settings), parents=(record.hash,), versions=versions())
     details = {"horizon": best.rows, "order": len(found.A), "singular_values": best.values, "samples": data.samples}
     return _judged(found, data, (steps, converged), made, details)
 
@@ -105,53 +107,42 @@ def _most_excited(record: LongRecord, seen: Survey, samples: int) -> Record:
     return record.part(at, at + size)
 
 
-def _starts(method: "Subspace", data: ScaledStream, order: int) -> "Iterator[Start]":
+def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Iterator[Start]:
     """Yield what each horizon gives."""
-    from ultraquiet.identify.subspace.method import GAIN, TRIAL_ROUNDS, Start
-
     nu, ny = len(data.record.actuators), len(data.record.sensors)
-    horizons = method.horizons(data.record, order)
+    horizons = settings.horizons(data.record, order)
     sums = Lagged(nu + ny, 2 * max(horizons))
     for u, y in data.blocks("subspace: products at all lags"):
         sums.add(np.vstack([u - data.input_level, y]))
     products = sums.products()
     for rows in horizons:
-        held = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
-        basis, values = hankel.directions(held, method.weight)
-        poles, directions, _ = fit.modes_of(*hankel.transition(basis, values, order, ny))
-        bank: modal_least_squares.Bank = _bank(method, data, poles, f"subspace: least squares at horizon {rows}")
-        modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
-        if method.order is None:
-            bank, modes = modal_least_squares.pruned(bank, modes)
-        yield Start(order_selection.cost(bank, modes), rows, modes, held, basis, values, order, bank)
+        factor = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
+        bank_at = partial(_bank, settings, data, f"subspace: least squares at horizon {rows}")
+        yield Start.of(settings, factor, rows, order, bank_at)
 
 
-def _bank(method: "Subspace", data: ScaledStream, poles: ComplexArray, title: str) -> modal_least_squares.Bank:
+def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> Bank:
     from ultraquiet.identify.subspace.long_record_bank import StreamedBank
 
     shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
-    return StreamedBank(poles, data.blocks(title), shape, method.feedthrough, method.offset)
+    return StreamedBank(poles, data.blocks(title), shape, settings.feedthrough, settings.offset)
 
 
-def _finished(method: "Subspace", data: ScaledStream, best: "Start") -> tuple[modal_least_squares.Modes, int, bool]:
+def _finished(settings: SubspaceSettings, data: ScaledStream, best: Start) -> tuple[Modes, int, bool]:
     """Return the modes after the last rounds, poles refined when asked for, with the search's steps and its end."""
-    from ultraquiet.identify.subspace.method import GAIN, ROUNDS
-
-    assert best.bank is not None
-    if not method.refine:
-        return modal_least_squares.alternate(best.bank, best.modes.c, ROUNDS, GAIN), 0, True
+    if not settings.refine:
+        return best.settled(), 0, True
     piece = data.scaled(_most_excited(data.record, data.seen, REFINED_SAMPLES))
-    options = fit.Options(method.feedthrough, method.offset, method.weighted, method.max_iterations)
-    found, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, options)
-    poles, directions, _ = fit.modes_of(found.A, found.C)
-    bank = _bank(method, data, poles, "subspace: least squares at the refined poles")
-    modes = modal_least_squares.alternate(bank, directions, ROUNDS, GAIN)
+    refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
+    poles, directions, _ = fit.modes_of(refined.A, refined.C)
+    bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
+    modes = alternate(bank, directions, ROUNDS, GAIN)
     better = order_selection.cost(bank, modes) < order_selection.cost(best.bank, best.modes)
     return (modes if better else best.modes), steps, converged
 
 
 def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
-    """Return `state_kernels.hankel_gram` of the whole record from its lagged products and its two ends.
+    """Return `kernels.hankel_gram` of the whole record from its lagged products and its two ends.
 
     Shifting both factors by one sample changes a product by its two end terms, so only the first block row is summed.
     """
@@ -188,22 +179,23 @@ def _judged(
     free = [_free(r, i, ny, lags, memory, n) for i in range(ny)]
     spread = predicted.products()[0] / n
     statuses = [_verdict(p, data.seen, i, data.record, *search) for i, p in enumerate(free)]
+    whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
     squares = np.diag(simulated.products()[0])[:ny] / n
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
     model = evidence.modelled(found, like, data.record.part(0, 1), data.first(1), made)
     return Result(
-        model,
-        worst(statuses),
-        100.0 * (1.0 - np.sqrt(squares)),
-        np.diag(spread) * data.seen.output_size**2,
-        np.full((ny, 0, 0), np.nan),
-        np.array([portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]),
-        np.array(free),
-        np.full(ny, search[0], dtype=np.int64),
-        tuple(statuses),
-        made,
-        details,
+        model=model,
+        status=worst(statuses),
+        fit_percent=100.0 * (1.0 - np.sqrt(squares)),
+        loss=np.diag(spread) * data.seen.output_size**2,
+        covariance=np.full((ny, 0, 0), np.nan),
+        whiteness_p=np.array(whiteness_p),
+        correlation_p=np.array(free),
+        iterations=np.full(ny, search[0], dtype=np.int64),
+        statuses=tuple(statuses),
+        provenance=made,
+        details=details,
     )
 
 
@@ -225,11 +217,10 @@ def _errors(found: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray,
 
 def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> float:
     """Return the p-value that the simulated error of output i is free of all inputs."""
-    least = min(
+    return portmanteau.sidak(
         portmanteau.cross_correlation_of(r[: lags + 1, j, i], r[:, j, j], r[: memory + 1, i, i], n).p_value
         for j in range(ny, r.shape[1])
     )
-    return 1.0 - (1.0 - least) ** (r.shape[1] - ny)
 
 
 def _verdict(p: float, seen: Survey, output: int, record: LongRecord, steps: int, converged: bool) -> Status:

@@ -1,16 +1,11 @@
 """How many states a record asks for: singular values propose, a held-out part decides."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.subspace import fit as state_fit
-from ultraquiet.identify.subspace import hankel, modal_least_squares
+from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
+from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.values import Record
-
-if TYPE_CHECKING:
-    from ultraquiet.identify.subspace.method import Subspace
 
 HELD_OUT = 3  # one sample in so many, at the end of the record, judges
 HIGHEST = 120
@@ -28,23 +23,23 @@ def gap(values: FloatArray) -> int:
     return int(np.argmax(values[:-1] / np.maximum(values[1:], np.finfo(float).tiny))) + 1
 
 
-def chosen(method: "Subspace", record: Record) -> int:
+def chosen(settings: SubspaceSettings, record: Record) -> int:
     """Return the order whose model, drawn from the first two thirds, simulates the last third best.
 
     The least order within 1 % of the best error wins: in geometric mean over the outputs, each state simulated through
     from the start, so that no initial state is fitted to the part that judges.
     """
-    data = state_fit.Scaled.of(record)
+    data = fit.Scaled.of(record)
     split = record.samples - record.samples // HELD_OUT
     u, y = data.centred_u[:, :split], data.y[:, :split]
-    rows = max(method.horizons(record.part(0, split), 1))
-    basis, values = hankel.observability(u, y, rows, method.weight)
+    rows = max(settings.horizons(record.part(0, split), 1))
+    basis, values = hankel.observability(u, y, rows, settings.weight)
     highest = min(HIGHEST, (rows - 1) * len(y), len(values) - 1, record.samples // 20)
     losses: dict[int, float] = {}
 
     def loss(order: int) -> float:
         if order not in losses:
-            losses[order] = _held_out(method, data, split, basis, values, order)
+            losses[order] = _held_out(settings, data, split, basis, values, order)
         return losses[order]
 
     order, best, waited = 1, 1, 0
@@ -64,17 +59,17 @@ def chosen(method: "Subspace", record: Record) -> int:
 def cost(bank: modal_least_squares.Bank, modes: modal_least_squares.Modes) -> float:
     """Return n sum_i log(mean squared error of output i) + log n (states) (inputs + outputs): Schwarz's criterion."""
     states = int(np.sum(np.where(modes.poles.imag == 0.0, 1, 2)))
-    fit = bank.n * float(np.sum(np.log(np.maximum(bank.loss(modes), np.finfo(float).tiny))))
-    return fit + float(np.log(bank.n)) * states * (bank.nu + bank.ny)
+    misfit = bank.n * float(np.sum(np.log(np.maximum(bank.loss(modes), np.finfo(float).tiny))))
+    return misfit + float(np.log(bank.n)) * states * (bank.nu + bank.ny)
 
 
 def _held_out(
-    method: "Subspace", data: state_fit.Scaled, split: int, basis: FloatArray, values: FloatArray, order: int
+    settings: SubspaceSettings, data: fit.Scaled, split: int, basis: FloatArray, values: FloatArray, order: int
 ) -> float:
     """Return the mean over outputs of the logarithm of the simulated error's size after `split`."""
     A, C = hankel.transition(basis, values, order, len(data.y))
-    poles, directions, _ = state_fit.modes_of(A, C)
-    bank = modal_least_squares.Bank(poles, data.u[:, :split], data.y[:, :split], method.feedthrough, method.offset)
-    found = state_fit.system(bank.fit_b(directions))
-    error = (data.y - found.simulated(data.u))[:, split:]
+    poles, directions, _ = fit.modes_of(A, C)
+    bank = modal_least_squares.Bank(poles, data.u[:, :split], data.y[:, :split], settings.feedthrough, settings.offset)
+    system = fit.system(bank.fit_b(directions))
+    error = (data.y - system.simulated(data.u))[:, split:]
     return float(np.mean(np.log(error.std(axis=1))))

@@ -9,7 +9,8 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify.result import Result, usable
+from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.result import Result
 from ultraquiet.identify.subspace import evidence, fit
 from ultraquiet.linalg.polynomial_roots import mirrored_inside
 from ultraquiet.values import Record

@@ -1,0 +1,108 @@
+"""What a record must bring before a model is drawn from it: the checks all methods share."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet.values import Record
+
+# Fewer samples a parameter than this leave standard errors of a third and more of the estimate's size.
+SAMPLES_PER_PARAMETER = 10
+# Of an input's power, what the other inputs leave unexplained at the same sample; less is rounding.
+OWN_SHARE = 1e-10
+# Readings at their largest or least value, beyond which most of the record is the limit and not the plant. Declared
+# limits are repaired; a two-valued output of a noise-free gain is refused as well, it carries a sign and no more.
+AT_EXTREMES = 0.2
+ONE_READING = 0.5  # share of an output's power in one sample
+ONE_LINE = 0.999  # share of an output's power in one straight line: what the plant answers is lost in it
+# An output with this share of its power in the last tenth, of inputs that are not louder there, has run away.
+RUNAWAY, NO_LOUDER = 0.9, 0.5
+# A tone fills six bins of a Blackman-windowed spectrum and carries two parameters; this share of the strongest bin
+# stands above the window's own side lobes.
+BINS_PER_PARAMETER = 3
+LINE_SHARE = 1e-5
+
+
+def usable(who: str, record: Record, parameters: int, memory: int) -> None:
+    """Refuse a record that cannot carry a model.
+
+    Too short, an input that never moves or that follows the others, a sensor that never moves, that stands at an
+    undeclared limit most of the time, that runs away or drifts along a straight line, or whose power is one
+    single reading.
+    """
+    needed = SAMPLES_PER_PARAMETER * parameters + memory
+    if record.samples < needed:
+        raise InputError(
+            f"{who}: the record has {record.samples} samples, but {parameters} parameters a channel need at least "
+            f"{needed}; record longer or lower the order."
+        )
+    for kind, signals, wires in (
+        ("input", record.inputs, record.actuators),
+        ("output", record.outputs, record.sensors),
+    ):
+        for signal, wire in zip(signals, wires, strict=True):
+            if np.ptp(signal) == 0.0:
+                raise InputError(
+                    f"{who}: {kind} '{wire.name}' is constant at {signal[0]:g} {wire.unit}, which no model can be "
+                    f"drawn from; excite it, or leave the channel out with record.pick."
+                )
+    _refuse_copies(who, record)
+    _refuse_broken_sensors(who, record)
+
+
+def _refuse_copies(who: str, record: Record) -> None:
+    centred = record.inputs - record.inputs.mean(axis=1, keepdims=True)
+    correlation = np.corrcoef(centred) if len(centred) > 1 else np.eye(1)
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] < OWN_SHARE:
+        copies = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3 * np.abs(vectors[:, 0]).max())
+        names = ", ".join(f"'{record.actuators[k].name}'" for k in copies)
+        raise InputError(
+            f"{who}: the inputs {names} follow from each other, so their effects cannot be told apart; excite them by "
+            f"independent signals, or leave one out with record.pick."
+        )
+
+
+def _refuse_broken_sensors(who: str, record: Record) -> None:
+    for y, wire in zip(record.outputs, record.sensors, strict=True):
+        at_limits = np.count_nonzero((y == y.max()) | (y == y.min())) / y.size
+        if at_limits > AT_EXTREMES and not np.any((y <= wire.low) | (y >= wire.high)):
+            raise InputError(
+                f"{who}: {at_limits:.0%} of the readings of output '{wire.name}' stand at its largest or least value, "
+                f"{y.max():g} or {y.min():g} {wire.unit}; lower the excitation, or declare the sensor's limits."
+            )
+        power = (y - np.median(y)) ** 2
+        if power.max() > ONE_READING * power.sum():
+            raise InputError(
+                f"{who}: one reading of output '{wire.name}', sample {int(power.argmax())}, holds "
+                f"{power.max() / power.sum():.0%} of its power; cut it out (record.part), or mend the wiring."
+            )
+        late = _share_of_last_tenth(y)
+        if late > RUNAWAY and max(_share_of_last_tenth(u) for u in record.inputs) < NO_LOUDER:
+            raise InputError(
+                f"{who}: the last tenth of the record holds {late:.0%} of the power of output '{wire.name}', which "
+                f"its inputs do not explain: the plant is unstable or the sensor runs away; stabilise it first."
+            )
+        line = abs(float(np.corrcoef(y, np.arange(y.size))[0, 1])) ** 2
+        if line > ONE_LINE:
+            raise InputError(
+                f"{who}: {line:.3%} of the power of output '{wire.name}' is a straight line; wait until the drift has "
+                f"settled, or take it out first."
+            )
+
+
+def _share_of_last_tenth(x: FloatArray) -> float:
+    power = (x - np.median(x)) ** 2
+    return float(power[-(power.size // 10 + 1) :].sum() / max(power.sum(), np.finfo(float).tiny))
+
+
+def exciting(who: str, record: Record, parameters: int) -> None:
+    """Refuse an input of so few spectral lines that other models fit it as well: a steady tone fixes two parameters."""
+    for u, wire in zip(record.inputs, record.actuators, strict=True):
+        power = np.abs(np.fft.rfft((u - u.mean()) * np.blackman(u.size))) ** 2
+        carried = int(np.count_nonzero(power > LINE_SHARE * power.max())) // BINS_PER_PARAMETER
+        if carried < parameters:
+            raise InputError(
+                f"{who}: input '{wire.name}' holds spectral lines for about {carried} parameters, the path from it has "
+                f"{parameters}; excite a band (noise, chirp, many tones) or lower the order."
+            )
