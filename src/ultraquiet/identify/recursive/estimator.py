@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from math import comb
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,11 +11,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.structure import ROW_FIRST, Structure
 from ultraquiet.identify.record_checks import SAMPLES_PER_PARAMETER
+from ultraquiet.identify.recursive.settings import RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.values import PolynomialModel
-
-if TYPE_CHECKING:
-    from ultraquiet.identify.recursive.methods import RecursiveMethod
 
 SLACK = 4096  # samples that are taken in before the filters' past is moved to the front
 # A step changes the filters' past as well: with the new coefficients it is computed again over this many samples. Left
@@ -35,46 +32,45 @@ class Recursion:
 
     def __init__(
         self,
-        method: "RecursiveMethod",
+        settings: RecursionSettings,
         rate_hz: float,
         input_size: FloatArray,
         output_size: float,
         start: PolynomialModel | None,
-        still: int = 0,
+        start_samples: int = 0,
         constant: float = 0.0,
     ) -> None:
         from ultraquiet.identify.recursive.kernels import DIRECTIONAL, EXPONENTIAL
 
-        self.structure: Structure = method.batch().structure()
+        self.structure: Structure = settings.structure
         self.rate_hz, self.input_size, self.output_size = rate_hz, input_size, output_size
         nu = input_size.size
         self._degree, self._lag = self.structure.degree(nu), self.structure.lag(nu)
-        self._offset = method.offset
+        self._offset = settings.offset
         count = int(self._degree[[0, 1, 2, *range(ROW_FIRST, ROW_FIRST + 2 * nu)]].sum())
-        p = count + int(method.offset)
+        p = count + int(settings.offset)
         self._base, self._theta = self.structure.empty(nu), np.zeros(p)
         self._table = self._base.copy()
         self._to_shift = self._expansion(p)
         # ARX leaves out the samples whose past it does not know, as the batch fit does.
-        linear = self.structure.f == 0 and self.structure.c == 0
-        quiet = int(self.structure.states(nu, True, False)[1]) if linear else int(SETTLING * still)
-        self.still = max(quiet, still)
+        linear = settings.linear
+        quiet = int(self.structure.states(nu, True, False)[1]) if linear else int(SETTLING * start_samples)
+        self.frozen_until = max(quiet, start_samples)
         cold = start is None
         # Errors count from here on: a start from nothing first has to find the plant.
-        self.judged_from = self.still + (SAMPLES_PER_PARAMETER * p if cold else 0)
-        known = 0.0 if linear or still else COLD
+        self.judged_from = self.frozen_until + (SAMPLES_PER_PARAMETER * p if cold else 0)
+        known = 0.0 if linear or start_samples else COLD
         self._R, self._z, self._best = known * np.eye(p), np.zeros(p), np.zeros((p, p))
         head = int(self._lag.max() + self._degree.max()) + 1
         self._head, self._work = head, np.zeros((4 * nu + self._degree.size + 6, head + BEHIND + SLACK))
         if start is not None:
             self._begin(start, constant)
-        keep = 1.0 if method.memory_s is None else float(np.exp(-0.5 / (rate_hz * method.memory_s)))
-        mode = DIRECTIONAL if method.forgetting == "directional" else EXPONENTIAL
-        reset = 0 if method.reset_s is None else max(1, round(method.reset_s * rate_hz))
+        keep = settings.remembered(rate_hz)
+        mode = DIRECTIONAL if settings.forgetting == "directional" else EXPONENTIAL
         early = EARLY * p if cold and not linear else 0
         # Without filters every sample moves the coefficients, and there is no past to mend.
         pace = (1, 0) if linear else (STRIDE, BEHIND)
-        self._options = (quiet, self.still, keep, mode, reset, early, *pace)
+        self._options = (quiet, self.frozen_until, keep, mode, settings.reset_samples(rate_hz), early, *pace)
         self._count = np.array([0, 0, head, 0], dtype=np.int64)
         self._share = 1.0 - keep * keep
         self._squares, self._weight = 0.0, 0.0
@@ -130,8 +126,8 @@ class Recursion:
         from ultraquiet.identify.recursive.kernels import deviations
 
         with np.errstate(invalid="ignore"):
-            found = deviations(self._R, self._to_shift) * np.sqrt(self._squares / max(self._weight, 1.0))
-        return np.where(np.isnan(found), np.inf, found)
+            spread = deviations(self._R, self._to_shift) * np.sqrt(self._squares / max(self._weight, 1.0))
+        return np.where(np.isnan(spread), np.inf, spread)
 
     @property
     def covariance(self) -> FloatArray:
@@ -142,11 +138,11 @@ class Recursion:
     @property
     def model(self) -> PolynomialModel:
         """The present model."""
-        way = Trajectory(
+        now = Trajectory(
             np.zeros(1), self.coefficients[None], self.deviation[None], self.structure, self.input_size.size,
             self.rate_hz,
         )  # fmt: skip
-        m = way.model()
+        m = now.model()
         f, c, d = [one_fit.settled(x) for x in m.f], one_fit.settled(m.c), one_fit.settled(m.d)
         return PolynomialModel(m.b, f, self.rate_hz, m.a, c, d, self.noise_variance)
 

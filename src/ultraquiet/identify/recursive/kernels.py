@@ -41,8 +41,8 @@ def predict(P, degree, lag, work, nu, i):
             w += P[b, k] * work[j, i - lag[b] - k]
         work[nu + 1 + j, i] = w
         work[rest, i] -= w
-    held = work[rest, i] + past(work[rest], P[ROW_D], degree[ROW_D], i)
-    work[e, i] = held - past(work[e], P[ROW_C], degree[ROW_C], i)
+    autoregressed = work[rest, i] + past(work[rest], P[ROW_D], degree[ROW_D], i)
+    work[e, i] = autoregressed - past(work[e], P[ROW_C], degree[ROW_C], i)
 
 
 @compiled
@@ -116,12 +116,12 @@ def rotate_in(R, z, row, target, first):
         size = np.hypot(R[i, i], row[i])
         c, s = R[i, i] / size, row[i] / size
         for j in range(i, p):
-            held = R[i, j]
-            R[i, j] = c * held + s * row[j]
-            row[j] = c * row[j] - s * held
-        held = z[i]
-        z[i] = c * held + s * target
-        target = c * target - s * held
+            old = R[i, j]
+            R[i, j] = c * old + s * row[j]
+            row[j] = c * row[j] - s * old
+        old = z[i]
+        z[i] = c * old + s * target
+        target = c * target - s * old
 
 
 @compiled
@@ -237,14 +237,14 @@ def moved(R, z, theta, base, degree, P, work):
 
 @compiled
 def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, count, options, e):
-    """Take in the samples of one block; `count` holds samples seen, steps held, the next free column, the last step.
+    """Take in the samples of one block; `count` holds samples seen, steps cut short, next free column, last step.
 
     `options`: samples during which nothing is learned, those during which theta stays, keep (square root of the
     forgetting factor), mode, samples between resets (0: never), samples that a start from nothing remembers (0: all),
     samples between steps, samples behind that are filtered again after one.
     """
     nu = u.shape[0]
-    quiet, still, steady, mode, reset, early, stride, behind = options
+    quiet, frozen_until, steady, mode, reset, early, stride, behind = options
     g = np.zeros(theta.size)
     for t in range(y.size):
         if count[2] == work.shape[1]:
@@ -262,13 +262,13 @@ def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, c
         keep = steady
         if early > 0:
             keep *= 1.0 - 0.5 / early * np.exp(-count[0] / (WEANING * early))
-        if keep < 1.0 and count[0] > still:
+        if keep < 1.0 and count[0] > frozen_until:
             forget(R, z, theta, best, g, count[0], keep, int(mode))
         target = -e[t]
         for k in range(theta.size):
             target += g[k] * theta[k]
         rotate_in(R, z, g, target, 0)
-        if count[0] <= still:
+        if count[0] <= frozen_until:
             stand(R, z, theta)
             count[3] = count[0]
         elif count[0] - count[3] >= min(stride, 1 + count[0] // LOOK):

@@ -15,15 +15,16 @@ from ultraquiet.files import LongRecord
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.long_record import simulated_fit
 from ultraquiet.identify.recursive.estimator import Recursion
+from ultraquiet.identify.recursive.settings import FORGETTING, RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.result import Result, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status
 
-FORGETTING = ("exponential", "directional")
-HELD_SHARE = 0.01  # of steps cut short at the edge of stability, beyond which the verdict says so
+CUT_SHORT_SHARE = 0.01  # of steps cut short at the edge of stability, beyond which the verdict says so
 
 
 @dataclass(frozen=True)
@@ -87,23 +88,23 @@ class RecursiveMethod:
         """
         piece = _piece(record, record.samples // 2 if record.samples // 2 < self.start_samples else self.start_samples)
         self.batch().check(record if isinstance(record, Record) else piece)
-        made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        found = [self._follow(record, i, piece) for i in range(len(record.sensors))]
-        model = PolynomialMatrix([[f.model] for f in found], record.actuators, record.sensors, made)
+        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        followed = [self._follow(record, i, piece) for i in range(len(record.sensors))]
+        model = PolynomialMatrix([[f.model] for f in followed], record.actuators, record.sensors, provenance)
         return Result(
             model=model,
-            status=worst([f.status for f in found]),
-            fit_percent=np.array([f.fit_percent for f in found]),
-            loss=np.array([f.model.noise_variance for f in found]),
-            covariance=np.stack([f.covariance for f in found]),
-            whiteness_p=np.array([f.whiteness_p for f in found]),
-            correlation_p=np.array([f.correlation_p for f in found]),
-            iterations=np.zeros(len(found), dtype=np.int64),
-            statuses=tuple(f.status for f in found),
-            provenance=made,
+            status=worst([f.status for f in followed]),
+            fit_percent=np.array([f.fit_percent for f in followed]),
+            loss=np.array([f.model.noise_variance for f in followed]),
+            covariance=np.stack([f.covariance for f in followed]),
+            whiteness_p=np.array([f.whiteness_p for f in followed]),
+            correlation_p=np.array([f.correlation_p for f in followed]),
+            iterations=np.zeros(len(followed), dtype=np.int64),
+            statuses=tuple(f.status for f in followed),
+            provenance=provenance,
             details={
-                "trajectory": tuple(f.trajectory for f in found),
-                "held_steps": tuple(f.held for f in found),
+                "trajectory": tuple(f.trajectory for f in followed),
+                "held_steps": tuple(f.steps_cut_short for f in followed),
             },
         )
 
@@ -128,16 +129,21 @@ class RecursiveMethod:
         >>> running.model.a.round(6).tolist()
         [1.0, -0.8]
         """
-        return Recursion(self, rate_hz, np.atleast_1d(np.asarray(input_size, dtype=float)), output_size, start)
+        sizes = np.atleast_1d(np.asarray(input_size, dtype=float)), output_size
+        return Recursion(self.recursion_settings(), rate_hz, *sizes, start)
+
+    def recursion_settings(self) -> RecursionSettings:
+        """Return what the running estimator needs of the method."""
+        return RecursionSettings(self.batch().structure(), self.offset, self.memory_s, self.forgetting, self.reset_s)
 
     def _follow(self, record: Record | LongRecord, output: int, piece: Record) -> "Followed":
         """Follow one output through the record."""
-        start, constant, still = None, 0.0, 0
+        start, constant, start_samples = None, 0.0, 0
         if self.start_samples:
             start = self.batch().fit(Channel.of(piece, output), record.rate_hz).model
-            constant, still = _constant(start, piece, output) if self.offset else 0.0, piece.samples
+            constant, start_samples = _constant(start, piece, output) if self.offset else 0.0, piece.samples
         sizes = piece.inputs.std(axis=1), float(piece.outputs[output].std())
-        running = Recursion(self, record.rate_hz, *sizes, start, still, constant)
+        running = Recursion(self.recursion_settings(), record.rate_hz, *sizes, start, start_samples, constant)
         lags = min(one_fit.TEST_LAGS, (record.samples - running.judged_from) // 10)
         sums, points = Lagged(1 + len(record.actuators), lags), []
         title = f"{self.name} of {record.sensors[output].name}"
@@ -150,8 +156,9 @@ class RecursiveMethod:
                 points.append((running.samples / record.rate_hz, running.coefficients, running.deviation))
                 progress.advance(u.shape[1])
         time_s, coefficients, deviation = (np.array(x) for x in zip(*points, strict=True))
-        way = Trajectory(time_s, coefficients, deviation, running.structure, len(record.actuators), record.rate_hz)
-        return _followed(running, way, sums, _fit_percent(self, record, output, running.model))
+        inputs = len(record.actuators)
+        trajectory = Trajectory(time_s, coefficients, deviation, running.structure, inputs, record.rate_hz)
+        return _followed(running, trajectory, sums, _fit_percent(self, record, output, running.model))
 
 
 @register("identify", "recursive-arx")
@@ -165,8 +172,8 @@ class RecursiveArx(RecursiveMethod):
     >>> for t in range(1, 400):
     ...     y[t] = 0.8 * y[t - 1] + (0.5 if t < 200 else 1.0) * u[t - 1]
     >>> method = uq.identify.RecursiveArx(order=1, memory_s=0.2, every=100)
-    >>> found = method.identify(uq.Record(u, y, rate_hz=100.0)).details["trajectory"][0]
-    >>> found.coefficients[[1, 3], 1].round(2).tolist()
+    >>> trajectory = method.identify(uq.Record(u, y, rate_hz=100.0)).details["trajectory"][0]
+    >>> trajectory.coefficients[[1, 3], 1].round(2).tolist()
     [0.5, 1.0]
 
     Reference: Ljung, System Identification, 2nd ed., section 11.2.
@@ -241,10 +248,10 @@ class Followed:
     whiteness_p: float
     correlation_p: float
     trajectory: Trajectory
-    held: int
+    steps_cut_short: int
 
 
-def _followed(running: Recursion, way: Trajectory, sums: Lagged, fit_percent: float) -> Followed:
+def _followed(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_percent: float) -> Followed:
     """Judge the errors of the predictions as they were made."""
     n, s = sums.samples, running.structure
     r = sums.products(centred=True) / n
@@ -254,7 +261,7 @@ def _followed(running: Recursion, way: Trajectory, sums: Lagged, fit_percent: fl
     )
     evidence = white, free
     status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
-    if running.held > HELD_SHARE * n:
+    if running.held > CUT_SHORT_SHARE * n:
         status = Status(
             "not converged",
             f"{running.held} of {n} steps were cut short at the edge of stability: start from a batch fit, or use a "
@@ -268,7 +275,7 @@ def _followed(running: Recursion, way: Trajectory, sums: Lagged, fit_percent: fl
     m = running.model
     loss = float(sums.products()[0, 0, 0]) / n
     model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)
-    return Followed(model, status, fit_percent, running.covariance, *evidence, way, running.held)
+    return Followed(model, status, fit_percent, running.covariance, *evidence, trajectory, running.held)
 
 
 def _constant(model: PolynomialModel, piece: Record, output: int) -> float:
@@ -302,8 +309,6 @@ def _blocks(record: Record | LongRecord, output: int, every: int) -> Iterator[tu
 def _fit_percent(method: RecursiveMethod, record: Record | LongRecord, output: int, model: PolynomialModel) -> float:
     """Return the simulated fit of the last model on the whole record."""
     if isinstance(record, LongRecord):
-        from ultraquiet.identify.prediction_error.long_record import simulated_fit
-
         return simulated_fit(record, output, model, method.offset)
     denominators = [model.denominator(j) for j in range(len(model.b))]
     y = record.outputs[output]
