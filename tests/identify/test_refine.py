@@ -17,7 +17,7 @@ def point(rng, ny=2, inputs=3):
     tau, sigma, kappa = np.array([0.9, 0.6, 0.5, 0.7]), np.array([0.2, 0.2, 0.0, 0.1]), np.array([-1.0, 1.0, 0.0, -0.3])
     b, c = rng.standard_normal((4, 2, inputs)), rng.standard_normal((ny, 4, 2))
     b[2, 1], c[:, 2, 1] = 0.0, 0.0
-    return gauss_newton.Point(tau, sigma, kappa, b, c, rng.standard_normal((ny, 2)), np.zeros((0, 0)))
+    return gauss_newton.BlockModel(tau, sigma, kappa, b, c, rng.standard_normal((ny, 2)), np.zeros((0, 0)))
 
 
 def signals(rng, ny=2, inputs=3, n=300):

@@ -78,7 +78,7 @@ def test_inputs_and_initial_state_by_simulation():
     poles, vectors = np.linalg.eig(made.A)
     kept = poles.imag >= 0
     poles = poles[kept].astype(complex)
-    bank = modal_least_squares.Bank(poles, u, y, feedthrough=True, offset=False)
+    bank = modal_least_squares.FilterBank(poles, u, y, feedthrough=True, offset=False)
     modes = bank.fit_b((made.C @ vectors)[:, kept].astype(complex))
     V = vectors[:, kept]
     B, x0 = V @ modes.b[:, :-1], V @ modes.b[:, -1:]

@@ -129,7 +129,7 @@ def test_hankel_products_and_filter_bank_are_those_in_memory(rng):
     assert pytest.approx(wanted, abs=1e-10 * np.abs(wanted).max()) == G
     poles = np.array([0.95 + 0.2j, 0.9 + 0.1j, 0.99995 + 0j])
     for feedthrough, offset in ((True, True), (False, False)):
-        held = modal_least_squares.Bank(poles, z[:2], z[2:], feedthrough, offset)
+        held = modal_least_squares.FilterBank(poles, z[:2], z[2:], feedthrough, offset)
         found = StreamedBank(poles, iter([(b[:2], b[2:]) for b in blocks]), (2, 1, n), feedthrough, offset)
         size = np.sqrt(np.maximum(np.diag(held.G), 1e-12))
         miss = np.max(np.abs(held.G - found.G) / np.outer(size, size))

@@ -24,7 +24,9 @@ COVERAGE = (0.93, 0.97)
 
 def response_of(value, f_hz, delay=DELAY):
     f = strut.factors(value)
-    return strut.held(f.gain, 3, f.poles(), f_hz, RATE_HZ) * np.exp(-2j * np.pi * f_hz * (delay - 1) / RATE_HZ)
+    return strut.response_behind_hold(f.gain, 3, f.poles(), f_hz, RATE_HZ) * np.exp(
+        -2j * np.pi * f_hz * (delay - 1) / RATE_HZ
+    )
 
 
 def measured(rng, noise=0.02, f_hz=None, value=TRUTH, delay=DELAY):

@@ -13,7 +13,7 @@ SLICE = 4096  # samples whose power is kept as one number
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
+class LongRecordStatistics:
     """What one pass tells of a record.
 
     Attributes:
@@ -50,7 +50,7 @@ class Survey:
         return starts
 
 
-def survey(record: LongRecord) -> Survey:
+def survey(record: LongRecord) -> LongRecordStatistics:
     """Return the survey of a record.
 
     Raises:
@@ -83,4 +83,4 @@ def survey(record: LongRecord) -> Survey:
                 f"can be drawn from; leave it out with record.pick."
             )
     mean = mean + origin[:, 0]
-    return Survey(n, mean[:nu], size[:nu], mean[nu:], size[nu:], clipped, np.stack(power, axis=1))
+    return LongRecordStatistics(n, mean[:nu], size[:nu], mean[nu:], size[nu:], clipped, np.stack(power, axis=1))

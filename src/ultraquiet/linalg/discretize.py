@@ -15,8 +15,8 @@ def zero_order_hold(A: Array, B: Array, C: Array, D: Array, step_s: float) -> Ma
     n, nu = B.shape
     block = np.zeros((n + nu, n + nu))
     block[:n, :n], block[:n, n:] = A * step_s, B * step_s
-    held = expm(block)
-    return held[:n, :n], held[:n, n:], C.copy(), D.copy()
+    exponential = expm(block)
+    return exponential[:n, :n], exponential[:n, n:], C.copy(), D.copy()
 
 
 def bilinear_to_continuous(A: Array, B: Array, C: Array, D: Array) -> Matrices:

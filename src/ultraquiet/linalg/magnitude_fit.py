@@ -49,13 +49,13 @@ def fit_above(w: FloatArray, bound: FloatArray, order: int) -> Factors:
     best, least = np.zeros(0), np.inf
     for start in _starts(x, wanted, order):
         kept = np.clip(start, low + 1e-6, high - 1e-6)
-        found = least_squares(
+        minimum = least_squares(
             lambda p: _miss(p, x, wanted, order), kept, bounds=(low, high), x_scale=1.0, max_nfev=EVALUATIONS
         )
-        over = _log_gain(found.x, x, order) - wanted
+        over = _log_gain(minimum.x, x, order) - wanted
         excess = float(np.mean(over - over.min()))
         if excess < least:
-            best, least = found.x, excess
+            best, least = minimum.x, excess
     over = _log_gain(best, x, order) - wanted
     zeros, poles = _roots(best[1::2], order), _roots(best[2::2], order)
     return Factors(float(np.exp(best[0] - over.min())), zeros * unit, poles * unit)
@@ -83,7 +83,7 @@ def fit_near(w: FloatArray, level: FloatArray, order: int, weight: FloatArray) -
     unit = float(np.exp(np.mean(np.log(w[w > 0][[0, -1]]))))
     x = w / unit
     low, high = _limits(x, order)
-    found = [
+    minima = [
         least_squares(
             lambda p: weight * (_log_gain(p, x, order) - wanted),
             np.clip(start, low + 1e-6, high - 1e-6),
@@ -92,7 +92,7 @@ def fit_near(w: FloatArray, level: FloatArray, order: int, weight: FloatArray) -
         )
         for start in _starts(x, wanted, order)
     ]
-    best = min(found, key=lambda f: f.cost).x
+    best = min(minima, key=lambda f: f.cost).x
     return Factors(float(np.exp(best[0])), _roots(best[1::2], order) * unit, _roots(best[2::2], order) * unit)
 
 

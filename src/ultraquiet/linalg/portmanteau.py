@@ -64,8 +64,8 @@ def cross_correlation_of(r: FloatArray, covariance: FloatArray, color: FloatArra
         P += color[k] * (covariance[np.abs(shift - k)] + covariance[np.abs(shift + k)])
     values, vectors = np.linalg.eigh(P)
     strong = values > EXCITED_SHARE * values[-1]
-    seen = vectors[:, strong].T @ r
-    return chi_squared(float(n * np.sum(seen**2 / values[strong])), max(1, int(strong.sum())))
+    projected = vectors[:, strong].T @ r
+    return chi_squared(float(n * np.sum(projected**2 / values[strong])), max(1, int(strong.sum())))
 
 
 def _lagged(x: FloatArray, y: FloatArray, lags: int) -> FloatArray:

@@ -65,8 +65,8 @@ def roots(p: FloatArray) -> ComplexArray:
     lightly damped resonance. A step is taken only where it shrinks the polynomial and is tiny; real roots stay real,
     pairs stay conjugate, for both follow from the same arithmetic.
     """
-    found = np.roots(p).astype(np.complex128)
-    fine, high = found.astype(np.clongdouble), p.astype(np.longdouble)
+    roots = np.roots(p).astype(np.complex128)
+    fine, high = roots.astype(np.clongdouble), p.astype(np.longdouble)
     for _ in range(POLISHING):
         value, slope = np.polyval(high, fine), np.polyval(np.polyder(high), fine)
         step = np.where(slope != 0, value / np.where(slope != 0, slope, 1), 0)
@@ -74,7 +74,7 @@ def roots(p: FloatArray) -> ComplexArray:
         better = (np.abs(np.polyval(high, moved)) < np.abs(value)) & (np.abs(step) < CLOSE * (np.abs(fine) + CLOSE))
         fine = np.where(better, moved, fine)
     out = fine.astype(np.complex128)
-    return np.where(found.imag == 0, out.real, out)
+    return np.where(roots.imag == 0, out.real, out)
 
 
 def _groups(roots: ComplexArray) -> list[ComplexArray]:

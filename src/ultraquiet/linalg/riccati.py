@@ -37,23 +37,23 @@ class Riccati(NamedTuple):
 NOTHING = Riccati(np.zeros((0, 0)), np.inf, -np.inf)
 
 
-def better(held: Riccati | None, new: Riccati) -> Riccati:
+def better(best: Riccati | None, new: Riccati) -> Riccati:
     """Return the one that stabilises, then the one with the smaller residual."""
-    if held is None or (new.margin > 0 >= held.margin):
+    if best is None or (new.margin > 0 >= best.margin):
         return new
-    return new if (new.margin > 0) == (held.margin > 0) and new.residual < held.residual else held
+    return new if (new.margin > 0) == (best.margin > 0) and new.residual < best.residual else best
 
 
-def refusal(time: str, n: int, found: Riccati | None) -> NumericalError:
+def refusal(time: str, n: int, best: Riccati | None) -> NumericalError:
     """Return the error that says what the best rung came to."""
     who = f"Riccati equation ({time}, {n} states)"
-    if found is None or not np.isfinite(found.residual):
-        said = "no stabilising solution exists, or none could be separated; modes lie on the stability boundary."
-    elif not found.margin > 0:
-        said = f"the solution found does not stabilise (margin {found.margin:.2e}); a mode cannot be moved."
+    if best is None or not np.isfinite(best.residual):
+        reason = "no stabilising solution exists, or none could be separated; modes lie on the stability boundary."
+    elif not best.margin > 0:
+        reason = f"the solution found does not stabilise (margin {best.margin:.2e}); a mode cannot be moved."
     else:
-        said = f"the relative residual of the best solution, {found.residual:.1e}, is too large; scale the problem."
-    return NumericalError(f"{who}: {said}")
+        reason = f"the relative residual of the best solution, {best.residual:.1e}, is too large; scale the problem."
+    return NumericalError(f"{who}: {reason}")
 
 
 def symplectic_scale(A: Array, G: Array, Q: Array) -> Array:

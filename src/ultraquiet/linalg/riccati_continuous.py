@@ -42,20 +42,20 @@ def continuous_riccati(A: Array, G: Array, Q: Array) -> Riccati:
         return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()))
     d = symplectic_scale(A, G, Q)
     As, Gs, Qs = A * d / d[:, None], G / np.outer(d, d), Q * np.outer(d, d)
-    found = None
+    best = None
     for rung in (_schur, _doubled):
         X = rung(As, Gs, Qs)
         if X is UNSPLIT:
             break
         if X is not None:
-            found = better(found, _polished(As, Gs, Qs, X, NEWTON_STEPS))
-            if found.accepted:
-                return found._replace(X=found.X / np.outer(d, d))
-    if found is not None and found.margin > 0:
-        found = better(found, _polished(As, Gs, Qs, found.X, LONG_NEWTON))
-        if found.accepted:
-            return found._replace(X=found.X / np.outer(d, d))
-    raise refusal("continuous", n, found)
+            best = better(best, _polished(As, Gs, Qs, X, NEWTON_STEPS))
+            if best.accepted:
+                return best._replace(X=best.X / np.outer(d, d))
+    if best is not None and best.margin > 0:
+        best = better(best, _polished(As, Gs, Qs, best.X, LONG_NEWTON))
+        if best.accepted:
+            return best._replace(X=best.X / np.outer(d, d))
+    raise refusal("continuous", n, best)
 
 
 def continuous_regulator(
@@ -72,8 +72,8 @@ def continuous_regulator(
     cross: Array = np.zeros(B.shape) if S is None else S
     RB = _solved(R, np.hstack([B.T, cross.T]))
     n = A.shape[0]
-    found = continuous_riccati(A - B @ RB[:, n:], symmetric(B @ RB[:, :n]), symmetric(Q - cross @ RB[:, n:]))
-    return found._replace(X=with_descriptor(E, found.X))
+    solution = continuous_riccati(A - B @ RB[:, n:], symmetric(B @ RB[:, :n]), symmetric(Q - cross @ RB[:, n:]))
+    return solution._replace(X=with_descriptor(E, solution.X))
 
 
 def continuous_residual(A: Array, G: Array, Q: Array, X: Array) -> float:
@@ -128,22 +128,22 @@ def _schur(A: Array, G: Array, Q: Array) -> Array | None:
 
 
 def _polished(A: Array, G: Array, Q: Array, X: Array, steps: int) -> Riccati:
-    held = _judged(A, G, Q, X)
+    current = _judged(A, G, Q, X)
     for _ in range(steps):
-        if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
+        if current.residual <= POLISHED_RESIDUAL or not current.margin > 0:
             break
-        closed = A - G @ held.X
-        AX = A.T @ held.X
-        residual = symmetric(AX + AX.T - held.X @ G @ held.X + Q)
+        closed = A - G @ current.X
+        AX = A.T @ current.X
+        residual = symmetric(AX + AX.T - current.X @ G @ current.X + Q)
         try:
             direction = lyapunov(closed.T, residual)
         except NumericalError:
             break
-        step = _judged(A, G, Q, held.X + _length(residual, direction @ G @ direction) * direction)
-        if not (step.residual < held.residual and step.margin > 0):
+        step = _judged(A, G, Q, current.X + _length(residual, direction @ G @ direction) * direction)
+        if not (step.residual < current.residual and step.margin > 0):
             break
-        held = step
-    return held
+        current = step
+    return current
 
 
 def _length(residual: Array, bend: Array) -> float:

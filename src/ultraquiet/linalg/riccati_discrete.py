@@ -72,8 +72,8 @@ def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = N
     A, B = without_descriptor(E, A, B)
     if A.shape[0] == 0:
         return Riccati(np.zeros((0, 0)), 0.0, 1.0)
-    found = _solved(_Terms(A, B, Q, R, np.zeros(B.shape) if S is None else S))
-    return found._replace(X=with_descriptor(E, found.X))
+    solution = _solved(_Terms(A, B, Q, R, np.zeros(B.shape) if S is None else S))
+    return solution._replace(X=with_descriptor(E, solution.X))
 
 
 def discrete_least_squares(A: Array, B: Array, C: Array, D: Array) -> Riccati:
@@ -99,27 +99,27 @@ def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
 
 def _solved(terms: _Terms) -> Riccati:
     d = _scale(terms)
-    found = _ladder(terms.scaled(d))
-    if found is None or not (found.margin > 0 and found.residual <= TOLERATED_RESIDUAL):
-        raise refusal("discrete", terms.A.shape[0], found)
-    return found._replace(X=found.X / np.outer(d, d))
+    best = _ladder(terms.scaled(d))
+    if best is None or not (best.margin > 0 and best.residual <= TOLERATED_RESIDUAL):
+        raise refusal("discrete", terms.A.shape[0], best)
+    return best._replace(X=best.X / np.outer(d, d))
 
 
 def _ladder(terms: _Terms) -> Riccati | None:
-    found = None
+    best = None
     for rung in (_doubled, _qz):
         X = rung(terms)
         if X is not None:
-            found = better(found, _polished(terms, X, NEWTON_STEPS))
-            if found.accepted:
-                return found
-    if found is not None and found.margin > 0:
-        found = better(found, _polished(terms, found.X, LONG_NEWTON))
-        if found.accepted:
-            return found
+            best = better(best, _polished(terms, X, NEWTON_STEPS))
+            if best.accepted:
+                return best
+    if best is not None and best.margin > 0:
+        best = better(best, _polished(terms, best.X, LONG_NEWTON))
+        if best.accepted:
+            return best
     if np.abs(np.linalg.eigvals(terms.A)).max() < 1:
-        found = better(found, _from_rest(terms))
-    return found
+        best = better(best, _from_rest(terms))
+    return best
 
 
 def _scale(terms: _Terms) -> Array:
@@ -157,14 +157,14 @@ def _from_rest(terms: _Terms) -> Riccati:
 
 def _polished(terms: _Terms, X: Array, steps: int, falling: bool = True) -> Riccati:
     """Take Newton's steps while they stabilise and, when `falling`, while each makes the residual smaller."""
-    held = best = _judged(terms, X)
+    current = best = _judged(terms, X)
     for _ in range(steps):
-        if held.residual <= POLISHED_RESIDUAL or not held.margin > 0:
+        if current.residual <= POLISHED_RESIDUAL or not current.margin > 0:
             break
-        step = _judged(terms, _newton(terms, held.X))
-        if not step.margin > 0 or (falling and not step.residual < held.residual):
+        step = _judged(terms, _newton(terms, current.X))
+        if not step.margin > 0 or (falling and not step.residual < current.residual):
             break
-        held, best = step, better(best, step)
+        current, best = step, better(best, step)
     return best
 
 
@@ -185,7 +185,7 @@ def _judged(terms: _Terms, X: Array) -> Riccati:
     except LinAlgError:
         return Riccati(X, np.inf, -np.inf)
     closed, cost = terms.A - terms.B @ K, terms.cost(K)
-    kept = closed.T @ X @ closed
-    size = np.linalg.norm(kept) + np.linalg.norm(cost) + np.linalg.norm(X)
-    residual = float(np.linalg.norm(kept + cost - X) / size) if size else 0.0
+    propagated = closed.T @ X @ closed
+    size = np.linalg.norm(propagated) + np.linalg.norm(cost) + np.linalg.norm(X)
+    residual = float(np.linalg.norm(propagated + cost - X) / size) if size else 0.0
     return Riccati(X, residual, 1.0 - float(np.abs(np.linalg.eigvals(closed)).max()))

@@ -101,5 +101,5 @@ def score_test(e: FloatArray, regressors: FloatArray, fitted: FloatArray, spread
         V = V + moved @ moved.T
     values, vectors = np.linalg.eigh(V)
     strong = values > EXCITED_SHARE * values[-1]
-    seen = vectors[:, strong].T @ (Z.T @ e)
-    return chi_squared(float(np.sum(seen**2 / values[strong])), max(1, int(strong.sum())))
+    projected = vectors[:, strong].T @ (Z.T @ e)
+    return chi_squared(float(np.sum(projected**2 / values[strong])), max(1, int(strong.sum())))

@@ -4,14 +4,14 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg import pole_residue
-from ultraquiet.linalg.section_search import Samples, Shape, to_poles
+from ultraquiet.linalg.section_search import FrequencySamples, SectionShape, to_poles
 
 # Residue directions that matter less than this share of the quietest line's noise are left out.
 RANK_SHARE = 1e-3
 
 
 def realised(
-    samples: Samples, shape: Shape, theta: FloatArray, rho: FloatArray, noise: float, delay: int
+    samples: FrequencySamples, shape: SectionShape, theta: FloatArray, rho: FloatArray, noise: float, delay: int
 ) -> tuple[FloatArray, ...]:
     """Return A, B, C, D of sections with numerators rho `(ny, nu, linear)`, late by whole samples in discrete time."""
     rate_hz = samples.rate_hz
@@ -31,7 +31,7 @@ def realised(
     return pole_residue.delayed(A, B, C, D, delay)
 
 
-def _numerator(rho: FloatArray, shape: Shape, k: int, x: complex) -> ComplexArray:
+def _numerator(rho: FloatArray, shape: SectionShape, k: int, x: complex) -> ComplexArray:
     """Return the numerator of pole k's section at that pole."""
     if k == shape.order - 1 and shape.order % 2:
         return rho[:, :, k].astype(np.complex128)

@@ -36,7 +36,7 @@ NEAREST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class FrequencySamples:
     """What is fitted: sum over drives q of V_q G_q, near Y with weight w.
 
     Attributes:
@@ -57,7 +57,7 @@ class Samples:
 
 
 @dataclass(frozen=True)
-class Shape:
+class SectionShape:
     """Number of poles, whether there is a direct part, whether the delay is free."""
 
     order: int
@@ -75,7 +75,7 @@ class Shape:
         return self.order + int(self.direct)
 
 
-class Point(NamedTuple):
+class SectionFit(NamedTuple):
     """The fit for given poles.
 
     `theta` holds alpha, beta of each pair, alpha of a single section, tau in seconds; `rho` `(channels, drives,
@@ -93,14 +93,14 @@ class Point(NamedTuple):
     slope: FloatArray
 
 
-class Sections(NamedTuple):
+class SectionBasis(NamedTuple):
     """Denominators `(sections, nf)` with their derivatives, and numerator functions `(nf, linear)`."""
 
     phi: ComplexArray
     per_theta: tuple[ComplexArray, ...]
 
 
-def functions(samples: Samples, shape: Shape, theta: FloatArray) -> Sections:
+def functions(samples: FrequencySamples, shape: SectionShape, theta: FloatArray) -> SectionBasis:
     """Return the numerator functions, and for each alpha and beta the factor -(d den) / den of its own section."""
     x, e2, e1, e0, r1, r0 = _parts(samples.f_rad, samples.rate_hz, samples.scale)
     turn = np.exp(-1j * samples.f_rad * theta[-1]) if shape.delay else np.ones(x.size)
@@ -117,7 +117,7 @@ def functions(samples: Samples, shape: Shape, theta: FloatArray) -> Sections:
             factors.append(-a / (r1 + a))
     if shape.direct:
         columns.append(turn * np.ones(x.size))
-    return Sections(np.stack(columns, axis=1).astype(np.complex128), tuple(factors))
+    return SectionBasis(np.stack(columns, axis=1).astype(np.complex128), tuple(factors))
 
 
 def _parts(f_rad: FloatArray, rate_hz: float | None, scale: float) -> tuple[ComplexArray, ...]:
@@ -129,7 +129,7 @@ def _parts(f_rad: FloatArray, rate_hz: float | None, scale: float) -> tuple[Comp
     return z - 1, (z - 1) ** 2, (z - 1) * (z + 1), (z + 1) ** 2, z - 1, z + 1
 
 
-def evaluate(samples: Samples, shape: Shape, theta: FloatArray) -> Point:
+def evaluate(samples: FrequencySamples, shape: SectionShape, theta: FloatArray) -> SectionFit:
     """Return numerators, cost and the projected normal equations at given poles."""
     own = functions(samples, shape, theta)
     channels, nf = samples.Y.shape
@@ -143,14 +143,14 @@ def evaluate(samples: Samples, shape: Shape, theta: FloatArray) -> Point:
     size = np.where(size > 0, size, 1.0)
     Q, R = np.linalg.qr(A / size[:, None, :])
     inverse = np.linalg.pinv(R, rcond=CUTOFF) / size[:, :, None]
-    seen = np.einsum("cnk,cn->ck", Q, y)
-    residual = y - np.einsum("cnk,ck->cn", Q, seen)
-    rho = np.einsum("cjk,ck->cj", inverse, seen).reshape(channels, drives, m)
+    projected = np.einsum("cnk,cn->ck", Q, y)
+    residual = y - np.einsum("cnk,ck->cn", Q, projected)
+    rho = np.einsum("cjk,ck->cj", inverse, projected).reshape(channels, drives, m)
     J = _gradients(samples, shape, own, rho)
     J = np.concatenate([J.real, J.imag], axis=1)
     slope = np.swapaxes(Q, 1, 2) @ J
     J = J - Q @ slope
-    return Point(
+    return SectionFit(
         theta,
         rho,
         float(np.sum(residual**2)),
@@ -162,7 +162,7 @@ def evaluate(samples: Samples, shape: Shape, theta: FloatArray) -> Point:
     )
 
 
-def _gradients(samples: Samples, shape: Shape, own: Sections, rho: FloatArray) -> ComplexArray:
+def _gradients(samples: FrequencySamples, shape: SectionShape, own: SectionBasis, rho: FloatArray) -> ComplexArray:
     """Return the weighted derivative of the model by theta, `(channels, nf, nonlinear)`."""
     channels, nf = samples.Y.shape
     J = np.zeros((channels, nf, shape.nonlinear), dtype=np.complex128)
@@ -182,15 +182,15 @@ def _gradients(samples: Samples, shape: Shape, own: Sections, rho: FloatArray) -
 
 
 def search(
-    samples: Samples, shape: Shape, theta: FloatArray, steps: int, slowest: float = 0.0
-) -> tuple[Point, int, bool]:
+    samples: FrequencySamples, shape: SectionShape, theta: FloatArray, steps: int, slowest: float = 0.0
+) -> tuple[SectionFit, int, bool]:
     """Return the minimum that Levenberg-Marquardt reaches, the accepted steps, and whether it got there.
 
     No pole becomes slower than `slowest` (modulus in s over the scale, or in w = (z - 1) / (z + 1)).
     """
-    here, damping, taken = evaluate(samples, shape, within(theta, shape, slowest)), DAMPING, 0
+    here, damping, accepted = evaluate(samples, shape, within(theta, shape, slowest)), DAMPING, 0
     rows = max(2 * np.count_nonzero(samples.w), 1)
-    while taken < steps:
+    while accepted < steps:
         enough = TOLERANCE * here.cost / rows
         free = _free(here, shape, slowest)
         size = np.sqrt(np.maximum(np.diag(here.normal)[free], np.finfo(float).tiny))
@@ -200,7 +200,7 @@ def search(
         moved = False
         while damping < STIFFEST:
             if float(np.sum(along**2 / (values + damping))) < enough:
-                return here, taken, True
+                return here, accepted, True
             step = np.zeros(shape.nonlinear)
             step[free] = vectors @ (along / (values + damping)) / size
             step *= min(1.0, LONGEST_STEP / max(np.abs(step[: shape.order]).max(initial=0.0), 1e-300))
@@ -210,16 +210,16 @@ def search(
                 here, moved = there, True
                 damping = max(damping * EASED, LEAST_DAMPING)
                 if settled:
-                    return here, taken + 1, True
+                    return here, accepted + 1, True
                 break
             damping *= STIFFENED
-        taken += 1
+        accepted += 1
         if not moved:
-            return here, taken, False
-    return here, taken, False
+            return here, accepted, False
+    return here, accepted, False
 
 
-def within(theta: FloatArray, shape: Shape, slowest: float) -> FloatArray:
+def within(theta: FloatArray, shape: SectionShape, slowest: float) -> FloatArray:
     """Return theta with coefficients in range and no pole slower than `slowest`."""
     out = theta.copy()
     low, high = _limits(out, shape, slowest)
@@ -230,7 +230,7 @@ def within(theta: FloatArray, shape: Shape, slowest: float) -> FloatArray:
     return out
 
 
-def _limits(theta: FloatArray, shape: Shape, slowest: float) -> tuple[FloatArray, FloatArray]:
+def _limits(theta: FloatArray, shape: SectionShape, slowest: float) -> tuple[FloatArray, FloatArray]:
     low, high = np.full(shape.order, -FURTHEST), np.full(shape.order, FURTHEST)
     if slowest > 0:
         pairs = shape.order - shape.order % 2
@@ -241,12 +241,12 @@ def _limits(theta: FloatArray, shape: Shape, slowest: float) -> tuple[FloatArray
     return low, high
 
 
-def _free(here: Point, shape: Shape, slowest: float) -> np.ndarray:
+def _free(here: SectionFit, shape: SectionShape, slowest: float) -> np.ndarray:
     """Return which parameters do not stand at a limit that they press against."""
     low, high = _limits(here.theta, shape, slowest)
     theta, g = here.theta[: shape.order], here.gradient[: shape.order]
-    held = ((theta <= low + AT_LIMIT) & (g < 0)) | ((theta >= high - AT_LIMIT) & (g > 0))
-    return np.flatnonzero(np.append(~held, np.ones(shape.nonlinear - shape.order, dtype=bool)))
+    at_limit = ((theta <= low + AT_LIMIT) & (g < 0)) | ((theta >= high - AT_LIMIT) & (g > 0))
+    return np.flatnonzero(np.append(~at_limit, np.ones(shape.nonlinear - shape.order, dtype=bool)))
 
 
 def from_axis_poles(poles: ComplexArray) -> FloatArray:
@@ -266,7 +266,9 @@ def from_axis_poles(poles: ComplexArray) -> FloatArray:
     return np.array(theta, dtype=np.float64)
 
 
-def to_poles(theta: FloatArray, shape: Shape, rate_hz: float | None, scale: float) -> tuple[ComplexArray, ComplexArray]:
+def to_poles(
+    theta: FloatArray, shape: SectionShape, rate_hz: float | None, scale: float
+) -> tuple[ComplexArray, ComplexArray]:
     """Return poles (rad/s or in z) and, for each, what its section's numerator at the pole is divided by."""
     poles, slopes = np.zeros(shape.order, dtype=np.complex128), np.zeros(shape.order, dtype=np.complex128)
     for k in range(shape.order // 2):
@@ -294,7 +296,7 @@ def _pair(a: float, b: float) -> ComplexArray:
 
 
 def sensitivities(
-    samples: Samples, shape: Shape, theta: FloatArray, rho: FloatArray
+    samples: FrequencySamples, shape: SectionShape, theta: FloatArray, rho: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
     """Return the numerator functions `(nf, linear)` and the gains' derivatives by theta `(channels, nf, nonlinear)`."""
     own = functions(samples, shape, theta)

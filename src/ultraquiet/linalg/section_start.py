@@ -32,7 +32,7 @@ def spreads(s: ComplexArray, order: int) -> Iterator[ComplexArray]:
 
 
 def starts(
-    samples: sections.Samples, H: ComplexArray, weight: FloatArray, shape: sections.Shape
+    samples: sections.FrequencySamples, H: ComplexArray, weight: FloatArray, shape: sections.SectionShape
 ) -> Iterator[FloatArray]:
     """Yield starting points for a fit to the responses H with weights, `(ny, nu, nf)` each.
 
@@ -52,7 +52,7 @@ def starts(
                 yield sections.from_axis_poles(p * scale)
 
 
-def grown(samples: sections.Samples, before: sections.Point, order: int, wanted: int) -> FloatArray:
+def enlarged(samples: sections.FrequencySamples, before: sections.SectionFit, order: int, wanted: int) -> FloatArray:
     """Return the sections of a fit one or two orders smaller, and another pair where it misses most, or a real pole."""
     s, scale = _axis(samples)
     pairs = order - order % 2
@@ -68,7 +68,7 @@ def grown(samples: sections.Samples, before: sections.Point, order: int, wanted:
     return np.concatenate([before.theta[:pairs], pair, kept])
 
 
-def _axis(samples: sections.Samples) -> tuple[ComplexArray, float]:
+def _axis(samples: sections.FrequencySamples) -> tuple[ComplexArray, float]:
     """Return points on the imaginary axis scaled to near one, and the scale in units of the sections."""
     if samples.rate_hz is None:
         return np.asarray(1j * samples.f_rad / samples.scale, dtype=np.complex128), 1.0

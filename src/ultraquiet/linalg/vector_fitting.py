@@ -17,7 +17,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 NEAREST_TO_CIRCLE = 1e-7
 
 
-class Rational(NamedTuple):
+class PoleResidueFit(NamedTuple):
     """Poles in the order of the basis (reals, then conjugate pairs), residues `(ny, nu, poles)`, weighted RMS error."""
 
     poles: ComplexArray
@@ -33,7 +33,7 @@ def fit(
     iterations: int,
     zeros_at_one: int = 0,
     slowest: float = 0.0,
-) -> Rational:
+) -> PoleResidueFit:
     """Return the stable rational matrix of common poles nearest to samples in the weighted RMS.
 
     Args:
@@ -50,15 +50,15 @@ def fit(
     best = residues(z, H, weight, p, zeros_at_one)
     for _ in range(iterations):
         p = _quickened(relocated(z, H, weight, p, zeros_at_one), slowest)
-        found = residues(z, H, weight, p, zeros_at_one)
-        if found.error < best.error:
-            best = found
+        trial = residues(z, H, weight, p, zeros_at_one)
+        if trial.error < best.error:
+            best = trial
     return best
 
 
 def residues(
     z: ComplexArray, H: ComplexArray, weight: FloatArray, poles: ComplexArray, zeros_at_one: int = 0
-) -> Rational:
+) -> PoleResidueFit:
     """Return the least-squares residues for fixed poles (`paired`)."""
     ny, nu, nf = H.shape
     wanted = _real((weight * H).reshape(ny * nu, nf).T)
@@ -78,7 +78,7 @@ def residues(
             R[:, k] = x[k] + 1j * x[k + 1]
             R[:, k + 1] = R[:, k].conj()
             k += 2
-    return Rational(poles, R.reshape(ny, nu, -1), float(error))
+    return PoleResidueFit(poles, R.reshape(ny, nu, -1), float(error))
 
 
 def relocated(
@@ -110,8 +110,8 @@ def relocated_in_s(
             continue  # a channel without a single line that weighs anything
         common, _ = np.linalg.qr(own / size)
         rows.append(_compressed(w * h, phi, common))
-    found = _zeros_of_sigma(rows, weight * H, phi, poles)
-    return paired(np.asarray(-np.abs(found.real) + 1j * found.imag, dtype=np.complex128))
+    zeros = _zeros_of_sigma(rows, weight * H, phi, poles)
+    return paired(np.asarray(-np.abs(zeros.real) + 1j * zeros.imag, dtype=np.complex128))
 
 
 def _compressed(weighted: ComplexArray, phi: ComplexArray, common: FloatArray) -> FloatArray:

@@ -70,9 +70,9 @@ def advise(
 
     Reference: Ljung, System Identification, 2nd ed., sections 14.1-14.5 and 16.5-16.7.
     """
-    found = list(_of_the_record(record))
+    advices = list(_of_the_record(record))
     if model is None:
-        return tuple(found)
+        return tuple(advices)
     chosen = origin_of(model, record) if origin == "auto" else origin
     e = innovations(model, record)
     for i, m in enumerate(single_rows(model, record)):
@@ -80,11 +80,11 @@ def advise(
         P = matching("advise", m, np.asarray(covariance[i])) if covariance is not None and usable else None
         fitted, spread = fitted_directions(m, record.inputs, record.outputs[i], e[i], chosen, P)
         case = Case(record, i, m, e[i], P, fitted, spread)
-        told = [Advice(*x) for check in CHECKS for x in check(case)]
+        from_checks = [Advice(*x) for check in CHECKS for x in check(case)]
         # What else was found explains a residual that follows something; only then the order is not to blame.
-        blamed = {x.about for x in told} & EXPLAINED_BY
-        found += told if blamed else [*told, *(Advice(*x) for x in _order_too_low(case))]
-    return tuple(found)
+        blamed = {x.about for x in from_checks} & EXPLAINED_BY
+        advices += from_checks if blamed else [*from_checks, *(Advice(*x) for x in _order_too_low(case))]
+    return tuple(advices)
 
 
 def _of_the_record(record: Record) -> Iterator[Advice]:
@@ -124,19 +124,19 @@ def _repeated_extremes(y: FloatArray) -> int:
 
 def _delay_too_long(case: Case) -> Said:
     for j, (x, actuator) in enumerate(zip(case.record.inputs, case.record.actuators, strict=True)):
-        taken = delay(case.model.b[j])
-        if taken == 0:
+        model_delay = delay(case.model.b[j])
+        if model_delay == 0:
             continue
         # What later lags explain is taken out first: a poor model alone must not look like a delay.
-        later = score.shifted(x, taken, DEFAULT_LAGS)
-        p = case.p_value(score.shifted(x, 0, taken), later)
+        later = score.shifted(x, model_delay, DEFAULT_LAGS)
+        p = case.p_value(score.shifted(x, 0, model_delay), later)
         if p < ALARM:
-            own = [case.p_value(score.shifted(x, k, 1), later) for k in range(taken)]
-            first = next((k for k, one in enumerate(own) if one < ALARM), taken - 1)
+            own = [case.p_value(score.shifted(x, k, 1), later) for k in range(model_delay)]
+            first = next((k for k, one in enumerate(own) if one < ALARM), model_delay - 1)
             yield (
                 "delay",
                 actuator.name,
-                f"Output '{case.sensor}' moves {first} samples after the input, but the model waits {taken} "
+                f"Output '{case.sensor}' moves {first} samples after the input, but the model waits {model_delay} "
                 f"(p = {p:.1e}); set delay={first}.",
             )
 

@@ -41,11 +41,11 @@ class Case:
         """Name of the output."""
         return self.record.sensors[self.output].name
 
-    def p_value(self, regressors: FloatArray, given: FloatArray | None = None) -> float:
+    def p_value(self, regressors: FloatArray, explained: FloatArray | None = None) -> float:
         """Return the p-value that the residual holds nothing of the regressors beyond what `given` explains."""
         fitted, spread, e = self.fitted, self.spread, self.e
-        if given is not None:
-            fitted = score.orthonormal(np.hstack([fitted, given]))
+        if explained is not None:
+            fitted = score.orthonormal(np.hstack([fitted, explained]))
             e = e - fitted @ (fitted.T @ e)
         return score.score_test(e, regressors, fitted, spread).p_value
 
@@ -91,16 +91,16 @@ def delay_too_short(case: Case) -> Said:
         return
     for j, actuator in enumerate(case.record.actuators):
         at, count, _ = case.columns(j)
-        taken = delay(case.model.b[j])
+        model_delay = delay(case.model.b[j])
         size = np.sqrt(np.maximum(np.diag(case.covariance)[at : at + count], np.finfo(float).tiny))
-        steps = np.abs(case.model.b[j][taken:]) / size
+        steps = np.abs(case.model.b[j][model_delay:]) / size
         nothing = int(np.argmin(steps < NOTHING)) if np.any(steps >= NOTHING) else count
         if 0 < nothing < count and steps[nothing] > SOMETHING:
             yield (
                 "delay",
                 actuator.name,
                 f"The first {nothing} coefficients towards '{case.sensor}' are zero within their error; the output "
-                f"answers after {taken + nothing} samples: set delay={taken + nothing}.",
+                f"answers after {model_delay + nothing} samples: set delay={model_delay + nothing}.",
             )
 
 
@@ -177,5 +177,5 @@ def _distance(value: complex, moved: ComplexArray) -> float:
     x = np.array([value.real, value.imag])
     values, vectors = np.linalg.eigh(V)
     kept = values > 1e-10 * max(values[-1], np.finfo(float).tiny)
-    seen = vectors[:, kept].T @ x
-    return score.chi_squared(float(np.sum(seen**2 / values[kept])), int(kept.sum())).p_value
+    projected = vectors[:, kept].T @ x
+    return score.chi_squared(float(np.sum(projected**2 / values[kept])), int(kept.sum())).p_value

@@ -122,11 +122,11 @@ def response_band(
     between(who, "level", level, *LEVELS)
     whole(who, "draws", draws, 10)
     f = frequency_array(who, f_hz)
-    made = [
+    bands = [
         _band(who, m, P, f, level, (draws, seed) if method == "sampled" else None) for m, P in channels(who, result)
     ]
     ny = len(result.model.rows)
-    tables = [np.concatenate(part).reshape(ny, -1, *part[0].shape[1:]) for part in zip(*made, strict=True)]
+    tables = [np.concatenate(part).reshape(ny, -1, *part[0].shape[1:]) for part in zip(*bands, strict=True)]
     return ResponseBand(frozen(f), *tables, level=level, method=method)
 
 
@@ -169,14 +169,14 @@ def _band(
         wide = z * DB * np.linalg.norm(relative.real, axis=-1)
         turn = z * np.degrees(np.linalg.norm(relative.imag, axis=-1))
         return G, covariance, gain, gain - wide, gain + wide, phase, phase - turn, phase + turn
-    ratio = _drawn(model, P, f, *sampling) / G
+    ratio = _sampled_responses(model, P, f, *sampling) / G
     tail = (1 - level) / 2
     low_db, high_db = np.quantile(DB * np.log(np.abs(ratio)), [tail, 1 - tail], axis=0)
     low, high = np.quantile(np.degrees(np.angle(ratio)), [tail, 1 - tail], axis=0)
     return G, covariance, gain, gain + low_db, gain + high_db, phase, phase + low, phase + high
 
 
-def _drawn(model: PolynomialModel, P: FloatArray, f: FloatArray, draws: int, seed: int) -> ComplexArray:
+def _sampled_responses(model: PolynomialModel, P: FloatArray, f: FloatArray, draws: int, seed: int) -> ComplexArray:
     """Return responses `(draws, nu, nf)` of models drawn from N(theta, P)."""
     theta, L = coefficients(model), root(P)
     steps = np.random.default_rng(seed).standard_normal((draws, theta.size))

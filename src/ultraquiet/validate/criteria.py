@@ -115,13 +115,13 @@ def select(results: Mapping[str, Fitted], record: Record, criterion: str = "bic"
 
 
 def _row(name: str, result: Fitted, record: Record) -> dict[str, Any]:
-    found = information_criteria(result, record)
+    criteria = information_criteria(result, record)
     row = {
         "name": name,
         "parameters": int(np.sum(parameters(result.model))),
         "loss": float(np.exp(np.mean(np.log(result.loss)))),
     }
     for key in NAMES:
-        value = getattr(found, key)
+        value = getattr(criteria, key)
         row[key] = float(np.exp(np.mean(np.log(value))) if key in ("fpe", "mdl") else np.sum(value))
     return {**row, "status": result.status.word}

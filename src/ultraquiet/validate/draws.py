@@ -38,10 +38,10 @@ def drawn_plants(result: Identified, draws: int, seed: int = 0, stable: bool = T
     """
     whole("drawn_plants", "draws", draws, 1)
     parts = [(model, coefficients(model), root(P)) for model, P in channels("drawn_plants", result)]
-    return _drawn(result.model, parts, draws, np.random.default_rng(seed), stable)
+    return _plants(result.model, parts, draws, np.random.default_rng(seed), stable)
 
 
-def _drawn(
+def _plants(
     matrix: PolynomialMatrix,
     parts: list[tuple[PolynomialModel, np.ndarray, np.ndarray]],
     draws: int,
@@ -49,8 +49,8 @@ def _drawn(
     stable: bool,
 ) -> Iterator[StateSpace]:
     for _ in range(draws):
-        made = iter([_one(*part, rng, stable) for part in parts])
-        rows = [[next(made) for _ in row] for row in matrix.rows]
+        models = iter([_one(*part, rng, stable) for part in parts])
+        rows = [[next(models) for _ in row] for row in matrix.rows]
         yield PolynomialMatrix(rows, matrix.actuators, matrix.sensors, matrix.provenance).state_space()
 
 
@@ -58,9 +58,9 @@ def _one(
     model: PolynomialModel, theta: np.ndarray, L: np.ndarray, rng: np.random.Generator, stable: bool
 ) -> PolynomialModel:
     for _ in range(TRIES):
-        drawn = with_coefficients(model, theta + L @ rng.standard_normal(L.shape[1]))
-        if not stable or drawn.is_stable():
-            return drawn
+        sample = with_coefficients(model, theta + L @ rng.standard_normal(L.shape[1]))
+        if not stable or sample.is_stable():
+            return sample
     raise NumericalError(
         f"drawn_plants: none of {TRIES} draws of a channel is stable; its covariance is too large to stand for a plant."
     )

@@ -17,19 +17,19 @@ def with_coefficients(model: PolynomialModel, theta: FloatArray) -> PolynomialMo
     """Return the model with other values of its free coefficients."""
     at = 0
 
-    def taken(count: int) -> FloatArray:
+    def next_coefficients(count: int) -> FloatArray:
         nonlocal at
         at += count
         return theta[at - count : at]
 
     one = np.ones(1)
-    a = np.concatenate([one, taken(model.a.size - 1)])
+    a = np.concatenate([one, next_coefficients(model.a.size - 1)])
     b, f = [], []
     for j, p in enumerate(model.b):
-        b.append(np.concatenate([p[: delay(p)], taken(p.size - delay(p))]))
-        f.append(np.concatenate([one, taken(model.f[j].size - 1)]))
-    c = np.concatenate([one, taken(model.c.size - 1)])
-    d = np.concatenate([one, taken(model.d.size - 1)])
+        b.append(np.concatenate([p[: delay(p)], next_coefficients(p.size - delay(p))]))
+        f.append(np.concatenate([one, next_coefficients(model.f[j].size - 1)]))
+    c = np.concatenate([one, next_coefficients(model.c.size - 1)])
+    d = np.concatenate([one, next_coefficients(model.d.size - 1)])
     return PolynomialModel(b, f, model.rate_hz, a, c, d, model.noise_variance)
 
 

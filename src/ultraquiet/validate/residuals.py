@@ -135,11 +135,11 @@ def fitted_directions(
     m: PolynomialModel, u: FloatArray, y: FloatArray, e: FloatArray, origin: str, P: FloatArray | None
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return what was fitted to this record (orthonormal columns), and what errors from another record put into e."""
-    given = (m.a, m.b, m.f, m.c, m.d)
-    past = np.stack(prediction.nuisance_columns(*given, y.size), axis=1)
+    polynomials = (m.a, m.b, m.f, m.c, m.d)
+    past = np.stack(prediction.nuisance_columns(*polynomials, y.size), axis=1)
     if origin == "exact":
         return score.orthonormal(past), None
-    gradient = score.gradient_columns(u, y, e, *given)
+    gradient = score.gradient_columns(u, y, e, *polynomials)
     if P is None:
         counts = [m.a.size - 1]
         for b, f in zip(m.b, m.f, strict=True):

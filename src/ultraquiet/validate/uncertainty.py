@@ -184,11 +184,11 @@ def from_spread(
         raise InputError(f"{who}: give 'f_hz', the lines in Hz; no measured response brings its own.")
     f = measured[0].f_hz if f_hz is None else frequency_array(who, f_hz)
     G = _at(who, nominal, f)
-    seen = [_at(who, x, f) for x in others]
-    for k, x in enumerate(seen):
+    responses = [_at(who, x, f) for x in others]
+    for k, x in enumerate(responses):
         if x.shape != G.shape:
             raise InputError(f"{who}: the nominal response is {G.shape}, that of other {k + 1} is {x.shape}.")
-    radius = _sizes(who, np.stack(seen) - G, G, kind).max(axis=0)
+    radius = _sizes(who, np.stack(responses) - G, G, kind).max(axis=0)
     return Uncertainty(frozen(f), frozen(radius), kind, float("nan"), f"largest deviation of {len(others)} others")
 
 
@@ -249,13 +249,13 @@ def _weight(bound: Uncertainty, rate_hz: float | None, order: int | None, count:
     if not np.all(bound.radius > 0) or not np.all(np.isfinite(bound.radius)):
         raise InputError(f"{who}: the radius must be positive and finite at every line to have a weight.")
     rows = bound.radius if bound.radius.ndim == 3 else bound.radius[None, None]
-    found = [[fitted_weight(bound.f_hz, r, rate_hz, order) for r in row] for row in rows]
-    gains = np.array([[np.abs(w.frequency_response(bound.f_hz)[0, 0]) for w in row] for row in found])
+    weights = [[fitted_weight(bound.f_hz, r, rate_hz, order) for r in row] for row in rows]
+    gains = np.array([[np.abs(w.frequency_response(bound.f_hz)[0, 0]) for w in row] for row in weights])
     over = 20 * np.log10(gains / rows)
     if bound.radius.ndim == 3:
-        system = _grid(found)
+        system = _grid(weights)
     else:
-        system = append(*[found[0][0]] * (count or 1))
+        system = append(*[weights[0][0]] * (count or 1))
     return UncertaintyWeight(system, float(over.mean()), float(over.max()), bound, bound.status())
 
 

@@ -1,4 +1,4 @@
-"""What a structured model is fitted to: lines of a response, or the spectrum of a record with its transient."""
+"""What a grey-box model is fitted to: lines of a response, or the spectrum of a record with its transient."""
 
 from dataclasses import dataclass, replace
 
@@ -17,7 +17,7 @@ EXCITED_SHARE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class SpectralLines:
     """One channel: y = G u + transient + noise at some frequencies.
 
     Attributes:
@@ -63,7 +63,7 @@ class Lines:
         r = r - Q @ (Q.T @ r)
         return (r[:n] + 1j * r[n:]) * self.deviation / np.sqrt(2.0)
 
-    def with_noise_of(self, error: ComplexArray, parameters: int) -> "Lines":
+    def with_noise_of(self, error: ComplexArray, parameters: int) -> "SpectralLines":
         """Return the lines with the deviation that a residual `(nf,)` shows, smoothed over neighbours."""
         n = self.f_hz.size
         width = min(n, max(SMOOTHED_LINES, round(SMOOTHED_SHARE * n)))
@@ -80,7 +80,7 @@ def of_response(
     band_hz: tuple[float, float],
     floor: float,
     smooth_lines: int,
-) -> list[list[Lines]]:
+) -> list[list[SpectralLines]]:
     """Return the channels of a response within the band, `[output][input]`.
 
     Args:
@@ -117,9 +117,11 @@ def of_response(
         least = np.finfo(float).eps * size.max(axis=2, keepdims=True)
         deviation = np.sqrt(np.maximum(noise, 0.0) + (floor * size) ** 2 + least**2)
     f, one = f[keep], np.ones(np.count_nonzero(keep), dtype=np.complex128)
-    return [
-        [Lines(f, one, G[i, j], deviation[i, j], False, rate_hz) for j in range(G.shape[1])] for i in range(G.shape[0])
-    ]
+
+    def channel(i: int, j: int) -> SpectralLines:
+        return SpectralLines(f, one, G[i, j], deviation[i, j], False, rate_hz)
+
+    return [[channel(i, j) for j in range(G.shape[1])] for i in range(G.shape[0])]
 
 
 def smoothed(variance: FloatArray, width: int) -> FloatArray:
@@ -135,7 +137,9 @@ def smoothed(variance: FloatArray, width: int) -> FloatArray:
     return np.array(rows).reshape(variance.shape)
 
 
-def of_record(who: str, record: Record, band_hz: tuple[float, float], outputs: FloatArray | None = None) -> list[Lines]:
+def of_record(
+    who: str, record: Record, band_hz: tuple[float, float], outputs: FloatArray | None = None
+) -> list[SpectralLines]:
     """Return the channels from the one input that moves, one an output, at the excited lines within the band.
 
     Args:
@@ -160,7 +164,7 @@ def of_record(who: str, record: Record, band_hz: tuple[float, float], outputs: F
     if not keep.any():
         raise InputError(f"{who}: no line of the record's input lies between {band_hz[0]:g} and {band_hz[1]:g} Hz.")
     lines, one = np.asarray(f[keep], dtype=np.float64), np.ones(np.count_nonzero(keep))
-    return [Lines(lines, U[keep], row[keep], one, True, rate) for row in Y]
+    return [SpectralLines(lines, U[keep], row[keep], one, True, rate) for row in Y]
 
 
 def parents(source: FrequencyResponse | Record) -> tuple[str, ...]:

@@ -105,9 +105,9 @@ def _step(
         return step, 0.0
     # Logarithms need no scaling; scaled, the least telling parameters would move the most.
     U, s, Vt = np.linalg.svd(J[:, free], full_matrices=False)
-    seen = s > RANK * max(s[0], np.finfo(float).tiny)
-    along = (U.T @ r)[seen]
-    s, Vt = s[seen], Vt[seen]
+    determined = s > RANK * max(s[0], np.finfo(float).tiny)
+    along = (U.T @ r)[determined]
+    s, Vt = s[determined], Vt[determined]
     step[free] = -Vt.T @ (s * along / (s**2 + damping * s[0] ** 2)) if s.size else 0.0
     return step, float(np.sum(along[s > least] ** 2))
 
@@ -125,7 +125,7 @@ class Combination:
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class Identifiability:
     """What the Jacobian says the data tell.
 
     Attributes:
@@ -145,7 +145,7 @@ class Told:
 SHARE = 1e-3
 
 
-def told(J: FloatArray, names: tuple[str, ...], inflation: float = 1.0) -> Told:
+def identifiability(J: FloatArray, names: tuple[str, ...], inflation: float = 1.0) -> Identifiability:
     """Return covariance and told combinations for a Jacobian in units of the noise, `(m, p)`.
 
     Args:
@@ -154,18 +154,18 @@ def told(J: FloatArray, names: tuple[str, ...], inflation: float = 1.0) -> Told:
         inflation: of the variance, where the residual is larger than its noise.
     """
     _, s, Vt = np.linalg.svd(J, full_matrices=False)
-    seen = s > RANK * s[0]
-    rows = Vt[seen]
+    determined = s > RANK * s[0]
+    rows = Vt[determined]
     silent = np.eye(J.shape[1]) - rows.T @ rows
-    covariance = inflation * (rows.T / s[seen] ** 2) @ rows
+    covariance = inflation * (rows.T / s[determined] ** 2) @ rows
     unbounded = np.sqrt(np.maximum(np.diag(silent), 0.0)) > SHARE
     unbounded |= np.sqrt(np.diag(covariance)) > LEAST
-    rows = Vt[seen & (s > np.sqrt(inflation) / LEAST)]
-    found = []
+    rows = Vt[determined & (s > np.sqrt(inflation) / LEAST)]
+    combinations = []
     for row in _reduced(rows):
         powers = {n: float(np.round(a, 6)) for n, a in zip(names, row, strict=True) if abs(a) > SHARE}
-        found.append(Combination(powers, float(np.sqrt(row @ covariance @ row))))
-    return Told(covariance, silent, unbounded, tuple(found))
+        combinations.append(Combination(powers, float(np.sqrt(row @ covariance @ row))))
+    return Identifiability(covariance, silent, unbounded, tuple(combinations))
 
 
 def _reduced(rows: FloatArray) -> FloatArray:

@@ -12,8 +12,8 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.identify.grey_box.data import Lines, of_record, of_response, parents
-from ultraquiet.identify.grey_box.least_squares import Minimum, chi_squared, search, told
+from ultraquiet.identify.grey_box.data import SpectralLines, of_record, of_response, parents
+from ultraquiet.identify.grey_box.least_squares import Minimum, chi_squared, identifiability, search
 from ultraquiet.identify.grey_box.modal_basis import SHARED, Channels, modes_of, residue_terms
 from ultraquiet.identify.grey_box.modal_result import ModalFit, names, share, verdict
 from ultraquiet.identify.grey_box.realisation import realised
@@ -157,7 +157,9 @@ class StructuredModal:
         channels = Channels(lines, self.delay, self.general, response.variance is not None)
         return self._judged(channels, *self._sought(channels), response)
 
-    def _of_lines(self, columns: Sequence[Sequence[Lines]], source: Record, start: FloatArray | None) -> ModalFit:
+    def _of_lines(
+        self, columns: Sequence[Sequence[SpectralLines]], source: Record, start: FloatArray | None
+    ) -> ModalFit:
         """Return the fit of records, one column each, their noise read off the residual."""
         channels = Channels(list(zip(*columns, strict=True)), self.delay, self.general)
         x = self._sought(channels)[0].x if start is None else start
@@ -206,12 +208,12 @@ class StructuredModal:
         With a mode too few what is shared may have gone far to stand in for it.
         """
         f = channels.flat[0].f_hz
-        tried = []
+        candidates = []
         for shared in (x[: len(SHARED)], self._start()):
             wider = np.concatenate([shared, x[len(SHARED) :]])
             wider = np.concatenate([wider, self._next(channels, wider, f)])
-            tried.append(self._refined(channels, wider, self._free(wider), TRIAL_STEPS))
-        return min(tried, key=lambda found: found.loss)
+            candidates.append(self._refined(channels, wider, self._free(wider), TRIAL_STEPS))
+        return min(candidates, key=lambda candidate: candidate.loss)
 
     def _criterion(self, channels: Channels, at: Minimum) -> float:
         """Return the Bayesian criterion; where the noise is not known yet, its size is one more unknown."""
@@ -252,7 +254,7 @@ class StructuredModal:
             full[free] = part
             return full
 
-        found = search(
+        minimum = search(
             lambda part: channels.residual(whole_of(part)),
             x[free],
             low[free],
@@ -260,7 +262,7 @@ class StructuredModal:
             iterations,
             lambda part: channels.jacobian(whole_of(part), free),
         )
-        return replace(found, x=whole_of(found.x))
+        return replace(minimum, x=whole_of(minimum.x))
 
     def _ordered(self, residues: FloatArray, order: np.ndarray) -> FloatArray:
         each = 2 if self.general else 1
@@ -293,14 +295,14 @@ class StructuredModal:
         p_value = chi_squared(minimum.loss, spare) if channels.noise_known else float("nan")
         loose = minimum.loss / spare if not p_value >= SIGNIFICANCE else 1.0
         every = names(x)
-        found = told(minimum.jacobian, tuple(n for n, f in zip(every, free, strict=True) if f), loose)
+        determined = identifiability(minimum.jacobian, tuple(n for n, f in zip(every, free, strict=True) if f), loose)
         deviation = np.zeros(x.size)
-        deviation[free] = np.where(found.unbounded, np.inf, np.sqrt(np.diag(found.covariance)))
+        deviation[free] = np.where(determined.unbounded, np.inf, np.sqrt(np.diag(determined.covariance)))
         deviation *= np.exp(x)
         order = np.argsort(x[len(SHARED) :: 2])
         modes, spread = (v[len(SHARED) :].reshape(-1, 2)[order] for v in (np.exp(x), deviation))
         error = np.array([share(c, e) for c, e in zip(channels.flat, at.residuals, strict=True)]).reshape(ny, nu)
-        made = Provenance(self.name, asdict(self), parents=parents(source), versions=versions())
+        provenance = Provenance(self.name, asdict(self), parents=parents(source), versions=versions())
         rate_hz = channels.flat[0].rate_hz
         model = realised(
             residue_terms(x, residues, rate_hz, self.general),
@@ -308,7 +310,7 @@ class StructuredModal:
             rate_hz,
             source.actuators,
             source.sensors,
-            made,
+            provenance,
         )
         return ModalFit(
             model=model,
@@ -319,7 +321,7 @@ class StructuredModal:
             modes_damping=modes[:, 1],
             modes_deviation=spread.T,
             residues=self._ordered(residues, order),
-            covariance=found.covariance,
+            covariance=determined.covariance,
             free=tuple(n for n, f in zip(every, free, strict=True) if f),
             error=error,
             p_value=p_value,

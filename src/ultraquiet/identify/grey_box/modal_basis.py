@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.grey_box.data import Lines
-from ultraquiet.identify.grey_box.strut_equation import fractions, held_each, separated
+from ultraquiet.identify.grey_box.data import SpectralLines
+from ultraquiet.identify.grey_box.strut_equation import fractions, responses_behind_hold, separated
 
 # Order of the shared logarithms; frequency and damping of every mode follow in pairs.
 SHARED = (
@@ -33,10 +33,10 @@ class Terms(NamedTuple):
     zeros: np.ndarray
     poles: ComplexArray
 
-    def held(self, f_hz: FloatArray, rate_hz: float, delay: int) -> ComplexArray:
+    def response(self, f_hz: FloatArray, rate_hz: float, delay: int) -> ComplexArray:
         """Return the responses behind the hold and the delay, `(nf, k)`."""
         late = np.exp(-2j * np.pi * f_hz * (delay - 1) / rate_hz)
-        return held_each(self.gains, self.zeros, self.poles, f_hz, rate_hz) * late[:, None]
+        return responses_behind_hold(self.gains, self.zeros, self.poles, f_hz, rate_hz) * late[:, None]
 
 
 def joined(parts: Sequence[Terms]) -> Terms:
@@ -77,7 +77,7 @@ def _pair(f_hz: float, zeta: float) -> ComplexArray:
 
 def basis(x: FloatArray, f_hz: FloatArray, rate_hz: float, delay: int, general: bool) -> ComplexArray:
     """Return all functions, `(nf, k)`."""
-    return all_terms(x, general).held(f_hz, rate_hz, delay)
+    return all_terms(x, general).response(f_hz, rate_hz, delay)
 
 
 def slopes(
@@ -93,7 +93,7 @@ def slopes(
         whole = k < len(SHARED)
         sides += [all_terms(x + s, general) if whole else terms_of(x + s, m, general) for s in (step, -step)]
         places.append(slice(None) if whole else slice(1 + each * m, 1 + each * (m + 1)))
-    values = joined(sides).held(f_hz, rate_hz, delay)
+    values = joined(sides).response(f_hz, rate_hz, delay)
     parts = np.split(values, np.cumsum([len(s.gains) for s in sides])[:-1], axis=1)
     out = []
     for place, up, down in zip(places, parts[::2], parts[1::2], strict=True):
@@ -107,13 +107,13 @@ def slopes(
 class Channels:
     """All channels of a matrix, `[output][input]`, and whether the deviations of their lines are those of the noise."""
 
-    lines: Sequence[Sequence[Lines]]
+    lines: Sequence[Sequence[SpectralLines]]
     delay: int
     general: bool
     noise_known: bool = False
 
     @property
-    def flat(self) -> list[Lines]:
+    def flat(self) -> list[SpectralLines]:
         """The channels, row by row."""
         return [c for row in self.lines for c in row]
 
@@ -137,7 +137,7 @@ class Channels:
             out.append(_channel(c, phis[id(c.f_hz)], self._memory(x, c), c.scaled(c.y)))
         return Solved(*(list(v) for v in zip(*out, strict=True)))
 
-    def _memory(self, x: FloatArray, c: Lines) -> FloatArray:
+    def _memory(self, x: FloatArray, c: SpectralLines) -> FloatArray:
         if not c.transient:
             return np.zeros((2 * c.f_hz.size, 0))
         return c.memory(self.poles(x, c.rate_hz), self.delay)
@@ -173,7 +173,7 @@ class Channels:
         total, known = 0.0, {}
         for c, e, Q in zip(self.flat, at.residuals, at.spans, strict=True):
             if id(c.f_hz) not in known:
-                known[id(c.f_hz)] = terms_of(trial, 0, self.general).held(c.f_hz, c.rate_hz, self.delay)
+                known[id(c.f_hz)] = terms_of(trial, 0, self.general).response(c.f_hz, c.rate_hz, self.delay)
             v = c.scaled(c.u[:, None] * known[id(c.f_hz)])
             v, _ = np.linalg.qr(v - Q @ (Q.T @ v))
             total += float(np.sum((v.T @ e) ** 2))
@@ -195,17 +195,17 @@ class Solved:
 
 
 def _channel(
-    c: Lines, phi: ComplexArray, memory: FloatArray, y: FloatArray
+    c: SpectralLines, phi: ComplexArray, memory: FloatArray, y: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     A = c.scaled(c.u[:, None] * phi)
     size = np.linalg.norm(A, axis=0)
     A = A / size - memory @ (memory.T @ (A / size))
     y = y - memory @ (memory.T @ y)
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    seen = s > 1e-10 * s[0]
-    U = U[:, seen]
+    strong = s > 1e-10 * s[0]
+    U = U[:, strong]
     along = U.T @ y
-    return Vt[seen].T @ (along / s[seen]) / size, y - U @ along, np.hstack([memory, U])
+    return Vt[strong].T @ (along / s[strong]) / size, y - U @ along, np.hstack([memory, U])
 
 
 def residue_terms(

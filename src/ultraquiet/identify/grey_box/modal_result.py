@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.grey_box.data import Lines
+from ultraquiet.identify.grey_box.data import SpectralLines
 from ultraquiet.identify.grey_box.least_squares import Minimum
 from ultraquiet.identify.grey_box.modal_basis import SHARED, modes_of
 from ultraquiet.identify.result import SIGNIFICANCE
@@ -56,7 +56,7 @@ def names(x: FloatArray) -> list[str]:
     return [*SHARED, *(n for k in range(modes) for n in (f"mode_{k + 1}_hz", f"mode_{k + 1}_damping"))]
 
 
-def share(c: Lines, e: FloatArray) -> float:
+def share(c: SpectralLines, e: FloatArray) -> float:
     """Return the RMS of an error as a share of the data."""
     n = c.f_hz.size
     error = np.hypot(e[:n], e[n:]) * c.deviation / np.sqrt(2.0)

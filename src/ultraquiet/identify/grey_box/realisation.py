@@ -21,7 +21,7 @@ def realised(
     rate_hz: float,
     actuators: Sequence[Channel],
     sensors: Sequence[Channel],
-    made: Provenance,
+    provenance: Provenance,
 ) -> StateSpace:
     """Return z^(1 - delay) sum_k R_k / (z - p_k).
 
@@ -32,7 +32,7 @@ def realised(
         rate_hz: of the samples.
         actuators: of the system.
         sensors: likewise.
-        made: its provenance.
+        provenance: likewise.
     """
     merged: dict[complex, ComplexArray] = {}
     for poles, residues in terms:
@@ -44,7 +44,7 @@ def realised(
     Ad, Bd, Cd, Dd = delay_line(delay - 1, nu)
     A = np.block([[A, B @ Cd], [np.zeros((len(Ad), len(A))), Ad]])
     B, C = np.vstack([B @ Dd, Bd]), np.hstack([C, np.zeros((ny, len(Ad)))])
-    return StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz, actuators, sensors, made)
+    return StateSpace(A, B, C, np.zeros((ny, nu)), rate_hz, actuators, sensors, provenance)
 
 
 def block(pole: complex, residue: ComplexArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -1,4 +1,4 @@
-"""A structured model of a record: clipped readings mended, the misfit judged in time."""
+"""A grey-box model of a record: clipped readings mended, the misfit judged in time."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -34,17 +34,17 @@ def fitted_to_record(method: Any, record: Record, fit: Callable[[Record, FloatAr
     low, high = (np.array([[getattr(c, k)] for c in record.sensors]) for k in ("low", "high"))
     clipped = (record.outputs <= low) | (record.outputs >= high)
     y = record.outputs
-    found = fit(record, y, None)
-    simulated = played(found.model, record, y, clipped)
+    fitted = fit(record, y, None)
+    simulated = played(fitted.model, record, y, clipped)
     for _ in range(REPAIRS if method.repair and clipped.any() else 0):
         mended = np.array([repaired(*row) for row in zip(record.outputs, simulated, low, high, strict=True)])
         moved = np.linalg.norm(mended - y) / np.linalg.norm(mended)
         y = mended
-        found = fit(record, y, found)
-        simulated = played(found.model, record, y, clipped)
+        fitted = fit(record, y, fitted)
+        simulated = played(fitted.model, record, y, clipped)
         if moved < SETTLED:
             break
-    return _result(method, record, found, np.clip(simulated, low, high), int(clipped.sum()))
+    return _result(method, record, fitted, np.clip(simulated, low, high), int(clipped.sum()))
 
 
 def played(model: StateSpace, record: Record, y: FloatArray, clipped: np.ndarray) -> FloatArray:
@@ -65,32 +65,32 @@ def played(model: StateSpace, record: Record, y: FloatArray, clipped: np.ndarray
     columns /= np.linalg.norm(columns, axis=0)
     out = np.empty_like(y)
     for i, row in enumerate(y):
-        seen = ~clipped[i]
-        x = np.linalg.lstsq(columns[seen], (row - forced[i])[seen], rcond=1e-10)[0]
+        unclipped = ~clipped[i]
+        x = np.linalg.lstsq(columns[unclipped], (row - forced[i])[unclipped], rcond=1e-10)[0]
         out[i] = forced[i] + columns @ x
     return out
 
 
-def _result(method: Any, record: Record, found: Any, simulated: FloatArray, clipped: int) -> Result:
+def _result(method: Any, record: Record, fitted: Any, simulated: FloatArray, clipped: int) -> Result:
     error = record.outputs - simulated
     lags, memory = (min(k, record.samples // 10) for k in (TEST_LAGS, RESIDUAL_LAGS))
     # What lies outside the band was not fitted: where it is quieter than the band it would show the fit's own spread.
     inputs, inside = (_within(v, record.rate_hz, method.band_hz) for v in (record.inputs, error))
     free = np.array([_free_of_inputs(e, inputs, lags, memory) for e in inside])
-    statuses = [_verdict(found.status, p) for p in free]
-    made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
+    statuses = [_verdict(fitted.status, p) for p in free]
+    provenance = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
     return Result(
-        model=found.model,
+        model=fitted.model,
         status=worst(statuses),
         fit_percent=np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)]),
         loss=np.mean(error**2, axis=1),
-        covariance=np.broadcast_to(found.covariance, (len(error), *found.covariance.shape)),
+        covariance=np.broadcast_to(fitted.covariance, (len(error), *fitted.covariance.shape)),
         whiteness_p=np.array([portmanteau.ljung_box(e, lags).p_value for e in error]),
         correlation_p=free,
-        iterations=np.full(len(error), found.iterations),
+        iterations=np.full(len(error), fitted.iterations),
         statuses=tuple(statuses),
-        provenance=made,
-        details={"fit": found, "repaired": clipped if method.repair else 0},
+        provenance=provenance,
+        details={"fit": fitted, "repaired": clipped if method.repair else 0},
     )
 
 
@@ -108,11 +108,11 @@ def _free_of_inputs(e: FloatArray, u: FloatArray, lags: int, memory: int) -> flo
     return portmanteau.sidak(portmanteau.cross_correlation(e, x, lags, memory).p_value for x in moving)
 
 
-def _verdict(found: Status, p: float) -> Status:
-    if found.ok and p < SIGNIFICANCE:
+def _verdict(status: Status, p: float) -> Status:
+    if status.ok and p < SIGNIFICANCE:
         return Status(
             "not white",
             f"The simulated error still holds something of the inputs (p = {p:.1e}): the structure leaves part of the "
-            f"record unexplained. {found.sentence}",
+            f"record unexplained. {status.sentence}",
         )
-    return found
+    return status

@@ -12,8 +12,16 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.grey_box import strut_equation as strut
-from ultraquiet.identify.grey_box.data import Lines, of_record, of_response, parents
-from ultraquiet.identify.grey_box.least_squares import SHARE, Combination, Minimum, Told, chi_squared, search, told
+from ultraquiet.identify.grey_box.data import SpectralLines, of_record, of_response, parents
+from ultraquiet.identify.grey_box.least_squares import (
+    SHARE,
+    Combination,
+    Identifiability,
+    Minimum,
+    chi_squared,
+    identifiability,
+    search,
+)
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
 from ultraquiet.identify.record_checks import usable
@@ -82,7 +90,7 @@ class Structured:
 
     Args:
         known: symbol -> value that is not sought. The filter of section 3.1 unless given otherwise.
-        guess: symbol -> where the search begins; `structured_strut.NOMINAL` where absent.
+        guess: symbol -> where the search begins; `strut_equation.NOMINAL` where absent.
         bounds: symbol -> (least, largest); a factor 1000 either way of the guess where absent.
         band_hz: lines outside are left out.
         delay: samples from command to first effect: one by the hold, another by the computer. None tries 1 to 4.
@@ -98,7 +106,7 @@ class Structured:
     >>> truth = {**strut.NOMINAL, "k_g": 50.0}
     >>> f_hz = np.linspace(1.0, 250.0, 300)
     >>> factors = strut.factors(truth)
-    >>> G = strut.held(factors.gain, 3, factors.poles(), f_hz, 3500.0)[None, None]
+    >>> G = strut.response_behind_hold(factors.gain, 3, factors.poles(), f_hz, 3500.0)[None, None]
     >>> known = {s: truth[s] for s in strut.SYMBOLS if s not in ("b_g", "k_g", "R_M")}
     >>> fit = Structured(known=known, delay=1).identify_response(FrequencyResponse(f_hz, G), 3500.0)
     >>> {s: round(fit.parameters[s], 4) for s in fit.free}
@@ -218,23 +226,23 @@ class Structured:
     def _poles(self, x: FloatArray, rate_hz: float) -> ComplexArray:
         return np.asarray(np.exp(strut.factors(self._values(x)).poles() / rate_hz), dtype=np.complex128)
 
-    def _response(self, x: FloatArray, polarity: int, delay: int, lines: Lines) -> ComplexArray:
+    def _response(self, x: FloatArray, polarity: int, delay: int, lines: SpectralLines) -> ComplexArray:
         f = strut.factors(self._values(x))
         late = np.exp(-2j * np.pi * lines.f_hz * (delay - 1) / lines.rate_hz)
-        return polarity * late * strut.held(f.gain, 3, f.poles(), lines.f_hz, lines.rate_hz)
+        return polarity * late * strut.response_behind_hold(f.gain, 3, f.poles(), lines.f_hz, lines.rate_hz)
 
-    def _best(self, lines: Lines) -> tuple[Minimum, int, int]:
+    def _best(self, lines: SpectralLines) -> tuple[Minimum, int, int]:
         """Search from several starts for a few steps, from the best of them to the end."""
         self._check(lines)
-        tried = []
+        candidates = []
         for delay in DELAYS if self.delay is None else (self.delay,):
             for corner in CORNERS if "R_M" in self.free else (1.0,):
                 x, polarity = self._aligned(lines, delay, corner)
-                tried.append((self._search(lines, x, polarity, delay, TRIAL_STEPS), polarity, delay))
-        best, polarity, delay = min(tried, key=lambda t: t[0].loss)
+                candidates.append((self._search(lines, x, polarity, delay, TRIAL_STEPS), polarity, delay))
+        best, polarity, delay = min(candidates, key=lambda t: t[0].loss)
         return self._search(lines, best.x, polarity, delay, self.iterations), polarity, delay
 
-    def _check(self, lines: Lines) -> None:
+    def _check(self, lines: SpectralLines) -> None:
         needed = LINES_PER_PARAMETER * len(self.free)
         if lines.f_hz.size < needed:
             raise InputError(
@@ -251,7 +259,7 @@ class Structured:
                 f"m_g, b_g and k_g in 'known'."
             )
 
-    def _aligned(self, lines: Lines, delay: int, corner: float) -> tuple[FloatArray, int]:
+    def _aligned(self, lines: SpectralLines, delay: int, corner: float) -> tuple[FloatArray, int]:
         """Return a start whose gain meets the data, as far as K is free, and the polarity."""
         start = self._start()
         if "R_M" in start:
@@ -263,7 +271,7 @@ class Structured:
             start["K"] = float(np.clip(abs(share) * start["K"], *self.bounds_of("K")))
         return np.log(list(start.values())), 1 if share >= 0 else -1
 
-    def _search(self, lines: Lines, x: FloatArray, polarity: int, delay: int, iterations: int) -> Minimum:
+    def _search(self, lines: SpectralLines, x: FloatArray, polarity: int, delay: int, iterations: int) -> Minimum:
         bounds = np.log([self.bounds_of(s) for s in self.free])
 
         def residual(x: FloatArray) -> FloatArray:
@@ -275,7 +283,7 @@ class Structured:
 
     def _judged(
         self,
-        lines: Lines,
+        lines: SpectralLines,
         minimum: Minimum,
         polarity: int,
         delay: int,
@@ -285,21 +293,21 @@ class Structured:
         spare = max(1, minimum.residual.size - len(self.free))
         p_value = chi_squared(minimum.loss, spare) if noise_known else float("nan")
         loose = minimum.loss / spare if not p_value >= SIGNIFICANCE else 1.0
-        found = told(minimum.jacobian, self.free, loose)
+        determined = identifiability(minimum.jacobian, self.free, loose)
         values = self._values(minimum.x)
         sizes = np.array([values[s] for s in self.free])
-        covariance = _physical(found, sizes)
+        covariance = _physical(determined, sizes)
         G = lines.u * self._response(minimum.x, polarity, delay, lines)
         error = float(np.linalg.norm(minimum.residual) / np.linalg.norm(lines.scaled(G)))
-        status = _verdict(self, minimum, p_value, error, found, noise_known)
+        status = _verdict(self, minimum, p_value, error, determined, noise_known)
         spread = dict(zip(self.free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
         deviations = {str(s): float(spread.get(s, 0.0)) for s in strut.SYMBOLS}
-        made = Provenance(self.name, asdict(self), parents=parents(source), versions=versions())
+        provenance = Provenance(self.name, asdict(self), parents=parents(source), versions=versions())
         f = strut.factors(values)
         gain = np.array([polarity * f.gain])
         (poles,), (weights,) = strut.fractions(gain, np.array([3]), f.poles()[None], lines.rate_hz)
         model = realised(
-            [(poles, weights[:, None, None])], delay, lines.rate_hz, source.actuators, source.sensors, made
+            [(poles, weights[:, None, None])], delay, lines.rate_hz, source.actuators, source.sensors, provenance
         )
         return StructuredFit(
             model=model,
@@ -308,8 +316,8 @@ class Structured:
             deviations=deviations,
             free=self.free,
             covariance=covariance,
-            combinations=found.combinations,
-            quantities=self._quantities(minimum.x, found),
+            combinations=determined.combinations,
+            quantities=self._quantities(minimum.x, determined),
             polarity=polarity,
             delay=delay,
             error=error,
@@ -317,7 +325,7 @@ class Structured:
             iterations=minimum.iterations,
         )
 
-    def _quantities(self, x: FloatArray, found: Told) -> dict[str, tuple[float, float]]:
+    def _quantities(self, x: FloatArray, determined: Identifiability) -> dict[str, tuple[float, float]]:
         """Return each derived quantity with the deviation that the covariance gives it, to first order."""
         centre = strut.quantities(self._values(x))
         slopes = np.zeros((len(centre), x.size))
@@ -326,33 +334,33 @@ class Structured:
             step[k] = DERIVED_STEP
             up, down = (strut.quantities(self._values(x + s)) for s in (step, -step))
             slopes[:, k] = [(up[q] - down[q]) / (2 * DERIVED_STEP) for q in centre]
-        variance, size = np.einsum("qi,ij,qj->q", slopes, found.covariance, slopes), np.abs(list(centre.values()))
-        untold = np.linalg.norm(slopes @ found.silent, axis=1) > SHARE * np.linalg.norm(slopes, axis=1)
-        deviation = np.where(untold | (variance > size**2), np.inf, np.sqrt(variance))
+        variance, size = np.einsum("qi,ij,qj->q", slopes, determined.covariance, slopes), np.abs(list(centre.values()))
+        undetermined = np.linalg.norm(slopes @ determined.silent, axis=1) > SHARE * np.linalg.norm(slopes, axis=1)
+        deviation = np.where(undetermined | (variance > size**2), np.inf, np.sqrt(variance))
         return {q: (v, float(d)) for (q, v), d in zip(centre.items(), deviation, strict=True)}
 
 
-def _physical(found: Told, sizes: FloatArray) -> FloatArray:
-    covariance = found.covariance * np.outer(sizes, sizes)
-    covariance[found.unbounded, :] = covariance[:, found.unbounded] = np.nan
-    covariance[np.diag_indices(sizes.size)] = np.where(found.unbounded, np.inf, np.diag(covariance))
+def _physical(determined: Identifiability, sizes: FloatArray) -> FloatArray:
+    covariance = determined.covariance * np.outer(sizes, sizes)
+    covariance[determined.unbounded, :] = covariance[:, determined.unbounded] = np.nan
+    covariance[np.diag_indices(sizes.size)] = np.where(determined.unbounded, np.inf, np.diag(covariance))
     return covariance
 
 
 def _verdict(
-    method: Structured, minimum: Minimum, p_value: float, error: float, found: Told, noise_known: bool
+    method: Structured, minimum: Minimum, p_value: float, error: float, determined: Identifiability, noise_known: bool
 ) -> Status:
-    untold = [s for s, u in zip(method.free, found.unbounded, strict=True) if u]
+    undetermined = [s for s, u in zip(method.free, determined.unbounded, strict=True) if u]
     aside = (
-        f" The data cannot tell {', '.join(untold)} one by one (infinite deviations, kept near their guess), only "
-        f"{len(found.combinations)} combinations."
-        if untold
+        f" The data cannot tell {', '.join(undetermined)} one by one (infinite deviations, kept near their guess), "
+        f"only {len(determined.combinations)} combinations."
+        if undetermined
         else ""
     )
     bounds = np.log([method.bounds_of(s) for s in method.free])
-    held = [s for s, x, (low, high) in zip(method.free, minimum.x, bounds, strict=True) if not low < x < high]
-    if held:
-        aside += f" {', '.join(held)} ended at a bound, where deviations do not hold."
+    at_bound = [s for s, x, (low, high) in zip(method.free, minimum.x, bounds, strict=True) if not low < x < high]
+    if at_bound:
+        aside += f" {', '.join(at_bound)} ended at a bound, where deviations do not hold."
     if not minimum.converged:
         return Status("not converged", f"The search ended away from a minimum after {minimum.iterations} steps.{aside}")
     if noise_known and p_value < SIGNIFICANCE:

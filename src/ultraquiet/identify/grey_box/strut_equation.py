@@ -40,7 +40,7 @@ NOMINAL: Mapping[str, float] = MappingProxyType(
 APART = 1e-6
 
 
-class Factors(NamedTuple):
+class StrutFactors(NamedTuple):
     """k s^3 over the product of three real polynomials in s, each monic: geophone, strut (a cubic), filter."""
 
     gain: float
@@ -54,7 +54,7 @@ class Factors(NamedTuple):
         return separated(np.concatenate(roots).astype(np.complex128))
 
 
-def factors(value: Mapping[str, float]) -> Factors:
+def factors(value: Mapping[str, float]) -> StrutFactors:
     """Return eq. (10) times the filter, as a positive function; its minus sign is one of wiring.
 
     V_out / V_in = m_g K s^3 / (m_g s^2 + b_g s + k_g)
@@ -67,7 +67,7 @@ def factors(value: Mapping[str, float]) -> Factors:
     strut = np.polyadd(np.polymul(mechanics, [v["R_M"], 1.0 / v["C_M"] + 1.0 / v["C"]]), v["n"] ** 2 / v["C"] * circuit)
     lead = v["m_p"] * v["R_M"]
     w = 2 * np.pi * v["filter_hz"]
-    return Factors(
+    return StrutFactors(
         v["K"] * v["n"] / v["C"] / lead * w**2,
         np.array([1.0, v["b_g"] / v["m_g"], v["k_g"] / v["m_g"]]),
         np.asarray(strut / lead, dtype=np.float64),
@@ -75,18 +75,20 @@ def factors(value: Mapping[str, float]) -> Factors:
     )
 
 
-def held(gain: float, zeros_at_dc: int, poles: ComplexArray, f_hz: FloatArray, rate_hz: float) -> ComplexArray:
+def response_behind_hold(
+    gain: float, zeros_at_dc: int, poles: ComplexArray, f_hz: FloatArray, rate_hz: float
+) -> ComplexArray:
     """Return gain s^m / prod (s - p) behind a zero-order hold, exactly, `(nf,)`.
 
     G(z) = sum_p c_p (e^{pT} - 1) / p / (z - e^{pT}), c_p the residue at p.
     """
-    return held_each(np.array([gain]), np.array([zeros_at_dc]), poles[None], f_hz, rate_hz)[:, 0]
+    return responses_behind_hold(np.array([gain]), np.array([zeros_at_dc]), poles[None], f_hz, rate_hz)[:, 0]
 
 
-def held_each(
+def responses_behind_hold(
     gains: FloatArray, zeros_at_dc: np.ndarray, poles: ComplexArray, f_hz: FloatArray, rate_hz: float
 ) -> ComplexArray:
-    """Return `held` for k functions of as many poles each, `(k, n)`, side by side: `(nf, k)`."""
+    """Return `response_behind_hold` for k functions of as many poles each, `(k, n)`, side by side: `(nf, k)`."""
     discrete, weights = fractions(gains, zeros_at_dc, poles, rate_hz)
     z = points(f_hz, rate_hz)[:, None]
     out = np.zeros((f_hz.size, gains.size), dtype=np.complex128)

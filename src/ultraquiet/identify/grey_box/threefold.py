@@ -97,13 +97,13 @@ def fold(responses: FrequencyResponse | Sequence[FrequencyResponse], seed: int =
 
     Reference: doi:10.1109/9.793723 for systems with symmetric structure; Fisher 1935 for random signs.
     """
-    given = [responses] if isinstance(responses, FrequencyResponse) else list(responses)
-    G = np.array([_checked(r, given[0]) for r in given])
+    realisations = [responses] if isinstance(responses, FrequencyResponse) else list(responses)
+    G = np.array([_checked(r, realisations[0]) for r in realisations])
     mean = G.mean(axis=0)
     wanted, forbidden = contrasts()
     x = forbidden @ G.reshape(len(G), STRUTS**2, -1)
-    if len(given) == 1:
-        variance = given[0].variance
+    if len(realisations) == 1:
+        variance = realisations[0].variance
         p_value = float("nan") if variance is None else _chi_squared(x[0], forbidden, variance)
         variance = None if variance is None else wanted**2 @ variance.reshape(STRUTS**2, -1)
     else:
@@ -111,9 +111,8 @@ def fold(responses: FrequencyResponse | Sequence[FrequencyResponse], seed: int =
         variance = (wanted @ G.reshape(len(G), STRUTS**2, -1)).var(axis=0, ddof=1) / len(G)
         p_value = _random_signs(x, seed)
     share = np.linalg.norm(x.mean(axis=0), axis=0) / np.linalg.norm(mean, axis=(0, 1))
-    return Folded(
-        _loops(wanted @ mean.reshape(STRUTS**2, -1), variance, given[0]), p_value, share, _verdict(p_value, share)
-    )
+    loops = _loops(wanted @ mean.reshape(STRUTS**2, -1), variance, realisations[0])
+    return Folded(loops, p_value, share, _verdict(p_value, share))
 
 
 def _checked(response: FrequencyResponse, first: FrequencyResponse) -> ComplexArray:
@@ -168,8 +167,8 @@ def _random_signs(x: ComplexArray, seed: int) -> float:
     # |sum_m s_m x_m|^2 = s' (x^H x) s: the Gram matrix of the realisations at each line is all that signs act on.
     gram = np.einsum("mcf,ncf->fmn", x.conj(), x).real
     signs = rng.choice([-1.0, 1.0], size=(FLIPS, gram.shape[0], count))
-    drawn = np.einsum("kfm,fmn,kfn->k", signs, gram, signs, optimize=True)
-    return float((1 + np.count_nonzero(drawn >= gram.sum())) / (FLIPS + 1))
+    statistics = np.einsum("kfm,fmn,kfn->k", signs, gram, signs, optimize=True)
+    return float((1 + np.count_nonzero(statistics >= gram.sum())) / (FLIPS + 1))
 
 
 def _verdict(p_value: float, share: FloatArray) -> Status:
@@ -180,12 +179,12 @@ def _verdict(p_value: float, share: FloatArray) -> Status:
             f"The struts are not alike (p = {p_value:.1e}): what a threefold symmetry forbids is {size:.2g} % of the "
             f"response (median line); identify all 36 functions.",
         )
-    told = (
+    evidence = (
         "its noise is not known, so this is not tested"
         if np.isnan(p_value)
         else f"noise explains it (p = {p_value:.2f})"
     )
-    return Status("ok", f"What a threefold symmetry forbids is {size:.2g} % of the response (median line); {told}.")
+    return Status("ok", f"What a threefold symmetry forbids is {size:.2g} % of the response (median line); {evidence}.")
 
 
 class OfResponses(Protocol):
@@ -240,7 +239,7 @@ class Threefold:
         return ThreefoldFit(model, status, folded, (fits[0], fits[1], fits[2]))
 
 
-def unfolded(loops: Sequence[StateSpace], source: FrequencyResponse, made: Provenance) -> StateSpace:
+def unfolded(loops: Sequence[StateSpace], source: FrequencyResponse, provenance: Provenance) -> StateSpace:
     """Return T diag(g_1, g_2, H, H) T' as one system."""
     from scipy.linalg import block_diag
 
@@ -248,4 +247,4 @@ def unfolded(loops: Sequence[StateSpace], source: FrequencyResponse, made: Prove
     parts = (g_1, g_2, H, H)
     T = transform()
     A, B, C, D = (np.asarray(block_diag(*(getattr(p, k) for p in parts)), dtype=np.float64) for k in "ABCD")
-    return StateSpace(A, B @ T.T, T @ C, T @ D @ T.T, g_1.rate_hz, source.actuators, source.sensors, made)
+    return StateSpace(A, B @ T.T, T @ C, T @ D @ T.T, g_1.rate_hz, source.actuators, source.sensors, provenance)

@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
-from ultraquiet.identify.long_record_statistics import Survey, survey
+from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.structure import (
@@ -45,7 +45,7 @@ Watch = Callable[[FloatArray, FloatArray, FloatArray], None]
 class Stream:
     """One output of a long record with its inputs, each scaled to unit deviation as it is read."""
 
-    def __init__(self, record: LongRecord, output: int, seen: Survey) -> None:
+    def __init__(self, record: LongRecord, output: int, seen: LongRecordStatistics) -> None:
         self.record = record.pick(outputs=[output])
         self.input_size = seen.input_size
         self.output_size = float(seen.output_size[output])
@@ -145,7 +145,7 @@ def identify_long(method: "PolynomialMethod", record: LongRecord) -> Result:
 
 
 def _fit_output(
-    method: "PolynomialMethod", record: LongRecord, output: int, seen: Survey, pieces: list
+    method: "PolynomialMethod", record: LongRecord, output: int, seen: LongRecordStatistics, pieces: list
 ) -> tuple[one_fit.Fit, int]:
     data = Stream(record, output, seen)
     structure, nu = method.structure(), len(record.actuators)
@@ -249,7 +249,7 @@ def simulated_fit(record: LongRecord, output: int, model: PolynomialModel, offse
 
 
 def _simulated_fit(
-    data: Stream, model: PolynomialModel, seen: Survey, output: int, fitted: tuple[bool, bool], title: str
+    data: Stream, model: PolynomialModel, seen: LongRecordStatistics, output: int, fitted: tuple[bool, bool], title: str
 ) -> float:
     """Return the simulated fit in percent: the output-error loss of the model, its past and a constant fitted."""
     from ultraquiet.identify.prediction_error import kernels
@@ -298,7 +298,7 @@ def _model(place: Place, structure: Structure, data: Stream, rate_hz: float) -> 
     )
 
 
-def _clipping(status: Status, seen: Survey, output: int, record: LongRecord) -> Status:
+def _clipping(status: Status, seen: LongRecordStatistics, output: int, record: LongRecord) -> Status:
     """Return the verdict, no longer ok when readings stand at the sensor's limits."""
     count = int(seen.clipped[output])
     if count == 0 or not status.ok:
@@ -311,7 +311,7 @@ def _clipping(status: Status, seen: Survey, output: int, record: LongRecord) -> 
 
 
 def _gathered(
-    model: PolynomialMatrix, fits: list[one_fit.Fit], passes: list[int], seen: Survey, made: Provenance
+    model: PolynomialMatrix, fits: list[one_fit.Fit], passes: list[int], seen: LongRecordStatistics, made: Provenance
 ) -> Result:
     from ultraquiet.identify.polynomial.methods import gather
 

@@ -35,23 +35,23 @@ TAIL_HALVINGS = 12
 LOST = 1e10  # what a point without a likelihood costs
 
 
-class Block(NamedTuple):
+class PriorBlock(NamedTuple):
     """A kernel over m taps and its derivatives by the hyper-parameters."""
 
     K: FloatArray
     slopes: tuple[FloatArray, ...]
 
 
-def tuned_correlated(eta: FloatArray, m: int) -> Block:
+def tuned_correlated(eta: FloatArray, m: int) -> PriorBlock:
     """TC: K_kl = exp(scale) exp(-decay max(k, l)), k = 1, 2, ..."""
     k = np.arange(1, m + 1)
     latest = np.maximum.outer(k, k)
     decay = np.exp(eta[1])
     K = np.exp(eta[0] - decay * latest)
-    return Block(K, (K, -decay * latest * K))
+    return PriorBlock(K, (K, -decay * latest * K))
 
 
-def diagonal_correlated(eta: FloatArray, m: int) -> Block:
+def diagonal_correlated(eta: FloatArray, m: int) -> PriorBlock:
     """DC: K_kl = exp(scale) exp(-decay (k + l) / 2) correlation^|k - l|."""
     k = np.arange(1, m + 1)
     total, apart = np.add.outer(k, k), np.abs(np.subtract.outer(k, k))
@@ -60,10 +60,10 @@ def diagonal_correlated(eta: FloatArray, m: int) -> Block:
     power = correlation ** np.arange(m, dtype=np.float64)
     K = envelope * power[apart]
     turning = apart * (1 - correlation**2) * np.concatenate([[0.0], power[:-1]])[apart]
-    return Block(K, (K, -decay * total / 2 * K, envelope * turning))
+    return PriorBlock(K, (K, -decay * total / 2 * K, envelope * turning))
 
 
-def stable_spline(eta: FloatArray, m: int) -> Block:
+def stable_spline(eta: FloatArray, m: int) -> PriorBlock:
     """SS: K_kl = exp(scale) (exp(-decay (k + l + max)) / 2 - exp(-3 decay max) / 6)."""
     k = np.arange(1, m + 1)
     latest = np.maximum.outer(k, k)
@@ -71,10 +71,10 @@ def stable_spline(eta: FloatArray, m: int) -> Block:
     decay = np.exp(eta[1])
     first, second = np.exp(eta[0] - decay * total) / 2, np.exp(eta[0] - 3 * decay * latest) / 6
     K = first - second
-    return Block(K, (K, -decay * (total * first - 3 * latest * second)))
+    return PriorBlock(K, (K, -decay * (total * first - 3 * latest * second)))
 
 
-KERNELS: dict[str, tuple[Callable[[FloatArray, int], Block], int]] = {
+KERNELS: dict[str, tuple[Callable[[FloatArray, int], PriorBlock], int]] = {
     "tc": (tuned_correlated, 2),
     "dc": (diagonal_correlated, 3),
     "ss": (stable_spline, 2),
@@ -139,7 +139,7 @@ def estimate(R: FloatArray, samples: int, taps: Sequence[int], kernel: str) -> P
     from scipy.optimize import minimize
 
     problem = _Likelihood(R, samples, tuple(taps), kernel)
-    found = minimize(
+    optimum = minimize(
         problem.value_and_slope,
         problem.first(),
         jac=True,
@@ -147,7 +147,7 @@ def estimate(R: FloatArray, samples: int, taps: Sequence[int], kernel: str) -> P
         bounds=problem.bounds(),
         options={"maxiter": 200, "ftol": 1e-10, "gtol": 1e-4},
     )
-    return problem.posterior(np.asarray(found.x, dtype=np.float64), bool(found.success))
+    return problem.posterior(np.asarray(optimum.x, dtype=np.float64), bool(optimum.success))
 
 
 class _Likelihood:
@@ -272,5 +272,5 @@ class _Likelihood:
         total = self.rho2 + float(w @ w)
         return self.samples * np.log(total / self.samples) + 2.0 * float(np.sum(np.log(np.diag(L)))), total
 
-    def _kernels(self, eta: FloatArray) -> list[Block]:
+    def _kernels(self, eta: FloatArray) -> list[PriorBlock]:
         return [self.make(e, m) for e, m in zip(eta.reshape(len(self.taps), self.each), self.taps, strict=True)]

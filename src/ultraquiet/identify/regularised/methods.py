@@ -80,14 +80,14 @@ class _Regularised:
         scaled = signals / size[:, None]
         R = marginal_likelihood.compressed(scaled, lags, taps, record.outputs[i] / y_size, start)
         try:
-            found = marginal_likelihood.estimate(R, record.samples - start - 1, taps, kernel)
+            posterior = marginal_likelihood.estimate(R, record.samples - start - 1, taps, kernel)
         except np.linalg.LinAlgError as error:
             raise InputError(
                 f"{type(self).__name__}: output '{record.sensors[i].name}' leaves normal equations of no full rank: it "
                 f"grows without bound, or follows exactly from its own past; check that the plant is stable."
             ) from error
         unit = np.repeat(y_size / size, taps)
-        return found.mean * unit, found.covariance * np.outer(unit, unit), found
+        return posterior.mean * unit, posterior.covariance * np.outer(unit, unit), posterior
 
 
 @register("identify", "impulse")
@@ -186,9 +186,9 @@ class ImpulseResponse(_Regularised):
             _verdict(f[2].converged, p, float(_left(g[i]).max()))
             for i, (f, p) in enumerate(zip(fits, free, strict=True))
         ]
-        made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
-            model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, made),
+            model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, provenance),
             status=worst(statuses),
             fit_percent=np.array(
                 [prediction.fit_percent(y[start:], y[start:] - e) for y, e in zip(record.outputs, errors, strict=True)]
@@ -199,7 +199,7 @@ class ImpulseResponse(_Regularised):
             correlation_p=np.array(free),
             iterations=np.array([f[2].evaluations for f in fits]),
             statuses=tuple(statuses),
-            provenance=made,
+            provenance=provenance,
             details=details,
         )
 
@@ -303,9 +303,9 @@ class RegularisedArx(_Regularised):
             _arx_verdict(m, f[2].converged, float(w), float(c))
             for m, f, w, c in zip(models, fits, white, free, strict=True)
         ]
-        made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
-            model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, made),
+            model=PolynomialMatrix([[m] for m in models], record.actuators, record.sensors, provenance),
             status=worst(statuses),
             fit_percent=np.array([_simulated_fit(m, record, i) for i, m in enumerate(models)]),
             loss=np.array([float(np.mean(e**2)) for e in residuals]),
@@ -314,7 +314,7 @@ class RegularisedArx(_Regularised):
             correlation_p=free,
             iterations=np.array([f[2].evaluations for f in fits]),
             statuses=tuple(statuses),
-            provenance=made,
+            provenance=provenance,
             details={"eta": tuple(f[2].eta for f in fits)},
         )
 

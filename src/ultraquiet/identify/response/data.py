@@ -19,7 +19,7 @@ FAINTEST = 1e-12
 class Data(NamedTuple):
     """Samples to fit, and the responses with weights that starts are drawn from, `(ny, nu, nf)` each."""
 
-    samples: sections.Samples
+    samples: sections.FrequencySamples
     H: ComplexArray
     weight: FloatArray
     actuators: tuple[Channel, ...]
@@ -97,8 +97,8 @@ def from_record(record: Record, floor: float) -> Data:
 
 def from_periods(record: Record, period: int, floor: float, weigh: str) -> Data:
     """Return the spectra of the mean period at the lines its inputs excite."""
-    found = best_linear(record, period, settle_periods=1)
-    f, G, variance = found.response.f_hz, found.response.values, _known(found.response)
+    estimate = best_linear(record, period, settle_periods=1)
+    f, G, variance = estimate.response.f_hz, estimate.response.values, _known(estimate.response)
     lines = np.rint(f * period / record.rate_hz).astype(int)
     whole = record.samples // period * period
     U, Y = (
@@ -115,10 +115,10 @@ def from_periods(record: Record, period: int, floor: float, weigh: str) -> Data:
 
 def _samples(
     f: FloatArray, rate_hz: float | None, drives: ComplexArray, Y: ComplexArray, power: FloatArray
-) -> sections.Samples:
+) -> sections.FrequencySamples:
     """Return samples weighted by the power of the noise `(channels, nf)`."""
     scale = 2 * np.pi * float(np.sqrt(f[0] * f[-1]))
-    return sections.Samples(2 * np.pi * f, rate_hz, scale, drives, Y, np.sqrt(2.0 / _not_faint(power)))
+    return sections.FrequencySamples(2 * np.pi * f, rate_hz, scale, drives, Y, np.sqrt(2.0 / _not_faint(power)))
 
 
 def _known(response: FrequencyResponse) -> FloatArray:

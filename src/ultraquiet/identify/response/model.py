@@ -60,9 +60,9 @@ class WeightedFit:
     whiteness_p: float
     errors_by_order: Mapping[int, float]
     iterations: int
-    point: sections.Point
-    shape: sections.Shape
-    samples: sections.Samples
+    point: sections.SectionFit
+    shape: sections.SectionShape
+    samples: sections.FrequencySamples
     outputs_inputs: tuple[int, int]
     held_delay_s: float
 
@@ -122,7 +122,7 @@ class WeightedFit:
         ny, nu = self.outputs_inputs
         unit = np.ones((1, 1, f_hz.size), dtype=np.complex128)
         rho = self.point.rho.reshape(ny * nu, 1, -1)
-        there = sections.Samples(
+        there = sections.FrequencySamples(
             2 * np.pi * f_hz,
             self.samples.rate_hz,
             self.samples.scale,

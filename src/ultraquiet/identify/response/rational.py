@@ -98,16 +98,16 @@ class Rational:
     def identify(self, record: Record) -> Result:
         """Estimate the H1 response of a record and fit it; fit periodic ones by `identify_response` instead."""
         usable("Rational", record, (self.order or max(ORDERS)) * (len(record.actuators) + 1), 64)
-        found = self.identify_response(frf(record), record.rate_hz)
-        simulated = found.model.simulate(record.inputs)
+        fitted = self.identify_response(frf(record), record.rate_hz)
+        simulated = fitted.model.simulate(record.inputs)
         residual = record.outputs - simulated
         fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
-        statuses = [_simulated(found.status, p, e, record.inputs) for p, e in zip(fits, residual, strict=True)]
+        statuses = [_simulated(fitted.status, p, e, record.inputs) for p, e in zip(fits, residual, strict=True)]
         ny = len(record.sensors)
         unknown = np.full(ny, np.nan)
-        made = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
+        provenance = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
         return Result(
-            model=found.model,
+            model=fitted.model,
             status=worst(statuses),
             fit_percent=fits,
             loss=np.mean(residual**2, axis=1),
@@ -116,8 +116,8 @@ class Rational:
             correlation_p=unknown,
             iterations=np.full(ny, self.iterations),
             statuses=tuple(statuses),
-            provenance=made,
-            details={"order": found.order, "error": found.error},
+            provenance=provenance,
+            details={"order": fitted.order, "error": fitted.error},
         )
 
     @single_threaded
@@ -135,24 +135,25 @@ class Rational:
         f, G, weight = _checked(self, response, rate_hz)
         z = points(f, rate_hz)
         H = G * z ** (self.delay - 1)
-        seen = np.arange(f.size) % 2 == 0
+        used = np.arange(f.size) % 2 == 0
         orders = ORDERS if self.order is None else (self.order,)
-        orders = tuple(n for n in orders if n * 4 <= np.count_nonzero(seen))
-        fits: dict[int, vector_fitting.Rational] = {}
-        held: dict[int, float] = {}
+        orders = tuple(n for n in orders if n * 4 <= np.count_nonzero(used))
+        fits: dict[int, vector_fitting.PoleResidueFit] = {}
+        errors_by_order: dict[int, float] = {}
         slowest = float(2 * np.pi * f[0] / rate_hz)
         with task("rational fit", len(orders)) as progress:
             for n in orders:
                 start = _starting_poles(n, f, rate_hz)
                 fits[n] = vector_fitting.fit(
-                    z[seen], H[:, :, seen], weight[seen], start, self.iterations, self.zeros_at_dc, slowest
+                    z[used], H[:, :, used], weight[used], start, self.iterations, self.zeros_at_dc, slowest
                 )
-                held[n] = _error(fits[n], z[~seen], H[:, :, ~seen], weight[~seen])
-                progress.advance(note=f"order {n}: {held[n]:.4f}")
-        best = min(held.values())
-        chosen = min(n for n in held if held[n] ** 2 <= best**2 + (WORTH * self.floor) ** 2)
+                errors_by_order[n] = _error(fits[n], z[~used], H[:, :, ~used], weight[~used])
+                progress.advance(note=f"order {n}: {errors_by_order[n]:.4f}")
+        best = min(errors_by_order.values())
+        chosen = min(n for n in errors_by_order if errors_by_order[n] ** 2 <= best**2 + (WORTH * self.floor) ** 2)
         model = _realised(self, fits[chosen], f, rate_hz, weight, response)
-        return ResponseFit(model, _verdict(held[chosen]), chosen, (fits[chosen].error, held[chosen]), held)
+        error = fits[chosen].error, errors_by_order[chosen]
+        return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order)
 
 
 def _checked(
@@ -197,7 +198,7 @@ def _starting_poles(order: int, f: FloatArray, rate_hz: float) -> ComplexArray:
     return np.concatenate([upper, upper.conj(), real]).astype(np.complex128)
 
 
-def _error(fit: vector_fitting.Rational, z: ComplexArray, H: ComplexArray, weight: FloatArray) -> float:
+def _error(fit: vector_fitting.PoleResidueFit, z: ComplexArray, H: ComplexArray, weight: FloatArray) -> float:
     model = np.einsum("ijk,kf->ijf", fit.residues, 1.0 / (z - fit.poles[:, None]))
     return float(np.sqrt(np.mean(np.abs(weight * (model - H)) ** 2)))
 
@@ -226,7 +227,7 @@ def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray) -> Stat
 
 def _realised(
     method: Rational,
-    fit: vector_fitting.Rational,
+    fit: vector_fitting.PoleResidueFit,
     f: FloatArray,
     rate_hz: float,
     weight: FloatArray,
@@ -247,5 +248,5 @@ def _realised(
         )
     ny, nu = response.values.shape[:2]
     A, B, C, D = pole_residue.delayed(*pole_residue.joined(blocks), np.zeros((ny, nu)), method.delay - 1)
-    made = Provenance("rational", asdict(method), parents=response.provenance.parents, versions=versions())
-    return StateSpace(A, B, C, D, rate_hz, response.actuators, response.sensors, made)
+    provenance = Provenance("rational", asdict(method), parents=response.provenance.parents, versions=versions())
+    return StateSpace(A, B, C, D, rate_hz, response.actuators, response.sensors, provenance)

@@ -39,9 +39,9 @@ SMALLEST_P = 1e-12
 TEST_LAGS = 10
 
 
-class _Found(NamedTuple):
-    shape: sections.Shape
-    point: sections.Point
+class _OrderFit(NamedTuple):
+    shape: sections.SectionShape
+    point: sections.SectionFit
     steps: int
     converged: bool
     held_delay_s: float
@@ -122,8 +122,8 @@ class WeightedRational:
             data = from_periods(record, self.period_samples, self.floor, self.weigh)
         else:
             data = from_record(record, self.floor)
-        found = self._fit(data)
-        return _result(self, found, record)
+        fitted = self._fit(data)
+        return _result(self, fitted, record)
 
     def identify_response(self, response: FrequencyResponse, rate_hz: float | None = None) -> WeightedFit:
         """Fit a measured response with a variance, as `spectra` gives it; `with_coherence_variance` makes one.
@@ -146,13 +146,13 @@ class WeightedRational:
                 f"{WHO}: order {highest} takes {LINES_PER_POLE * highest} lines, there are "
                 f"{data.samples.f_rad.size}; measure more lines or lower the order."
             )
-        found: dict[int, _Found] = {}
+        fits: dict[int, _OrderFit] = {}
         scores: dict[int, float] = {}
 
-        def tried(n: int) -> None:
-            smaller = found.get(n - 2) or found.get(n - 1)
-            found[n] = _at_order(self, data, n, smaller)
-            scores[n] = _score(self.criterion, found[n], data.rows)
+        def try_order(n: int) -> None:
+            smaller = fits.get(n - 2) or fits.get(n - 1)
+            fits[n] = _at_order(self, data, n, smaller)
+            scores[n] = _score(self.criterion, fits[n], data.rows)
             progress.advance(note=f"order {n}: {scores[n]:.6g}")
 
         # Pairs of poles come first, a single one beside the best number of pairs.
@@ -161,19 +161,19 @@ class WeightedRational:
             for n in evens if self.order is None else [self.order]:
                 if _exhausted(scores):
                     break
-                tried(n)
+                try_order(n)
             if self.order is None:
                 best = min(scores, key=lambda n: scores[n])
                 for n in (best - 1, best + 1):
-                    if 1 <= n <= highest and n not in found:
-                        tried(n)
+                    if 1 <= n <= highest and n not in fits:
+                        try_order(n)
             best = min(scores, key=lambda n: scores[n])
-            again = _at_order_again(self, data, best, found)
-            scores[best] += data.rows * float(np.log(again.point.cost / found[best].point.cost))
-            found[best] = again
+            again = _at_order_again(self, data, best, fits)
+            scores[best] += data.rows * float(np.log(again.point.cost / fits[best].point.cost))
+            fits[best] = again
         best = min(scores, key=lambda n: scores[n])
         least = scores[best]
-        return _finished(self, data, found[best], {n: v - least for n, v in scores.items()})
+        return _finished(self, data, fits[best], {n: v - least for n, v in scores.items()})
 
 
 def _exhausted(scores: dict[int, float]) -> bool:
@@ -181,18 +181,18 @@ def _exhausted(scores: dict[int, float]) -> bool:
     return len(orders) > PATIENCE and min(scores[n] for n in orders[-PATIENCE:]) > min(scores.values())
 
 
-def _score(criterion: str, found: _Found, rows: int) -> float:
+def _score(criterion: str, fit: _OrderFit, rows: int) -> float:
     """Return rows ln(cost) + penalty: the scale of the variance does not matter."""
     each = np.log(rows) if criterion == "mdl" else 2.0
-    return float(rows * np.log(found.point.cost / rows) + each * found.parameters)
+    return float(rows * np.log(fit.point.cost / rows) + each * fit.parameters)
 
 
-def _at_order(method: WeightedRational, data: Data, order: int, smaller: _Found | None) -> _Found:
+def _at_order(method: WeightedRational, data: Data, order: int, smaller: _OrderFit | None) -> _OrderFit:
     rate_hz = data.samples.rate_hz
     if method.delay_s is not None:
-        held = method.delay_s if rate_hz is None else round(method.delay_s * rate_hz) / rate_hz
-        return _searched(method, data, sections.Shape(order, method.feedthrough, delay=False), held, smaller)
-    free = _searched(method, data, sections.Shape(order, method.feedthrough, delay=True), 0.0, smaller)
+        delay_s = method.delay_s if rate_hz is None else round(method.delay_s * rate_hz) / rate_hz
+        return _searched(method, data, sections.SectionShape(order, method.feedthrough, delay=False), delay_s, smaller)
+    free = _searched(method, data, sections.SectionShape(order, method.feedthrough, delay=True), 0.0, smaller)
     if rate_hz is None:
         return free
     near = round(float(free.point.theta[-1]) * rate_hz)
@@ -202,40 +202,40 @@ def _at_order(method: WeightedRational, data: Data, order: int, smaller: _Found 
     return min(tries, key=lambda t: t.point.cost)
 
 
-def _at_order_again(method: WeightedRational, data: Data, order: int, found: dict[int, _Found]) -> _Found:
+def _at_order_again(method: WeightedRational, data: Data, order: int, fits: dict[int, _OrderFit]) -> _OrderFit:
     """Return the fit, or a better one from the next smaller orders where what it misses is no noise.
 
     Close modes make minima of their own; a fit without one of them shows where it is missing.
     """
-    first = found[order]
+    first = fits[order]
     if order < 3 or _whiteness(first.point, first.parameters / data.rows) >= SIGNIFICANCE:
         return first
-    smaller = found.get(order - 2) or _at_order(method, data, order - 2, None)
+    smaller = fits.get(order - 2) or _at_order(method, data, order - 2, None)
     second = _at_order(method, data, order, smaller)
     return second if second.point.cost < first.point.cost else first
 
 
 def _searched(
-    method: WeightedRational, data: Data, shape: sections.Shape, held: float, smaller: _Found | None
-) -> _Found:
-    turned = data.late(held)
+    method: WeightedRational, data: Data, shape: sections.SectionShape, held_delay_s: float, smaller: _OrderFit | None
+) -> _OrderFit:
+    turned = data.late(held_delay_s)
     starts: list[FloatArray] = []
     top_hz = float(data.samples.f_rad[-1]) / (2 * np.pi)
     for quarter in DELAYS if shape.delay else (0,):
-        delay_s = quarter / (4 * top_hz)
-        ahead = turned.late(delay_s)
-        found = section_start.starts(ahead.samples, ahead.H, ahead.weight, replace(shape, delay=False))
-        starts += [np.append(theta, delay_s) if shape.delay else theta for theta in found]
-    if smaller is not None and smaller.shape.delay == shape.delay and smaller.held_delay_s == held:
-        starts.append(section_start.grown(turned.samples, smaller.point, smaller.shape.order, shape.order))
-    return _polished(method, data, shape, held, starts)
+        extra_delay_s = quarter / (4 * top_hz)
+        ahead = turned.late(extra_delay_s)
+        section_starts = section_start.starts(ahead.samples, ahead.H, ahead.weight, replace(shape, delay=False))
+        starts += [np.append(theta, extra_delay_s) if shape.delay else theta for theta in section_starts]
+    if smaller is not None and smaller.shape.delay == shape.delay and smaller.held_delay_s == held_delay_s:
+        starts.append(section_start.enlarged(turned.samples, smaller.point, smaller.shape.order, shape.order))
+    return _polished(method, data, shape, held_delay_s, starts)
 
 
 def _polished(
-    method: WeightedRational, data: Data, shape: sections.Shape, held: float, starts: list[FloatArray]
-) -> _Found:
+    method: WeightedRational, data: Data, shape: sections.SectionShape, held_delay_s: float, starts: list[FloatArray]
+) -> _OrderFit:
     """Search from the best starts a little way, then to the end from where the cost is lowest."""
-    samples = data.late(held).samples
+    samples = data.late(held_delay_s).samples
     first = sorted((sections.evaluate(samples, shape, theta) for theta in starts), key=lambda point: point.cost)
     slowest = data.slowest
     trials = [sections.search(samples, shape, point.theta, TRIAL_STEPS, slowest) for point in first[:TRIALS]]
@@ -243,40 +243,40 @@ def _polished(
     if not converged:
         point, more, converged = sections.search(samples, shape, point.theta, method.iterations, slowest)
         steps += more
-    return _Found(shape, point, steps, converged, held)
+    return _OrderFit(shape, point, steps, converged, held_delay_s)
 
 
-def _finished(method: WeightedRational, data: Data, found: _Found, scores: dict[int, float]) -> WeightedFit:
+def _finished(method: WeightedRational, data: Data, fit: _OrderFit, scores: dict[int, float]) -> WeightedFit:
     ny, nu = data.H.shape[:2]
-    freedom = data.rows - found.parameters
-    cost = found.point.cost / max(freedom, 1)
-    p = _whiteness(found.point, found.parameters / data.rows)
-    delay = found.held_delay_s + (float(found.point.theta[-1]) if found.shape.delay else 0.0)
-    at_limit = method.order is None and found.shape.order >= max(scores) and len(scores) > 1
+    freedom = data.rows - fit.parameters
+    cost = fit.point.cost / max(freedom, 1)
+    p = _whiteness(fit.point, fit.parameters / data.rows)
+    delay = fit.held_delay_s + (float(fit.point.theta[-1]) if fit.shape.delay else 0.0)
+    at_limit = method.order is None and fit.shape.order >= max(scores) and len(scores) > 1
     return WeightedFit(
-        model=_model(method, data, found),
-        status=_verdict(found, cost, p, at_limit),
-        order=found.shape.order,
+        model=_model(method, data, fit),
+        status=_verdict(fit, cost, p, at_limit),
+        order=fit.shape.order,
         delay_s=delay,
         cost=cost,
         whiteness_p=p,
         errors_by_order=scores,
-        iterations=found.steps,
-        point=_of_inputs(found.point, ny, nu),
-        shape=found.shape,
+        iterations=fit.steps,
+        point=_of_inputs(fit.point, ny, nu),
+        shape=fit.shape,
         samples=data.samples,
         outputs_inputs=(ny, nu),
-        held_delay_s=found.held_delay_s,
+        held_delay_s=fit.held_delay_s,
     )
 
 
-def _of_inputs(point: sections.Point, ny: int, nu: int) -> sections.Point:
+def _of_inputs(point: sections.SectionFit, ny: int, nu: int) -> sections.SectionFit:
     """Return the point with numerators of the inputs alone, `(ny nu, 1, linear)`."""
     rho = point.rho if point.rho.shape[1] == 1 else point.rho[:, :nu]
     return point._replace(rho=rho.reshape(ny * nu, 1, -1))
 
 
-def _whiteness(point: sections.Point, share: float) -> float:
+def _whiteness(point: sections.SectionFit, share: float) -> float:
     """Return the p-value that neighbouring lines' residuals are strangers, by a Ljung-Box test of all channels."""
     nf = point.residual.shape[1] // 2
     lags = min(TEST_LAGS, nf // 5)
@@ -293,11 +293,9 @@ def _whiteness(point: sections.Point, share: float) -> float:
     return float(chdtrc(max(freedom * (1.0 - share), 1.0), statistic))
 
 
-def _verdict(found: _Found, cost: float, p: float, at_limit: bool) -> Status:
-    if not found.converged:
-        return Status(
-            "not converged", f"{found.steps} steps did not reach a minimum; give another order or more steps."
-        )
+def _verdict(fit: _OrderFit, cost: float, p: float, at_limit: bool) -> Status:
+    if not fit.converged:
+        return Status("not converged", f"{fit.steps} steps did not reach a minimum; give another order or more steps.")
     more = "; higher orders were not tried" if at_limit else ""
     if p < SIGNIFICANCE:
         return Status(
@@ -314,33 +312,33 @@ def _chance(p: float) -> str:
     return f"p = {p:.2g}" if p > SMALLEST_P else f"p below {SMALLEST_P:g}"
 
 
-def _model(method: WeightedRational, data: Data, found: _Found) -> StateSpace:
+def _model(method: WeightedRational, data: Data, fit: _OrderFit) -> StateSpace:
     ny, nu = data.H.shape[:2]
-    rho = _of_inputs(found.point, ny, nu).rho.reshape(ny, nu, -1)
+    rho = _of_inputs(fit.point, ny, nu).rho.reshape(ny, nu, -1)
     rate_hz = data.samples.rate_hz
-    late = 0 if rate_hz is None else round(found.held_delay_s * rate_hz)
-    A, B, C, D = realised(data.samples, found.shape, found.point.theta, rho, 1.0 / float(data.weight.max()), late)
-    made = Provenance("weighted-rational", asdict(method), parents=data.parents, versions=versions())
-    return StateSpace(A, B, C, D, rate_hz, data.actuators, data.sensors, made)
+    late = 0 if rate_hz is None else round(fit.held_delay_s * rate_hz)
+    A, B, C, D = realised(data.samples, fit.shape, fit.point.theta, rho, 1.0 / float(data.weight.max()), late)
+    provenance = Provenance("weighted-rational", asdict(method), parents=data.parents, versions=versions())
+    return StateSpace(A, B, C, D, rate_hz, data.actuators, data.sensors, provenance)
 
 
-def _result(method: WeightedRational, found: WeightedFit, record: Record) -> Result:
-    simulated = found.model.simulate(record.inputs)
+def _result(method: WeightedRational, fitted: WeightedFit, record: Record) -> Result:
+    simulated = fitted.model.simulate(record.inputs)
     miss = record.outputs - simulated
     miss = miss - miss.mean(axis=1, keepdims=True)
-    residual = miss - free_motion(found.model.A, found.model.C, miss)
+    residual = miss - free_motion(fitted.model.A, fitted.model.C, miss)
     ny = len(record.sensors)
-    made = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
+    provenance = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
     return Result(
-        model=found.model,
-        status=found.status,
+        model=fitted.model,
+        status=fitted.status,
         fit_percent=np.array([fit_percent(y, y - e) for y, e in zip(record.outputs, residual, strict=True)]),
         loss=np.mean(residual**2, axis=1),
         covariance=np.full((ny, 0, 0), np.nan),
-        whiteness_p=np.full(ny, found.whiteness_p),
+        whiteness_p=np.full(ny, fitted.whiteness_p),
         correlation_p=np.full(ny, np.nan),
-        iterations=np.full(ny, found.iterations),
-        statuses=(found.status,) * ny,
-        provenance=made,
-        details={"order": found.order, "cost": found.cost, "delay_s": found.delay_s, "fit": found},
+        iterations=np.full(ny, fitted.iterations),
+        statuses=(fitted.status,) * ny,
+        provenance=provenance,
+        details={"order": fitted.order, "cost": fitted.cost, "delay_s": fitted.delay_s, "fit": fitted},
     )

@@ -24,7 +24,7 @@ GROWTH = 10.0  # of the output's size from the first to the last tenth of a reco
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchSummary:
     """How the model was found: steps of the search, whether it came to its end, whether at one-step errors."""
 
     steps: int
@@ -55,25 +55,30 @@ def independent(who: str, record: Record) -> None:
 
 
 def judged(
-    found: System, record: Record, data: Scaled, search: Search, made: Provenance, details: Mapping[str, Any]
+    system: System,
+    record: Record,
+    data: Scaled,
+    search: SearchSummary,
+    provenance: Provenance,
+    details: Mapping[str, Any],
 ) -> Result:
     """Return the result of a system in scaled units."""
     ny = len(record.sensors)
-    v = data.y - found.simulated(data.u) if found.stable() else np.full_like(data.y, np.inf)
-    e = found.errors(data.u, data.y)
+    v = data.y - system.simulated(data.u) if system.stable() else np.full_like(data.y, np.inf)
+    e = system.errors(data.u, data.y)
     tested = e if search.predicts else v
     free = [free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS) for x in tested]
     lags = min(TEST_LAGS, record.samples // 10)
     white = [portmanteau.ljung_box(x, lags).p_value for x in e]
-    spare = spare_modes(found, data, search.predicts)
-    grown = growing(record)
+    spare = spare_modes(system, data, search.predicts)
+    growing_outputs = growing(record)
     statuses = [
-        _verdict(search, p, q if search.predicts else 1.0, spare, len(found.A), i in grown)
+        _verdict(search, p, q if search.predicts else 1.0, spare, len(system.A), i in growing_outputs)
         for i, (p, q) in enumerate(zip(free, white, strict=True))
     ]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     return Result(
-        model=modelled(found, e, record, data, made),
+        model=modelled(system, e, record, data, provenance),
         status=worst(statuses),
         fit_percent=np.array([prediction.fit_percent(y, y - x) for y, x in zip(data.y, v, strict=True)]),
         loss=loss,
@@ -82,16 +87,16 @@ def judged(
         correlation_p=np.array(free),
         iterations=np.full(ny, search.steps, dtype=np.int64),
         statuses=tuple(statuses),
-        provenance=made,
+        provenance=provenance,
         details={**details, "spare_modes": spare},
     )
 
 
-def modelled(found: System, e: FloatArray, record: Record, data: Scaled, made: Provenance) -> InnovationForm:
+def modelled(system: System, e: FloatArray, record: Record, data: Scaled, provenance: Provenance) -> InnovationForm:
     """Return the system in units of the record, in real modal blocks."""
-    B, C, K = found.B / data.u_size.T, found.C * data.y_size, found.K / data.y_size.T
-    D = found.D * data.y_size / data.u_size.T
-    form = balance.modal(found.A, np.hstack([B, K]), C)
+    B, C, K = system.B / data.u_size.T, system.C * data.y_size, system.K / data.y_size.T
+    D = system.D * data.y_size / data.u_size.T
+    form = balance.modal(system.A, np.hstack([B, K]), C)
     errors = e * data.y_size
     nu = B.shape[1]
     return InnovationForm(
@@ -104,26 +109,26 @@ def modelled(found: System, e: FloatArray, record: Record, data: Scaled, made: P
         record.rate_hz,
         record.actuators,
         record.sensors,
-        made,
+        provenance,
     )
 
 
-def spare_modes(found: System, data: Scaled, predicts: bool) -> int:
+def spare_modes(system: System, data: Scaled, predicts: bool) -> int:
     """Return how many modes the record cannot tell from noise: without them its errors hardly grow.
 
     Leaving a mode out, all others fitted again, raises the sum of squares of output i by c' (N^-1)^-1 c; in units of
     the error variance that must exceed log(samples) for each number the mode has.
     """
-    form = balance.modal(found.A, np.hstack([found.B, found.K, found.x0[:, None]]), found.C)
+    form = balance.modal(system.A, np.hstack([system.B, system.K, system.x0[:, None]]), system.C)
     nu, ny, n = len(data.u), len(data.y), data.samples
     B, K, x0 = form.B[:, :nu], form.B[:, nu : nu + ny], form.B[:, -1]
     if predicts:
-        drive = np.vstack([data.u, data.y - found.constant[:, None]])
-        A, B = form.A - K @ form.C, np.hstack([B - K @ found.D, K])
-        error = found.errors(data.u, data.y)
-    elif found.stable():
+        drive = np.vstack([data.u, data.y - system.constant[:, None]])
+        A, B = form.A - K @ form.C, np.hstack([B - K @ system.D, K])
+        error = system.errors(data.u, data.y)
+    elif system.stable():
         drive, A = data.u, form.A
-        error = data.y - found.simulated(data.u)
+        error = data.y - system.simulated(data.u)
     else:
         return 0
     order = len(A)
@@ -164,7 +169,7 @@ def free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
     return portmanteau.sidak(portmanteau.cross_correlation(e, x, lags, min(memory, e.size // 10)).p_value for x in u)
 
 
-def _verdict(search: Search, free: float, white: float, spare: int, order: int, grows: bool) -> Status:
+def _verdict(search: SearchSummary, free: float, white: float, spare: int, order: int, grows: bool) -> Status:
     if grows:
         return Status(
             "not converged",

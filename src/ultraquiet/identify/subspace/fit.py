@@ -132,13 +132,13 @@ def system(modes: modal_least_squares.Modes) -> System:
 def refined_simulation(start: System, data: Scaled, options: Options) -> tuple[System, int, bool]:
     """Return the system of least simulated error, the steps taken, and whether the search came to its end."""
     drive = np.hstack([start.B, start.x0[:, None]])
-    at = gauss_newton.Point.of(start.A, drive, start.C, options.direct(start))
+    at = gauss_newton.BlockModel.of(start.A, drive, start.C, options.direct(start))
     signals = gauss_newton.Signals.of(data.u, data.u, data.y, options.feedthrough, options.offset)
-    found = gauss_newton.search(at, signals, options.weighted, options.steps, lambda p: p.radius <= STABLE_RADIUS)
-    A, B, C = found.point.matrices()
-    D, constant = options.parts(found.point.direct, len(data.u))
+    outcome = gauss_newton.search(at, signals, options.weighted, options.steps, lambda p: p.radius <= STABLE_RADIUS)
+    A, B, C = outcome.point.matrices()
+    D, constant = options.parts(outcome.point.direct, len(data.u))
     none = np.zeros((len(A), len(C)))
-    return System(A, B[:, :-1], C, D, none, B[:, -1], constant), found.steps, found.converged
+    return System(A, B[:, :-1], C, D, none, B[:, -1], constant), outcome.steps, outcome.converged
 
 
 def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> tuple[System, int, bool]:
@@ -154,10 +154,10 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
     settled = np.linalg.solve(np.eye(len(inner)) - inner, start.K)
     shifted = replace(start, constant=start.constant - start.C @ settled @ start.constant)
     drive = np.hstack([start.B - start.K @ start.D, start.K, (start.x0 - settled @ start.constant)[:, None]])
-    at = gauss_newton.Point.of(inner, drive, start.C, options.direct(shifted))
+    at = gauss_newton.BlockModel.of(inner, drive, start.C, options.direct(shifted))
     signals = gauss_newton.Signals.of(np.vstack([data.u, data.y]), data.u, data.y, options.feedthrough, options.offset)
 
-    def made(at: gauss_newton.Point) -> System:
+    def system_at(at: gauss_newton.BlockModel) -> System:
         A, B, C = at.matrices()
         K = B[:, nu : nu + ny]
         D, total = options.parts(at.direct, nu)
@@ -165,11 +165,11 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         constant = np.linalg.solve(np.eye(ny) - C @ settled, total).astype(np.float64)
         return System(A + K @ C, B[:, :nu] + K @ D, C, D, K, B[:, -1] + settled @ constant, constant)
 
-    def admissible(at: gauss_newton.Point) -> bool:
-        return at.radius <= STABLE_RADIUS and (not stable or made(at).stable())
+    def admissible(at: gauss_newton.BlockModel) -> bool:
+        return at.radius <= STABLE_RADIUS and (not stable or system_at(at).stable())
 
-    found = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
-    return made(found.point), found.steps, found.converged
+    outcome = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
+    return system_at(outcome.point), outcome.steps, outcome.converged
 
 
 def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:
@@ -183,7 +183,7 @@ def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:
     poles, directions, states = modes_of(start.A, start.C)
     best, loss = np.zeros_like(start.K), _spread(v)
     for _ in range(GAIN_ROUNDS):
-        bank = modal_least_squares.Bank(poles, e, v, feedthrough=False, offset=False)
+        bank = modal_least_squares.FilterBank(poles, e, v, feedthrough=False, offset=False)
         gain = (states @ bank.fit_b(directions).b[:, :-1]).real
         tried = replace(start, K=gain)
         if not tried.predicts():

@@ -53,7 +53,7 @@ class Signals:
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class BlockModel:
     """Blocks tau, sigma, kappa `(m,)`, b `(m, 2, J)`, c `(ny, m, 2)`, direct `(ny, d)`, Gram matrix at this point.
 
     A block with sigma = 0 is a single real pole; its second state is not there.
@@ -89,7 +89,7 @@ class Point:
         return A[np.ix_(there, there)], self.b.reshape(2 * m, -1)[there], self.c.reshape(ny, 2 * m)[:, there]
 
     @classmethod
-    def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, direct: FloatArray) -> "Point":
+    def of(cls, A: FloatArray, B: FloatArray, C: FloatArray, direct: FloatArray) -> "BlockModel":
         """Return the blocks of a system whose A can be diagonalised; real poles are paired with their neighbours."""
         values, vectors = (x.astype(np.complex128) for x in np.linalg.eig(A))
         into: ComplexArray = np.linalg.inv(vectors) @ B
@@ -123,21 +123,21 @@ def _two(p: FloatArray, b: FloatArray, c: FloatArray) -> _Block:
     return float(p.sum()) / 2.0, half, 1.0, joined, apart / 2.0
 
 
-class Found(NamedTuple):
+class SearchOutcome(NamedTuple):
     """Where the search ended; `converged` says that no step is left that matters."""
 
-    point: Point
+    point: BlockModel
     steps: int
     converged: bool
 
 
 def search(
-    start: Point,
+    start: BlockModel,
     signals: Signals,
     weighted: bool,
     steps: int,
-    admissible: Callable[[Point], bool],
-) -> Found:
+    admissible: Callable[[BlockModel], bool],
+) -> SearchOutcome:
     """Lower log det of the error covariance (`weighted`) or the log of its trace, by Levenberg-Marquardt.
 
     A step that is not admissible is damped like one that raises the loss.
@@ -150,7 +150,7 @@ def search(
         while True:
             step, gain = equations.step(damping)
             if gain < TOLERANCE:
-                return Found(point, done, damping < TRUSTED)
+                return SearchOutcome(point, done, damping < TRUSTED)
             trial = equations.moved(step)
             if admissible(trial):
                 other = evaluated(trial, signals)
@@ -159,16 +159,16 @@ def search(
                     break
             damping *= STIFFENED
             if damping > MOST_DAMPING:
-                return Found(point, done, False)
+                return SearchOutcome(point, done, False)
         slow = slow + 1 if loss - lower < SETTLED * equations.parameters else 0
         point, loss, done = other, lower, done + 1
         if slow == 2:
-            return Found(point, done, True)
+            return SearchOutcome(point, done, True)
         damping = max(damping * EASED, LEAST_DAMPING)
-    return Found(point, done, False)
+    return SearchOutcome(point, done, False)
 
 
-def evaluated(at: Point, signals: Signals) -> Point:
+def evaluated(at: BlockModel, signals: Signals) -> BlockModel:
     """Return the point with its own Gram matrix."""
     from ultraquiet.identify.subspace.kernels import sensitivity_gram
 
@@ -176,7 +176,7 @@ def evaluated(at: Point, signals: Signals) -> Point:
     return replace(at, G=sensitivity_gram(*blocks, at.direct, signals.drive, signals.tail, signals.outputs))
 
 
-def _loss(at: Point, signals: Signals, weighted: bool) -> float:
+def _loss(at: BlockModel, signals: Signals, weighted: bool) -> float:
     n, ny = signals.outputs.shape[1], len(at.c)
     if not np.all(np.isfinite(at.covariance)):
         return np.inf
@@ -186,7 +186,7 @@ def _loss(at: Point, signals: Signals, weighted: bool) -> float:
     return n * ny * float(np.log(np.trace(at.covariance) / n))
 
 
-def _even(at: Point) -> Point:
+def _even(at: BlockModel) -> BlockModel:
     """Return the point with b and c of equal size, which leaves the model as it is."""
     size_b, size_c = np.linalg.norm(at.b, axis=(1, 2)), np.linalg.norm(at.c, axis=(0, 2))
     good = (size_b > 0) & (size_c > 0)
@@ -201,7 +201,7 @@ def _even(at: Point) -> Point:
 class _Normal:
     """The normal equations at a point, outputs whitened; c and direct parts are the same for every whitened output."""
 
-    def __init__(self, at: Point, signals: Signals, weighted: bool) -> None:
+    def __init__(self, at: BlockModel, signals: Signals, weighted: bool) -> None:
         self.at = at
         n, ny = signals.outputs.shape[1], len(at.c)
         if weighted:
@@ -309,7 +309,7 @@ class _Normal:
         dc = solve_triangular(L.T, z - Y @ db, lower=False)
         return (db, dc), float(db @ self.right + np.sum(dc * self.right_c))
 
-    def moved(self, step: tuple[FloatArray, FloatArray]) -> Point:
+    def moved(self, step: tuple[FloatArray, FloatArray]) -> BlockModel:
         """Return the point after a step, its Gram matrix not yet computed."""
         at, (db, dc) = self.at, step
         ny, m, _ = at.c.shape
@@ -326,7 +326,7 @@ class _Normal:
         b, c = b.copy(), c.copy()
         b[:, 1] *= ratio[:, None]
         c[:, :, 1] /= ratio
-        return Point(blocks[:, 0], blocks[:, 1], blocks[:, 2], b, c, at.direct + wide[:, 2 * m :], at.G)
+        return BlockModel(blocks[:, 0], blocks[:, 1], blocks[:, 2], b, c, at.direct + wide[:, 2 * m :], at.G)
 
     def _block(self, k: int, first: float, second: float) -> tuple[float, float, float]:
         """Return tau, sigma and kappa of block k after a step, sigma chosen so that kappa is -1 or 1 where it can."""
@@ -345,7 +345,7 @@ class _Normal:
         return tau, sigma, square / sigma**2
 
 
-def _state_map(at: Point) -> FloatArray:
+def _state_map(at: BlockModel) -> FloatArray:
     """Return the matrix from rows (g, h) of all inputs, and the direct rows, to states x and the direct rows."""
     m, _, J = at.b.shape
     d = at.direct.shape[1]

@@ -60,7 +60,7 @@ def observability(u: FloatArray, y: FloatArray, rows: int, weight: str = "moesp"
     return directions(factor(u, y, rows), weight)
 
 
-def directions(held: Factor, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:
+def directions(lq: Factor, weight: str = "moesp") -> tuple[FloatArray, FloatArray]:
     """Return basis and singular values of the extended observability matrix, `(rows ny, .)`.
 
     The future outputs are projected on the past inputs and outputs along the future inputs: O = L32 L22^-1 [L21 L22].
@@ -71,7 +71,7 @@ def directions(held: Factor, weight: str = "moesp") -> tuple[FloatArray, FloatAr
     """
     from scipy.linalg import solve_triangular
 
-    L, first, last = held.L, held.first, held.last
+    L, first, last = lq.L, lq.first, lq.last
     M = L[last:, first:last]
     if weight == "n4sid":
         across = solve_triangular(L[first:last, first:last], L[first:last, :first], lower=True)

@@ -12,13 +12,13 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
-from ultraquiet.identify.long_record_statistics import Survey, survey
+from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace import evidence, fit, hankel, order_selection
-from ultraquiet.identify.subspace.modal_least_squares import Bank, Modes, alternate
+from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
-from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Start
+from ultraquiet.identify.subspace.start import GAIN, ROUNDS, SubspaceStart
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status
@@ -34,7 +34,7 @@ class ScaledStream:
     """A long record whose blocks come scaled as `fit.Scaled` has them."""
 
     record: LongRecord
-    seen: Survey
+    statistics: LongRecordStatistics
 
     @property
     def samples(self) -> int:
@@ -55,15 +55,15 @@ class ScaledStream:
     def scaled(self, part: Record) -> fit.Scaled:
         """Return a part in memory in the scale of the whole."""
         u, y = self._scaled(part.inputs, part.outputs)
-        return fit.Scaled(u, y, self.seen.input_size[:, None], self.seen.output_size[:, None])
+        return fit.Scaled(u, y, self.statistics.input_size[:, None], self.statistics.output_size[:, None])
 
     @property
     def input_level(self) -> FloatArray:
         """Means of the scaled inputs, `(nu, 1)`."""
-        return (self.seen.input_mean / self.seen.input_size)[:, None]
+        return (self.statistics.input_mean / self.statistics.input_size)[:, None]
 
     def _scaled(self, u: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        s = self.seen
+        s = self.statistics
         return u / s.input_size[:, None], (y - s.output_mean[:, None]) / s.output_size[:, None]
 
 
@@ -84,30 +84,30 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
             "Subspace: a record on disk is not refined for its one-step error; set focus='simulation', or refine on a "
             "part in memory."
         )
-    seen = survey(record)
-    piece = _most_excited(record, seen, PIECE_SAMPLES)
+    statistics = survey(record)
+    piece = _most_excited(record, statistics, PIECE_SAMPLES)
     settings.horizons(piece, settings.order or 1)
     usable("Subspace", piece, settings.order or 1, 0)
     evidence.independent("Subspace", piece)
     order = order_selection.chosen(settings, piece) if settings.order is None else settings.order
-    data = ScaledStream(record, seen)
+    data = ScaledStream(record, statistics)
     best = min(_starts(settings, data, order), key=lambda s: s.loss)
     modes, steps, converged = _finished(settings, data, best)
     early = data.first(NOISE_SAMPLES)
-    found = fit.system(modes)
-    found = replace(found, K=fit.noise_gain(found, best.innovations(early), early))
-    made = Provenance(settings.name, asdict(settings), parents=(record.hash,), versions=versions())
-    details = {"horizon": best.rows, "order": len(found.A), "singular_values": best.values, "samples": data.samples}
-    return _judged(found, data, (steps, converged), made, details)
+    system = fit.system(modes)
+    system = replace(system, K=fit.noise_gain(system, best.innovations(early), early))
+    provenance = Provenance(settings.name, asdict(settings), parents=(record.hash,), versions=versions())
+    details = {"horizon": best.rows, "order": len(system.A), "singular_values": best.values, "samples": data.samples}
+    return _judged(system, data, (steps, converged), provenance, details)
 
 
-def _most_excited(record: LongRecord, seen: Survey, samples: int) -> Record:
+def _most_excited(record: LongRecord, statistics: LongRecordStatistics, samples: int) -> Record:
     size = min(samples, record.samples)
-    at = seen.most_excited(size, 1)[0]
+    at = statistics.most_excited(size, 1)[0]
     return record.part(at, at + size)
 
 
-def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Iterator[Start]:
+def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Iterator[SubspaceStart]:
     """Yield what each horizon gives."""
     nu, ny = len(data.record.actuators), len(data.record.sensors)
     horizons = settings.horizons(data.record, order)
@@ -118,21 +118,21 @@ def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Itera
     for rows in horizons:
         factor = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
         bank_at = partial(_bank, settings, data, f"subspace: least squares at horizon {rows}")
-        yield Start.of(settings, factor, rows, order, bank_at)
+        yield SubspaceStart.of(settings, factor, rows, order, bank_at)
 
 
-def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> Bank:
+def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> FilterBank:
     from ultraquiet.identify.subspace.long_record_bank import StreamedBank
 
     shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
     return StreamedBank(poles, data.blocks(title), shape, settings.feedthrough, settings.offset)
 
 
-def _finished(settings: SubspaceSettings, data: ScaledStream, best: Start) -> tuple[Modes, int, bool]:
+def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> tuple[Modes, int, bool]:
     """Return the modes after the last rounds, poles refined when asked for, with the search's steps and its end."""
     if not settings.refine:
         return best.settled(), 0, True
-    piece = data.scaled(_most_excited(data.record, data.seen, REFINED_SAMPLES))
+    piece = data.scaled(_most_excited(data.record, data.statistics, REFINED_SAMPLES))
     refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
@@ -164,55 +164,55 @@ def hankel_gram(products: FloatArray, sums: Lagged, rows: int) -> FloatArray:
 
 
 def _judged(
-    found: fit.System, data: ScaledStream, search: tuple[int, bool], made: Provenance, details: dict[str, Any]
+    system: fit.System, data: ScaledStream, search: tuple[int, bool], provenance: Provenance, details: dict[str, Any]
 ) -> Result:
     """Return the result of a system in scaled units, its evidence from one more pass."""
-    ny, nu = found.D.shape
+    ny, nu = system.D.shape
     lags = min(evidence.TEST_LAGS, data.samples // 10)
     memory = min(evidence.RESIDUAL_LAGS, data.samples // 10)
     simulated, predicted = Lagged(ny + nu, lags + memory), Lagged(ny, lags)
-    for u, v, e in _errors(found, data):
+    for u, v, e in _errors(system, data):
         simulated.add(np.vstack([v, u]))
         predicted.add(e)
     n = data.samples
     r, white = simulated.products(centred=True) / n, predicted.products(centred=True)
     free = [_free(r, i, ny, lags, memory, n) for i in range(ny)]
     spread = predicted.products()[0] / n
-    statuses = [_verdict(p, data.seen, i, data.record, *search) for i, p in enumerate(free)]
+    statuses = [_verdict(p, data.statistics, i, data.record, *search) for i, p in enumerate(free)]
     whiteness_p = [portmanteau.ljung_box_of(white[1:, i, i] / white[0, i, i], n).p_value for i in range(ny)]
     squares = np.diag(simulated.products()[0])[:ny] / n
     # Any errors of this covariance will do: the model keeps no more of them.
     like = np.linalg.cholesky(spread + np.finfo(float).tiny * np.eye(ny)) * np.sqrt(ny)
-    model = evidence.modelled(found, like, data.record.part(0, 1), data.first(1), made)
+    model = evidence.modelled(system, like, data.record.part(0, 1), data.first(1), provenance)
     return Result(
         model=model,
         status=worst(statuses),
         fit_percent=100.0 * (1.0 - np.sqrt(squares)),
-        loss=np.diag(spread) * data.seen.output_size**2,
+        loss=np.diag(spread) * data.statistics.output_size**2,
         covariance=np.full((ny, 0, 0), np.nan),
         whiteness_p=np.array(whiteness_p),
         correlation_p=np.array(free),
         iterations=np.full(ny, search[0], dtype=np.int64),
         statuses=tuple(statuses),
-        provenance=made,
+        provenance=provenance,
         details=details,
     )
 
 
-def _errors(found: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Yield inputs, simulated and one-step errors block by block."""
     from ultraquiet.identify.subspace.long_record_bank import simulated
 
-    inner = np.ascontiguousarray(found.A - found.K @ found.C)
-    A, into = np.ascontiguousarray(found.A), found.B - found.K @ found.D
-    x, z = found.x0.copy(), found.x0.copy()
+    inner = np.ascontiguousarray(system.A - system.K @ system.C)
+    A, into = np.ascontiguousarray(system.A), system.B - system.K @ system.D
+    x, z = system.x0.copy(), system.x0.copy()
     for u, y in data.blocks("subspace: evidence"):
-        v = y - found.constant[:, None] - found.D @ u
+        v = y - system.constant[:, None] - system.D @ u
         states = np.empty((len(A), u.shape[1]))
-        simulated(A, found.B @ u, x, states)
-        miss = v - found.C @ states
-        simulated(inner, into @ u + found.K @ (y - found.constant[:, None]), z, states)
-        yield u, miss, v - found.C @ states
+        simulated(A, system.B @ u, x, states)
+        miss = v - system.C @ states
+        simulated(inner, into @ u + system.K @ (y - system.constant[:, None]), z, states)
+        yield u, miss, v - system.C @ states
 
 
 def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> float:
@@ -223,7 +223,9 @@ def _free(r: FloatArray, i: int, ny: int, lags: int, memory: int, n: int) -> flo
     )
 
 
-def _verdict(p: float, seen: Survey, output: int, record: LongRecord, steps: int, converged: bool) -> Status:
+def _verdict(
+    p: float, statistics: LongRecordStatistics, output: int, record: LongRecord, steps: int, converged: bool
+) -> Status:
     if not converged:
         return Status("not converged", f"The search ended away from a minimum after {steps} steps.")
     if p < SIGNIFICANCE:
@@ -232,9 +234,9 @@ def _verdict(p: float, seen: Survey, output: int, record: LongRecord, steps: int
             f"The simulated error still holds something of the inputs (p = {p:.1e}): the order or the horizon leaves "
             f"part of the record unexplained.",
         )
-    if seen.clipped[output]:
+    if statistics.clipped[output]:
         return Status(
             "not white",
-            f"{seen.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
+            f"{statistics.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
         )
     return Status("ok", f"The simulated error is free of the inputs (p = {p:.2f}).")

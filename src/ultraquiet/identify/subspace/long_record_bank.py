@@ -16,8 +16,8 @@ from ultraquiet.identify.subspace import modal_least_squares
 CELL = 512  # samples whose states are held at once
 
 
-class StreamedBank(modal_least_squares.Bank):
-    """A `modal.Bank` filled from blocks `(nu, m)`, `(ny, m)` of a record of `samples`."""
+class StreamedBank(modal_least_squares.FilterBank):
+    """A `modal_least_squares.FilterBank` filled from blocks `(nu, m)`, `(ny, m)` of a record of `samples`."""
 
     def __init__(
         self,

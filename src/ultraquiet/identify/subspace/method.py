@@ -11,9 +11,9 @@ from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.subspace import evidence, fit, hankel, order_selection
 from ultraquiet.identify.subspace.long_record import identify_long_subspace
-from ultraquiet.identify.subspace.modal_least_squares import Bank
+from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
-from ultraquiet.identify.subspace.start import Start
+from ultraquiet.identify.subspace.start import SubspaceStart
 from ultraquiet.values import Record
 
 
@@ -79,15 +79,15 @@ class Subspace(SubspaceSettings):
         starts = (self._start(data, rows, order) for rows in self.horizons(record, order))
         return self._finished(record, data, min(starts, key=lambda start: start.loss))
 
-    def _start(self, data: fit.Scaled, rows: int, order: int) -> Start:
+    def _start(self, data: fit.Scaled, rows: int, order: int) -> SubspaceStart:
         """Return the modes found with `rows` block rows."""
 
-        def bank_at(poles: ComplexArray) -> Bank:
-            return Bank(poles, data.u, data.y, self.feedthrough, self.offset)
+        def bank_at(poles: ComplexArray) -> FilterBank:
+            return FilterBank(poles, data.u, data.y, self.feedthrough, self.offset)
 
-        return Start.of(self, hankel.factor(data.centred_u, data.y, rows), rows, order, bank_at)
+        return SubspaceStart.of(self, hankel.factor(data.centred_u, data.y, rows), rows, order, bank_at)
 
-    def _finished(self, record: Record, data: fit.Scaled, start: Start) -> Result:
+    def _finished(self, record: Record, data: fit.Scaled, start: SubspaceStart) -> Result:
         system, steps, converged = fit.system(start.modes if self.refine else start.settled()), 0, True
         if self.refine:
             system, steps, converged = fit.refined_simulation(system, data, self.options())
@@ -96,6 +96,6 @@ class Subspace(SubspaceSettings):
             system, more, converged = fit.refined_prediction(system, data, self.options())
             steps += more
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        search = evidence.Search(steps, converged, self.focus == "prediction" and self.refine)
+        search = evidence.SearchSummary(steps, converged, self.focus == "prediction" and self.refine)
         details = {"horizon": start.rows, "order": len(system.A), "singular_values": start.values}
         return evidence.judged(system, record, data, search, provenance, details)

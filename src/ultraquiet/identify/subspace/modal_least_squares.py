@@ -51,7 +51,7 @@ class Modes:
         return StateSpace(np.asarray(block_diag(*A)), np.vstack(B), np.hstack(C), self.D, rate_hz, **channels)
 
 
-class Bank:
+class FilterBank:
     """Products of all filtered inputs, inputs and outputs for one set of poles."""
 
     def __init__(self, poles: ComplexArray, u: FloatArray, y: FloatArray, feedthrough: bool, offset: bool) -> None:
@@ -73,7 +73,7 @@ class Bank:
         self.G = G
         self.power = np.diag(G)[-self.ny :].copy()
 
-    def only(self, kept: IntArray) -> "Bank":
+    def only(self, kept: IntArray) -> "FilterBank":
         """Return the bank of some of the modes; nothing is summed again."""
         other = copy(self)
         high = 2 * (self.nu + 1)
@@ -111,9 +111,9 @@ class Bank:
         X = state_map(modes.b, 0, self.direct)
         inner = self.modes + self.direct
         N = X @ self.G[:inner, :inner] @ X.T
-        found = solve(N, X @ self.G[:inner, inner:])
-        c = (found[: 2 * m : 2] + 1j * found[1 : 2 * m : 2]).T
-        return self._modes(modes.b, c, found[2 * m :].T)
+        solution = solve(N, X @ self.G[:inner, inner:])
+        c = (solution[: 2 * m : 2] + 1j * solution[1 : 2 * m : 2]).T
+        return self._modes(modes.b, c, solution[2 * m :].T)
 
     def _modes(self, b: ComplexArray, c: ComplexArray, direct: FloatArray) -> Modes:
         real = self.poles.imag == 0.0
@@ -138,7 +138,7 @@ class Bank:
         return np.maximum(out, 0.0) / self.n
 
 
-def carried(bank: Bank, modes: Modes) -> FloatArray:
+def carried(bank: FilterBank, modes: Modes) -> FloatArray:
     """Return by how many error variances the squares of all outputs would rise without each mode, `(m,)`.
 
     The other modes' c are fitted again: for output i that is c' (N^-1)^-1 c, the inverse restricted to the mode.
@@ -157,7 +157,7 @@ def carried(bank: Bank, modes: Modes) -> FloatArray:
     return out
 
 
-def pruned(bank: Bank, modes: Modes) -> tuple[Bank, Modes]:
+def pruned(bank: FilterBank, modes: Modes) -> tuple[FilterBank, Modes]:
     """Leave out modes that the record cannot tell from noise, the fainter half at a time, the rest fitted again.
 
     A mode must carry log n error variances for each of its numbers, as by Schwarz's criterion.
@@ -209,11 +209,11 @@ def solve(N: FloatArray, r: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(N * scale[:, None] * scale[None, :])
     kept = values > CUTOFF * values[-1]
     right = (r.T * scale).T
-    found = (vectors[:, kept] / values[kept]) @ (vectors[:, kept].T @ right)
-    return (found.T * scale).T
+    scaled_solution = (vectors[:, kept] / values[kept]) @ (vectors[:, kept].T @ right)
+    return (scaled_solution.T * scale).T
 
 
-def alternate(bank: Bank, c: ComplexArray, rounds: int, gain: float) -> Modes:
+def alternate(bank: FilterBank, c: ComplexArray, rounds: int, gain: float) -> Modes:
     """Fit b and c in turn until a round lowers the summed relative loss by less than `gain`."""
     modes = bank.fit_b(c)
     last = _relative(bank, modes)
@@ -236,5 +236,5 @@ def _even(modes: Modes) -> Modes:
     return replace(modes, b=modes.b * t[:, None], c=modes.c / t)
 
 
-def _relative(bank: Bank, modes: Modes) -> float:
+def _relative(bank: FilterBank, modes: Modes) -> float:
     return float(np.sum(bank.loss(modes) * bank.n / bank.power))

@@ -56,7 +56,7 @@ def chosen(settings: SubspaceSettings, record: Record) -> int:
     return min(n for n, value in losses.items() if value <= floor)
 
 
-def cost(bank: modal_least_squares.Bank, modes: modal_least_squares.Modes) -> float:
+def cost(bank: modal_least_squares.FilterBank, modes: modal_least_squares.Modes) -> float:
     """Return n sum_i log(mean squared error of output i) + log n (states) (inputs + outputs): Schwarz's criterion."""
     states = int(np.sum(np.where(modes.poles.imag == 0.0, 1, 2)))
     misfit = bank.n * float(np.sum(np.log(np.maximum(bank.loss(modes), np.finfo(float).tiny))))
@@ -69,7 +69,9 @@ def _held_out(
     """Return the mean over outputs of the logarithm of the simulated error's size after `split`."""
     A, C = hankel.transition(basis, values, order, len(data.y))
     poles, directions, _ = fit.modes_of(A, C)
-    bank = modal_least_squares.Bank(poles, data.u[:, :split], data.y[:, :split], settings.feedthrough, settings.offset)
+    bank = modal_least_squares.FilterBank(
+        poles, data.u[:, :split], data.y[:, :split], settings.feedthrough, settings.offset
+    )
     system = fit.system(bank.fit_b(directions))
     error = (data.y - system.simulated(data.u))[:, split:]
     return float(np.mean(np.log(error.std(axis=1))))

@@ -101,9 +101,11 @@ class PredictorSubspace:
         if self.refine:
             options = fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
             system, steps, converged = fit.refined_prediction(start, data, options, self.stable)
-        made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         details = {"horizon": past, "order": order, "singular_values": states.values}
-        return evidence.judged(system, record, data, evidence.Search(steps, converged, True), made, details)
+        return evidence.judged(
+            system, record, data, evidence.SearchSummary(steps, converged, True), provenance, details
+        )
 
     def _longest(self, record: Record) -> int:
         width = len(record.actuators) + len(record.sensors)
@@ -226,8 +228,8 @@ class States(NamedTuple):
     def _regressed(self, target: FloatArray, on: FloatArray) -> FloatArray:
         N = on @ self.G @ on.T
         scale = 1.0 / np.sqrt(np.diag(N))
-        found = np.linalg.lstsq(N * scale[:, None] * scale, (on @ self.G @ target.T) * scale[:, None], rcond=1e-12)[0]
-        return (found * scale[:, None]).T
+        scaled = np.linalg.lstsq(N * scale[:, None] * scale, (on @ self.G @ target.T) * scale[:, None], rcond=1e-12)[0]
+        return (scaled * scale[:, None]).T
 
 
 def _mirrored_inside(start: fit.System) -> fit.System:

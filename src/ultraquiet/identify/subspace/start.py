@@ -15,7 +15,7 @@ GAIN = 1e-5  # share of the error by which a round must lower it for another to 
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class SubspaceStart:
     """What one horizon gave: its loss (see `order_selection.cost`), modes, and where they came from."""
 
     loss: float
@@ -25,7 +25,7 @@ class Start:
     basis: FloatArray
     values: FloatArray
     order: int
-    bank: modal_least_squares.Bank
+    bank: modal_least_squares.FilterBank
 
     @classmethod
     def of(
@@ -34,8 +34,8 @@ class Start:
         factor: hankel.Factor,
         rows: int,
         order: int,
-        bank_at: Callable[[ComplexArray], modal_least_squares.Bank],
-    ) -> "Start":
+        bank_at: Callable[[ComplexArray], modal_least_squares.FilterBank],
+    ) -> "SubspaceStart":
         """Return the modes of the Hankel matrix of `rows` block rows, fitted to the bank of filters at their poles."""
         basis, values = hankel.directions(factor, settings.weight)
         poles, directions, _ = fit.modes_of(*hankel.transition(basis, values, order, factor.ny))

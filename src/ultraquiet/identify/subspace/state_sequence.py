@@ -13,7 +13,7 @@ from ultraquiet.identify.subspace.hankel import Factor
 from ultraquiet.linalg import equations
 
 
-class Realisation(NamedTuple):
+class StochasticRealisation(NamedTuple):
     """x+ = A x + B u + w, y = C x + D u + v with covariances Q, R, S of w, v and between them; K the Kalman gain."""
 
     A: FloatArray
@@ -26,7 +26,7 @@ class Realisation(NamedTuple):
     S: FloatArray
 
 
-def realised(held: Factor, basis: FloatArray, values: FloatArray, order: int) -> Realisation:
+def realised(lq: Factor, basis: FloatArray, values: FloatArray, order: int) -> StochasticRealisation:
     """Return the whole model of the first `order` directions.
 
     A and C follow from the shift structure. With the state sequences X_i = Gamma^+ (Z_i - H U_f), whose H holds the
@@ -35,38 +35,38 @@ def realised(held: Factor, basis: FloatArray, values: FloatArray, order: int) ->
 
     Reference: Van Overschee and De Moor 1996, chapter 4, algorithm 3; SLICOT IB01BD, method C.
     """
-    ny, nu, first, last = held.ny, held.nu, held.first, held.last
+    ny, nu, first, last = lq.ny, lq.nu, lq.first, lq.last
     gamma = basis[:, :order] * np.sqrt(values[:order])
     inverse = np.linalg.pinv(gamma).astype(np.float64)
     shorter = np.linalg.pinv(gamma[:-ny]).astype(np.float64)
     A, C = shorter @ gamma[ny:], gamma[:ny]
-    projected = np.hstack([held.L[last:, :last], np.zeros((len(basis), ny))])
-    ahead = np.vstack([shorter @ held.L[last + ny :, : last + ny], held.L[last : last + ny, : last + ny]])
-    future = np.hstack([held.L[:first, :first], np.zeros((first, last + ny - first))])
+    projected = np.hstack([lq.L[last:, :last], np.zeros((len(basis), ny))])
+    ahead = np.vstack([shorter @ lq.L[last + ny :, : last + ny], lq.L[last : last + ny, : last + ny]])
+    future = np.hstack([lq.L[:first, :first], np.zeros((first, last + ny - first))])
     known = np.vstack([inverse @ projected, future])
-    found = np.linalg.lstsq(known.T, ahead.T, rcond=None)[0].T.astype(np.float64)
-    rest = ahead - found @ known
-    noise = rest @ rest.T / held.samples
+    regression = np.linalg.lstsq(known.T, ahead.T, rcond=None)[0].T.astype(np.float64)
+    rest = ahead - regression @ known
+    noise = rest @ rest.T / lq.samples
     Q, R, S = noise[:order, :order], noise[order:, order:], noise[:order, order:]
     left = np.vstack([A, C]) @ inverse
-    B, D = _inputs(held, gamma, left, shorter, found[:, order:] @ held.L[:first, :first])
-    return Realisation(A, B.reshape(order, nu), C, D, kalman_gain(A, C, Q, R, S), Q, R, S)
+    B, D = _inputs(lq, gamma, left, shorter, regression[:, order:] @ lq.L[:first, :first])
+    return StochasticRealisation(A, B.reshape(order, nu), C, D, kalman_gain(A, C, Q, R, S), Q, R, S)
 
 
 def _inputs(
-    held: Factor, gamma: FloatArray, left: FloatArray, shorter: FloatArray, target: FloatArray
+    lq: Factor, gamma: FloatArray, left: FloatArray, shorter: FloatArray, target: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return B and D from the coefficient of the future inputs, times those: a linear map of [D; B], column by column.
 
     Block column q of the coefficient is N_q [D; B]; N_q holds what an input at row q does to the states.
     """
-    ny, nu, rows, order = held.ny, held.nu, held.rows, gamma.shape[1]
+    ny, nu, rows, order = lq.ny, lq.nu, lq.rows, gamma.shape[1]
     below = np.zeros((ny + gamma.shape[0], ny + order))  # [D; B] -> response of all rows to an input at row 0
     below[:ny, :ny] = np.eye(ny)
     below[ny:, ny:] = gamma
     below = below[: rows * ny]
     total = np.zeros((target.size, (ny + order) * nu))
-    future = held.L[: held.first, : held.first].reshape(rows, nu, held.first)
+    future = lq.L[: lq.first, : lq.first].reshape(rows, nu, lq.first)
     for q in range(rows):
         N = np.zeros((order + ny, ny + order))
         if q == 0:
@@ -76,8 +76,8 @@ def _inputs(
             N[:order] = shorter[:, (q - 1) * ny :] @ below[: (rows - q) * ny]
         N -= left[:, q * ny :] @ below[: (rows - q) * ny]
         total += np.einsum("rp,jc->rcpj", N, future[q]).reshape(total.shape)
-    found = np.linalg.lstsq(total, target.ravel(), rcond=None)[0].reshape(ny + order, nu).astype(np.float64)
-    return found[ny:], found[:ny]
+    solution = np.linalg.lstsq(total, target.ravel(), rcond=None)[0].reshape(ny + order, nu).astype(np.float64)
+    return solution[ny:], solution[:ny]
 
 
 def kalman_gain(A: FloatArray, C: FloatArray, Q: FloatArray, R: FloatArray, S: FloatArray) -> FloatArray:
