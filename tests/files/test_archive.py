@@ -22,6 +22,7 @@ from ultraquiet.values import (
     Record,
     StateSpace,
     Status,
+    StatusWord,
 )
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -99,7 +100,7 @@ def polynomial_matrices(draw):
     return PolynomialMatrix(rows, draw(channel_lists(models * nu)), draw(channel_lists(ny)), draw(provenances))
 
 
-statuses = st.builds(Status, names, names)
+statuses = st.builds(Status, st.sampled_from(StatusWord), names)
 values = st.one_of(records(), state_spaces(), responses(), polynomial_models(), polynomial_matrices(), statuses)
 
 

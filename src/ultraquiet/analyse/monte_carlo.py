@@ -15,7 +15,7 @@ from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
 from ultraquiet.analyse.peaks import refined, response_at
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 CONFIDENCE = 0.95
 IN_BAND = 300  # lines a band; peaks between them are refined
@@ -72,10 +72,12 @@ class MonteCarlo:
         n, lost = self.stable.size, int((~self.stable).sum())
         low = self.share_interval()[0]
         if lost:
-            return Status("unstable", f"The loop is unstable on {lost} of {n} cases, one of them case {self.worst}.")
+            return Status(
+                StatusWord.UNSTABLE, f"The loop is unstable on {lost} of {n} cases, one of them case {self.worst}."
+            )
         peak = self.figures[PEAK][self.worst]
         return Status(
-            "ok",
+            StatusWord.OK,
             f"The loop is stable on all {n} cases ({CONFIDENCE:.0%} sure of {low:.1%} of such plants); the highest "
             f"peak is {peak:.1f} dB, in case {self.worst}.",
         )

@@ -41,7 +41,7 @@ from ultraquiet.deploy.verification.rounded_loop import reanalysis
 from ultraquiet.deploy.verification.verify import STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 RAMP_S = 0.5  # ten periods of the slowest isolated tone pass in 2 s; a quarter of that keeps the start below it
 TARGET_CODES = ("c99", "c31")
@@ -126,7 +126,7 @@ class Deployment:
         found = verify_code(self.law, self.folder, compiler.compiler(), steps, seed, targets, fuzz_steps)
         law = self.quantised if self.designed is None else self.designed
         loop = None if plant is None else reanalysis(law, self.quantised, plant)
-        runs = found.status.word != "not compiled"
+        runs = found.status.word != StatusWord.NOT_COMPILED
         measured = on_bench(bench, law, self.instance()) if bench is not None and runs else None
         found = found.with_loop(loop, measured)
         self.tables |= found.figures()
@@ -309,18 +309,24 @@ def _choice(controller: StateSpace, form: str, make: Any, plant: StateSpace | No
 def _status(controller: StateSpace, choice: Choice, tolerance: float, what: str, plant: StateSpace | None) -> Status:
     law = choice.law
     if plant is not None and (radius := loop_radius(plant, controller)) >= 1.0:
-        return Status("unstable", f"The loop of this plant and the controller as designed has a pole at {radius:.6f}.")
+        return Status(
+            StatusWord.UNSTABLE, f"The loop of this plant and the controller as designed has a pole at {radius:.6f}."
+        )
     if not controller.is_stable():
-        return Status("unstable", "The controller itself is unstable: it runs to its limits whenever the loop opens.")
+        return Status(
+            StatusWord.UNSTABLE, "The controller itself is unstable: it runs to its limits whenever the loop opens."
+        )
     if not law.state_space().is_stable():
         return Status(
-            "unstable",
+            StatusWord.UNSTABLE,
             f"The controller is stable, its {law.precision} coefficients are not; take form='delta' or float64.",
         )
     if not np.isfinite(choice.error):
-        return Status("unstable", f"The loop is stable with the controller, not with its {law.precision} coefficients.")
+        return Status(
+            StatusWord.UNSTABLE, f"The loop is stable with the controller, not with its {law.precision} coefficients."
+        )
     more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
-    word = "ok" if choice.error <= tolerance else "inexact"
+    word = StatusWord.OK if choice.error <= tolerance else StatusWord.INEXACT
     sentence = f"Rounding to {law.precision} in {law.form} form{more} changes {what} by {choice.error:.1e} of its size."
     return Status(word, sentence)
 

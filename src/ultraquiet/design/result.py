@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import ComplexArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class DesignMethod(Protocol):
 
 def refused(sentence: str, **details: Any) -> DesignResult:
     """Return a result without a controller."""
-    return DesignResult(Status("refused", sentence), None, details=details)
+    return DesignResult(Status(StatusWord.REFUSED, sentence), None, details=details)
 
 
 def is_stable(poles: ComplexArray, rate_hz: float | None) -> bool:

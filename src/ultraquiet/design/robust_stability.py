@@ -12,7 +12,7 @@ from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.response import points
 from ultraquiet.values.interconnect import feedback, lft, series
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 LOWEST = 0.02  # of the height asked for: below this share nothing worth calling performance is left
 BETWEEN = 0.99  # what the search asks on its lines, so that the exact norm of the result is below one between them too
@@ -54,12 +54,12 @@ def stands(plant: StateSpace, result: DesignResult, bound: StateSpace | None) ->
     details = {**result.details, "robust_stability": size}
     if size < 1:
         told = f"{result.status.sentence} It stands every error within the uncertainty: ||W T|| = {size:.3g} < 1."
-        return replace(result, status=Status("ok", told), details=details)
+        return replace(result, status=Status(StatusWord.OK, told), details=details)
     told = (
         f"The loop is stable with the design model but need not be with the plant: ||W T|| reaches {size:.3g} where "
         "the uncertainty allows less than one; ask for less, or identify the plant better where the weight is high."
     )
-    return replace(result, status=Status("not robust", told), details=details)
+    return replace(result, status=Status(StatusWord.NOT_ROBUST, told), details=details)
 
 
 def tallest(
@@ -86,7 +86,7 @@ def tallest(
         return float(np.linalg.norm(W @ T, 2, axis=(1, 2)).max()) < BETWEEN
 
     first = stands(plant, made(height), bound)
-    if first.status.word != "not robust" or not enough(LOWEST):
+    if first.status.word != StatusWord.NOT_ROBUST or not enough(LOWEST):
         return first
     low, high = np.log(LOWEST), 0.0
     for _ in range(STEPS):

@@ -9,7 +9,7 @@ from ultraquiet.analyse.margins import loop_margins, peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 
 def judged(
@@ -41,10 +41,12 @@ def judged(
 
 def _verdict(stable: bool, controller: StateSpace, peak_db: float, peak_hz: float) -> Status:
     if not stable:
-        return Status("unstable", "The loop with the design model is unstable; the controller must not be used.")
+        return Status(
+            StatusWord.UNSTABLE, "The loop with the design model is unstable; the controller must not be used."
+        )
     own = "stable" if controller.is_stable() else "unstable by itself"
     return Status(
-        "ok",
+        StatusWord.OK,
         f"The loop is stable; it amplifies by at most {peak_db:.1f} dB, at {peak_hz:.0f} Hz; the controller has "
         f"{controller.states} states and is {own}.",
     )

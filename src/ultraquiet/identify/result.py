@@ -57,7 +57,7 @@ class Identification(Protocol):
         ...
 
 
-SEVERITY = ("ok", "not white", "poor fit", "not converged")
+SEVERITY = (StatusWord.OK, StatusWord.NOT_WHITE, StatusWord.POOR_FIT, StatusWord.NOT_CONVERGED)
 
 
 def worst(statuses: list[Status]) -> Status:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,4 +45,4 @@ class Limit:
 
 def refused(sentence: str) -> Limit:
     """Return a limit that is none."""
-    return Limit(Status("refused", sentence))
+    return Limit(Status(StatusWord.REFUSED, sentence))

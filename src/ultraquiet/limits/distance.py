@@ -14,7 +14,7 @@ from ultraquiet.limits.by_direction import one_direction
 from ultraquiet.limits.directions import principal
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 WHO = "distance"
 BAND_POINTS = 400
@@ -75,9 +75,9 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
         raise InputError(f"{WHO}: the plant is {ny} x {nu}, the controller {controller.D.shape}; both must be square.")
     control = _control(plant, controller)
     if not control.is_stable():
-        return Distance(Status("unstable", "The loop is unstable; it has no distance to a limit."))
+        return Distance(Status(StatusWord.UNSTABLE, "The loop is unstable; it has no distance to a limit."))
     if ny > 1 and not plant.is_stable():
-        return Distance(Status("refused", f"{WHO}: limits of several channels need a stable plant."))
+        return Distance(Status(StatusWord.REFUSED, f"{WHO}: limits of several channels need a stable plant."))
     own, peak_db, gain = (
         _worst_db(plant, controller, band),
         peak_sensitivity(plant, controller)[0],
@@ -85,7 +85,7 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
     )
     if peak_db < NOTHING_DB and abs(own) < NOTHING_DB:
         said = "The controller does nothing, and nothing is what it costs."
-        return Distance(Status("ok", said), own, peak_db, gain, left_db=0.0)
+        return Distance(Status(StatusWord.OK, said), own, peak_db, gain, left_db=0.0)
     v = principal(plant, band)[:, 0]
     limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, basis).limit
     return Distance(_verdict(own, peak_db, gain, limit), own, peak_db, gain, limit, limit.bound_db - own, v)
@@ -93,9 +93,11 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
 
 def _verdict(own: float, peak_db: float, gain: float, limit: Limit) -> Status:
     if not np.isfinite(limit.bound_db):
-        return Status("not certified", f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}")
+        return Status(
+            StatusWord.NOT_CERTIFIED, f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}"
+        )
     return Status(
-        "ok",
+        StatusWord.OK,
         f"The worst direction is attenuated by {own:.1f} dB; at the same peak of {peak_db:.1f} dB and |K S| of "
         f"{gain:.3g} no linear controller exceeds {limit.bound_db:.1f} dB, {limit.bound_db - own:.1f} dB more.",
     )

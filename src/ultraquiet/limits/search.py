@@ -13,7 +13,7 @@ from ultraquiet.limits.demands import IN_BAND, WHO, Wishes
 from ultraquiet.limits.loops import Lines, Loops
 from ultraquiet.limits.programme import Demand, Found, solve, solve_on
 from ultraquiet.linalg.zeros import invariant_zeros
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 # Points from 0 to pi for the certificate, and over how many a jump is smoothed; the next where one is too coarse.
 CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30))
@@ -127,7 +127,7 @@ class Search:
         binding = {name: _stretches(f, r >= USED_UP) for name, r in reached.items()}
         law = self.loops.controller(self.circle.unwarped(self.basis.realised(weights)))
         values = attenuation(level), bound_db, 20 * float(np.log10(S.max())), float(size.max())
-        status = Status("ok", self._sentence(found, *values[:2], over, half_db, binding))
+        status = Status(StatusWord.OK, self._sentence(found, *values[:2], over, half_db, binding))
         return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0))
 
     def _sentence(

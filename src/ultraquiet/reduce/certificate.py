@@ -14,7 +14,7 @@ from ultraquiet.reduce._abstract import ReductionResult, Weights
 from ultraquiet.values.generalised import four_block, full, output_shaping
 from ultraquiet.values.interconnect import gain, lft
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 NORMS = ("peak", "mean-square")
 
@@ -114,18 +114,19 @@ def _verdict(controller: StateSpace, proof: Mapping[str, Any], bound: float | No
     if bound is not None:
         kept += f"; the error is at most {bound:.3g}"
     if proof["stable"] is None:
-        return Status("ok", f"{kept}.")
+        return Status(StatusWord.OK, f"{kept}.")
     if not proof["stable"]:
-        return Status("unstable", f"{kept}; the loop is unstable with so few, keep more or weigh by the loop.")
+        return Status(StatusWord.UNSTABLE, f"{kept}; the loop is unstable with so few, keep more or weigh by the loop.")
     moved = (
         f"{kept}; the loop is stable, its {proof['norm']} norm moves from {proof['before']:.4g} to {proof['after']:.4g}"
     )
     allowed, budget = proof["allowed_percent"], proof["budget"]
     if budget is not None and proof["multiply_adds"] > budget:
-        return Status("loss", f"{moved}, but the budget is {budget}; allow more loss or a larger budget.")
+        return Status(StatusWord.LOSS, f"{moved}, but the budget is {budget}; allow more loss or a larger budget.")
     if allowed is not None and proof["loss_percent"] > allowed:
         held = "" if budget is None else f" within {budget} multiply-adds"
         return Status(
-            "loss", f"{moved}, {proof['loss_percent']:.1f} % where {allowed:g} % are allowed{held}; keep more states."
+            StatusWord.LOSS,
+            f"{moved}, {proof['loss_percent']:.1f} % where {allowed:g} % are allowed{held}; keep more states.",
         )
-    return Status("ok", f"{moved} ({proof['loss_percent']:+.2f} %).")
+    return Status(StatusWord.OK, f"{moved} ({proof['loss_percent']:+.2f} %).")

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
-from ultraquiet.values import Record, StateSpace, Status
+from ultraquiet.values import Record, StateSpace, Status, StatusWord
 from ultraquiet.values.controller import Controller
 
 # A calm loop ends with the noise it began with. Growth by this factor between the second and the last quarter of an
@@ -54,8 +54,8 @@ def check_stability(bench: Bench, controller: StateSpace | Controller, duration_
             f"The loop is not stable on this bench: sensors grew {growth:.3g} times between the second and the last "
             f"quarter of {duration_s:g} s and {saturated} commands stood at their limit."
         )
-        return LoopCheck(Status("unstable", sentence), late, commands)
-    return LoopCheck(Status("ok", f"The loop settled; sensors end at {late.max():.3g} V RMS."), late, commands)
+        return LoopCheck(Status(StatusWord.UNSTABLE, sentence), late, commands)
+    return LoopCheck(Status(StatusWord.OK, f"The loop settled; sensors end at {late.max():.3g} V RMS."), late, commands)
 
 
 def _rms(signal: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.spectra.detection import Detection, detection
 from ultraquiet.spectra.local_polynomial import scatter_about_smooth
 from ultraquiet.spectra.periodic import excited_lines, steady_periods
-from ultraquiet.values import FrequencyResponse, Record, Status
+from ultraquiet.values import FrequencyResponse, Record, Status, StatusWord
 
 WHO = "best_linear"
 # Variance ratios from so few draws scatter; distortion is called present when it exceeds the noise by this factor.
@@ -238,7 +238,7 @@ def _advice(noise: FloatArray, distortion: FloatArray, found: Detection | None, 
     ratio = float(np.max(loud / np.maximum(quiet, np.finfo(float).tiny)))
     if M == 1 and np.isnan(distortion).all():
         return Status(
-            "few data",
+            StatusWord.FEW_DATA,
             "One realisation of so few lines tells noise alone; for distortion add realisations or take "
             "Multisine(odd=True, detection_group=4).",
         )
@@ -252,7 +252,7 @@ def _advice(noise: FloatArray, distortion: FloatArray, found: Detection | None, 
         told = f"Noise stands above distortion: longer records or a larger excitation sharpen the response.{kind}"
     if M > 1 and M < ENOUGH:
         few = f"{M} realisations give a variance good within a factor of {1 + np.sqrt(2 / (M - 1)):.1f}, take {ENOUGH}."
-        return Status("few data", f"{few} {told}")
+        return Status(StatusWord.FEW_DATA, f"{few} {told}")
     if M == 1 and P < ENOUGH:
-        return Status("few data", f"{P} periods make a rough weight for a fit, take {ENOUGH}. {told}")
-    return Status("ok", told)
+        return Status(StatusWord.FEW_DATA, f"{P} periods make a rough weight for a fit, take {ENOUGH}. {told}")
+    return Status(StatusWord.OK, told)

@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import information
 from ultraquiet.linalg.information import NAMES, Criteria
 from ultraquiet.validate.gradient import coefficients
-from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status, StatusWord
 
 
 class Fitted(Protocol):
@@ -110,7 +110,7 @@ def select(results: Mapping[str, Fitted], record: Record, criterion: str = "bic"
     if not results:
         raise InputError("select: no results were given.")
     rows = [_row(name, result, record) for name, result in results.items()]
-    rows.sort(key=lambda row: (row["status"] == "not converged", row[criterion]))
+    rows.sort(key=lambda row: (row["status"] == StatusWord.NOT_CONVERGED, row[criterion]))
     return Selection(tuple(rows), criterion)
 
 

@@ -17,7 +17,7 @@ from ultraquiet.linalg import realize
 from ultraquiet.validate.bands import Identified, channels, root
 from ultraquiet.validate.gradient import noise_gradient, response_gradient
 from ultraquiet.validate.weight_fit import HIGHEST_ORDER, fitted_weight
-from ultraquiet.values import FrequencyResponse, StateSpace, Status
+from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
 from ultraquiet.values.interconnect import append
 
 KINDS = ("output", "input", "additive", "entry", "additive-entry")
@@ -51,14 +51,14 @@ class Uncertainty:
     def status(self) -> Status:
         """Say up to where the model can carry a robust design."""
         if self.kind.startswith("additive"):
-            return Status("ok", f"Additive bound over {self.f_hz[0]:g}-{self.f_hz[-1]:g} Hz, {self.source}.")
+            return Status(StatusWord.OK, f"Additive bound over {self.f_hz[0]:g}-{self.f_hz[-1]:g} Hz, {self.source}.")
         worst = self.radius.reshape(-1, self.f_hz.size).max(axis=0)
         lost = self.f_hz[worst >= UNKNOWN]
         if lost.size == 0:
-            return Status("ok", f"The relative error stays below {worst.max():.0%}, {self.source}.")
+            return Status(StatusWord.OK, f"The relative error stays below {worst.max():.0%}, {self.source}.")
         share = lost.size / self.f_hz.size
         return Status(
-            "unknown in part",
+            StatusWord.UNKNOWN_IN_PART,
             f"The relative error may pass 100 % at {share:.0%} of the lines, first at {lost[0]:g} Hz and last at "
             f"{lost[-1]:g} Hz ({self.source}): the loop must be quiet there, or the band excited better.",
         )

@@ -7,7 +7,7 @@ from ultraquiet.values.innovation_form import InnovationForm
 from ultraquiet.values.polynomial import PolynomialMatrix, PolynomialModel
 from ultraquiet.values.record import Record
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 __all__ = [
     "Channel",
@@ -19,5 +19,6 @@ __all__ = [
     "Record",
     "StateSpace",
     "Status",
+    "StatusWord",
     "SteppedController",
 ]

@@ -23,7 +23,7 @@ from ultraquiet.deploy.law.law import DTYPES, Law
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes
 from ultraquiet.values.channel import Channel, channels
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
@@ -112,15 +112,15 @@ def write_fmu(
     entries["documentation/README.md"] = (made.folder / "README.md").read_bytes()
     if version == "3.0":
         entries["sources/buildDescription.xml"] = render.render("fmu_build.xml.j2", context).encode()
-    place, status = None, Status("sources only", "The unit holds sources; the importer compiles them.")
+    place, status = None, Status(StatusWord.SOURCES_ONLY, "The unit holds sources; the importer compiles them.")
     cc = compiler.compiler() if binary else None
     if cc is not None:
         place = binary_folder(version)
         entries[f"binaries/{place}/{law.name}{_extension()}"] = _compiled(cc, held, context["sources"])
-        status = Status("ok", f"The unit holds sources and a binary for {place}, compiled by {cc}.")
+        status = Status(StatusWord.OK, f"The unit holds sources and a binary for {place}, compiled by {cc}.")
     elif binary:
         status = Status(
-            "sources only", "No C compiler was found (cc, gcc, clang or $CC): the unit holds sources alone."
+            StatusWord.SOURCES_ONLY, "No C compiler was found (cc, gcc, clang or $CC): the unit holds sources alone."
         )
     return FmuFile(write_bytes(path, _zipped(entries)), version, place, status)
 

@@ -25,7 +25,7 @@ from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.toolchain.compiler import call, compile_c
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 STEPS = 20_000
 # The level of a ramp counts in bits of the word; 2^18 steps, 75 s at 3.5 kHz, are as many as the self-test can climb.
@@ -78,21 +78,23 @@ class FixedDeployment:
         whole("FixedDeployment.verify", "seed", seed, 0)
         cc = compiler.compiler()
         if cc is None:
-            return FixedVerification(Status("no compiler", "No C compiler was found (cc, gcc, clang or $CC)."), None)
+            return FixedVerification(
+                Status(StatusWord.NO_COMPILER, "No C compiler was found (cc, gcc, clang or $CC)."), None
+            )
         began = time.perf_counter()
         try:
             code = FixedCode(self.law, self.folder, cc)
             passed = _self_test_passes(self.law, self.folder, cc)
         except ToolError as refusal:
-            return FixedVerification(Status("not compiled", str(refusal)), None)
+            return FixedVerification(Status(StatusWord.NOT_COMPILED, str(refusal)), None)
         y = measurements(self.law, steps, seed)
         same = bool(np.array_equal(code.run(y), FixedTwin(self.law).run(y)))
         self.tables["bit_exact"] = same and passed
-        word = "ok" if same and passed else "differs" if not same else "self-test failed"
+        word = StatusWord.DIFFERS if not same else StatusWord.OK if passed else StatusWord.SELF_TEST_FAILED
         said = {
-            "ok": f"All words of {steps} steps and of the self-test are the twin's, compiled by {cc}.",
-            "differs": f"Words of {steps} steps differ from the twin's.",
-            "self-test failed": f"{steps} steps agree but the shipped self-test does not pass here.",
+            StatusWord.OK: f"All words of {steps} steps and of the self-test are the twin's, compiled by {cc}.",
+            StatusWord.DIFFERS: f"Words of {steps} steps differ from the twin's.",
+            StatusWord.SELF_TEST_FAILED: f"{steps} steps agree but the shipped self-test does not pass here.",
         }
         return FixedVerification(Status(word, said[word]), same and passed, steps, passed, time.perf_counter() - began)
 
@@ -198,7 +200,7 @@ def generate_fixed(
         )
     reach = "no state can overflow" if not law.saturates else "states are limited"
     status = Status(
-        "ok",
+        StatusWord.OK,
         f"Rounding to {word} in {law.form} form changes {what} by {error:.1e} of its size and adds {noise:.1e} of the"
         f" range as noise; {reach}, the bound is {law.peak:.3f} of full scale.",
     )

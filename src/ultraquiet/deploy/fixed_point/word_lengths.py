@@ -13,10 +13,11 @@ from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, 
 from ultraquiet.deploy.law.law import DTYPES, Law, require_plant, rounded
 from ultraquiet.deploy.law.realisation import FORMS, realisation
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 PRECISIONS = ("float64", "float32", "q31", "q15")
 FIXED_FORMS = (("modal", "l1"), ("delta", "l1"), ("modal", "l2"), ("delta", "l2"))
+BEST_FIRST = (StatusWord.OK, StatusWord.INEXACT, StatusWord.UNSTABLE, StatusWord.REFUSED)
 
 
 @dataclass(frozen=True)
@@ -119,11 +120,11 @@ class _Judge:
 
     def _status(self, held: StateSpace, error: float, noise: float, loss: float | None) -> Status:
         if not np.isfinite(error) or (self.controller.is_stable() and not held.is_stable()):
-            return Status("unstable", f"The {'law' if loss is None else 'loop'} is no longer stable.")
+            return Status(StatusWord.UNSTABLE, f"The {'law' if loss is None else 'loop'} is no longer stable.")
         what = "response" if loss is None else "sensitivity"
         more = "" if loss is None else f", the loop by at most {loss:.1e} dB"
         sentence = f"The {what} changes by {error:.1e} of its size{more}; noise takes {noise:.1e} of the range."
-        return Status("ok" if max(error, noise) <= self.tolerance else "inexact", sentence)
+        return Status(StatusWord.OK if max(error, noise) <= self.tolerance else StatusWord.INEXACT, sentence)
 
 
 def degradation_db(held: StateSpace, controller: StateSpace, plant: StateSpace) -> float:
@@ -139,7 +140,7 @@ def _floating(judge: _Judge, precision: str, form: str, output_v: float) -> Word
         order = judge.controller.states
         law = rounded(parts, None, limits, precision, rate_hz=judge.rate_hz, order=order)
     except InputError as refusal:
-        return WordLength(precision, form, Status("refused", str(refusal)))
+        return WordLength(precision, form, Status(StatusWord.REFUSED, str(refusal)))
     largest = max((float(np.abs(m).max(initial=0.0)) for m in (*law.blocks, law.B, law.C, law.D)), default=0.0)
     return judge.row(
         precision,
@@ -166,7 +167,7 @@ def _fixed(judge: _Judge, word: str, form: str, scaling: str, input_v: float, ou
     try:
         law: FixedLaw = fixed_law(judge.controller, word, form, scaling=scaling, input_v=input_v, output_v=output_v)
     except InputError as refusal:
-        return WordLength(word, name, Status("refused", str(refusal)))
+        return WordLength(word, name, Status(StatusWord.REFUSED, str(refusal)))
     noise = float(law.noise_v.max())
     return judge.row(
         word,
@@ -180,6 +181,6 @@ def _fixed(judge: _Judge, word: str, form: str, scaling: str, input_v: float, ou
     )
 
 
-def _order(row: WordLength) -> tuple[bool, float, float]:
-    rank = {"ok": 0.0, "inexact": 1.0, "unstable": 2.0, "refused": 3.0}[row.status.word]
+def _order(row: WordLength) -> tuple[bool, int, float]:
+    rank = BEST_FIRST.index(row.status.word)
     return rank > 0, rank, float(row.multiply_adds or 0) if rank == 0 else row.error or 0.0

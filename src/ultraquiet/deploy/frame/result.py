@@ -12,7 +12,7 @@ from ultraquiet.deploy.frame.frame import Frame
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import FAULT, ON
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 WIDTH = 60  # characters of a period in the time line
 
@@ -165,15 +165,15 @@ def _verdict(held: dict[str, Any], times: FrameTimes, period: float, frame: Fram
         sentence = f"{over} of {frames} frames overran, the first at frame {first}; the law ends {after}"
         if times.step_s >= period:
             sentence += f". Its step of {1e6 * times.step_s:.4g} us is longer than the frame: reduce the controller"
-        return Status("overrun", f"{sentence}.")
+        return Status(StatusWord.OVERRUN, f"{sentence}.")
     if late:
         room = 1e6 * (1.0 - frame.load) * period
         return Status(
-            "background late",
+            StatusWord.BACKGROUND_LATE,
             f"No step overran, but background work was late in {late} of {frames} frames: it leaves {room:.4g} us of a"
             f" frame to the step, which takes {1e6 * times.step_s:.4g} us.",
         )
-    return Status("ok", f"No overrun in {frames} frames, and background work was never late.")
+    return Status(StatusWord.OK, f"No overrun in {frames} frames, and background work was never late.")
 
 
 def _spans(found: FrameSimulation, k: int) -> list[tuple[str, float, float]]:

@@ -13,7 +13,7 @@ from ultraquiet.deploy.verification.rounded_loop import LOSS_DB, TONES_HZ
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.record import Record
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 MEASURED_SHARE = 0.5  # of a run; before it the loop settles
 
@@ -53,7 +53,7 @@ class OnBench:
         sentence = (
             f"On the bench the code reaches {tones} and loses at most {max(worst, 0.0):.3f} dB to the float64 law."
         )
-        return Status("ok" if worst < LOSS_DB else "degraded", sentence)
+        return Status(StatusWord.OK if worst < LOSS_DB else StatusWord.DEGRADED, sentence)
 
 
 def on_bench(

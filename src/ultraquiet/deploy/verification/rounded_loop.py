@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
 from ultraquiet.deploy.law.form_choice import loop_radius
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 TONES_HZ = (5.0, 25.0, 100.0)  # the paper's section 4.2
 LOSS_DB = 0.5  # attenuation that a law may lose through its code
@@ -98,7 +98,7 @@ def reanalysis(
     same_rate("reanalysis", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
     f = frequency_array("reanalysis", tones_hz)
     figures = [_figures(law, plant, f) for law in (controller, rounded)]
-    made = Reanalysis(Status("ok", ""), f, *figures)
+    made = Reanalysis(Status(StatusWord.OK, ""), f, *figures)
     return Reanalysis(_status(made), f, *figures)
 
 
@@ -122,15 +122,17 @@ def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
 
 def _status(made: Reanalysis) -> Status:
     if not made.designed.stable:
-        return Status("unstable", "The loop with this plant is unstable already as designed.")
+        return Status(StatusWord.UNSTABLE, "The loop with this plant is unstable already as designed.")
     if not made.rounded.stable:
-        return Status("unstable", "The loop is stable as designed, not with the rounded law; take another form.")
+        return Status(
+            StatusWord.UNSTABLE, "The loop is stable as designed, not with the rounded law; take another form."
+        )
     worst = float(made.loss_db.max(initial=0.0))
     tones = ", ".join(f"{f:g}" for f in made.tones_hz)
     if worst >= LOSS_DB:
-        return Status("degraded", f"The rounded law loses up to {worst:.2f} dB of attenuation at {tones} Hz.")
+        return Status(StatusWord.DEGRADED, f"The rounded law loses up to {worst:.2f} dB of attenuation at {tones} Hz.")
     return Status(
-        "ok",
+        StatusWord.OK,
         f"The loop with the rounded law is stable and loses at most {max(worst, 0.0):.2f} dB of attenuation at"
         f" {tones} Hz.",
     )

@@ -24,7 +24,7 @@ from ultraquiet.deploy.verification.emulated_target import OnTarget, differing, 
 from ultraquiet.deploy.verification.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.verification.fuzz import Fuzz, fuzz_code
 from ultraquiet.deploy.verification.rounded_loop import Reanalysis
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 STEPS = 100_000
 
@@ -90,7 +90,9 @@ class Verification:
             if found is None:
                 continue
             # A loop that the design itself cannot hold says nothing against the code.
-            fault = found.status.word in ("unstable", "degraded") and (bench is found or _designed_stable(loop))
+            fault = found.status.word in (StatusWord.UNSTABLE, StatusWord.DEGRADED) and (
+                bench is found or _designed_stable(loop)
+            )
             word = found.status.word if status.ok and fault else status.word
             status = Status(word, f"{status.sentence} {found.status.sentence}")
         return replace(self, loop=loop, bench=bench, status=status)
@@ -114,13 +116,13 @@ def verify_code(
     for name in targets:
         target_named(name)
     if cc is None:
-        return Verification(Status("no compiler", _NO_COMPILER), None, missing=(_NO_COMPILER,))
+        return Verification(Status(StatusWord.NO_COMPILER, _NO_COMPILER), None, missing=(_NO_COMPILER,))
     began = time.perf_counter()
     try:
         library = Library(law, folder, cc)
         self_test = _self_test(law, folder, cc)
     except ToolError as refusal:
-        return Verification(Status("not compiled", str(refusal)), None, compiler=cc)
+        return Verification(Status(StatusWord.NOT_COMPILED, str(refusal)), None, compiler=cc)
     y = measurements(law, steps, seed)
     code, twin = CompiledController(library, ramp=True), Twin(law)
     twin.enable()
@@ -133,7 +135,7 @@ def verify_code(
     except ToolError as refusal:
         missing.append(str(refusal))
     exact = mismatches == 0 and self_test and all(each.bit_exact for each in ran)
-    given, seconds = Status("ok", ""), time.perf_counter() - began
+    given, seconds = Status(StatusWord.OK, ""), time.perf_counter() - began
     found = Verification(
         given, exact, steps, mismatches, first, self_test, cc, seconds, ran, tuple(dict.fromkeys(missing)), fuzz
     )
@@ -191,24 +193,30 @@ def _verdict(found: Verification) -> Status:
     if found.first is not None:
         step, output = found.first
         sentence = f"{found.mismatches} commands of {found.steps} steps differ from the twin, the first at step {step}"
-        return Status("differs", f"{sentence}, output {output}.")
+        return Status(StatusWord.DIFFERS, f"{sentence}, output {output}.")
     if not found.self_test:
-        return Status("self-test failed", f"{found.steps} steps agree but the shipped self-test does not pass here.")
+        return Status(
+            StatusWord.SELF_TEST_FAILED, f"{found.steps} steps agree but the shipped self-test does not pass here."
+        )
     for each in found.targets:
         title = each.target.title
         if each.mismatches:
             sentence = (
                 f"The code agrees here, but {each.mismatches} commands of {each.steps} steps differ on the {title}."
             )
-            return Status("differs", sentence)
+            return Status(StatusWord.DIFFERS, sentence)
         if not each.self_test:
-            return Status("self-test failed", f"The code agrees here but its self-test does not pass on the {title}.")
+            return Status(
+                StatusWord.SELF_TEST_FAILED, f"The code agrees here but its self-test does not pass on the {title}."
+            )
     if found.fuzz is not None and found.fuzz.finding:
-        return Status("unsafe", f"The bits agree, but with random bits at its entrances: {found.fuzz.finding}.")
+        return Status(
+            StatusWord.UNSAFE, f"The bits agree, but with random bits at its entrances: {found.fuzz.finding}."
+        )
     where = "".join(f", of {each.steps} on an emulated {each.target.title}" for each in found.targets)
     sentence = f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}"
     random = "" if found.fuzz is None else f" {found.fuzz.steps} random steps under the sanitizers found nothing."
-    return Status("ok", " ".join([f"{sentence}{where}.{random}", *found.missing]))
+    return Status(StatusWord.OK, " ".join([f"{sentence}{where}.{random}", *found.missing]))
 
 
 _NO_COMPILER = (

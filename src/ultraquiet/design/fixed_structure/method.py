@@ -22,7 +22,7 @@ from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 STRUCTURES = ("alike", "apart", "full")
 STEPS = 60
@@ -189,7 +189,7 @@ def worded(result: DesignResult, score: Any, demanded: bool) -> DesignResult:
     missing = {k for k, v in score.shortfall.items() if v > 0}
     if not result.status.ok or not (missing if demanded else missing - {"attenuation_db"}):
         return result
-    return replace(result, status=Status("short", f"{score.sentence} This is the best found."))
+    return replace(result, status=Status(StatusWord.SHORT, f"{score.sentence} This is the best found."))
 
 
 def _achieved(wanted: Specification, score: Any) -> float:

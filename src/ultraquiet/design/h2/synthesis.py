@@ -9,7 +9,7 @@ from ultraquiet.design.h2.riccati import Problem, solve
 from ultraquiet.design.result import DesignResult, is_stable, refused
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 AGREEMENT = 1e-3  # promised and achieved norm must agree this well
 
@@ -55,5 +55,5 @@ def synthesize_h2(P: StateSpace, measurements: int, controls: int) -> DesignResu
     promised, achieved = found.cost(), h2_norm(loop)
     if not is_stable(poles, P.rate_hz) or abs(promised - achieved) > AGREEMENT * achieved:
         return refused(f"H2 synthesis: promised {promised:.6g}, achieved {achieved:.6g}; scale the plant.")
-    status = Status("ok", f"The loop is stable and its H2 norm is {achieved:.5g}.")
+    status = Status(StatusWord.OK, f"The loop is stable and its H2 norm is {achieved:.5g}.")
     return DesignResult(status, K, promised, achieved, poles, residuals=found.residuals, provenance=made)

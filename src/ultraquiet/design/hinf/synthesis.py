@@ -18,7 +18,7 @@ from ultraquiet.design.result import DesignResult, is_stable, refused
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 FINEST = 1e-5  # relative width of the bracket around the optimum
 COARSENESS = 0.05  # the bracket is this share of the margin wide: a controller at 1.05 needs no optimum to six digits
@@ -166,7 +166,9 @@ def _verified(
         "coupling": level.coupling,
         "conditions": _conditions(plant, level),
     }
-    status = Status("ok", f"The loop is stable and its norm is {achieved:.5g}, at most {level.gamma:.5g} as designed.")
+    status = Status(
+        StatusWord.OK, f"The loop is stable and its norm is {achieved:.5g}, at most {level.gamma:.5g} as designed."
+    )
     residuals = {"X": level.residuals[0], "Y": level.residuals[1]}
     return DesignResult(
         status, controller, gamma, achieved, poles, residuals=residuals, details=details, provenance=made_by

@@ -19,7 +19,7 @@ from ultraquiet.design.weights.given import Weight, weight
 from ultraquiet.values.generalised import uncertain
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 WHO = "MuSynthesis"
 LINES = 120  # at which the scalings are found; the peak itself is refined between them
@@ -262,9 +262,9 @@ def _with_verdict(result: DesignResult, peak: float, at: float, stability: float
         sentence = (
             f"{told}, for the uncertainty alone at {stability:.3f}: plants of the family may be unstable; ask less."
         )
-        return replace(result, status=Status("not robust", sentence))
+        return replace(result, status=Status(StatusWord.NOT_ROBUST, sentence))
     worth = "performance holds for every plant of the family"
     if peak >= 1:
         share = f"{1 / peak:.0%}"
         worth = f"every plant of the family is stable; {share} of the performance holds for {share} of the errors"
-    return replace(result, status=Status("ok", f"{told}; {worth}. {result.status.sentence}"))
+    return replace(result, status=Status(StatusWord.OK, f"{told}; {worth}. {result.status.sentence}"))

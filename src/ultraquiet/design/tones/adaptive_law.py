@@ -11,7 +11,7 @@ from ultraquiet.design.result import DesignResult
 from ultraquiet.design.tones.inner_loop import Inner
 from ultraquiet.linalg import balance
 from ultraquiet.values.state_space import StateSpace
-from ultraquiet.values.status import Status
+from ultraquiet.values.status import Status, StatusWord
 
 BELIEVED_V = 1e6  # no reading is larger
 RAMP_S = 0.1  # from the last good command to zero
@@ -59,7 +59,7 @@ class AdaptiveLaw:
     def reset(self) -> None:
         """Return to rest and forget."""
         nu, ny = self._inner.first.D.shape
-        self._status = Status("ok", f"{self._who}: adapting.")
+        self._status = Status(StatusWord.OK, f"{self._who}: adapting.")
         self._x, self._work = np.zeros(self._inner.first.states), np.zeros(self._inner.first.states)
         self._base, self._v, self._y0 = np.zeros(nu), np.zeros(nu), np.zeros(ny)
         self._last, self._sent, self._fade = np.zeros(nu), np.zeros(nu), -1
@@ -129,14 +129,16 @@ class AdaptiveLaw:
             ratio = 10 * np.log10(self._with_law / max(self._power, np.finfo(float).tiny))
             self._diverged(f"at its limit it was {ratio:.1f} dB louder than at rest")
             return False
-        self._status = Status("limited", f"{self._who}: commands stand at their limit; the tone is only made smaller.")
+        self._status = Status(
+            StatusWord.LIMITED, f"{self._who}: commands stand at their limit; the tone is only made smaller."
+        )
         self._fade, self._at_limit, self._trusted = -1, 0, True
         self._start()
         return True
 
     def _diverged(self, why: str) -> None:
-        if self._status.word != "diverged":
-            self._status = Status("diverged", f"{self._who}: brought to rest, because {why}.")
+        if self._status.word != StatusWord.DIVERGED:
+            self._status = Status(StatusWord.DIVERGED, f"{self._who}: brought to rest, because {why}.")
             self._fade = max(self._fade, 0)
         self._probe = 0
 

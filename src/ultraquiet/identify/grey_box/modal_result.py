@@ -10,7 +10,7 @@ from ultraquiet.identify.grey_box.data import SpectralLines
 from ultraquiet.identify.grey_box.least_squares import Minimum
 from ultraquiet.identify.grey_box.modal_basis import SHARED, modes_of
 from ultraquiet.identify.result import SIGNIFICANCE
-from ultraquiet.values import StateSpace, Status
+from ultraquiet.values import StateSpace, Status, StatusWord
 
 POOR = 0.2
 
@@ -67,13 +67,17 @@ def verdict(minimum: Minimum, p_value: float, error: FloatArray) -> Status:
     """Return what the fit is worth."""
     worst = 100 * float(error.max())
     if not minimum.converged:
-        return Status("not converged", f"The search ended away from a minimum after {minimum.iterations} steps.")
+        return Status(
+            StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {minimum.iterations} steps."
+        )
     if worst > 100 * POOR:
-        return Status("poor fit", f"A channel is missed by {worst:.0f} % (RMS): allow more modes or check the delay.")
+        return Status(
+            StatusWord.POOR_FIT, f"A channel is missed by {worst:.0f} % (RMS): allow more modes or check the delay."
+        )
     if p_value < SIGNIFICANCE:
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The response is missed by up to {worst:.2g} % (RMS), more than noise and floor (p = {p_value:.1e}); "
             f"deviations are widened by what is left.",
         )
-    return Status("ok", f"Converged; every channel is met within {worst:.2g} % (RMS).")
+    return Status(StatusWord.OK, f"Converged; every channel is met within {worst:.2g} % (RMS).")

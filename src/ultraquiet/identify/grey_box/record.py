@@ -12,7 +12,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.prediction import fit_percent, repaired
-from ultraquiet.values import Record, StateSpace, Status
+from ultraquiet.values import Record, StateSpace, Status, StatusWord
 
 REPAIRS = 12
 SETTLED = 1e-3
@@ -111,7 +111,7 @@ def _free_of_inputs(e: FloatArray, u: FloatArray, lags: int, memory: int) -> flo
 def _verdict(status: Status, p: float) -> Status:
     if status.ok and p < SIGNIFICANCE:
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The simulated error still holds something of the inputs (p = {p:.1e}): the structure leaves part of the "
             f"record unexplained. {status.sentence}",
         )

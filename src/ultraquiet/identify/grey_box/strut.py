@@ -25,8 +25,8 @@ from ultraquiet.identify.grey_box.least_squares import (
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
 from ultraquiet.identify.record_checks import usable
-from ultraquiet.identify.result import SIGNIFICANCE, Result
-from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
+from ultraquiet.identify.result import SIGNIFICANCE, Result, usable
+from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
 
 WHO = "Structured"
 BOUND_FACTOR = 1e3  # a free symbol is sought this factor below and above its guess when no bounds are given
@@ -362,13 +362,17 @@ def _verdict(
     if at_bound:
         aside += f" {', '.join(at_bound)} ended at a bound, where deviations do not hold."
     if not minimum.converged:
-        return Status("not converged", f"The search ended away from a minimum after {minimum.iterations} steps.{aside}")
+        return Status(
+            StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {minimum.iterations} steps.{aside}"
+        )
     if noise_known and p_value < SIGNIFICANCE:
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The response is missed by {100 * error:.2g} % (RMS), more than its noise (p = {p_value:.1e}): eq. (10) "
             f"leaves part of it unexplained; deviations are widened by what is left.{aside}",
         )
     if not noise_known and error > POOR:
-        return Status("poor fit", f"The data are missed by {100 * error:.0f} % (RMS): eq. (10) does not hold.{aside}")
-    return Status("ok", f"Converged; the data are met within {100 * error:.2g} % (RMS).{aside}")
+        return Status(
+            StatusWord.POOR_FIT, f"The data are missed by {100 * error:.0f} % (RMS): eq. (10) does not hold.{aside}"
+        )
+    return Status(StatusWord.OK, f"Converged; the data are met within {100 * error:.2g} % (RMS).{aside}")

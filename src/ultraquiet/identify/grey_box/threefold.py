@@ -12,7 +12,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.identify.grey_box.data import smoothed
 from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.identify.result import SIGNIFICANCE, worst
-from ultraquiet.values import FrequencyResponse, StateSpace, Status
+from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
 
 WHO = "Threefold"
 STRUTS = 6
@@ -175,7 +175,7 @@ def _verdict(p_value: float, share: FloatArray) -> Status:
     size = 100 * float(np.median(share))
     if p_value < SIGNIFICANCE:
         return Status(
-            "not symmetric",
+            StatusWord.NOT_SYMMETRIC,
             f"The struts are not alike (p = {p_value:.1e}): what a threefold symmetry forbids is {size:.2g} % of the "
             f"response (median line); identify all 36 functions.",
         )
@@ -184,7 +184,9 @@ def _verdict(p_value: float, share: FloatArray) -> Status:
         if np.isnan(p_value)
         else f"noise explains it (p = {p_value:.2f})"
     )
-    return Status("ok", f"What a threefold symmetry forbids is {size:.2g} % of the response (median line); {evidence}.")
+    return Status(
+        StatusWord.OK, f"What a threefold symmetry forbids is {size:.2g} % of the response (median line); {evidence}."
+    )
 
 
 class OfResponses(Protocol):

@@ -15,7 +15,7 @@ from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.linalg import information, prediction
-from ultraquiet.values import PolynomialMatrix, Record
+from ultraquiet.values import PolynomialMatrix, Record, StatusWord
 
 STRUCTURES = ("arx", "armax", "output-error", "box-jenkins")
 ORDERS = range(2, 8)
@@ -79,7 +79,7 @@ class Sweep:
         return PolynomialMatrix(rows), tuple(tuple(c.method for c in row) for row in chosen), words
 
     def _for_channel(self, i: int, k: int) -> Candidate:
-        converged = [c for c in self.candidates if c.words[i, k] != "not converged"] or list(self.candidates)
+        converged = [c for c in self.candidates if c.words[i, k] != StatusWord.NOT_CONVERGED] or list(self.candidates)
         scores = [100.0 - c.held_out_fit[i, k] if self.rank_by == "fit" else c.held_out_loss[i, k] for c in converged]
         return converged[_smallest_worth(converged, [float(v) for v in scores])]
 
@@ -93,7 +93,7 @@ class Sweep:
                 "worst_fit_percent": float(np.min(c.held_out_fit)),
                 "median_loss": float(np.median(c.held_out_loss)),
                 **{name: float(np.median(value)) for name, value in c.criteria()._asdict().items()},
-                "ok": int(np.count_nonzero(c.words == "ok")),
+                "ok": int(np.count_nonzero(c.words == StatusWord.OK)),
                 "seconds": c.seconds,
             }
             for c in self.candidates

@@ -18,7 +18,7 @@ from ultraquiet.identify.prediction_error.structure import (
 )
 from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import portmanteau, prediction, realize
-from ultraquiet.values import PolynomialModel, Status
+from ultraquiet.values import PolynomialModel, Status, StatusWord
 
 # The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
 # then stands within 3 % of its own standard deviation of the minimum.
@@ -106,7 +106,7 @@ def finished(
     if status.ok and not model.is_stable():
         # Only ARX and ARMAX can end here: their A is not divided by.
         status = Status(
-            "poor fit", "The model is unstable: it predicts one step, but its simulation grows without bound."
+            StatusWord.POOR_FIT, "The model is unstable: it predicts one step, but its simulation grows without bound."
         )
     return Fit(
         model,
@@ -266,15 +266,17 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
     white, free = evidence
     if state != CONVERGED:
         why = "no admissible step lowers the loss" if state == STUCK else f"{iterations} steps were not enough"
-        return Status("not converged", f"The search ended away from a minimum: {why}.")
+        return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum: {why}.")
     if min(evidence) < SIGNIFICANCE:
         what = "is not white" if white < free else "still holds something of the input"
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The residual {what} (p = {min(evidence):.1e}): the structure or the order leaves part of the record "
             f"unexplained, or the search found a poor minimum.",
         )
-    return Status("ok", f"Converged; the residual is white (p = {white:.2f}) and free of the input (p = {free:.2f}).")
+    return Status(
+        StatusWord.OK, f"Converged; the residual is white (p = {white:.2f}) and free of the input (p = {free:.2f})."
+    )
 
 
 def covariance(normal: FloatArray, loss: float, structure: Structure, gain: FloatArray) -> FloatArray:

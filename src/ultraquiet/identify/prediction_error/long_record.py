@@ -29,7 +29,7 @@ from ultraquiet.identify.prediction_error.structure import (
 from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status, StatusWord
 
 if TYPE_CHECKING:
     from ultraquiet.identify.polynomial.methods import PolynomialMethod
@@ -304,7 +304,7 @@ def _clipping(status: Status, seen: LongRecordStatistics, output: int, record: L
     if count == 0 or not status.ok:
         return status
     return Status(
-        "not white",
+        StatusWord.NOT_WHITE,
         f"{count} readings of '{record.sensors[output].name}' stand at its limits, and a record on disk is not "
         f"repaired; identify a part of it in memory, or lower the excitation.",
     )

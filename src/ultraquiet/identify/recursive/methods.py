@@ -22,7 +22,7 @@ from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.result import Result, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status, StatusWord
 
 CUT_SHORT_SHARE = 0.01  # of steps cut short at the edge of stability, beyond which the verdict says so
 
@@ -263,13 +263,13 @@ def _followed(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_perc
     status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
     if running.held > CUT_SHORT_SHARE * n:
         status = Status(
-            "not converged",
+            StatusWord.NOT_CONVERGED,
             f"{running.held} of {n} steps were cut short at the edge of stability: start from a batch fit, or use a "
             f"longer memory.",
         )
     elif not fit_percent >= 0:
         status = Status(
-            "poor fit",
+            StatusWord.POOR_FIT,
             "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
         )
     m = running.model

@@ -14,7 +14,7 @@ from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.finite_response import HankelForm, response_of
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status, StatusWord
 
 KERNELS = ("tc", "dc", "ss")
 MOST_TAPS = 200  # of one path when none are asked for
@@ -350,26 +350,33 @@ def _verdict(converged: bool, p: float, left: float) -> Status:
         return _unsettled()
     if p < SIGNIFICANCE:
         return Status(
-            "not white", f"The error holds something of inputs before the last tap (p = {p:.1e}): raise 'taps'."
+            StatusWord.NOT_WHITE,
+            f"The error holds something of inputs before the last tap (p = {p:.1e}): raise 'taps'.",
         )
     if left > RAN_OUT:
-        return Status("not white", f"The last twentieth of the taps holds {left:.0%} of the response: raise 'taps'.")
-    return Status("ok", f"The response has decayed, and the error is free of earlier inputs (p = {p:.2f}).")
+        return Status(
+            StatusWord.NOT_WHITE, f"The last twentieth of the taps holds {left:.0%} of the response: raise 'taps'."
+        )
+    return Status(StatusWord.OK, f"The response has decayed, and the error is free of earlier inputs (p = {p:.2f}).")
 
 
 def _unsettled() -> Status:
-    return Status("not converged", "The search for the prior ended away from a maximum of the marginal likelihood.")
+    return Status(
+        StatusWord.NOT_CONVERGED, "The search for the prior ended away from a maximum of the marginal likelihood."
+    )
 
 
 def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: float) -> Status:
     if not model.is_stable():
-        return Status("not converged", "A has a root outside the unit circle, the model cannot simulate: lower 'lags'.")
+        return Status(
+            StatusWord.NOT_CONVERGED, "A has a root outside the unit circle, the model cannot simulate: lower 'lags'."
+        )
     if not converged:
         return _unsettled()
     if min(white, free) < SIGNIFICANCE:
         what = "is not white" if white < free else "still holds something of the input"
-        return Status("not white", f"The residual {what} (p = {min(white, free):.1e}): raise 'lags'.")
-    return Status("ok", f"The residual is white (p = {white:.2f}) and free of the input (p = {free:.2f}).")
+        return Status(StatusWord.NOT_WHITE, f"The residual {what} (p = {min(white, free):.1e}): raise 'lags'.")
+    return Status(StatusWord.OK, f"The residual is white (p = {white:.2f}) and free of the input (p = {free:.2f}).")
 
 
 def _simulated_fit(model: PolynomialModel, record: Record, i: int) -> float:

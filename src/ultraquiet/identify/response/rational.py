@@ -17,7 +17,7 @@ from ultraquiet.linalg import pole_residue, vector_fitting
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
 from ultraquiet.spectra import frf
-from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
+from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
 
 ORDERS = tuple(range(4, 33, 2))
 # The smallest order is taken whose held-out error exceeds the best by less than this share of the floor (root of the
@@ -205,8 +205,10 @@ def _error(fit: vector_fitting.PoleResidueFit, z: ComplexArray, H: ComplexArray,
 
 def _verdict(error: float) -> Status:
     if error > POOR:
-        return Status("poor fit", f"Held-out lines are missed by {100 * error:.0f} % of the response; raise the order.")
-    return Status("ok", f"Held-out lines are met within {100 * error:.2g} % of the response (RMS).")
+        return Status(
+            StatusWord.POOR_FIT, f"Held-out lines are missed by {100 * error:.0f} % of the response; raise the order."
+        )
+    return Status(StatusWord.OK, f"Held-out lines are met within {100 * error:.2g} % of the response (RMS).")
 
 
 def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray) -> Status:
@@ -219,7 +221,7 @@ def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray) -> Stat
     if fit > 0.0 and free_of_inputs(e, u, RESIDUAL_LAGS) >= SIGNIFICANCE:
         return status
     return Status(
-        "poor fit",
+        StatusWord.POOR_FIT,
         f"The simulated output fits by {fit:.0f} %, and what it misses is not noise alone: the response was blurred by "
         f"leakage, or the order is too low; fit a periodic response, or take 'subspace'.",
     )

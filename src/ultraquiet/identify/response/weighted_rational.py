@@ -20,7 +20,7 @@ from ultraquiet.linalg import section_search as sections
 from ultraquiet.linalg.innovation import free_motion
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.section_realise import realised
-from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status
+from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
 
 HIGHEST_ORDER = 60
 # Lines per pole below which a fit would interpolate.
@@ -295,16 +295,18 @@ def _whiteness(point: sections.SectionFit, share: float) -> float:
 
 def _verdict(fit: _OrderFit, cost: float, p: float, at_limit: bool) -> Status:
     if not fit.converged:
-        return Status("not converged", f"{fit.steps} steps did not reach a minimum; give another order or more steps.")
+        return Status(
+            StatusWord.NOT_CONVERGED, f"{fit.steps} steps did not reach a minimum; give another order or more steps."
+        )
     more = "; higher orders were not tried" if at_limit else ""
     if p < SIGNIFICANCE:
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines ({_chance(p)}){more}: "
             f"raise the order, free the delay, or set 'floor' to the relative error you can live with.",
         )
     return Status(
-        "ok", f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines ({_chance(p)}){more}."
+        StatusWord.OK, f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines ({_chance(p)}){more}."
     )
 
 

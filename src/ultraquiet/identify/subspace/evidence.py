@@ -12,7 +12,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
-from ultraquiet.values import InnovationForm, Record, Status
+from ultraquiet.values import InnovationForm, Record, Status, StatusWord
 
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200  # the simulation error is coloured; this much of its memory enters the test's variance
@@ -172,15 +172,15 @@ def free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
 def _verdict(search: SearchSummary, free: float, white: float, spare: int, order: int, grows: bool) -> Status:
     if grows:
         return Status(
-            "not converged",
+            StatusWord.NOT_CONVERGED,
             "The output grows through the record while the inputs do not: the plant is unstable, and a stable model "
             "says nothing of it; record it in a loop that holds it, and use 'predictor-subspace'.",
         )
     if not search.converged:
-        return Status("not converged", f"The search ended away from a minimum after {search.steps} steps.")
+        return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {search.steps} steps.")
     if spare > SPARE_SHARE * order / 2:
         return Status(
-            "not converged",
+            StatusWord.NOT_CONVERGED,
             f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
             f"order (None chooses it), or record longer.",
         )
@@ -188,10 +188,12 @@ def _verdict(search: SearchSummary, free: float, white: float, spare: int, order
         what = "still holds something of the inputs" if free <= white else "is not white"
         whose = "one-step" if search.predicts else "simulated"
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The {whose} error {what} (p = {min(free, white):.1e}): the order or the horizon leaves part of the "
             f"record unexplained.",
         )
     if search.predicts:
-        return Status("ok", f"The one-step error is white (p = {white:.2f}) and free of the inputs (p = {free:.2f}).")
-    return Status("ok", f"The simulated error is free of the inputs (p = {free:.2f}).")
+        return Status(
+            StatusWord.OK, f"The one-step error is white (p = {white:.2f}) and free of the inputs (p = {free:.2f})."
+        )
+    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {free:.2f}).")

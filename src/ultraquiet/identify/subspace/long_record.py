@@ -21,7 +21,7 @@ from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import GAIN, ROUNDS, SubspaceStart
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
-from ultraquiet.values import Record, Status
+from ultraquiet.values import Record, Status, StatusWord
 
 # Samples from the record's beginning that the noise gain is fitted to: some hundred for each of its numbers.
 NOISE_SAMPLES = 65_536
@@ -227,16 +227,16 @@ def _verdict(
     p: float, statistics: LongRecordStatistics, output: int, record: LongRecord, steps: int, converged: bool
 ) -> Status:
     if not converged:
-        return Status("not converged", f"The search ended away from a minimum after {steps} steps.")
+        return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {steps} steps.")
     if p < SIGNIFICANCE:
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"The simulated error still holds something of the inputs (p = {p:.1e}): the order or the horizon leaves "
             f"part of the record unexplained.",
         )
     if statistics.clipped[output]:
         return Status(
-            "not white",
+            StatusWord.NOT_WHITE,
             f"{statistics.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
         )
-    return Status("ok", f"The simulated error is free of the inputs (p = {p:.2f}).")
+    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {p:.2f}).")
