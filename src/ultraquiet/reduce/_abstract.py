@@ -49,7 +49,7 @@ class ReductionResult:
         return self.cost_after / self.cost_before - 1 if self.cost_before else 0.0
 
 
-class Parts(NamedTuple):
+class StableSplit(NamedTuple):
     """A system split in two: matrices to be reduced, A, B, C of the part that is kept, and the first one's states.
 
     `rows` makes the states of the first part out of those of the system.
@@ -60,7 +60,7 @@ class Parts(NamedTuple):
     rows: FloatArray
 
 
-def split(system: StateSpace, slowest_hz: float = 0.0) -> Parts:
+def split(system: StateSpace, slowest_hz: float = 0.0) -> StableSplit:
     """Split off the part that is unstable or decays slower than exp(-2 pi slowest_hz t)."""
     decay = 2 * np.pi * slowest_hz
     discrete = system.rate_hz is not None
@@ -69,7 +69,7 @@ def split(system: StateSpace, slowest_hz: float = 0.0) -> Parts:
     T, inverse, count = balance.stable_first(shifted, discrete)
     A, B, C = inverse @ system.A @ T, inverse @ system.B, system.C @ T
     stable = (A[:count, :count], B[:count], C[:, :count], system.D)
-    return Parts(stable, (A[count:, count:], B[count:], C[:, count:]), inverse[:count])
+    return StableSplit(stable, (A[count:, count:], B[count:], C[:, count:]), inverse[:count])
 
 
 def joined(reduced: Matrices, kept: tuple[FloatArray, FloatArray, FloatArray]) -> Matrices:

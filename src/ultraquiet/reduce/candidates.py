@@ -8,20 +8,19 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.linalg import balance, response
 from ultraquiet.linalg.ordered import Array, Matrices
-from ultraquiet.reduce import alike
 from ultraquiet.reduce._abstract import joined, project, split
 from ultraquiet.reduce.certificate import loop_norm
 from ultraquiet.reduce.grid import grid_of
-from ultraquiet.reduce.tuning import Descent, Shape, matrices, packed
+from ultraquiet.reduce.tuning import Descent, LawSizes, matrices, packed
 from ultraquiet.reduce.weighting import output_gramian
-from ultraquiet.values.interconnect import lft
+from ultraquiet.values.interconnect import append, lft
 from ultraquiet.values.state_space import StateSpace
 
 # Exponents of the smooth peak, one descent after the other: the first sees the whole band, the last the peak alone.
 POWERS = (8, 32, 100, 100, 100, 200, 200, 200)
 
 
-class Candidate(NamedTuple):
+class ReducedLaw(NamedTuple):
     """A reduced controller, the values by which states were kept, its cost over the full one's, and how it was made."""
 
     system: StateSpace
@@ -60,24 +59,24 @@ class Candidates:
         self.before = loop_norm(loop, norm)
         if not np.isfinite(self.before):
             raise InputError("ClosedLoopWeighted: the mean square of this loop is infinite; take norm='peak'.")
-        self._one, self._copies = alike.one_of_many(K)
+        self._law, self._copies = _scalar_law(K)
         self._sources = self._gramians(loop)
         self._grid = grid_of(P, K, poles)
         self._full = self._grid.norm(self._grid.K, norm)
 
-    def projected(self, count: int) -> Candidate:
+    def projected(self, count: int) -> ReducedLaw:
         """Return the best projection to `count` states."""
         if count >= self._K.states:
-            return Candidate(self._K, np.zeros(0), 1.0, "whole")
+            return ReducedLaw(self._K, np.zeros(0), 1.0, "whole")
         tries = self._projections(count)
         if not tries:
             raise NumericalError(f"ClosedLoopWeighted: no projection to {count} states could be formed; keep more.")
         return min(tries, key=lambda t: t.cost)
 
-    def tuned(self, count: int, steps: int, allowed: float) -> Candidate:
+    def tuned(self, count: int, steps: int, allowed: float) -> ReducedLaw:
         """Return the best controller of `count` states after descents from projections; stops when good enough."""
         order = count // self._copies
-        shape = Shape(order, self._one.D.shape[0], self._one.D.shape[1], self._copies)
+        shape = LawSizes(order, self._law.D.shape[0], self._law.D.shape[1], self._copies)
         descent = Descent(self._grid, shape, self._norm, self._discrete)
         tried = []
         for start in self._projections(count):
@@ -87,7 +86,7 @@ class Candidates:
                 if found[0].cost <= 1 + allowed:
                     return found[0]
         if not tried:
-            return Candidate(self._K, np.zeros(0), np.inf, "none")
+            return ReducedLaw(self._K, np.zeros(0), np.inf, "none")
         best, x = min(tried, key=lambda t: t[0].cost)
         for power in POWERS[1:] if self._norm == "peak" else ():
             if best.cost <= 1 + allowed:
@@ -97,10 +96,10 @@ class Candidates:
         return best
 
     def _first_descents(
-        self, descent: Descent, shape: Shape, start: Candidate, steps: int
-    ) -> tuple[Candidate, FloatArray] | None:
+        self, descent: Descent, shape: LawSizes, start: ReducedLaw, steps: int
+    ) -> tuple[ReducedLaw, FloatArray] | None:
         """Move towards the full controller, then down on the loop's norm; None where the loop stays unstable."""
-        one = alike.one_of_many(start.system)[0] if self._copies > 1 else start.system
+        one = _scalar_law(start.system)[0] if self._copies > 1 else start.system
         x = packed((one.A, one.B, one.C, one.D), shape, self._discrete) if one.states == shape.states else None
         if x is None:
             return None
@@ -111,7 +110,7 @@ class Candidates:
         x = descent.on_loop(x, steps, POWERS[0])
         return min(near, self._seen(matrices(x, shape), start.hankel, way), key=lambda c: c.cost), x
 
-    def _projections(self, count: int) -> list[Candidate]:
+    def _projections(self, count: int) -> list[ReducedLaw]:
         tries = [c for source in self._sources for c in self._from(source, count)]
         if self._copies == 1 and not any(np.isfinite(t.cost) for t in tries):
             # two-sided weights do not promise a stable law; plain balancing does
@@ -120,7 +119,7 @@ class Candidates:
             tries += self._from(_Source("plain", stable, P, Q, kept), count)
         return tries
 
-    def _from(self, source: _Source, count: int) -> list[Candidate]:
+    def _from(self, source: _Source, count: int) -> list[ReducedLaw]:
         """Return the projections by one pair of Gramians."""
         tries, keep = [], count // self._copies - source.kept[0].shape[0]
         if not 0 <= keep <= source.M[0].shape[0]:
@@ -133,29 +132,29 @@ class Candidates:
             tries.append(self._seen(joined(M, source.kept), hankel, f"{source.name}, {way}"))
         return tries
 
-    def _seen(self, M: Matrices, hankel: FloatArray, way: str) -> Candidate:
+    def _seen(self, M: Matrices, hankel: FloatArray, way: str) -> ReducedLaw:
         """Judge a controller on the grid, and by the poles of its loop."""
-        small = alike.joined(StateSpace(*M, rate_hz=self._K.rate_hz), self._copies)
+        small = _repeated(StateSpace(*M, rate_hz=self._K.rate_hz), self._copies)
         try:
             poles = lft(self.P, small).poles()
         except InputError:
-            return Candidate(small, hankel, np.inf, way)
+            return ReducedLaw(small, hankel, np.inf, way)
         if not _inside(poles, self._discrete):
-            return Candidate(small, hankel, np.inf, way)
+            return ReducedLaw(small, hankel, np.inf, way)
         seen = np.moveaxis(_response(small, self._grid.points), 2, 0)
         cost = self._grid.norm(seen, self._norm) / self._full if self._full else 1.0
-        return Candidate(small, hankel, cost, way)
+        return ReducedLaw(small, hankel, cost, way)
 
     def _gramians(self, loop: StateSpace) -> list[_Source]:
         """Return Gramians of K's state inside the loop, and those of Enns's cascade for the stable part of K.
 
-        Both are controlled alike: a state of K has the same covariance in the loop as behind (I - P22 K)^-1 P21.
+        Both are controlled in one way: a state of K has the same covariance in the loop as behind (I - P22 K)^-1 P21.
         """
-        K, copies, n = self._one, self._copies, self.P.states
+        K, copies, n = self._law, self._copies, self.P.states
         Pc, Qo = (W[n:, n:] for W in balance.gramians(loop.A, loop.B, loop.C, self._discrete))
         M: Matrices = (K.A, K.B, K.C, K.D)
         none = (np.zeros((0, 0)), np.zeros((0, K.D.shape[1])), np.zeros((K.D.shape[0], 0)))
-        sources = [_Source("loop", M, alike.averaged(Pc, copies), alike.averaged(Qo, copies), none)]
+        sources = [_Source("loop", M, _mean_block(Pc, copies), _mean_block(Qo, copies), none)]
         after = _influence(self.P, self._K)
         if copies == 1:
             stable, kept, rows = split(self._K)
@@ -164,7 +163,7 @@ class Candidates:
         if not self._K.is_stable():
             return sources
         Q = output_gramian((self._K.A, self._K.B, self._K.C, self._K.D), after, self._discrete)
-        return [*sources, _Source("cascade", M, alike.averaged(Pc, copies), alike.averaged(Q, copies), none)]
+        return [*sources, _Source("cascade", M, _mean_block(Pc, copies), _mean_block(Q, copies), none)]
 
 
 def _influence(P: StateSpace, K: StateSpace) -> Matrices:
@@ -181,3 +180,29 @@ def _response(system: StateSpace, points: Array) -> Array:
 
 def _inside(poles: Array, discrete: bool) -> bool:
     return bool(np.all(np.abs(poles) < 1) if discrete else np.all(poles.real < 0))
+
+
+def _scalar_law(K: StateSpace) -> tuple[StateSpace, int]:
+    """Return the scalar law k and the number of copies when K = diag(k, ..., k) state by state, else K and one.
+
+    A law repeated on every channel is reduced once, so that its copies stay equal.
+    """
+    n = K.D.shape[0]
+    if n < 2 or K.D.shape != (n, n) or K.states % n:
+        return K, 1
+    m = K.states // n
+    first = StateSpace(K.A[:m, :m], K.B[:m, :1], K.C[:1, :m], K.D[:1, :1], K.rate_hz)
+    copies = _repeated(first, n)
+    same = all(np.array_equal(getattr(K, key), getattr(copies, key)) for key in "ABCD")
+    return (first, n) if same else (K, 1)
+
+
+def _mean_block(gramian: FloatArray, copies: int) -> FloatArray:
+    """Return the mean of a Gramian's diagonal blocks: what the copies' states have in common."""
+    m = gramian.shape[0] // copies
+    return np.mean([gramian[k * m : (k + 1) * m, k * m : (k + 1) * m] for k in range(copies)], axis=0)
+
+
+def _repeated(k: StateSpace, copies: int) -> StateSpace:
+    """Return diag(k, ..., k)."""
+    return k if copies == 1 else append(*[k] * copies)

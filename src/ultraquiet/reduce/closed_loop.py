@@ -11,7 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg.cost import largest_order
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, renamed
-from ultraquiet.reduce.candidates import Candidate, Candidates
+from ultraquiet.reduce.candidates import Candidates, ReducedLaw
 from ultraquiet.reduce.certificate import NORMS, certified, fits, judging_plant
 from ultraquiet.values.state_space import StateSpace
 
@@ -113,7 +113,7 @@ class ClosedLoopWeighted:
             details={"way": best.way},
         )
 
-    def _chosen(self, tried: Candidates, controller: StateSpace, allowed: float | None) -> Candidate:
+    def _chosen(self, tried: Candidates, controller: StateSpace, allowed: float | None) -> ReducedLaw:
         nu, ny = controller.D.shape
         most = controller.states
         if self.budget is not None:
@@ -130,14 +130,14 @@ class ClosedLoopWeighted:
             return self._at(tried, most, np.inf)
         return self._fewest(tried, most, allowed)
 
-    def _at(self, tried: Candidates, count: int, allowed: float) -> Candidate:
+    def _at(self, tried: Candidates, count: int, allowed: float) -> ReducedLaw:
         """Return the best controller of an order: projected, then tuned where that costs too much or the loop."""
         best = tried.projected(count)
         if (np.isfinite(best.cost) and best.cost <= 1 + allowed) or not self.steps:
             return best
         return min(best, tried.tuned(count, self.steps, allowed), key=lambda c: c.cost)
 
-    def _fewest(self, tried: Candidates, most: int, allowed: float) -> Candidate:
+    def _fewest(self, tried: Candidates, most: int, allowed: float) -> ReducedLaw:
         """Return the fewest states within the allowed loss, by bisection (the loss falls with the states, nearly)."""
         low, high, best = -1, most, self._at(tried, most, allowed)
         while high - low > 1 and best.cost <= 1 + allowed:

@@ -14,7 +14,7 @@ MEMORY = 40  # pairs of steps that stand for the curvature
 WALL = 1e3  # cost, in units of the full controller's, of a controller that would lose the loop
 
 
-class Shape(NamedTuple):
+class LawSizes(NamedTuple):
     """Sizes of a controller whose A has 2x2 blocks; an odd state is paired with one that nothing drives or reads."""
 
     states: int
@@ -47,7 +47,7 @@ class Response(NamedTuple):
     CR: Array
 
 
-def packed(M: Matrices, shape: Shape, discrete: bool) -> FloatArray | None:
+def packed(M: Matrices, shape: LawSizes, discrete: bool) -> FloatArray | None:
     """Return the parameters of a controller in modal form; None when its modes cannot be told apart."""
     form = balance.modal(*M[:3])
     if form.blocks and max(form.blocks) > 2:
@@ -64,7 +64,7 @@ def packed(M: Matrices, shape: Shape, discrete: bool) -> FloatArray | None:
     return np.concatenate([blocks.ravel(), B.ravel(), C.ravel(), np.ravel(M[3])])
 
 
-def matrices(x: FloatArray, shape: Shape) -> Matrices:
+def matrices(x: FloatArray, shape: LawSizes) -> Matrices:
     """Return A, B, C, D of parameters."""
     blocks, B, C, D = shape.unpack(x)
     A = np.zeros((2 * shape.blocks,) * 2)
@@ -77,7 +77,7 @@ def matrices(x: FloatArray, shape: Shape) -> Matrices:
 class Descent:
     """Costs of a controller's parameters with their gradients, and the searches that lower them."""
 
-    def __init__(self, grid: Grid, shape: Shape, norm: str, discrete: bool) -> None:
+    def __init__(self, grid: Grid, shape: LawSizes, norm: str, discrete: bool) -> None:
         self._grid, self._shape, self._norm, self._discrete = grid, shape, norm, discrete
         left, right = grid.influence(grid.K), grid.sensitivity(grid.K)
         self._left, self._right = _adjoint(left) @ left, right @ _adjoint(right)
