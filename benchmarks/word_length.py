@@ -21,11 +21,11 @@ Promise = tuple[str, str, str, bool]
 def measure() -> Iterator[Promise]:
     plant = uq.bench.Hexapod(unit="ground").linear_model()
     laws = {
-        "alike": uq.design.BandAttenuation(structure="alike").design(plant).controller,
+        "repeated": uq.design.BandAttenuation(structure="repeated").design(plant).controller,
         "LQG": uq.design.Lqg().design(plant).controller,
     }
     with tempfile.TemporaryDirectory() as work:
-        yield from bank(laws["alike"], plant, Path(work))
+        yield from bank(laws["repeated"], plant, Path(work))
         for name, law in laws.items():
             yield from table(name, law, plant)
             yield from whole_numbers(name, law, plant, Path(work) / name)

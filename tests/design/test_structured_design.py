@@ -8,11 +8,10 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import FixedStructure, Specification, common_mode, synthesize_structured
-from ultraquiet.design.fixed_structure.controller_structure import alike, apart
-from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
-from ultraquiet.design.fixed_structure.elements import Dense, Sections
+from ultraquiet.design.fixed_structure.controller_structure import decentralised, one_element, repeated
+from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
 from ultraquiet.design.fixed_structure.method import posed
-from ultraquiet.design.fixed_structure.sections import Bank
+from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.linalg import balance
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, lft
@@ -117,8 +116,8 @@ def least_level(A, B1, B2) -> float:
     "element",
     [
         Dense(3, 2, 2),
-        Sections(3, 2, 2, np.array([0.5, 0.5, 2.0])),
-        Sections(4, 2, 2, np.ones(4)),
+        StablePairs(3, 2, 2, np.array([0.5, 0.5, 2.0])),
+        StablePairs(4, 2, 2, np.ones(4)),
     ],
 )
 def test_slopes_are_those_of_differences(rng, element):
@@ -126,10 +125,10 @@ def test_slopes_are_those_of_differences(rng, element):
     _check_slopes(rng, element, theta)
 
 
-def test_slopes_of_a_bank(rng):
+def test_slopes_of_a_cascade(rng):
     kinds = ("lead-lag", "notch", "biquad", "high-pass", "low-pass")
-    bank = Bank(kinds, -2.0, tuple(np.exp(rng.standard_normal(11))))
-    _check_slopes(rng, bank, bank.start(rng, 0.1, 3.0))
+    cascade = SectionCascade(kinds, -2.0, tuple(np.exp(rng.standard_normal(11))))
+    _check_slopes(rng, cascade, cascade.start(rng, 0.1, 3.0))
 
 
 def _check_slopes(rng, element, theta):
@@ -151,7 +150,7 @@ def _check_slopes(rng, element, theta):
 
 def test_level_of_a_specification_has_the_slope_of_differences(ground, rng):
     part, wanted = common_mode(ground), Specification(disk_margin=0.5, roll_off_hz=800.0)
-    element = Sections(4, 1, 1, np.full(4, 0.05))
+    element = StablePairs(4, 1, 1, np.full(4, 0.05))
     problem = posed(part, one_element(element), wanted)
     theta = element.turned_down(element.start(rng, 0.01, 0.3), 0.1)
     problem.soft = 0.3
@@ -163,12 +162,12 @@ def test_level_of_a_specification_has_the_slope_of_differences(ground, rng):
     assert np.abs(slope - numbers).max() < 1e-3 * np.abs(numbers).max() + 1e-9
 
 
-def test_layouts_share_and_separate(rng):
-    element = Sections(2, 1, 1, np.ones(2))
+def test_repeated_laws_share_parameters_and_decentralised_ones_do_not(rng):
+    element = StablePairs(2, 1, 1, np.ones(2))
     theta = element.start(rng, 0.3, 3.0)
-    K = alike(element, 3).response(theta, np.array([1j]))[0]
+    K = repeated(element, 3).response(theta, np.array([1j]))[0]
     np.testing.assert_allclose(K, element.response(theta, np.array([1j]))[0, 0, 0] * np.eye(3))
-    both = apart((element, element), 2)
+    both = decentralised((element, element), 2)
     A, B, C, D = both.system(np.concatenate([theta, theta]))
     assert A.shape == (4, 4)
     np.testing.assert_allclose(B.T @ B, np.diag(np.diag(B.T @ B)), atol=1e-12)
@@ -195,7 +194,7 @@ def test_eight_states_a_strut_quiet_the_true_bench(ground):
     worst = -sensitivity_db(ground, K, np.geomspace(10, 100, 300)).max()
     peak = sensitivity_db(ground, K, np.geomspace(0.3, 1749, 3000)).max()
     control = result.details["score"].measured["control_gain"]
-    print(f"8 states alike: worst direction {worst:.2f} dB, peak {peak:.2f} dB, |KS| {control:.0f}")
+    print(f"8 states repeated: worst direction {worst:.2f} dB, peak {peak:.2f} dB, |KS| {control:.0f}")
     assert result.status.ok, result.status
     assert feedback(ground, K).is_stable()
     assert K.is_stable()

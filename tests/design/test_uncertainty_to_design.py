@@ -38,7 +38,7 @@ def relative_error(model, truth, f_hz):
 
 def test_promise_of_robust_stability_holds_on_the_true_bench(identified, truth):
     model, W, bound = identified
-    result = BandAttenuation(structure="alike", uncertainty=W).design(model)
+    result = BandAttenuation(structure="repeated", uncertainty=W).design(model)
     print(result.status)
     assert result.status.ok
     size = result.details["robust_stability"]

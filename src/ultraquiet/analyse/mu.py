@@ -12,7 +12,7 @@ from ultraquiet.analyse.margins import default_grid, grid_given
 from ultraquiet.analyse.mu_lower import lower_bound
 from ultraquiet.analyse.mu_upper import Upper, highest, upper_bound
 from ultraquiet.analyse.peaks import ends, refined, response_at
-from ultraquiet.analyse.structure import Block, Structure, structure
+from ultraquiet.analyse.structure import Block, BlockStructure, structure
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
@@ -56,7 +56,7 @@ class MuBounds:
     @property
     def levels(self) -> FloatArray:
         """Size of D block by block, `(blocks, nf)`; the last one's is one: what a D-K iteration fits."""
-        return _sizes(np.moveaxis(self.D, 2, 0), Structure(self.blocks))
+        return _sizes(np.moveaxis(self.D, 2, 0), BlockStructure(self.blocks))
 
     @property
     def gap(self) -> FloatArray:
@@ -172,7 +172,7 @@ def _peak(
     M: StateSpace | FrequencyResponse | ComplexArray,
     f: FloatArray,
     values: FloatArray | None,
-    blocks: Structure,
+    blocks: BlockStructure,
     beside: FloatArray | None,
 ) -> tuple[float, float]:
     if not isinstance(M, StateSpace):
@@ -211,14 +211,14 @@ def _response(
     return values, f, True
 
 
-def _normalised(upper: Upper, blocks: Structure) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+def _normalised(upper: Upper, blocks: BlockStructure) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return roots of D and G with the last block at one."""
     D, D_in = (np.linalg.cholesky(D).conj().swapaxes(1, 2) for D in (upper.out, upper.into))
     unit = _sizes(D, blocks)[-1]
     return D / unit[:, None, None], D_in / unit[:, None, None], upper.G / unit[:, None, None] ** 2
 
 
-def _sizes(D: ComplexArray, blocks: Structure) -> FloatArray:
+def _sizes(D: ComplexArray, blocks: BlockStructure) -> FloatArray:
     """Return the root mean square of D over each block, `(blocks, nf)`, from `(nf, nz, nz)`."""
     power = np.abs(D) ** 2
     return np.array([np.sqrt(power[:, p, p].sum(axis=(1, 2)) / (p.stop - p.start)) for p in blocks.outputs])

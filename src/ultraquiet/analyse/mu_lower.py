@@ -9,7 +9,7 @@ then turned by exact eigenvectors until it stands.
 import numpy as np
 
 from ultraquiet.analyse.mu_upper import Upper
-from ultraquiet.analyse.structure import Structure
+from ultraquiet.analyse.structure import BlockStructure
 from ultraquiet.linalg.ordered import Array
 
 PAIRS = 4  # starts from the two largest singular values of the scaled matrix
@@ -23,7 +23,7 @@ SEED = 0  # of the starts: the bound is the same every time
 TINY = np.finfo(float).tiny
 
 
-def lower_bound(M: Array, blocks: Structure, upper: Upper) -> tuple[Array, Array]:
+def lower_bound(M: Array, blocks: BlockStructure, upper: Upper) -> tuple[Array, Array]:
     """Return the bound `(nf,)` and Q of norm one `(nf, nw, nz)`, which has it as an eigenvalue of Q M."""
     nf = M.shape[0]
     a, b, w = _iterated(M, blocks, _starts(M, upper))
@@ -58,7 +58,7 @@ def _starts(M: Array, upper: Upper) -> tuple[Array, Array]:
     return np.concatenate([b, anywhere[0]], axis=1), np.concatenate([w, anywhere[1]], axis=1)
 
 
-def _iterated(M: Array, blocks: Structure, start: tuple[Array, Array]) -> tuple[Array, Array, Array]:
+def _iterated(M: Array, blocks: BlockStructure, start: tuple[Array, Array]) -> tuple[Array, Array, Array]:
     """Return a (outputs of M), b (its inputs) and w (its inputs seen from behind) after the power iteration."""
     b, w = start
     forth, back = M.swapaxes(1, 2), M.conj()
@@ -74,7 +74,7 @@ def _unit(x: Array) -> Array:
     return x / np.maximum(np.linalg.norm(x, axis=2, keepdims=True), TINY)
 
 
-def _outputs(a: Array, b: Array, w: Array, blocks: Structure) -> Array:
+def _outputs(a: Array, b: Array, w: Array, blocks: BlockStructure) -> Array:
     """Return z = Q* w: of a full block along a, of a repeated one along w."""
     z = np.empty_like(a)
     for block, out, into in zip(blocks.blocks, blocks.outputs, blocks.inputs, strict=True):
@@ -86,7 +86,7 @@ def _outputs(a: Array, b: Array, w: Array, blocks: Structure) -> Array:
     return z
 
 
-def _inputs(a: Array, b: Array, w: Array, blocks: Structure) -> Array:
+def _inputs(a: Array, b: Array, w: Array, blocks: BlockStructure) -> Array:
     """Return b = Q a: of a full block along w, of a repeated one along a."""
     out_b = np.empty_like(b)
     for block, out, into in zip(blocks.blocks, blocks.outputs, blocks.inputs, strict=True):
@@ -112,7 +112,7 @@ def _length(x: Array) -> Array:
     return np.linalg.norm(x, axis=2, keepdims=True)
 
 
-def _perturbations(a: Array, b: Array, w: Array, blocks: Structure) -> Array:
+def _perturbations(a: Array, b: Array, w: Array, blocks: BlockStructure) -> Array:
     """Return Q `(nf, starts, nw, nz)`: full blocks w a* of norm one, repeated ones q I."""
     nz, nw = blocks.shape
     Q = np.zeros((*a.shape[:2], nw, nz), dtype=np.complex128)
@@ -134,7 +134,7 @@ def _along(x: Array) -> Array:
     return np.where(length > TINY, x / np.maximum(length, TINY), first)
 
 
-def _spectral(QM: Array, blocks: Structure) -> tuple[Array, Array]:
+def _spectral(QM: Array, blocks: BlockStructure) -> tuple[Array, Array]:
     """Return the size of the eigenvalue that counts, and what turns Q so that it becomes real and positive.
 
     Complex blocks may all be turned together; a real block only changes its sign.
@@ -149,7 +149,7 @@ def _spectral(QM: Array, blocks: Structure) -> tuple[Array, Array]:
     return size, np.sign(np.real(turn)) + 0j if blocks.has_real else turn
 
 
-def _turned_real(M: Array, blocks: Structure, Q: Array) -> Array:
+def _turned_real(M: Array, blocks: BlockStructure, Q: Array) -> Array:
     """Turn all complex blocks together until the largest eigenvalue of Q M is real: Newton's method on its angle."""
     nf, starts, nw, nz = Q.shape
     Q, behind = Q.reshape(nf * starts, nw, nz).copy(), np.repeat(M, starts, axis=0)
@@ -175,7 +175,7 @@ def _turned_real(M: Array, blocks: Structure, Q: Array) -> Array:
     return Q.reshape(nf, starts, nw, nz)
 
 
-def _polished(M: Array, blocks: Structure, size: Array, Q: Array) -> tuple[Array, Array]:
+def _polished(M: Array, blocks: BlockStructure, size: Array, Q: Array) -> tuple[Array, Array]:
     """Turn each block to where the eigenvalue grows, by its right and left eigenvectors, as long as it does."""
     size, Q = size.copy(), Q.copy()
     left = np.flatnonzero(size > TINY)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet.analyse.levels import balanced_levels
-from ultraquiet.analyse.structure import Structure
+from ultraquiet.analyse.structure import BlockStructure
 from ultraquiet.linalg.ordered import Array
 
 LARGEST_STACK = 4e6  # complex numbers held at once for one set of directions: 64 MB
@@ -51,7 +51,7 @@ class _Basis(NamedTuple):
     join: Array
 
 
-def upper_bound(M: Array, blocks: Structure) -> Upper:
+def upper_bound(M: Array, blocks: BlockStructure) -> Upper:
     """Return the bound for matrices `(nf, nz, nw)`."""
     basis = _basis(blocks)
     chunk = max(1, int(LARGEST_STACK / (basis.start.size * blocks.shape[1] ** 2)))
@@ -59,12 +59,12 @@ def upper_bound(M: Array, blocks: Structure) -> Upper:
     return Upper(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def balanced_norm(M: Array, blocks: Structure) -> Array:
+def balanced_norm(M: Array, blocks: BlockStructure) -> Array:
     """Return a quick bound `(nf,)` from above: the norm after balancing."""
     return _balance(M, blocks)[2]
 
 
-def highest(M: Array, blocks: Structure) -> Array:
+def highest(M: Array, blocks: BlockStructure) -> Array:
     """Return bounds `(nf,)` from above that are as low as `upper_bound` has them wherever the largest may be."""
     values = balanced_norm(M, blocks)
     order, best = np.argsort(-values), 0.0
@@ -78,7 +78,7 @@ def highest(M: Array, blocks: Structure) -> Array:
     return values
 
 
-def _bounded(M: Array, blocks: Structure, basis: _Basis) -> Upper:
+def _bounded(M: Array, blocks: BlockStructure, basis: _Basis) -> Upper:
     nf, nz, nw = M.shape
     N, levels, size = _balance(M, blocks)
     moving = np.asarray(size > 0)
@@ -100,7 +100,7 @@ def _bounded(M: Array, blocks: Structure, basis: _Basis) -> Upper:
     )
 
 
-def _balance(M: Array, blocks: Structure) -> tuple[Array, Array, Array]:
+def _balance(M: Array, blocks: BlockStructure) -> tuple[Array, Array, Array]:
     """Return M scaled to norm one, the levels log d `(nf, blocks)` that scaled it, and its norm `(nf,)` before."""
     largest = np.abs(M).max(axis=(1, 2), initial=0.0)
     unit = M / np.where(largest > 0, largest, 1.0)[:, None, None]
@@ -112,7 +112,7 @@ def _balance(M: Array, blocks: Structure) -> tuple[Array, Array, Array]:
     return N / np.where(size > 0, size, 1.0)[:, None, None], levels, size * largest
 
 
-def _basis(blocks: Structure) -> _Basis:
+def _basis(blocks: BlockStructure) -> _Basis:
     """Return the directions in which scalings may move."""
     nz, nw = blocks.shape
     rows: list[tuple[Array, Array, Array, float]] = []

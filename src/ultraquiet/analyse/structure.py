@@ -43,7 +43,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Structure:
+class BlockStructure:
     """All blocks, in the order of the channels."""
 
     blocks: tuple[Block, ...]
@@ -77,7 +77,9 @@ class Structure:
         return out, into
 
 
-def structure(who: str, blocks: Sequence[int | tuple[int, int] | Block] | None, shape: tuple[int, int]) -> Structure:
+def structure(
+    who: str, blocks: Sequence[int | tuple[int, int] | Block] | None, shape: tuple[int, int]
+) -> BlockStructure:
     """Return the structure that `blocks` describes, one complex number a channel when absent; refuse what misfits M.
 
     Args:
@@ -89,7 +91,7 @@ def structure(who: str, blocks: Sequence[int | tuple[int, int] | Block] | None, 
         blocks = [1] * shape[0]
     if isinstance(blocks, str | bytes) or not isinstance(blocks, Sequence) or not len(blocks):
         raise InputError(f"{who}: 'blocks' must be a list of sizes, pairs or Block, got {blocks!r}.")
-    made = Structure(tuple(_block(who, b) for b in blocks))
+    made = BlockStructure(tuple(_block(who, b) for b in blocks))
     if made.shape != tuple(shape):
         raise InputError(
             f"{who}: the blocks take {made.shape[0]} outputs and drive {made.shape[1]} inputs, "

@@ -16,7 +16,7 @@ INSIDE = 1 - 1e-7  # poles of the basis stay this far inside the circle
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
+class OrthonormalBasis:
     """A chain of all-pass sections (A, B, C, D), real, of one or two states; their states are the basis."""
 
     sections: Sequence[tuple[FloatArray, ...]]
@@ -52,9 +52,9 @@ class Basis:
         return A, B, w[:, 1:], w[:, :1]
 
 
-def chain(poles: ComplexArray) -> Basis:
+def chain(poles: ComplexArray) -> OrthonormalBasis:
     """Return the basis with these poles, one section each: a complex pole stands for itself and its conjugate."""
-    return Basis([_section(_inside(complex(p))) for p in poles])
+    return OrthonormalBasis([_section(_inside(complex(p))) for p in poles])
 
 
 def _inside(p: complex) -> complex:

@@ -12,7 +12,7 @@ from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.demands import Wishes, largest_control
 from ultraquiet.limits.directions import AllActuators, along, coupling_db, principal
 from ultraquiet.limits.loops import stabilised
-from ultraquiet.limits.search import Search
+from ultraquiet.limits.search import LimitSearch
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "by_direction"
@@ -87,7 +87,7 @@ def one_direction(
     plant: StateSpace, v: FloatArray, band: tuple[float, float], peak_db: float, control_gain: float | None, basis: int
 ) -> DirectionLimit:
     """Return the limit along one unit vector."""
-    search = Search(stabilised(along(plant, v)), band, basis)
+    search = LimitSearch(stabilised(along(plant, v)), band, basis)
     if not np.any(search.lines.b[search.inside]):
         return DirectionLimit(v, refused(f"{WHO}: the plant does not answer along this direction in the band."), 0.0)
     gain = largest_control(control_gain, search.lines, search.inside)

@@ -10,7 +10,7 @@ from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.delays import delayed
 from ultraquiet.limits.demands import WHO, Wishes, checked_uncertainty, largest_control
 from ultraquiet.limits.loops import stabilised
-from ultraquiet.limits.search import Search
+from ultraquiet.limits.search import LimitSearch
 from ultraquiet.values.state_space import StateSpace
 
 NO_PATH = 1e-12
@@ -76,7 +76,7 @@ def best_flat_attenuation(
     weight = checked_uncertainty(plant, uncertainty)
     plant = delayed(WHO, plant, delay_s)
     try:
-        search = Search(stabilised(plant), band, basis)
+        search = LimitSearch(stabilised(plant), band, basis)
     except NumericalError as error:
         return refused(f"{WHO}: {error}.")
     if np.abs(search.lines.b[search.inside]).max() < NO_PATH:

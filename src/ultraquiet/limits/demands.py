@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, positive, real_array, same_rate
 from ultraquiet._base.errors import InputError
-from ultraquiet.limits.loops import Lines
+from ultraquiet.limits.loops import AffineLoops
 from ultraquiet.limits.programme import TIGHTENED, Demand
 from ultraquiet.values.state_space import StateSpace
 
@@ -26,7 +26,7 @@ class Wishes:
     control_gain: float
     uncertainty: "StateSpace | tuple[FloatArray, FloatArray] | None" = None
 
-    def demands(self, f_hz: FloatArray, lines: Lines) -> list[Demand]:
+    def demands(self, f_hz: FloatArray, lines: AffineLoops) -> list[Demand]:
         """Return the demands on a grid, that on the band first."""
         low, high = self.band_hz
         inside = (f_hz >= low) & (f_hz <= high)
@@ -74,7 +74,7 @@ def checked_uncertainty(
     return f, size
 
 
-def largest_control(control_gain: float | None, lines: Lines, inside: np.ndarray) -> float:
+def largest_control(control_gain: float | None, lines: AffineLoops, inside: np.ndarray) -> float:
     """Return the limit on |K S|, a very high one where none is given."""
     if control_gain is not None:
         return positive(WHO, "control_gain", control_gain)

@@ -6,7 +6,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, rising_band
 from ultraquiet.limits.certificate import outer
 from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.half_plane import half_plane
-from ultraquiet.limits.loops import Lines
+from ultraquiet.limits.loops import AffineLoops
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.response import points
@@ -81,7 +81,7 @@ class AllActuators:
         self._phase = np.unwrap(np.angle(outer(np.exp(self._log))[: CIRCLE + 1]))
         self._zeros, self._delay = _common(plant, v)
 
-    def __call__(self, f_hz: FloatArray) -> Lines:
+    def __call__(self, f_hz: FloatArray) -> AffineLoops:
         """Return the lines in q."""
         angles = self._circle.angles(f_hz)
         size, phase = (np.interp(angles, self._angles, y) for y in (self._log, self._phase))
@@ -92,7 +92,7 @@ class AllActuators:
         if self._delay:
             g = g * np.exp(-2j * np.pi * self._delay * f_hz / float(self._circle.rate_hz or 1.0))
         one = np.ones(f_hz.size, dtype=np.complex128)
-        return Lines(one, g, 0 * one, one)
+        return AffineLoops(one, g, 0 * one, one)
 
 
 def _common(plant: StateSpace, v: FloatArray) -> tuple[ComplexArray, int]:

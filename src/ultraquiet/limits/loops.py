@@ -18,7 +18,7 @@ from ultraquiet.values.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
+class AffineLoops:
     """S = a + b Q and K S = c + d Q at some frequencies, `(nf,)` each, for a scalar loop."""
 
     a: ComplexArray
@@ -35,19 +35,19 @@ class Loops:
     F: FloatArray
     H: FloatArray
 
-    def at(self, f_hz: FloatArray) -> Lines:
+    def at(self, f_hz: FloatArray) -> AffineLoops:
         """Return S and K S as lines in Q."""
         G, F, H = self.plant, self.F, self.H
         one = np.ones(f_hz.size, dtype=np.complex128)
         if not (F.any() or H.any()):
-            return Lines(one, G.frequency_response(f_hz)[0, 0], 0 * one, one)
+            return AffineLoops(one, G.frequency_response(f_hz)[0, 0], 0 * one, one)
         z = points(f_hz, G.rate_hz)
         left = np.vstack([F, G.C + G.D @ F])
         direct = np.array([[1.0, 0.0], [G.D[0, 0], 1.0]])
         right = frequency_response(G.A + G.B @ F, np.hstack([G.B, -H]), left, direct, z)
         dual = frequency_response(G.A + H @ G.C, H, G.C, np.ones((1, 1)), z)[0, 0]
         (M, U), (N, V) = right
-        return Lines(V * dual, N * dual, U * dual, M * dual)
+        return AffineLoops(V * dual, N * dual, U * dual, M * dual)
 
     def controller(self, Q: StateSpace) -> StateSpace:
         """Return the controller u = K y of a stable Q."""

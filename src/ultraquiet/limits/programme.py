@@ -37,7 +37,7 @@ class Demand:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class ConeSolution:
     """A solution: weights of the basis, the level t, one multiplier for each demand and point (zero where not put)."""
 
     weights: FloatArray
@@ -53,7 +53,7 @@ class Found:
         return self.status in SOLVED
 
 
-def solve(functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None = None) -> Found:
+def solve(functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None = None) -> ConeSolution:
     """Solve on a first grid, add the points at which a demand is broken, and again until none is.
 
     Args:
@@ -87,7 +87,7 @@ def solve_on(
     active: Sequence[np.ndarray],
     noise: FloatArray | None = None,
     rounds: int = 1,
-) -> Found:
+) -> ConeSolution:
     """Solve with each demand put at its active points only."""
     clarabel = import_module("clarabel")  # it ships no types; as a plain module it is what it says
     csc_matrix = import_module("scipy.sparse").csc_matrix
@@ -112,7 +112,7 @@ def solve_on(
         held[on] = z[at : at + 3 * count : 3] * (x[-1] if demand.sought else 1.0)
         multipliers.append(held)
         at += 3 * count
-    return Found(x[:-1], float(x[-1]), multipliers, active, str(solution.status), rounds)
+    return ConeSolution(x[:-1], float(x[-1]), multipliers, active, str(solution.status), rounds)
 
 
 def _cones(functions: ComplexArray, demand: Demand, at: np.ndarray) -> tuple[FloatArray, FloatArray]:

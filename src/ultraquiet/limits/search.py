@@ -7,11 +7,11 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.limits import certificate, grid, half_plane
 from ultraquiet.limits._limit import Limit, refused
-from ultraquiet.limits.basis import Basis, chain
+from ultraquiet.limits.basis import OrthonormalBasis, chain
 from ultraquiet.limits.circle import Circle
 from ultraquiet.limits.demands import IN_BAND, WHO, Wishes
-from ultraquiet.limits.loops import Lines, Loops
-from ultraquiet.limits.programme import Demand, Found, solve, solve_on
+from ultraquiet.limits.loops import AffineLoops, Loops
+from ultraquiet.limits.programme import ConeSolution, Demand, solve, solve_on
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.status import Status, StatusWord
 
@@ -26,7 +26,7 @@ NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
 Stretches = tuple[tuple[float, float], ...]
 
 
-class Search:
+class LimitSearch:
     """Everything that depends on plant, band and basis, but not on the demands."""
 
     def __init__(self, loops: Loops, band_hz: tuple[float, float], basis: int) -> None:
@@ -53,7 +53,7 @@ class Search:
         wishes: Wishes,
         noise_gain: float | None = None,
         certify: bool = True,
-        bounded_by: Callable[[FloatArray], Lines] | None = None,
+        bounded_by: Callable[[FloatArray], AffineLoops] | None = None,
     ) -> Limit:
         """Return the limit under these demands.
 
@@ -74,14 +74,14 @@ class Search:
         half_db = float("nan") if bounded_by else self._half(scale, demands, found, noise_gain)
         return self._told(wishes, found, found.weights * scale, bound, half_db)
 
-    def _half(self, scale: float, demands: Sequence[Demand], found: Found, noise_gain: float | None) -> float:
+    def _half(self, scale: float, demands: Sequence[Demand], found: ConeSolution, noise_gain: float | None) -> float:
         """Return the attenuation in dB that every other section of the basis reaches on the same points."""
         half = chain(self.poles[::2])
         noise = None if noise_gain is None else self._noise(half, scale, noise_gain)
         again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, found.active, noise)
         return attenuation(again.level) if again.ok else float("nan")
 
-    def _noise(self, basis: Basis, scale: float, noise_gain: float) -> FloatArray:
+    def _noise(self, basis: OrthonormalBasis, scale: float, noise_gain: float) -> FloatArray:
         """Return R with |R (theta, 1)| = ||K S||_2 / noise_gain, the mean square over all frequencies."""
         rate_hz = self.circle.rate_hz
         assert rate_hz is not None
@@ -93,7 +93,7 @@ class Search:
         return np.asarray(np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r"))
 
     def bound(
-        self, wishes: Wishes, demands: Sequence[Demand], found: Found, lines: Callable[[FloatArray], Lines]
+        self, wishes: Wishes, demands: Sequence[Demand], found: ConeSolution, lines: Callable[[FloatArray], AffineLoops]
     ) -> float:
         """Return the attenuation in dB that no Q reaches on `lines`; nan where no circle was fine enough."""
         angles_found = self.circle.angles(self.f_hz)
@@ -114,7 +114,7 @@ class Search:
                 return attenuation(level) if level else np.inf
         return float("nan")
 
-    def _told(self, wishes: Wishes, found: Found, weights: FloatArray, bound_db: float, half_db: float) -> Limit:
+    def _told(self, wishes: Wishes, found: ConeSolution, weights: FloatArray, bound_db: float, half_db: float) -> Limit:
         """Judge the solution on a finer grid and word it."""
         f = _finer(self.f_hz)
         lines = self.loops.at(f)
@@ -132,7 +132,7 @@ class Search:
 
     def _sentence(
         self,
-        found: Found,
+        found: ConeSolution,
         attenuation_db: float,
         bound_db: float,
         over: float,
@@ -150,7 +150,9 @@ class Search:
             f"{found.rounds} grids, {self.basis.size} functions{less}."
         )
 
-    def _why(self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, found: Found) -> str:
+    def _why(
+        self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, found: ConeSolution
+    ) -> str:
         """Name the demands without which there is a solution."""
         if "Infeasible" not in found.status:
             return f"{WHO}: the solver gave up ({found.status}); ask for less basis or a milder demand."

@@ -13,6 +13,7 @@ from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.structure_words import FULL, REPEATED
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.linalg import common_axes as axes
@@ -114,9 +115,9 @@ class Decoupled:
         if wrong:
             raise InputError(f"Decoupled: '{self.method}' has no setting '{wrong[0]}', only {', '.join(known)}.")
         method = kind(**self.settings)
-        # one law for channels that are alike is meant for the whole plant: here every loop has its own
-        alike = getattr(method, "structure", None) == "alike" and part.D.shape[0] > 1 and "full" not in self.settings
-        return replace(method, structure="full") if alike and kind.__name__ == "BandAttenuation" else method
+        # one law repeated on all channels is meant for the whole plant: here every loop has its own
+        several = part.D.shape[0] > 1 and getattr(method, "structure", FULL) == REPEATED
+        return replace(method, structure=FULL) if several and kind.__name__ == "BandAttenuation" else method
 
     def _found(self, G: ComplexArray) -> tuple[FloatArray, FloatArray, list[list[int]]]:
         n = G.shape[1]

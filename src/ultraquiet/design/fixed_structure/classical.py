@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, one_of, positive, real_array
+from ultraquiet._base.constraints import FloatArray, positive, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.fixed_structure.controller_structure import Layout, alike, apart
-from ultraquiet.design.fixed_structure.method import Start, posed, tuned, worded
+from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, decentralised, repeated
+from ultraquiet.design.fixed_structure.method import InitialLaw, posed, tuned, worded
 from ultraquiet.design.fixed_structure.problem import Plane, plane_of
-from ultraquiet.design.fixed_structure.sections import Bank
+from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.result import DesignResult
+from ultraquiet.design.structure_words import DECENTRALISED, REPEATED, structure_word
 from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
 
@@ -26,20 +27,21 @@ ALLOWED = 0.98  # of what is hard
 
 
 @dataclass(frozen=True)
-class _Bank:
-    """Settings that all banks of sections share."""
+class ClassicalMethod:
+    """Settings that all methods of classical sections share, and their verb."""
 
     gain: float | tuple[float, ...] | None = None
     high_pass_hz: float | None = None
     low_pass_hz: float | None = None
     tune: bool = False
-    structure: str = "alike"
+    structure: str = REPEATED
     specification: Specification | Mapping[str, Any] | None = None
     starts: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
-        one_of(type(self).__name__, "structure", self.structure, ("alike", "apart"))
+        word = structure_word(type(self).__name__, self.structure, (REPEATED, DECENTRALISED))
+        object.__setattr__(self, "structure", word)
         object.__setattr__(self, "specification", specified(self.specification))
         if isinstance(self.gain, list):
             object.__setattr__(self, "gain", tuple(self.gain))
@@ -50,7 +52,7 @@ class _Bank:
 
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
-        """Return u = K y with the same sections on every channel, or each its own when tuned `apart`.
+        """Return u = K y with the same sections on every channel, or each its own when tuned `decentralised`.
 
         Without a gain the one is sought that attenuates most within the specification's peak and control limit; with
         `tune` gains, corners and dampings are all tuned. `details["values"]` holds the sections as they came out, Hz.
@@ -62,25 +64,30 @@ class _Bank:
         wanted = self.specification if isinstance(self.specification, Specification) else Specification()
         wanted.fits(who, plant)
         n = plant.D.shape[0]
-        plane, banks = plane_of(plant), []
-        for g in self._gains(n, plant):
-            banks.append(self._bank(who, plane, g))
-        together = len(banks) == 1 and self.structure == "alike"
-        banks = banks if together or len(banks) == n else banks * n
-        layout = alike(banks[0], n) if together else apart(tuple(banks), n)
-        theta = np.concatenate([b.origin for b in banks])
+        plane = plane_of(plant)
+        cascades = [self._cascade(who, plane, g) for g in self._gains(n, plant)]
+        if len(cascades) == 1 and self.structure == REPEATED:
+            structure = repeated(cascades[0], n)
+        else:
+            cascades = cascades if len(cascades) == n else cascades * n
+            structure = decentralised(tuple(cascades), n)
+        theta = np.concatenate([c.origin for c in cascades])
         demanded = self.specification is not None
         if self.gain is None:
-            theta = _best_gain(plant, layout, theta, wanted)
+            theta = _best_gain(plant, structure, theta, wanted)
         if self.tune:
-            result = tuned(plant, Start(layout, theta), wanted, self, self.starts, self.seed, demanded)
+            result = tuned(plant, InitialLaw(structure, theta), wanted, self, self.starts, self.seed, demanded)
             if "theta" in result.details:
-                result.details["values"] = self._told(plane, banks, layout, result.details["theta"])  # type: ignore[index]
+                result.details["values"] = self._values_hz(plane, cascades, structure, result.details["theta"])  # type: ignore[index]
             return result
-        law = plane.from_plane(layout.system(theta))
+        law = plane.from_plane(structure.system(theta))
         score = wanted.score(plant, law)
-        level = float(np.max(posed(plant, layout, wanted).measured(theta)))
-        details = {"score": score, "specification": wanted, "values": self._told(plane, banks, layout, theta)}
+        level = float(np.max(posed(plant, structure, wanted).measured(theta)))
+        details = {
+            "score": score,
+            "specification": wanted,
+            "values": self._values_hz(plane, cascades, structure, theta),
+        }
         return worded(judged(plant, law, self, level, level, {}, details), score, demanded)
 
     def _gains(self, n: int, plant: StateSpace) -> list[float]:
@@ -98,7 +105,7 @@ class _Bank:
             raise InputError(f"{who}: got {gains.size} gains for {n} channels; give one, or one for each.")
         return [float(g) for g in gains]
 
-    def _bank(self, who: str, plane: Plane, gain: float) -> Bank:
+    def _cascade(self, who: str, plane: Plane, gain: float) -> SectionCascade:
         kinds, values = [], []
         for kind, numbers, in_hz in self._all():
             kinds.append(kind)
@@ -109,7 +116,7 @@ class _Bank:
                         f"{who}: a {kind} corner of {v:g} Hz lies at or above Nyquist, {plane.rate_hz / 2:g} Hz."
                     )
                 values.append(float(plane.of_hz(v)) if is_hz else float(v))
-        return Bank(tuple(kinds), gain, tuple(values))
+        return SectionCascade(tuple(kinds), gain, tuple(values))
 
     def _all(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
         out = self.sections()
@@ -119,26 +126,30 @@ class _Bank:
             out.append(("low-pass", (self.low_pass_hz,), (True,)))
         return out
 
-    def _told(self, plane: Plane, banks: list[Bank], layout: Layout, theta: FloatArray) -> list[dict[str, Any]]:
+    def _values_hz(
+        self, plane: Plane, cascades: list[SectionCascade], structure: ControllerStructure, theta: FloatArray
+    ) -> list[dict[str, Any]]:
         """Return gain and sections of every law in Hz."""
         out = []
-        for bank, own in zip(banks, layout.parts(theta), strict=False):
-            numbers, at, told = bank.numbers(own), 0, []
-            for kind, given, in_hz in self._all():
-                mine = numbers[at : at + len(given)]
-                told.append(
+        for cascade, parameters in zip(cascades, structure.parts(theta), strict=False):
+            numbers, at, sections = cascade.numbers(parameters), 0, []
+            for kind, initial, in_hz in self._all():
+                mine = numbers[at : at + len(initial)]
+                sections.append(
                     (kind, tuple(float(plane.hz(v)) if h else float(v) for v, h in zip(mine, in_hz, strict=True)))
                 )
-                at += len(given)
-            out.append({"gain": float(bank.gain * own[0]), "sections": tuple(told)})
+                at += len(initial)
+            out.append({"gain": float(cascade.gain * parameters[0]), "sections": tuple(sections)})
         return out
 
 
-def _best_gain(plant: StateSpace, layout: Layout, theta: FloatArray, wanted: Specification) -> FloatArray:
+def _best_gain(
+    plant: StateSpace, structure: ControllerStructure, theta: FloatArray, wanted: Specification
+) -> FloatArray:
     """Return the parameters with the common gain that attenuates most among those that meet what is hard."""
-    problem = posed(plant, layout, wanted)
+    problem = posed(plant, structure, wanted)
     scale = np.geomspace(10 ** DECADES[0], 10 ** DECADES[1], round(A_DECADE * (DECADES[1] - DECADES[0])) + 1)
-    first = np.cumsum([0] + [e.size for e in layout.elements[:-1]])
+    first = np.cumsum([0] + [e.size for e in structure.elements[:-1]])
     best = theta
     for _ in range(LOOKS):
         best, least = theta, np.inf
@@ -158,14 +169,14 @@ def _best_gain(plant: StateSpace, layout: Layout, theta: FloatArray, wanted: Spe
 
 @register("design", "lead-lag")
 @dataclass(frozen=True)
-class LeadLag(_Bank):
+class LeadLag(ClassicalMethod):
     """Lead-lag sections on each strut, K = gain prod (1 + s/z) / (1 + s/p) with corners, for each channel alone.
 
     Args:
         gain: of each channel, or one for all, its sign inside; None seeks the best within the specification.
         high_pass_hz, low_pass_hz: first-order corners besides, Hz.
         tune: whether all numbers are tuned to the specification, beginning with those given.
-        structure: `alike` or `apart`: whether tuned channels may differ.
+        structure: `repeated` or `decentralised`: whether tuned channels may differ.
         specification: what is asked, also as a table of its settings; absent, attenuation is a wish and no demand.
         starts, seed: of the search.
         zeros_hz, poles_hz: corners of the sections, Hz; lead where the zero comes first.
@@ -199,7 +210,7 @@ class LeadLag(_Bank):
 
 @register("design", "notch")
 @dataclass(frozen=True)
-class Notch(_Bank):
+class Notch(ClassicalMethod):
     """Notches on each strut, K = gain prod (s^2 + 2 zeta_z w s + w^2) / (s^2 + 2 zeta_p w s + w^2).
 
     Args:

@@ -1,4 +1,4 @@
-"""Where tunable elements stand in a controller: K = sum over places of L k R, elements shared between places or not."""
+"""Where tunable elements stand in a controller: K = sum over places of L k R, elements shared between them or not."""
 
 import itertools
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from ultraquiet.linalg.ordered import Matrices
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class Placement:
     """Element number `element` between rows R `(c, ny)` of the readings and columns L `(nu, r)` of the commands."""
 
     element: int
@@ -20,11 +20,11 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class ControllerStructure:
     """A controller K = sum L k_e(theta) R; the parameters of all elements follow each other in theta."""
 
     elements: tuple[Element, ...]
-    places: tuple[Place, ...]
+    placements: tuple[Placement, ...]
 
     @property
     def edges(self) -> list[int]:
@@ -39,16 +39,16 @@ class Layout:
     def response(self, theta: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return K `(frequency, nu, ny)`."""
         own = [e.response(t, s) for e, t in zip(self.elements, self.parts(theta), strict=True)]
-        first = self.places[0]
+        first = self.placements[0]
         K = np.zeros((s.size, first.left.shape[0], first.right.shape[1]), dtype=np.complex128)
-        for p in self.places:
+        for p in self.placements:
             K += p.left @ own[p.element] @ p.right
         return K
 
     def gradient(self, theta: FloatArray, s: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
         """Return left (dK / dtheta) right for each frequency, left `(nf, nu)`, right `(nf, ny)`."""
         out, parts, edges = np.zeros((s.size, theta.size), dtype=np.complex128), self.parts(theta), self.edges
-        for p in self.places:
+        for p in self.placements:
             e = p.element
             slopes = self.elements[e].gradient(parts[e], s, left @ p.left, right @ p.right.T)
             out[:, edges[e] : edges[e + 1]] += slopes
@@ -57,14 +57,14 @@ class Layout:
     def system(self, theta: FloatArray) -> Matrices:
         """Return A, B, C, D of the whole controller, place after place."""
         own = [e.system(t) for e, t in zip(self.elements, self.parts(theta), strict=True)]
-        sizes = [own[p.element][0].shape[0] for p in self.places]
+        sizes = [own[p.element][0].shape[0] for p in self.placements]
         A, at = np.zeros((sum(sizes), sum(sizes))), 0
-        for p, n in zip(self.places, sizes, strict=True):
+        for p, n in zip(self.placements, sizes, strict=True):
             A[at : at + n, at : at + n] = own[p.element][0]
             at += n
-        B = np.vstack([own[p.element][1] @ p.right for p in self.places])
-        C = np.hstack([p.left @ own[p.element][2] for p in self.places])
-        D = np.sum([p.left @ own[p.element][3] @ p.right for p in self.places], axis=0)
+        B = np.vstack([own[p.element][1] @ p.right for p in self.placements])
+        C = np.hstack([p.left @ own[p.element][2] for p in self.placements])
+        D = np.sum([p.left @ own[p.element][3] @ p.right for p in self.placements], axis=0)
         return A, B, C, D
 
     def abscissa(self, theta: FloatArray) -> float:
@@ -77,19 +77,19 @@ class Layout:
         return np.concatenate([e.start(rng, low, high) for e in self.elements])
 
 
-def whole(element: Element) -> Layout:
+def one_element(element: Element) -> ControllerStructure:
     """Return the controller that is one element."""
     r, c = element.shape
-    return Layout((element,), (Place(0, np.eye(r), np.eye(c)),))
+    return ControllerStructure((element,), (Placement(0, np.eye(r), np.eye(c)),))
 
 
-def alike(element: Element, channels: int, transform: FloatArray | None = None) -> Layout:
+def repeated(element: Element, channels: int, transform: FloatArray | None = None) -> ControllerStructure:
     """Return the same scalar element on each channel, or on each column of an orthonormal transform."""
     T = np.eye(channels) if transform is None else transform
-    return Layout((element,), tuple(Place(0, T[:, [k]], T[:, [k]].T) for k in range(channels)))
+    return ControllerStructure((element,), tuple(Placement(0, T[:, [k]], T[:, [k]].T) for k in range(channels)))
 
 
-def apart(elements: tuple[Element, ...], channels: int) -> Layout:
+def decentralised(elements: tuple[Element, ...], channels: int) -> ControllerStructure:
     """Return an element of its own on each channel."""
     one = np.eye(channels)
-    return Layout(elements, tuple(Place(k, one[:, [k]], one[[k]]) for k in range(channels)))
+    return ControllerStructure(elements, tuple(Placement(k, one[:, [k]], one[[k]]) for k in range(channels)))

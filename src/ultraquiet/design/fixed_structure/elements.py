@@ -104,13 +104,13 @@ class Dense:
 
     def start(self, rng: np.random.Generator, low: float, high: float) -> FloatArray:
         """Return a random start with poles between two frequencies."""
-        sections = Sections(self.states, self.outputs, self.inputs, np.ones(self.states))
+        sections = StablePairs(self.states, self.outputs, self.inputs, np.ones(self.states))
         A, B, C, D = sections.system(sections.start(rng, low, high))
         return np.block([[A, B], [C, D]]).ravel()
 
 
 @dataclass(frozen=True, eq=False)
-class Sections:
+class StablePairs:
     """A stable state space of given order in pairs of states, A = [[0, w], [-w, -d]] with w = e^p, d = e^q.
 
     Pairs may be complex or real, change from one to the other smoothly and never leave the left half; an odd state is
@@ -201,7 +201,7 @@ class Sections:
         return out
 
 
-def from_system(M: Matrices) -> tuple[Sections, FloatArray] | None:
+def from_system(M: Matrices) -> tuple[StablePairs, FloatArray] | None:
     """Return a stable system as sections and their parameters; None where its modes cannot be told apart."""
     form = balance.modal(*M[:3])
     if any(size > 2 for size in form.blocks) or (M[0].size and np.linalg.eigvals(M[0]).real.max() >= 0):
@@ -228,7 +228,7 @@ def from_system(M: Matrices) -> tuple[Sections, FloatArray] | None:
     root = np.sqrt(speeds)
     B, C = np.linalg.solve(T, form.B[order]), form.C[:, order] @ T
     theta = np.concatenate([poles, (B / root[:, None]).ravel(), (C / root).ravel(), M[3].ravel()])
-    return Sections(n, r, c, speeds), theta
+    return StablePairs(n, r, c, speeds), theta
 
 
 def _outer(outside: ComplexArray, left: ComplexArray, inside: ComplexArray, right: ComplexArray) -> ComplexArray:

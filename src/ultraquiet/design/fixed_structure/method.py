@@ -6,25 +6,30 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, one_of, whole
+from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.fixed_structure.controller_structure import Layout, alike, apart
-from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
-from ultraquiet.design.fixed_structure.elements import Element, Sections, from_system
+from ultraquiet.design.fixed_structure.controller_structure import (
+    ControllerStructure,
+    decentralised,
+    one_element,
+    repeated,
+)
+from ultraquiet.design.fixed_structure.elements import Element, StablePairs, from_system
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
-from ultraquiet.design.fixed_structure.problem import Plane, Problem, plane_of
+from ultraquiet.design.fixed_structure.problem import Plane, TuningProblem, plane_of
 from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, structure_word
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-STRUCTURES = ("alike", "apart", "full")
+STRUCTURES = (REPEATED, DECENTRALISED, FULL)
 STEPS = 60
 ROUNDS = 5
 LEAST_DB = 0.02  # by which a peak that was missed is asked to be lower
@@ -43,7 +48,8 @@ class FixedStructure:
 
     Args:
         states: of the law of one channel (of the whole law when `full`).
-        structure: `alike` one scalar law used on every channel, `apart` a law for each, `full` one law for all.
+        structure: `repeated` one scalar law used on every channel, `decentralised` a law for each, `full` one law for
+            all; `alike` and `apart` are older words for the first two.
         specification: what is asked, also as a table of its settings. Absent, the attenuation in the default's band is
             a wish and no demand.
         starts: how hard to search: laws of up to twice as many states more are cut down step by step and tuned on each,
@@ -60,14 +66,14 @@ class FixedStructure:
     """
 
     states: int = 8
-    structure: str = "alike"
+    structure: str = REPEATED
     specification: Specification | Mapping[str, Any] | None = None
     starts: int = 1
     seed: int = 0
 
     def __post_init__(self) -> None:
         who = "FixedStructure"
-        one_of(who, "structure", self.structure, STRUCTURES)
+        object.__setattr__(self, "structure", structure_word(who, self.structure, STRUCTURES))
         whole(who, "states", self.states, 0)
         whole(who, "starts", self.starts, 1)
         object.__setattr__(self, "specification", specified(self.specification))
@@ -87,47 +93,47 @@ class FixedStructure:
         begun = self._begin(plant, wanted)
         return tuned(plant, begun, wanted, self, self.starts, self.seed, demanded=self.specification is not None)
 
-    def _begin(self, plant: StateSpace, wanted: Specification) -> "Start":
-        """Return the layout and the reduced H-infinity design in it."""
-        part = plant if self.structure == "full" else common_mode(plant)
+    def _begin(self, plant: StateSpace, wanted: Specification) -> "InitialLaw":
+        """Return the structure and the reduced H-infinity design in it."""
+        part = plant if self.structure == FULL else common_mode(plant)
         try:
             full = wanted.weighted().synthesis(part).controller
         except UltraquietError:
             full = None
         n = plant.D.shape[0]
-        if self.structure == "full":
+        if self.structure == FULL:
             element, theta = _reduced(full, self.states, plane_of(plant), part.D.shape)
-            return Start(one_element(element), theta, full)
+            return InitialLaw(one_element(element), theta, full)
         # the search is a hundred times quicker on the function that all channels share
         first = _first_on_part(part, full, self.states, wanted, self.starts)
-        element = first.layout.elements[0]
-        if self.structure == "alike":
-            return Start(alike(element, n), first.theta, full)
-        return Start(apart((element,) * n, n), np.tile(first.theta, n), full)
+        element = first.structure.elements[0]
+        if self.structure == REPEATED:
+            return InitialLaw(repeated(element, n), first.theta, full)
+        return InitialLaw(decentralised((element,) * n, n), np.tile(first.theta, n), full)
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """A layout, parameters to begin with, and the law of full order they came from."""
+class InitialLaw:
+    """A structure, parameters to begin with, and the law of full order they came from."""
 
-    layout: Layout
+    structure: ControllerStructure
     theta: FloatArray
     full_order: StateSpace | None = None
 
 
 def tuned(
-    plant: StateSpace, start: Start, wanted: Specification, settings: Any, starts: int, seed: int, demanded: bool
+    plant: StateSpace, start: InitialLaw, wanted: Specification, settings: Any, starts: int, seed: int, demanded: bool
 ) -> DesignResult:
-    """Tune a layout to a specification and judge what comes out on the plant itself."""
+    """Tune a structure to a specification and judge what comes out on the plant itself."""
     who = type(settings).__name__
-    problem = posed(plant, start.layout, wanted)
+    problem = posed(plant, start.structure, wanted)
     points = _points(problem, start.theta, starts, np.random.default_rng(seed))
     found = lowest(problem, points, STEPS, 2)
     if found is None:
         return refused(f"{who}: no start gave a stable loop; try another structure, more states or more starts.")
     theta = _within(problem, balanced(problem, found[0], STEPS, ROUNDS)[0], plant, wanted)
     levels = problem.measured(theta)
-    controller = problem.plane.from_plane(start.layout.system(theta))
+    controller = problem.plane.from_plane(start.structure.system(theta))
     score = wanted.score(plant, controller)
     details = {
         "score": score,
@@ -142,7 +148,7 @@ def tuned(
     return worded(result, score, demanded)
 
 
-def _within(problem: Problem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> FloatArray:
+def _within(problem: TuningProblem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> FloatArray:
     """Return a law that meets what is hard, by the exact norms of the finished loop, where one is found.
 
     A search stops a per mille beside a bound, and a grid may miss the top of a peak: it is asked again for a little
@@ -154,7 +160,7 @@ def _within(problem: Problem, theta: FloatArray, plant: StateSpace, wanted: Spec
         if not missing:
             return trial
         asked = _tightened(asked, missing)
-        trial = balanced(posed(plant, problem.layout, asked), trial, STEPS, ROUNDS)[0]
+        trial = balanced(posed(plant, problem.structure, asked), trial, STEPS, ROUNDS)[0]
     for _ in range(TURNS):
         if not _hard(problem, trial, plant, wanted):
             return trial
@@ -162,9 +168,9 @@ def _within(problem: Problem, theta: FloatArray, plant: StateSpace, wanted: Spec
     return theta
 
 
-def _hard(problem: Problem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> dict[str, float]:
+def _hard(problem: TuningProblem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> dict[str, float]:
     """Return what a law misses of the requirements that are more than wishes."""
-    score = wanted.score(plant, problem.plane.from_plane(problem.layout.system(theta)))
+    score = wanted.score(plant, problem.plane.from_plane(problem.structure.system(theta)))
     return {k: v for k, v in score.shortfall.items() if v > 0 and not k.startswith(WISHES)}
 
 
@@ -178,10 +184,10 @@ def _tightened(wanted: Specification, missing: Mapping[str, float]) -> Specifica
     return replace(wanted, **more) if more.get("peak_db", 1.0) > 0 else wanted
 
 
-def posed(plant: StateSpace, layout: Layout, wanted: Specification) -> Problem:
+def posed(plant: StateSpace, structure: ControllerStructure, wanted: Specification) -> TuningProblem:
     """Return the problem of a specification on a plant."""
     P, requirements = wanted.requirements(plant)
-    return Problem(P, plant, layout, requirements, more_hz=wanted.grid_hz())
+    return TuningProblem(P, plant, structure, requirements, more_hz=wanted.grid_hz())
 
 
 def worded(result: DesignResult, score: Any, demanded: bool) -> DesignResult:
@@ -207,7 +213,7 @@ def _achieved(wanted: Specification, score: Any) -> float:
     return max(ratios + [10 ** ((wanted.tone_db - got[f"tone_{f:g}_hz_db"]) / 20) for f in wanted.tones_hz])
 
 
-def _points(problem: Problem, theta: FloatArray, starts: int, rng: np.random.Generator) -> list[FloatArray]:
+def _points(problem: TuningProblem, theta: FloatArray, starts: int, rng: np.random.Generator) -> list[FloatArray]:
     """Return the start, turned down until the loop is stable, and others around it."""
     out = [_calmed(problem, theta)]
     for _ in range(starts - 1):
@@ -215,7 +221,7 @@ def _points(problem: Problem, theta: FloatArray, starts: int, rng: np.random.Gen
     return out
 
 
-def _calmed(problem: Problem, theta: FloatArray) -> FloatArray:
+def _calmed(problem: TuningProblem, theta: FloatArray) -> FloatArray:
     trial = theta.copy()
     for _ in range(TURNS):
         if problem.stability(trial) < 0:
@@ -224,13 +230,17 @@ def _calmed(problem: Problem, theta: FloatArray) -> FloatArray:
     return theta
 
 
-def _turned(problem: Problem, theta: FloatArray, factor: float) -> FloatArray:
+def _turned(problem: TuningProblem, theta: FloatArray, factor: float) -> FloatArray:
     """Return the parameters of factor times the whole law."""
-    layout = problem.layout
-    return np.concatenate([e.turned_down(t, factor) for e, t in zip(layout.elements, layout.parts(theta), strict=True)])
+    structure = problem.structure
+    return np.concatenate(
+        [e.turned_down(t, factor) for e, t in zip(structure.elements, structure.parts(theta), strict=True)]
+    )
 
 
-def _first_on_part(part: StateSpace, law: StateSpace | None, states: int, wanted: Specification, starts: int) -> Start:
+def _first_on_part(
+    part: StateSpace, law: StateSpace | None, states: int, wanted: Specification, starts: int
+) -> InitialLaw:
     """Return the best scalar law for the function that all channels share.
 
     Ladders begin with a few states more and lose two at a time, tuned again on every rung: a law cut down at once lands
@@ -247,12 +257,12 @@ def _first_on_part(part: StateSpace, law: StateSpace | None, states: int, wanted
             theta, reached = balanced(problem, found[0], STEPS, ROUNDS)
             if left == states:
                 if reached < level:
-                    best, level = Start(one_element(element), theta), reached
+                    best, level = InitialLaw(one_element(element), theta), reached
             else:
                 element, theta = _reduced(plane.from_plane(element.system(theta)), left - 2, plane, part.D.shape)
     if best is None:
         element, theta = _reduced(law, states, plane, part.D.shape)
-        best = Start(one_element(element), theta)
+        best = InitialLaw(one_element(element), theta)
     return best
 
 
@@ -265,7 +275,7 @@ def _reduced(law: StateSpace | None, states: int, plane: Plane, shape: tuple[int
         found = from_system(balance.truncate(M, left, right)) if left.shape[0] == states else None
         if found is not None:
             return found
-    element = Sections(states, shape[1], shape[0], np.ones(states))
+    element = StablePairs(states, shape[1], shape[0], np.ones(states))
     low, high = (
         float(w) for w in plane.of_hz(np.array([5.0, 500.0 if plane.rate_hz is None else 0.2 * plane.rate_hz]))
     )

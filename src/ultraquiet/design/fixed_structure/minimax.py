@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.design.fixed_structure.problem import Problem, abscissa
+from ultraquiet.design.fixed_structure.problem import TuningProblem, abscissa
 
 # weak Wolfe: sufficient decrease, sufficient increase of the slope (Lewis and Overton 2013)
 DECREASE, CURVATURE = 1e-4, 0.5
@@ -85,7 +85,7 @@ def _wolfe(
     return kept
 
 
-def minimax(problem: Problem, x: FloatArray, steps: int) -> tuple[FloatArray, float]:
+def minimax(problem: TuningProblem, x: FloatArray, steps: int) -> tuple[FloatArray, float]:
     """Descend on the model max_i (f_i + g_i d) + mu |d|^2 / 2 of all peaks near the greatest.
 
     The step of Levenberg with a maximum in place of squares; peaks that would rise are held down before they do, and
@@ -138,7 +138,7 @@ def _model_step(values: FloatArray, slopes: FloatArray, mu: float) -> FloatArray
     return d if np.all(np.isfinite(d)) else -slopes[int(np.argmax(values))] / (top * mu)
 
 
-def stabilised(problem: Problem, x: FloatArray, steps: int = 200) -> FloatArray | None:
+def stabilised(problem: TuningProblem, x: FloatArray, steps: int = 200) -> FloatArray | None:
     """Return parameters near x with which the loop is stable (phase one), or None."""
     if problem.stability(x) < 0:
         return x
@@ -161,7 +161,9 @@ def stabilised(problem: Problem, x: FloatArray, steps: int = 200) -> FloatArray 
     return x if problem.stability(x) < 0 else None
 
 
-def lowest(problem: Problem, starts: list[FloatArray], steps: int, rounds: int) -> tuple[FloatArray, float] | None:
+def lowest(
+    problem: TuningProblem, starts: list[FloatArray], steps: int, rounds: int
+) -> tuple[FloatArray, float] | None:
     """Return the best of several starts, its grid refined until no peak hides between the points."""
     ends: list[tuple[float, FloatArray]] = []
     for start in starts:
@@ -187,7 +189,7 @@ def lowest(problem: Problem, starts: list[FloatArray], steps: int, rounds: int) 
     return x, problem.value(x)
 
 
-def balanced(problem: Problem, x: FloatArray, steps: int, rounds: int) -> tuple[FloatArray, float]:
+def balanced(problem: TuningProblem, x: FloatArray, steps: int, rounds: int) -> tuple[FloatArray, float]:
     """Return parameters at which what is hard is met and what is soft is as small as that allows.
 
     max(soft weight * soft, hard) is minimised, and the weight moved until the greatest of all is one.
@@ -208,7 +210,7 @@ def balanced(problem: Problem, x: FloatArray, steps: int, rounds: int) -> tuple[
     return best, least
 
 
-def standing(problem: Problem, x: FloatArray) -> float:
+def standing(problem: TuningProblem, x: FloatArray) -> float:
     """Return the greatest soft requirement, and far more where a hard one is missed."""
     levels = problem.measured(x)
     hard = np.array([r.hard for r in problem.requirements])

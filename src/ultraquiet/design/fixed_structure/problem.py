@@ -1,4 +1,4 @@
-"""What a structured controller is tuned against: bounds on closed-loop gains over frequency, with their slopes.
+"""What a controller of fixed structure is tuned against: bounds on closed-loop gains over frequency, with their slopes.
 
 The plant enters as samples on the frequency axis, so that a probe costs small matrices whatever the plant's order
 (Apkarian and Noll 2018, doi:10.1002/rnc.4073); stability is judged by the poles of the loop, and the grid is refined at
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.fixed_structure.controller_structure import Layout
+from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.ordered import Matrices
@@ -87,7 +87,7 @@ def plane_of(P: StateSpace) -> Plane:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class PlantSamples:
     """P at the points of a grid, frequency first, and the bound of every requirement there."""
 
     w: FloatArray
@@ -98,13 +98,13 @@ class Samples:
     bounds: tuple[FloatArray, ...]
 
 
-class Problem:
-    """A generalised plant, requirements on it, a layout, and the loop whose poles decide.
+class TuningProblem:
+    """A generalised plant, requirements on it, a structure, and the loop whose poles decide.
 
     Args:
         P: generalised plant, inputs (w, u), outputs (z, y).
         plant: what u drives and y reads, its states alone deciding stability.
-        layout: the controller's.
+        structure: the controller's.
         requirements: on rows of z.
         stable_law: whether the controller itself must be stable.
         more_hz: frequencies that the grid must hold.
@@ -114,12 +114,12 @@ class Problem:
         self,
         P: StateSpace,
         plant: StateSpace,
-        layout: Layout,
+        structure: ControllerStructure,
         requirements: tuple[Requirement, ...],
         stable_law: bool = True,
         more_hz: FloatArray | None = None,
     ) -> None:
-        self.layout, self.requirements, self.stable_law = layout, requirements, stable_law
+        self.structure, self.requirements, self.stable_law = structure, requirements, stable_law
         self.plane = plane_of(P)
         self.ny, self.nu = plant.D.shape
         M = self.plane.to_plane(P)
@@ -137,7 +137,7 @@ class Problem:
         self.samples = self.sampled(np.concatenate([ends, np.abs(poles.imag), named]))
         self._base = self.samples.w
 
-    def sampled(self, w: FloatArray) -> Samples:
+    def sampled(self, w: FloatArray) -> PlantSamples:
         """Return P and the bounds at frequencies of the plane."""
         w = np.unique(w)
         w = w[np.concatenate([[True], np.diff(w) > SAME * w[1:]])]
@@ -145,7 +145,7 @@ class Problem:
         p, m = R.shape[1] - self.ny, R.shape[2] - self.nu
         f = self.plane.hz(w)
         bounds = tuple(np.ones(w.size) if r.bound is None else r.bound(f) for r in self.requirements)
-        return Samples(w, R[:, :p, :m], R[:, :p, m:], R[:, p:, :m], R[:, p:, m:], bounds)
+        return PlantSamples(w, R[:, :p, :m], R[:, :p, m:], R[:, p:, :m], R[:, p:, m:], bounds)
 
     def refine(self, theta: FloatArray) -> float:
         """Add what a fine grid shows between the points; return by how much the level was underrated, relative."""
@@ -171,7 +171,7 @@ class Problem:
         """Return the factor on each requirement."""
         return np.array([1.0 if r.hard else self.soft for r in self.requirements])
 
-    def level(self, theta: FloatArray, samples: Samples | None = None) -> float:
+    def level(self, theta: FloatArray, samples: PlantSamples | None = None) -> float:
         """Return the greatest of all requirements over the grid."""
         levels = self._levels(theta, samples or self.samples)
         return float(np.max(levels * self.weights()[:, None]))
@@ -208,7 +208,7 @@ class Problem:
 
     def _stable(self, theta: FloatArray, poles: ComplexArray) -> float:
         worst = float(np.max(poles.real / (np.abs(poles) + SAME), initial=-1.0)) + MARGIN
-        return max(worst, self.layout.abscissa(theta) + MARGIN) if self.stable_law else worst
+        return max(worst, self.structure.abscissa(theta) + MARGIN) if self.stable_law else worst
 
     def _poles(self, theta: FloatArray) -> ComplexArray:
         return np.linalg.eigvals(self.closed(theta)).astype(np.complex128)
@@ -237,7 +237,7 @@ class Problem:
     def closed(self, theta: FloatArray) -> FloatArray:
         """Return the A of the loop."""
         A, B, C, D = self.loop
-        a, b, c, d = self.layout.system(theta)
+        a, b, c, d = self.structure.system(theta)
         E = np.linalg.solve(np.eye(self.ny) - D @ d, np.hstack([C, D @ c]))
         n = A.shape[0]
         U = d @ E + np.hstack([np.zeros((self.nu, n)), c])
@@ -256,7 +256,7 @@ class Problem:
         top = levels.max()
         found = _chosen(levels, (1 - share) * top, most)
         at = np.array([k for _, _, k in found])
-        K = self.layout.response(theta, _axis(S.w[at]))
+        K = self.structure.response(theta, _axis(S.w[at]))
         loop = np.linalg.inv(np.eye(self.ny) - S.P22[at] @ K)
         right, left = loop @ S.P21[at], S.P12[at] @ (np.eye(self.nu) + K @ loop @ S.P22[at])
         M = S.P11[at] + left @ K @ S.P21[at]
@@ -272,12 +272,12 @@ class Problem:
                 rights.append(right[j] @ Vh[r].conj())
                 values.append((factor * s[r], k))
         w = S.w[np.array([k for _, k in values])]
-        slopes = self.layout.gradient(theta, _axis(w), np.array(lefts), np.array(rights)).real
+        slopes = self.structure.gradient(theta, _axis(w), np.array(lefts), np.array(rights)).real
         return np.array([v for v, _ in values]), slopes
 
-    def _levels(self, theta: FloatArray, S: Samples) -> FloatArray:
+    def _levels(self, theta: FloatArray, S: PlantSamples) -> FloatArray:
         """Return gain over bound of each requirement at each point, exact where it may matter and a bound elsewhere."""
-        K = self.layout.response(theta, _axis(S.w))
+        K = self.structure.response(theta, _axis(S.w))
         KE = K @ np.linalg.inv(np.eye(self.ny) - S.P22 @ K)
         M = S.P11 + S.P12 @ (KE @ S.P21)
         out = np.zeros((len(self.requirements), S.w.size))
@@ -297,7 +297,7 @@ class Problem:
         return out
 
 
-def abscissa(problem: Problem, theta: FloatArray) -> tuple[float, FloatArray]:
+def abscissa(problem: TuningProblem, theta: FloatArray) -> tuple[float, FloatArray]:
     """Return the largest real part of the loop's poles and its gradient, from the eigenvectors of the worst pole."""
     from scipy.linalg import eig
 
@@ -307,10 +307,10 @@ def abscissa(problem: Problem, theta: FloatArray) -> tuple[float, FloatArray]:
     values, left, right = found
     k = int(np.argmax(values.real))
     s = values[[k]]
-    K = problem.layout.response(theta, s)[0]
+    K = problem.structure.response(theta, s)[0]
     y = np.linalg.solve(np.eye(problem.ny) - D @ K, C @ right[:n, k])
     u = np.linalg.solve((np.eye(problem.nu) - K @ D).T, B.T @ left[:n, k].conj())
-    slope = problem.layout.gradient(theta, s, u[None], y[None])[0] / (left[:, k].conj() @ right[:, k])
+    slope = problem.structure.gradient(theta, s, u[None], y[None])[0] / (left[:, k].conj() @ right[:, k])
     return float(values[k].real), slope.real
 
 

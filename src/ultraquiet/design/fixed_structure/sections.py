@@ -14,7 +14,7 @@ SECTION_SIZES = {"lead-lag": 2, "notch": 3, "biquad": 4, "high-pass": 1, "low-pa
 
 
 @dataclass(frozen=True, eq=False)
-class Bank:
+class SectionCascade:
     """One channel of sections in series, k = gain prod section: stable and of minimum phase whatever the parameters.
 
     `lead-lag` (zero, pole): (1 + s/z) / (1 + s/p). `notch` (w, zeta_z, zeta_p), gain one on both sides. `biquad` (w_z,

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.registry import register
-from ultraquiet.design.fixed_structure.classical import _Bank
+from ultraquiet.design.fixed_structure.classical import ClassicalMethod
 
 
 @register("design", "skyhook")
 @dataclass(frozen=True)
-class Skyhook(_Bank):
+class Skyhook(ClassicalMethod):
     """Velocity feedback, u = gain C(s) y, y a geophone's signal: C makes it a velocity sensor of a lower corner.
 
     C = (s^2 + 2 zeta w s + w^2) / (s^2 + 2 zeta' w' s + w'^2), w the geophone's corner, w' the one wanted.

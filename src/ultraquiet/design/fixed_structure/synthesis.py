@@ -8,11 +8,10 @@ from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design.fixed_structure.controller_structure import Layout
-from ultraquiet.design.fixed_structure.controller_structure import whole as one_element
-from ultraquiet.design.fixed_structure.elements import Dense, Sections
+from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, one_element
+from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
 from ultraquiet.design.fixed_structure.minimax import lowest
-from ultraquiet.design.fixed_structure.problem import Problem, Requirement
+from ultraquiet.design.fixed_structure.problem import Requirement, TuningProblem
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.verification import judged
@@ -40,7 +39,7 @@ def synthesize_structured(
     stable: bool = False,
     starts: int = 5,
     seed: int = 0,
-    layout: Layout | None = None,
+    structure: ControllerStructure | None = None,
 ) -> DesignResult:
     """Return a controller of given order that makes the H-infinity norm of F(P, K) small.
 
@@ -54,7 +53,7 @@ def synthesize_structured(
         stable: whether K itself must be stable.
         starts: points the search begins at: the full-order law cut down, and random ones.
         seed: of the random ones.
-        layout: a structure of the controller in place of a free one.
+        structure: of the controller, in place of one whose every entry is free.
 
     Returns:
         A `DesignResult`: `gamma` the level on the refined grid, `achieved` the exact norm of the finished loop,
@@ -78,13 +77,13 @@ def synthesize_structured(
     n = whole(who, "states", states, 0)
     rng = np.random.default_rng(seed)
     plant = StateSpace(P.A, P.B[:, -nu:], P.C[-ny:], P.D[-ny:, -nu:], P.rate_hz)
-    element = Sections(n, nu, ny, np.ones(n)) if stable else Dense(n, nu, ny)
-    law = layout or one_element(element)
+    element = StablePairs(n, nu, ny, np.ones(n)) if stable else Dense(n, nu, ny)
+    law = structure or one_element(element)
     norm = Requirement("norm", slice(0, P.D.shape[0] - ny))
-    problem = Problem(P, plant, law, (norm,), stable_law=stable)
+    problem = TuningProblem(P, plant, law, (norm,), stable_law=stable)
     full, optimum = _full_order(P, ny, nu)
     points = [law.start(rng, problem.low / 3, 3 * problem.high) for _ in range(whole(who, "starts", starts, 1))]
-    if full is not None and layout is None and not stable and full.states >= n:
+    if full is not None and structure is None and not stable and full.states >= n:
         points.insert(0, _cut(problem, full, n))
     found = lowest(problem, points, STEPS, ROUNDS)
     if found is None:
@@ -105,7 +104,7 @@ def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, flo
     return (found.controller, float(found.details["optimum"][1])) if found.controller else (None, float("nan"))
 
 
-def _cut(problem: Problem, law: StateSpace, states: int) -> np.ndarray:
+def _cut(problem: TuningProblem, law: StateSpace, states: int) -> np.ndarray:
     """Return the parameters of a law of full order in modal coordinates, its least important states left out."""
     A, B, C, D = problem.plane.to_plane(law)
     form = balance.modal(A, B, C)

@@ -12,14 +12,14 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
 from ultraquiet.design.h2.loop_transfer_recovery import recovery
 from ultraquiet.design.h2.lqg_problem import (
-    Parts,
+    LqgParts,
     generalised,
     integrator,
     regular_noise,
     shaped,
     unreachable_integrator,
 )
-from ultraquiet.design.h2.riccati import Problem, Solution, solve
+from ultraquiet.design.h2.riccati import H2Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.stabilisability import lost_modes, stable_weight
@@ -162,7 +162,7 @@ class Lqg:
         The equations are solved for P; what is achieved is measured on `true`, the same system as it was given.
         """
         try:
-            found = solve(Problem.of(P, ny, nu), discrete=True)
+            found = solve(H2Problem.of(P, ny, nu), discrete=True)
             core = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=P.rate_hz)
             achieved = h2_norm(lft(true, core))
             promised = found.cost() if self.estimator == "current" else h2_norm(lft(P, core))
@@ -179,7 +179,7 @@ class Lqg:
         """
         return generalised(plant, self.parts(plant))
 
-    def parts(self, plant: StateSpace) -> Parts:
+    def parts(self, plant: StateSpace) -> LqgParts:
         """Return all that stands around a discrete plant: noise models, weights, the filter in the loop."""
         ny, nu = plant.D.shape
         assert plant.rate_hz is not None
@@ -200,7 +200,7 @@ class Lqg:
             output = series(both, append(output, gain(np.eye(ny), plant.rate_hz)))
         disturbance = stable_weight("Lqg", "disturbance_model", disturbance, plant)
         noise = regular_noise("Lqg", "noise_model", stable_weight("Lqg", "noise_model", noise, plant))
-        return Parts(disturbance, at_input, probe, noise, self._loop(ny, plant.rate_hz), output, control)
+        return LqgParts(disturbance, at_input, probe, noise, self._loop(ny, plant.rate_hz), output, control)
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights: `performance` W and `control` Wu, of one channel unless given for all of them."""

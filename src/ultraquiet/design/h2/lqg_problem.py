@@ -15,7 +15,7 @@ SYMMETRY = 1e-9  # relative, of a covariance
 SINGULAR = 1e-13  # smallest eigenvalue of a sensor noise's covariance, relative to the largest
 
 
-class Parts(NamedTuple):
+class LqgParts(NamedTuple):
     """What stands around the plant, every part a system.
 
     `disturbance` drives the plant's inputs or adds to its outputs, `probe` is white noise at its inputs that only
@@ -32,7 +32,7 @@ class Parts(NamedTuple):
     control: StateSpace
 
 
-def generalised(plant: StateSpace, parts: Parts) -> StateSpace:
+def generalised(plant: StateSpace, parts: LqgParts) -> StateSpace:
     """Return the system from (noises, u) to (weighted y, weighted u, measurement), all noises of unit variance.
 
     Without a filter in the loop the cost is on the plant's output as it is, with one on the filtered measurement: a

@@ -13,7 +13,7 @@ ROUND_OFF = 1e-14  # singular values of D12 and D21 below this share of the larg
 RANK = 1e-12  # of D12'D12 and D21 D21' (continuous), relative
 
 
-class Problem(NamedTuple):
+class H2Problem(NamedTuple):
     """x' = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w + D22 u."""
 
     A: Array
@@ -27,7 +27,7 @@ class Problem(NamedTuple):
     D22: Array
 
     @classmethod
-    def of(cls, P: StateSpace, ny: int, nu: int) -> "Problem":
+    def of(cls, P: StateSpace, ny: int, nu: int) -> "H2Problem":
         """Take a generalised plant apart."""
         p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
         D = P.D
@@ -44,7 +44,7 @@ class Units(NamedTuple):
 class Solution(NamedTuple):
     """Gains of the optimal law u = -F x - N e, x' = A x + B2 u + L e, e = y - C2 x - D22 u, in units of their own."""
 
-    problem: Problem
+    problem: H2Problem
     regulator: Riccati
     observer: Riccati
     F: Array
@@ -98,7 +98,7 @@ class Solution(NamedTuple):
         return float(np.sqrt(full - np.trace(gain.T @ R @ gain) + np.trace(R @ wish @ left @ wish.T)))
 
 
-def solve(p: Problem, discrete: bool) -> Solution:
+def solve(p: H2Problem, discrete: bool) -> Solution:
     """Solve both equations.
 
     Raises:
@@ -127,7 +127,7 @@ def solve(p: Problem, discrete: bool) -> Solution:
     return Solution(p, X, Y, F, L, np.zeros((F.shape[0], p.C2.shape[0])), False, units)
 
 
-def _normalised(p: Problem) -> tuple[Problem, Units]:
+def _normalised(p: H2Problem) -> tuple[H2Problem, Units]:
     """Choose units of controls and measurements such that D12'D12 and D21 D21' are unit matrices.
 
     Squaring D12 first would lose what is small in it. A D12 or D21 without full rank is left as it is.
@@ -152,7 +152,7 @@ def _continuous(A: Array, B: Array, Q: Array, R: Array, S: Array) -> Riccati:
     return continuous_riccati(A - B @ RS, (G + G.T) / 2, (cost + cost.T) / 2)
 
 
-def _ranks(p: Problem, Rx: Array, Ry: Array) -> None:
+def _ranks(p: H2Problem, Rx: Array, Ry: Array) -> None:
     if np.any(p.D11):
         raise NumericalError("H2 synthesis: D11 is not zero, so the norm of a continuous loop is infinite; filter w.")
     for name, R, what in (("D12", Rx, "control"), ("D21", Ry, "measurement")):

@@ -5,7 +5,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
-from ultraquiet.design.h2.riccati import Problem, solve
+from ultraquiet.design.h2.riccati import H2Problem, solve
 from ultraquiet.design.result import DesignResult, is_stable, refused
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -44,7 +44,7 @@ def synthesize_h2(P: StateSpace, measurements: int, controls: int) -> DesignResu
     ny = whole("synthesize_h2", "measurements", measurements, 1, P.D.shape[0] - 1)
     nu = whole("synthesize_h2", "controls", controls, 1, P.D.shape[1] - 1)
     try:
-        found = solve(Problem.of(P, ny, nu), P.rate_hz is not None)
+        found = solve(H2Problem.of(P, ny, nu), P.rate_hz is not None)
     except NumericalError as error:
         return refused(str(error))
     settings = {"measurements": ny, "controls": nu}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet.design.hinf.riccati import Plant, direct_terms
+from ultraquiet.design.hinf.riccati import NormalisedPlant, direct_terms
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
@@ -34,7 +34,7 @@ def out_of_reach(P: StateSpace, ny: int, nu: int) -> str:
     return ""
 
 
-def zeros_on_boundary(plant: Plant, rate_hz: float | None) -> str:
+def zeros_on_boundary(plant: NormalisedPlant, rate_hz: float | None) -> str:
     """Return a sentence on zeros of P12 or P21 on the stability boundary, empty when there are none.
 
     Zeros of P12 are the eigenvalues of A - B2 D12' C1 that the outputs out of the controls' reach do not show.

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import one_of, positive, rising_band
+from ultraquiet._base.constraints import positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
@@ -13,6 +13,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
+from ultraquiet.design.structure_words import FULL, REPEATED, structure_word
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.given import Weight, weight
@@ -55,8 +56,9 @@ class BandAttenuation:
             system as `validate.from_covariance(...).weight(rate_hz).system` gives it, or numbers `(low, corner_hz,
             high)`. It joins W3 as a second weight on T; without a `peak_db` the height is lowered until the loop stands
             every such error.
-        structure: `full` designs one controller for all channels; `alike` one scalar controller, used on each of them,
-            for the function that the plant shows when all channels move together (the heave of a hexapod).
+        structure: `full` designs one controller for all channels; `repeated` one scalar controller, used on each of
+            them, for the function that the plant shows when all channels move together (the heave of a hexapod).
+            `alike` is an older word for `repeated`.
         margin: the controller is formed at margin times the smallest norm; where that controller is unstable by itself,
             which nobody wants to switch on, larger margins up to 1.2 are tried first.
 
@@ -81,11 +83,11 @@ class BandAttenuation:
     tone_zeta: float = 0.002
     peak_db: float | None = None
     uncertainty: Weight | None = None
-    structure: str = "full"
+    structure: str = FULL
     margin: float = 1.05
 
     def __post_init__(self) -> None:
-        one_of("BandAttenuation", "structure", self.structure, ("full", "alike"))
+        object.__setattr__(self, "structure", structure_word(WHO, self.structure, (FULL, REPEATED)))
         for name in (
             "height",
             "floor",
@@ -113,7 +115,7 @@ class BandAttenuation:
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
         bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, ny, plant.rate_hz)
-        part = plant if self.structure == "full" else common_mode(plant)
+        part = plant if self.structure == FULL else common_mode(plant)
         if self.peak_db is not None:
             height = _height_for_peak(self, part, plant, self.peak_db)
             return stands(plant, replace(self, height=height)._made(plant, part, self), bound)

@@ -42,7 +42,7 @@ class Bracket(NamedTuple):
         return self.certain <= self.nought and self.best.gamma <= BLUR * self.nought
 
 
-def search(plant: kernel.Plant, tolerance: float) -> Bracket:
+def search(plant: kernel.NormalisedPlant, tolerance: float) -> Bracket:
     """Bracket the smallest level to a relative tolerance.
 
     The bound from frequency responses is tried first; where it is not reached, each way to fail (X or Y turns
@@ -73,7 +73,7 @@ def search(plant: kernel.Plant, tolerance: float) -> Bracket:
     return Bracket(best, low, reason, len(tried), certain, nought)
 
 
-def given(plant: kernel.Plant, gamma: float) -> Bracket:
+def given(plant: kernel.NormalisedPlant, gamma: float) -> Bracket:
     """Try one level."""
     certain, nought = max(kernel.floor(plant), lower_bound(plant).level), SMALLEST * _size(plant)
     if gamma <= certain:
@@ -83,7 +83,7 @@ def given(plant: kernel.Plant, gamma: float) -> Bracket:
     return Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1, certain, nought)
 
 
-def _first(plant: kernel.Plant, start: float) -> tuple[kernel.Level, list[kernel.Level]]:
+def _first(plant: kernel.NormalisedPlant, start: float) -> tuple[kernel.Level, list[kernel.Level]]:
     """Climb from a level until one is solved."""
     tried = [kernel.attempt(plant, start)]
     while tried[-1].reason and tried[-1].gamma < LARGEST * start:
@@ -155,7 +155,7 @@ def _room(reference: Array, name: str) -> Callable[[kernel.Level], float]:
     return measure
 
 
-def _size(plant: kernel.Plant) -> float:
+def _size(plant: kernel.NormalisedPlant) -> float:
     """Return a level of the right order from the sizes of the blocks."""
     size = np.linalg.norm(plant.B1) * np.linalg.norm(plant.C1)
     return float(max(size, np.linalg.norm(plant.D11), 1e-12))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.design.hinf.riccati import Plant, direct_terms, equation
+from ultraquiet.design.hinf.riccati import NormalisedPlant, direct_terms, equation
 from ultraquiet.linalg.modal_response import split
 from ultraquiet.linalg.ordered import Array
 
@@ -28,7 +28,7 @@ class Bound(NamedTuple):
     w: float
 
 
-def lower_bound(plant: Plant) -> Bound:
+def lower_bound(plant: NormalisedPlant) -> Bound:
     """Return the largest over w of the gains of P12_perp' P11 and P11 P21_perp, which no control reaches.
 
     Parrott's theorem at one frequency: min over Q of |P11 + P12 Q P21| is the larger of the two. The Hamiltonian of the
@@ -49,7 +49,7 @@ def lower_bound(plant: Plant) -> Bound:
     return best
 
 
-def _crossings(plant: Plant, level: float, name: str) -> Array:
+def _crossings(plant: NormalisedPlant, level: float, name: str) -> Array:
     """Return the frequencies where the gain of one kind may equal a level, and those between."""
     A, G, Q = equation(plant, level, name)
     if not np.any(Q):
@@ -73,7 +73,7 @@ def _looks(poles: Array) -> Array:
 class _Floor:
     """The two bounds over frequency."""
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: NormalisedPlant) -> None:
         D12, D21 = direct_terms(plant)
         D = np.block([[plant.D11, D12], [D21, np.zeros((D21.shape[0], D12.shape[1]))]])
         B, C = np.hstack([plant.B1, plant.B2]), np.vstack([plant.C1, plant.C2])

@@ -23,7 +23,7 @@ INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below
 
 
 @dataclass(frozen=True)
-class Plant:
+class NormalisedPlant:
     """A generalised plant with D12 = [0; I], D21 = [0 I], D22 = 0, and what brings its controller back."""
 
     A: Array
@@ -58,7 +58,7 @@ class Level(NamedTuple):
     reason: str = ""
 
 
-def normalise(M: Matrices, ny: int, nu: int) -> Plant:
+def normalise(M: Matrices, ny: int, nu: int) -> NormalisedPlant:
     """Return the problem with frequencies near one, states in even modal coordinates, unit D12 and D21.
 
     Raises:
@@ -72,7 +72,7 @@ def normalise(M: Matrices, ny: int, nu: int) -> Plant:
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
     form = balance.modal(A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed))
-    return Plant(
+    return NormalisedPlant(
         A=form.A,
         B1=form.B[:, :m],
         B2=form.B[:, m:],
@@ -87,14 +87,14 @@ def normalise(M: Matrices, ny: int, nu: int) -> Plant:
     )
 
 
-def floor(plant: Plant) -> float:
+def floor(plant: NormalisedPlant) -> float:
     """Return the level below which no controller helps, set by D11 alone."""
     m1, m2, p1, p2 = plant.sizes
     rows, columns = plant.D11[: p1 - m2], plant.D11[:, : m1 - p2]
     return max((float(np.linalg.norm(d, 2)) for d in (rows, columns) if d.size), default=0.0)
 
 
-def attempt(plant: Plant, gamma: float, filter_first: bool = False) -> Level:
+def attempt(plant: NormalisedPlant, gamma: float, filter_first: bool = False) -> Level:
     """Solve both equations at a level and say whether a controller exists there.
 
     The equation named by `filter_first` is solved first, so that a search which knows where levels fail fails soon.
@@ -122,7 +122,7 @@ def attempt(plant: Plant, gamma: float, filter_first: bool = False) -> Level:
     return Level(gamma, X, Y, coupling, (residuals["X"], residuals["Y"]), reason)
 
 
-def central(plant: Plant, level: Level) -> Matrices:
+def central(plant: NormalisedPlant, level: Level) -> Matrices:
     """Return the central controller of a level, u = K y, in the plant's own inputs and outputs."""
     m1, m2, p1, p2 = plant.sizes
     g2 = level.gamma**2
@@ -146,7 +146,7 @@ def central(plant: Plant, level: Level) -> Matrices:
     return _restored(plant, Ak, Bk, Ck, Dk)
 
 
-def normalised_controller(plant: Plant, M: Matrices) -> Matrices:
+def normalised_controller(plant: NormalisedPlant, M: Matrices) -> Matrices:
     """Return the controller as it meets the normalised plant: the way back of `central`'s last step."""
     A, B, C, D = M
     wrap = np.eye(D.shape[0]) - D @ plant.D22
@@ -158,13 +158,13 @@ def normalised_controller(plant: Plant, M: Matrices) -> Matrices:
     return A / plant.speed, B @ back / root, out @ C / root, out @ D @ back
 
 
-def direct_terms(plant: Plant) -> tuple[Array, Array]:
+def direct_terms(plant: NormalisedPlant) -> tuple[Array, Array]:
     """Return D12 = [0; I] and D21 = [0 I]."""
     m1, m2, p1, p2 = plant.sizes
     return np.eye(p1, m2, k=-(p1 - m2)), np.eye(p2, m1, k=m1 - p2)
 
 
-def _restored(plant: Plant, A: Array, B: Array, C: Array, D: Array) -> Matrices:
+def _restored(plant: NormalisedPlant, A: Array, B: Array, C: Array, D: Array) -> Matrices:
     """Undo the scaling of inputs, outputs and frequency and the removal of D22."""
     root = np.sqrt(plant.speed)
     A, B, C, D = A * plant.speed, B @ plant.into * root, plant.out @ C * root, plant.out @ D @ plant.into
@@ -212,7 +212,7 @@ class _Side(NamedTuple):
         return np.vstack([w, -self.B2.T @ X - self.Cb - self.Db @ w])
 
 
-def _side(plant: Plant, name: str) -> _Side:
+def _side(plant: NormalisedPlant, name: str) -> _Side:
     """Return the data of X, or those of Y: the same with everything transposed."""
     A, B1, B2, C1, D11 = plant.A, plant.B1, plant.B2, plant.C1, plant.D11
     if name == "Y":
@@ -222,7 +222,7 @@ def _side(plant: Plant, name: str) -> _Side:
     return _Side(A - B2 @ Cb, B1 - B2 @ Db, B2, Ca, Cb, Da, Db)
 
 
-def equation(plant: Plant, gamma: float, name: str) -> tuple[Array, Array, Array]:
+def equation(plant: NormalisedPlant, gamma: float, name: str) -> tuple[Array, Array, Array]:
     """Return A, G, Q of the equation A'X + X A - X G X + Q = 0 for X, or of its dual for Y."""
     side = _side(plant, name)
     cross, n = side.Da.T @ side.Ca, side.A.shape[0]

@@ -120,7 +120,9 @@ def _seconded(P: StateSpace, result: DesignResult, found: Bracket) -> DesignResu
     return replace(result, status=status, details={**result.details, "second_opinion": opinion})
 
 
-def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, factors: list[float]) -> DesignResult:
+def _form(
+    P: StateSpace, plant: kernel.NormalisedPlant, found: Bracket, ny: int, nu: int, factors: list[float]
+) -> DesignResult:
     """Form, restore and verify controllers, first at the asked margin, then further from the optimum."""
     sentence = ""
     for factor in factors:
@@ -140,7 +142,7 @@ def _form(P: StateSpace, plant: kernel.Plant, found: Bracket, ny: int, nu: int, 
 
 
 def _verified(
-    P: StateSpace, plant: kernel.Plant, level: kernel.Level, found: Bracket, ny: int, nu: int
+    P: StateSpace, plant: kernel.NormalisedPlant, level: kernel.Level, found: Bracket, ny: int, nu: int
 ) -> DesignResult:
     M = kernel.central(plant, level)
     K = M if P.rate_hz is None else bilinear_to_discrete(*M)
@@ -175,13 +177,13 @@ def _verified(
     )
 
 
-def _conditions(plant: kernel.Plant, level: kernel.Level) -> dict[str, float]:
+def _conditions(plant: kernel.NormalisedPlant, level: kernel.Level) -> dict[str, float]:
     """Return the condition numbers of X, Y and I - Y X / gamma^2; X or Y may be singular, as where they vanish."""
     matrices = {"X": level.X, "Y": level.Y, "I - YX/g2": np.eye(plant.A.shape[0]) - level.Y @ level.X / level.gamma**2}
     return {name: float(np.linalg.cond(m)) if m.size else 1.0 for name, m in matrices.items()}
 
 
-def _own_norm(plant: kernel.Plant, controller: kernel.Matrices, w: float) -> float:
+def _own_norm(plant: kernel.NormalisedPlant, controller: kernel.Matrices, w: float) -> float:
     """Return the gain, at the peak's frequency, of the loop formed in the normalised coordinates of the synthesis."""
     D12, D21 = kernel.direct_terms(plant)
     P = StateSpace(
@@ -195,7 +197,7 @@ def _own_norm(plant: kernel.Plant, controller: kernel.Matrices, w: float) -> flo
     return float(np.linalg.norm(response, 2))
 
 
-def _normalised_frequency(plant: kernel.Plant, f_hz: float, rate_hz: float | None) -> float:
+def _normalised_frequency(plant: kernel.NormalisedPlant, f_hz: float, rate_hz: float | None) -> float:
     w = 2 * np.pi * f_hz if rate_hz is None else np.tan(np.pi * f_hz / rate_hz)
     return min(float(w) / plant.speed, FASTEST)
 
