@@ -8,7 +8,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import MixedSensitivity, band_pass
 from ultraquiet.design.weights.filters import rational
-from ultraquiet.design.weights.given import weight
+from ultraquiet.design.weights.weight import weight
 from ultraquiet.linalg.discretize import tustin
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, sensitivity, series

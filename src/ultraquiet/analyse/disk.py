@@ -180,8 +180,8 @@ def _each(seen: StateSpace, f: FloatArray, beside: FloatArray | None) -> tuple[F
         return refined(lambda lines: np.abs(response(lines)[i, i]), f, sizes[i], beside)
 
     sizes = np.abs(np.einsum("iif->if", response(f)))
-    found = [one(i) for i in range(seen.D.shape[0])]
-    return frozen(np.array([_inverse(v) for v, _ in found])), frozen(np.array([at for _, at in found]))
+    peaks = [one(i) for i in range(seen.D.shape[0])]
+    return frozen(np.array([_inverse(v) for v, _ in peaks])), frozen(np.array([at for _, at in peaks]))
 
 
 def _inverse(largest: float) -> float:

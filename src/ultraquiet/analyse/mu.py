@@ -100,29 +100,29 @@ def mu_bounds(
         raise InputError(
             f"mu_bounds: M is infinite at {f[infinite][0]:g} Hz, where it has a pole; leave that line out."
         )
-    made = structure("mu_bounds", blocks, values.shape[:2])
+    block_structure = structure("mu_bounds", blocks, values.shape[:2])
     stack = np.moveaxis(values, 2, 0)
     # sizes far from one would overflow in their squares
     size = np.abs(stack).max(axis=(1, 2), initial=0.0)
     size[size == 0] = 1.0
     unit = stack / size[:, None, None]
-    upper = upper_bound(unit, made)
-    lower, Q = lower_bound(unit, made, upper)
+    upper = upper_bound(unit, block_structure)
+    lower, Q = lower_bound(unit, block_structure, upper)
     perturbation = np.full(Q.shape, np.nan, dtype=np.complex128)
-    found = lower > 0
-    perturbation[found] = Q[found] / (lower * size)[found, None, None]
+    destabilised = lower > 0
+    perturbation[destabilised] = Q[destabilised] / (lower * size)[destabilised, None, None]
     # both stand to rounding only: where they meet, the larger is the upper one
     top = np.maximum(upper.value, lower) * size
     beside = ends(M.rate_hz) if isinstance(M, StateSpace) and f_hz is None else None
-    peak = _peak(M, f, top, made, beside) if stable else (np.inf, np.nan)
-    D, D_in, G = _normalised(upper, made)
+    peak = _peak(M, f, top, block_structure, beside) if stable else (np.inf, np.nan)
+    D, D_in, G = _normalised(upper, block_structure)
     arrays = (D, D_in, G * size[:, None, None], perturbation)
     return MuBounds(
         frozen(top),
         frozen(lower * size),
         *(frozen(np.moveaxis(a, 0, 2)) for a in arrays),
         f_hz=frozen(f),
-        blocks=made.blocks,
+        blocks=block_structure.blocks,
         stable=stable,
         _peak=peak,
     )
@@ -161,11 +161,11 @@ def mu_peak(M: StateSpace, blocks: Blocks | None = None, f_hz: ArrayLike | None 
     >>> round(mu_peak(lag)[0], 3)
     2.0
     """
-    made = structure("mu_peak", blocks, M.D.shape)
+    block_structure = structure("mu_peak", blocks, M.D.shape)
     if not M.is_stable():
         return np.inf, np.nan
     f = default_grid(M) if f_hz is None else grid_given("mu_peak", f_hz)
-    return _peak(M, f, None, made, ends(M.rate_hz) if f_hz is None else None)
+    return _peak(M, f, None, block_structure, ends(M.rate_hz) if f_hz is None else None)
 
 
 def _peak(

@@ -188,12 +188,12 @@ def _polished(M: Array, blocks: BlockStructure, size: Array, Q: Array) -> tuple[
         w = _left_vector(right, k)
         a = np.einsum("fij,fj->fi", M[left], b)
         trial = _perturbations(a[:, None], b[:, None], w[:, None], blocks)[:, 0]
-        found, turn = _spectral(trial @ M[left], blocks)
-        better = found > size[left]
-        gain = found - size[left]
+        radius, turn = _spectral(trial @ M[left], blocks)
+        better = radius > size[left]
+        gain = radius - size[left]
         rows = left[better]
         Q[rows] = (trial * turn[:, None, None])[better]
-        size[rows] = found[better]
+        size[rows] = radius[better]
         left = left[better & (gain > SETTLED * size[left])]
     return size, Q
 

@@ -88,8 +88,8 @@ def _bounded(M: Array, blocks: BlockStructure, basis: _Basis) -> Upper:
     value = size.copy()
     one_full = [b.kind for b in blocks.blocks] == ["full"]
     if np.any(moving) and not one_full:
-        t, *found = _centres(N[moving], basis)
-        Dz[moving], Dw[moving], G[moving] = found
+        t, *scalings = _centres(N[moving], basis)
+        Dz[moving], Dw[moving], G[moving] = scalings
         value[moving] *= np.sqrt(np.maximum(t, 0.0))
     out, into = (np.exp(levels @ m.T) for m in blocks.members())
     return Upper(
@@ -134,15 +134,15 @@ def _basis(blocks: BlockStructure) -> _Basis:
 
 def _hermitian(k: int) -> list[Array]:
     """Return a basis of the Hermitian k x k matrices."""
-    made = []
+    basis = []
     for i in range(k):
         for j in range(i, k):
             for unit in (1.0, 1j) if j > i else (1.0,):
                 H = np.zeros((k, k), complex)
                 H[i, j] = unit
                 H[j, i] = np.conj(unit)
-                made.append(H)
-    return made
+                basis.append(H)
+    return basis
 
 
 def _centres(M: Array, basis: _Basis) -> tuple[Array, Array, Array, Array]:
@@ -158,14 +158,15 @@ def _centres(M: Array, basis: _Basis) -> tuple[Array, Array, Array, Array]:
     for _ in range(ROUNDS):
         if not left.size:
             break
-        y[left], found = _next(F[left], basis, t[left], y[left])
-        better = found < best[left]
-        gained = best[left] - found
+        y[left], eigenvalue = _next(F[left], basis, t[left], y[left])
+        finite, better = np.isfinite(eigenvalue), eigenvalue < best[left]
+        gained = best[left] - eigenvalue
         stalled[left] = np.where(gained > TOLERANCE * np.abs(best[left]), 0, stalled[left] + 1)
-        best[left], kept[left] = np.where(better, found, best[left]), np.where(better[:, None], y[left], kept[left])
-        t[left] = np.where(np.isfinite(found), found + LOWERED * np.maximum(t[left] - found, 0.0), t[left])
-        near = np.isfinite(found) & (t[left] - found < TOLERANCE * 1e-2 * np.abs(best[left]))
-        left = left[(stalled[left] < STALLED) & ~near & np.isfinite(found)]
+        best[left] = np.where(better, eigenvalue, best[left])
+        kept[left] = np.where(better[:, None], y[left], kept[left])
+        t[left] = np.where(finite, eigenvalue + LOWERED * np.maximum(t[left] - eigenvalue, 0.0), t[left])
+        near = finite & (t[left] - eigenvalue < TOLERANCE * 1e-2 * np.abs(best[left]))
+        left = left[(stalled[left] < STALLED) & ~near & finite]
     return best, *(
         np.einsum("fp,pab->fab", kept, D, optimize=True) for D in (basis.out, basis.into, basis.G @ basis.join)
     )

@@ -64,11 +64,11 @@ def refined(
         below = low[:, None] + share * (middle - low)[:, None]
         above = high[:, None] + share * (middle - high)[:, None]
         points = np.concatenate([below, middle[:, None], above[:, ::-1]], axis=1)
-        found = values_at(points.reshape(-1)).reshape(points.shape)
-        k = np.argmax(found, axis=1)
+        levels = values_at(points.reshape(-1)).reshape(points.shape)
+        k = np.argmax(levels, axis=1)
         rows = np.arange(k.size)
         middle, low = points[rows, k], points[rows, np.maximum(k - 1, 0)]
         high = points[rows, np.minimum(k + 1, points.shape[1] - 1)]
-        if found.max() > best:
-            best, at = float(found.max()), float(points.reshape(-1)[np.argmax(found)])
+        if levels.max() > best:
+            best, at = float(levels.max()), float(points.reshape(-1)[np.argmax(levels)])
     return best, at

@@ -91,21 +91,21 @@ def structure(
         blocks = [1] * shape[0]
     if isinstance(blocks, str | bytes) or not isinstance(blocks, Sequence) or not len(blocks):
         raise InputError(f"{who}: 'blocks' must be a list of sizes, pairs or Block, got {blocks!r}.")
-    made = BlockStructure(tuple(_block(who, b) for b in blocks))
-    if made.shape != tuple(shape):
+    block_structure = BlockStructure(tuple(_block(who, b) for b in blocks))
+    if block_structure.shape != tuple(shape):
         raise InputError(
-            f"{who}: the blocks take {made.shape[0]} outputs and drive {made.shape[1]} inputs, "
+            f"{who}: the blocks take {block_structure.shape[0]} outputs and drive {block_structure.shape[1]} inputs, "
             f"M has {shape[0]} outputs and {shape[1]} inputs."
         )
-    return made
+    return block_structure
 
 
-def _block(who: str, given: int | tuple[int, int] | Block) -> Block:
-    if isinstance(given, Block):
-        return given
-    if isinstance(given, tuple | list) and len(given) == 2:
-        return Block(whole(who, "blocks", given[0], 1), whole(who, "blocks", given[1], 1))
-    return Block(whole(who, "blocks", given, 1))
+def _block(who: str, block: int | tuple[int, int] | Block) -> Block:
+    if isinstance(block, Block):
+        return block
+    if isinstance(block, tuple | list) and len(block) == 2:
+        return Block(whole(who, "blocks", block[0], 1), whole(who, "blocks", block[1], 1))
+    return Block(whole(who, "blocks", block, 1))
 
 
 def _places(sizes: list[int]) -> list[slice]:

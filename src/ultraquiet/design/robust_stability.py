@@ -53,13 +53,13 @@ def stands(plant: StateSpace, result: DesignResult, bound: StateSpace | None) ->
     size = robust_stability(plant, result.controller, bound)
     details = {**result.details, "robust_stability": size}
     if size < 1:
-        told = f"{result.status.sentence} It stands every error within the uncertainty: ||W T|| = {size:.3g} < 1."
-        return replace(result, status=Status(StatusWord.OK, told), details=details)
-    told = (
+        sentence = f"{result.status.sentence} It stands every error within the uncertainty: ||W T|| = {size:.3g} < 1."
+        return replace(result, status=Status(StatusWord.OK, sentence), details=details)
+    sentence = (
         f"The loop is stable with the design model but need not be with the plant: ||W T|| reaches {size:.3g} where "
         "the uncertainty allows less than one; ask for less, or identify the plant better where the weight is high."
     )
-    return replace(result, status=Status(StatusWord.NOT_ROBUST, told), details=details)
+    return replace(result, status=Status(StatusWord.NOT_ROBUST, sentence), details=details)
 
 
 def tallest(
@@ -67,11 +67,11 @@ def tallest(
     bound: StateSpace,
     height: float,
     law: Callable[[float], StateSpace | None],
-    made: Callable[[float], DesignResult],
+    design: Callable[[float], DesignResult],
 ) -> DesignResult:
     """Return the design of the largest height, at most the one asked for, whose loop stands the bound.
 
-    `law` gives the controller of a height alone, which is all that the search needs; `made` the whole result.
+    `law` gives the controller of a height alone, which is all that the search needs; `design` the whole result.
     """
     f = np.unique(np.concatenate([default_grid(plant), default_grid(bound)]))
     z = points(f, plant.rate_hz)
@@ -85,11 +85,11 @@ def tallest(
         T = np.linalg.solve(np.eye(L.shape[1]) - L, L)
         return float(np.linalg.norm(W @ T, 2, axis=(1, 2)).max()) < BETWEEN
 
-    first = stands(plant, made(height), bound)
+    first = stands(plant, design(height), bound)
     if first.status.word != StatusWord.NOT_ROBUST or not enough(LOWEST):
         return first
     low, high = np.log(LOWEST), 0.0
     for _ in range(STEPS):
         middle = (low + high) / 2
         low, high = (middle, high) if enough(float(np.exp(middle))) else (low, middle)
-    return stands(plant, made(height * float(np.exp(low))), bound)
+    return stands(plant, design(height * float(np.exp(low))), bound)

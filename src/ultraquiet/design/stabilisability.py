@@ -18,14 +18,14 @@ def lost_modes(who: str, plant: StateSpace, inputs: str = "B", outputs: str = "C
     """
     poles = plant.poles()
     unstable = poles[poles.real >= -BORDER if plant.rate_hz is None else np.abs(poles) >= 1 - BORDER]
-    for told, A, B, wires in (
+    for lacking, A, B, wires in (
         ("is out of reach of the inputs", plant.A, plant.B, inputs),
         ("does not show in the outputs", plant.A.T, plant.C.T, outputs),
     ):
         lost = [z for z in unstable if loses_rank(np.hstack([A - z * np.eye(len(A)), B]))]
         if lost:
             return (
-                f"{who}: an unstable mode of the plant, {place(lost[0], plant.rate_hz)}, {told} ({wires}), so no "
+                f"{who}: an unstable mode of the plant, {place(lost[0], plant.rate_hz)}, {lacking} ({wires}), so no "
                 "controller can stabilise it; remove it from the model or act on it."
             )
     return ""

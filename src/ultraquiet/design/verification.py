@@ -78,7 +78,7 @@ def _setting(value: Any) -> Any:
 
 def from_synthesis(
     plant: StateSpace,
-    found: DesignResult,
+    synthesised: DesignResult,
     settings: Any,
     details: Mapping[str, Any],
     controller: StateSpace | None = None,
@@ -87,7 +87,9 @@ def from_synthesis(
 
     `controller` replaces the one found, when that was made for a part of the plant.
     """
-    law = controller or found.controller
-    if not found.status.ok or law is None:
-        return replace(found, details={**found.details, **details}, provenance=_provenance(plant, settings))
-    return judged(plant, law, settings, found.gamma, found.achieved, found.residuals, {**found.details, **details})
+    law = controller or synthesised.controller
+    merged = {**synthesised.details, **details}
+    if not synthesised.status.ok or law is None:
+        return replace(synthesised, details=merged, provenance=_provenance(plant, settings))
+    gamma, achieved = synthesised.gamma, synthesised.achieved
+    return judged(plant, law, settings, gamma, achieved, synthesised.residuals, merged)

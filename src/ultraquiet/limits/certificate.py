@@ -33,7 +33,7 @@ def ramp(angles: FloatArray, first: float, last: float, smoothed: int) -> FloatA
 def weights_at(
     angles: FloatArray,
     smoothed: int,
-    found_angles: FloatArray,
+    grid_angles: FloatArray,
     multipliers: Sequence[FloatArray],
     active: Sequence[np.ndarray],
 ) -> FloatArray:
@@ -41,9 +41,9 @@ def weights_at(
     from scipy.ndimage import gaussian_filter1d
 
     logs = []
-    for held, on in zip(multipliers, active, strict=True):
-        at = found_angles[on]
-        density = np.maximum(held[on], 1e-300) / np.maximum(np.gradient(at), 1e-12)
+    for multiplier, on in zip(multipliers, active, strict=True):
+        at = grid_angles[on]
+        density = np.maximum(multiplier[on], 1e-300) / np.maximum(np.gradient(at), 1e-12)
         logs.append(gaussian_filter1d(np.interp(angles, at, np.log(density)), smoothed / 2, mode="reflect"))
     level = np.array(logs)
     share = np.exp(np.clip(level - level.max(axis=0), -30, 0))

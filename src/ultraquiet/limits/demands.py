@@ -33,14 +33,14 @@ class Wishes:
         never = np.full(f_hz.size, np.inf)
         # S = 1 is what no control gives: a peak little above it is tightened by a share of what it allows beyond
         tight = 1 - (1 - TIGHTENED) * min(1.0, max(self.peak - 1, 0.0) if self.peak >= 1 else 1.0)
-        found = [
+        demands = [
             Demand(IN_BAND, lines.a, lines.b, np.where(inside, 1.0, never), sought=True),
             Demand(PEAK, lines.a, lines.b, np.full(f_hz.size, self.peak), tight=tight),
             Demand(CONTROL, lines.c, lines.d, np.full(f_hz.size, self.control_gain)),
         ]
         if self.uncertainty is not None:
-            found.append(Demand(ROBUST, lines.a - 1, lines.b, 1 / self.weight(f_hz)))
-        return found
+            demands.append(Demand(ROBUST, lines.a - 1, lines.b, 1 / self.weight(f_hz)))
+        return demands
 
     def weight(self, f_hz: FloatArray) -> FloatArray:
         """Return |W| of the uncertainty on a grid; outside a table's frequencies, its ends."""

@@ -53,15 +53,15 @@ class BindingZero:
 def binding_zeros(plant: StateSpace) -> list[BindingZero]:
     """Return the zeros outside the stability region, one of each conjugate pair; a plant's delay counts as one."""
     values = invariant_zeros(plant.A, plant.B, plant.C, plant.D)
-    found = []
+    zeros = []
     if plant.rate_hz is not None and not np.any(plant.D):
-        found.append(BindingZero(complex(2 * plant.rate_hz), None, "the delay"))
+        zeros.append(BindingZero(complex(2 * plant.rate_hz), None, "the delay"))
     for z in values[values.imag >= 0]:
         s = unstable(np.array([z]), plant.rate_hz)
         if s.size:
             at = abs(z if plant.rate_hz is None else plant.rate_hz * np.log(z)) / (2 * np.pi)
-            found.append(BindingZero(complex(s[0]), _blocked(plant, complex(z)), f"a zero at {at:.3g} Hz"))
-    return found
+            zeros.append(BindingZero(complex(s[0]), _blocked(plant, complex(z)), f"a zero at {at:.3g} Hz"))
+    return zeros
 
 
 def _blocked(plant: StateSpace, z: complex) -> ComplexArray:

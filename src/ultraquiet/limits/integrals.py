@@ -116,7 +116,7 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
     S = _loop(plant, controller, f)
     w = half_plane.speeds(f, rate_hz)
     stretch = 2 * np.pi * (1.0 if rate_hz is None else 1 + (w / (2 * rate_hz)) ** 2)  # dw / df
-    found = []
+    integrals = []
     for zero in sorted(zeros, key=lambda z: abs(z.s)):
         y, x, at = np.asarray(zero.direction), zero.s.real, zero.s.imag
         # at negative frequencies S is conjugate, the direction is not
@@ -124,8 +124,8 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
         level = here * np.log(np.abs((S @ y) @ y.conj())) + mirrored * np.log(np.abs((S @ y.conj()) @ y))
         owes = half_plane.owed(zero.s, unstable) if plant.D.shape == (1, 1) else 0.0
         paid = float(np.sum(width * stretch / np.pi * level))
-        found.append(Integral(zero.name, DB * paid, DB * owes))
-    return tuple(found)
+        integrals.append(Integral(zero.name, DB * paid, DB * owes))
+    return tuple(integrals)
 
 
 def _dips(plant: StateSpace, controller: StateSpace, zeros: list[half_plane.BindingZero]) -> ComplexArray:
@@ -134,13 +134,13 @@ def _dips(plant: StateSpace, controller: StateSpace, zeros: list[half_plane.Bind
     With one channel they are the open loop's poles.
     """
     S = sensitivity(plant, controller)
-    found = []
+    dips = []
     for zero in zeros:
         y = np.asarray(zero.direction)
         direct = y.conj() @ S.D @ y
         if direct != 0:
-            found.append(np.linalg.eigvals(S.A - np.outer(S.B @ y, y.conj() @ S.C) / direct))
-    return np.concatenate(found) if found else np.zeros(0, dtype=np.complex128)
+            dips.append(np.linalg.eigvals(S.A - np.outer(S.B @ y, y.conj() @ S.C) / direct))
+    return np.concatenate(dips) if dips else np.zeros(0, dtype=np.complex128)
 
 
 def _tail(slope: float, f_hz: FloatArray) -> float:

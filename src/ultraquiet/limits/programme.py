@@ -68,17 +68,17 @@ def solve(functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray 
         edges = np.flatnonzero(np.diff(np.isfinite(demand.limit).astype(int)))
         first[edges] = first[edges + 1] = True
     active = [first & np.isfinite(d.limit) for d in demands]
-    found = solve_on(functions, demands, active, noise)
+    solution = solve_on(functions, demands, active, noise)
     for rounds in range(2, ROUNDS + 1):
-        if not found.ok:
+        if not solution.ok:
             break
-        q = found.weights @ functions
-        new = [_broken(d, q, found.level) & ~a for d, a in zip(demands, active, strict=True)]
+        q = solution.weights @ functions
+        new = [_broken(d, q, solution.level) & ~a for d, a in zip(demands, active, strict=True)]
         if not any(n.any() for n in new):
             break
         active = [a | n for a, n in zip(active, new, strict=True)]
-        found = solve_on(functions, demands, active, noise, rounds)
-    return found
+        solution = solve_on(functions, demands, active, noise, rounds)
+    return solution
 
 
 def solve_on(
@@ -107,10 +107,10 @@ def solve_on(
     solution = clarabel.DefaultSolver(none, cost, csc_matrix(A), b, cones, settings).solve()
     x, z, at, multipliers = np.array(solution.x), np.array(solution.z), 0, []
     for demand, on in zip(demands, active, strict=True):
-        held = np.zeros(on.size)
+        multiplier = np.zeros(on.size)
         count = int(on.sum())
-        held[on] = z[at : at + 3 * count : 3] * (x[-1] if demand.sought else 1.0)
-        multipliers.append(held)
+        multiplier[on] = z[at : at + 3 * count : 3] * (x[-1] if demand.sought else 1.0)
+        multipliers.append(multiplier)
         at += 3 * count
     return ConeSolution(x[:-1], float(x[-1]), multipliers, active, str(solution.status), rounds)
 

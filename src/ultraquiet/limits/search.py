@@ -63,22 +63,22 @@ class LimitSearch:
         functions = scale * self.basis.at(self.circle.angles(self.f_hz))
         demands = wishes.demands(self.f_hz, self.lines)
         noise = None if noise_gain is None else self._noise(self.basis, scale, noise_gain)
-        found = solve(functions, demands, noise)
-        if not found.ok:
-            return refused(self._why(functions, demands, noise, found))
+        solution = solve(functions, demands, noise)
+        if not solution.ok:
+            return refused(self._why(functions, demands, noise, solution))
         bound = float("nan")
         if certify:
             # the noise gain is no demand at single frequencies: the bound is that of the others
-            others = found if noise is None else solve_on(functions, demands, found.active)
+            others = solution if noise is None else solve_on(functions, demands, solution.active)
             bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
-        half_db = float("nan") if bounded_by else self._half(scale, demands, found, noise_gain)
-        return self._told(wishes, found, found.weights * scale, bound, half_db)
+        half_db = float("nan") if bounded_by else self._half(scale, demands, solution, noise_gain)
+        return self._judged(wishes, solution, solution.weights * scale, bound, half_db)
 
-    def _half(self, scale: float, demands: Sequence[Demand], found: ConeSolution, noise_gain: float | None) -> float:
+    def _half(self, scale: float, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None) -> float:
         """Return the attenuation in dB that every other section of the basis reaches on the same points."""
         half = chain(self.poles[::2])
         noise = None if noise_gain is None else self._noise(half, scale, noise_gain)
-        again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, found.active, noise)
+        again = solve_on(scale * half.at(self.circle.angles(self.f_hz)), demands, solution.active, noise)
         return attenuation(again.level) if again.ok else float("nan")
 
     def _noise(self, basis: OrthonormalBasis, scale: float, noise_gain: float) -> FloatArray:
@@ -93,13 +93,17 @@ class LimitSearch:
         return np.asarray(np.linalg.qr(np.vstack([rows.real, rows.imag]), mode="r"))
 
     def bound(
-        self, wishes: Wishes, demands: Sequence[Demand], found: ConeSolution, lines: Callable[[FloatArray], AffineLoops]
+        self,
+        wishes: Wishes,
+        demands: Sequence[Demand],
+        solution: ConeSolution,
+        lines: Callable[[FloatArray], AffineLoops],
     ) -> float:
         """Return the attenuation in dB that no Q reaches on `lines`; nan where no circle was fine enough."""
-        angles_found = self.circle.angles(self.f_hz)
+        grid_angles = self.circle.angles(self.f_hz)
         merged = [[0, 1], *([k] for k in range(2, len(demands)))]  # the band's demand and the peak's are one, of S
-        multipliers = [sum((found.multipliers[k] for k in ks), np.zeros(angles_found.size)) for ks in merged]
-        active = [np.any([found.active[k] for k in ks], axis=0) for ks in merged]
+        multipliers = [sum((solution.multipliers[k] for k in ks), np.zeros(grid_angles.size)) for ks in merged]
+        active = [np.any([solution.active[k] for k in ks], axis=0) for ks in merged]
         edges = self.circle.angles(np.array(self.band_hz))
         for count, smoothed in CIRCLES:
             angles = np.linspace(0, np.pi, count + 1)
@@ -108,13 +112,15 @@ class LimitSearch:
             wanted = wishes.demands(f_hz, lines(f_hz))[1:]
             levels = [share, *np.zeros(len(wanted) - 1)]
             discs = [certificate.Merged(d.a, d.b, d.limit ** (1 - s), s) for d, s in zip(wanted, levels, strict=True)]
-            weights = certificate.weights_at(angles, smoothed, angles_found, multipliers, active)
-            level = certificate.lowest_level(discs, weights, found.level)
+            weights = certificate.weights_at(angles, smoothed, grid_angles, multipliers, active)
+            level = certificate.lowest_level(discs, weights, solution.level)
             if np.isfinite(level):
                 return attenuation(level) if level else np.inf
         return float("nan")
 
-    def _told(self, wishes: Wishes, found: ConeSolution, weights: FloatArray, bound_db: float, half_db: float) -> Limit:
+    def _judged(
+        self, wishes: Wishes, solution: ConeSolution, weights: FloatArray, bound_db: float, half_db: float
+    ) -> Limit:
         """Judge the solution on a finer grid and word it."""
         f = _finer(self.f_hz)
         lines = self.loops.at(f)
@@ -127,12 +133,12 @@ class LimitSearch:
         binding = {name: _stretches(f, r >= USED_UP) for name, r in reached.items()}
         law = self.loops.controller(self.circle.unwarped(self.basis.realised(weights)))
         values = attenuation(level), bound_db, 20 * float(np.log10(S.max())), float(size.max())
-        status = Status(StatusWord.OK, self._sentence(found, *values[:2], over, half_db, binding))
+        status = Status(StatusWord.OK, self._sentence(solution, *values[:2], over, half_db, binding))
         return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0))
 
     def _sentence(
         self,
-        found: ConeSolution,
+        solution: ConeSolution,
         attenuation_db: float,
         bound_db: float,
         over: float,
@@ -146,16 +152,16 @@ class LimitSearch:
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
             f"A controller attenuates {low:g}-{high:g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
-            f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; solver: {found.status}, "
-            f"{found.rounds} grids, {self.basis.size} functions{less}."
+            f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; solver: {solution.status}, "
+            f"{solution.rounds} grids, {self.basis.size} functions{less}."
         )
 
     def _why(
-        self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, found: ConeSolution
+        self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, solution: ConeSolution
     ) -> str:
         """Name the demands without which there is a solution."""
-        if "Infeasible" not in found.status:
-            return f"{WHO}: the solver gave up ({found.status}); ask for less basis or a milder demand."
+        if "Infeasible" not in solution.status:
+            return f"{WHO}: the solver gave up ({solution.status}); ask for less basis or a milder demand."
         guilty = [
             demand.name
             for k, demand in enumerate(demands)

@@ -108,9 +108,9 @@ def project(
         ) from None
 
 
-def renamed(M: Matrices, like: StateSpace, made: Provenance) -> StateSpace:
+def renamed(M: Matrices, like: StateSpace, provenance: Provenance) -> StateSpace:
     """Return a system with the rate and channels of another."""
-    return StateSpace(*M, like.rate_hz, like.actuators, like.sensors, made)
+    return StateSpace(*M, like.rate_hz, like.actuators, like.sensors, provenance)
 
 
 def _null(M: FloatArray) -> FloatArray:

@@ -52,8 +52,8 @@ class Candidates:
         poles = loop.poles()
         self._discrete = P.rate_hz is not None
         # a direct term that was not there makes a continuous mean square infinite
-        held = norm == "mean-square" and not self._discrete
-        self._ways = ("truncation",) if held else tuple(dict.fromkeys((method, "truncation")))
+        truncation_only = norm == "mean-square" and not self._discrete
+        self._ways = ("truncation",) if truncation_only else tuple(dict.fromkeys((method, "truncation")))
         if not _inside(poles, self._discrete):
             raise InputError("ClosedLoopWeighted: the loop with the full controller is unstable; nothing can be kept.")
         self.before = loop_norm(loop, norm)
@@ -80,11 +80,11 @@ class Candidates:
         descent = Descent(self._grid, shape, self._norm, self._discrete)
         tried = []
         for start in self._projections(count):
-            found = self._first_descents(descent, shape, start, steps)
-            if found is not None:
-                tried.append(found)
-                if found[0].cost <= 1 + allowed:
-                    return found[0]
+            ended = self._first_descents(descent, shape, start, steps)
+            if ended is not None:
+                tried.append(ended)
+                if ended[0].cost <= 1 + allowed:
+                    return ended[0]
         if not tried:
             return ReducedLaw(self._K, np.zeros(0), np.inf, "none")
         best, x = min(tried, key=lambda t: t[0].cost)

@@ -124,9 +124,9 @@ def _verdict(controller: StateSpace, proof: Mapping[str, Any], bound: float | No
     if budget is not None and proof["multiply_adds"] > budget:
         return Status(StatusWord.LOSS, f"{moved}, but the budget is {budget}; allow more loss or a larger budget.")
     if allowed is not None and proof["loss_percent"] > allowed:
-        held = "" if budget is None else f" within {budget} multiply-adds"
+        within = "" if budget is None else f" within {budget} multiply-adds"
         return Status(
             StatusWord.LOSS,
-            f"{moved}, {proof['loss_percent']:.1f} % where {allowed:g} % are allowed{held}; keep more states.",
+            f"{moved}, {proof['loss_percent']:.1f} % where {allowed:g} % are allowed{within}; keep more states.",
         )
     return Status(StatusWord.OK, f"{moved} ({proof['loss_percent']:+.2f} %).")

@@ -97,10 +97,10 @@ class ClosedLoopWeighted:
         nothing = self.states is None and self.budget is None and self.loss is None
         allowed = USUAL_LOSS if nothing else self.loss
         best = self._chosen(tried, controller, allowed)
-        made = Provenance(
+        provenance = Provenance(
             "ClosedLoopWeighted", asdict(self), parents=(controller.hash, plant.hash), versions=versions()
         )
-        small = renamed((best.system.A, best.system.B, best.system.C, best.system.D), controller, made)
+        small = renamed((best.system.A, best.system.B, best.system.C, best.system.D), controller, provenance)
         return certified(
             controller,
             small,
@@ -142,9 +142,9 @@ class ClosedLoopWeighted:
         low, high, best = -1, most, self._at(tried, most, allowed)
         while high - low > 1 and best.cost <= 1 + allowed:
             middle = (low + high) // 2
-            found = tried.projected(middle)
-            if found.cost <= 1 + allowed:
-                high, best = middle, found
+            trial = tried.projected(middle)
+            if trial.cost <= 1 + allowed:
+                high, best = middle, trial
             else:
                 low = middle
         return best

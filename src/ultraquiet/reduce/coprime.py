@@ -62,8 +62,8 @@ class CoprimeFactors:
         factors = normalised_left(controller)
         P, Q = balance.gramians(*factors[:3], discrete)
         (a, b, c, d), hankel = project(factors, P, Q, self.states, discrete, self.method)
-        made = Provenance("CoprimeFactors", asdict(self), parents=(controller.hash,), versions=versions())
-        small = renamed(quotient((a, b, c, d), controller.D.shape[1]), controller, made)
+        provenance = Provenance("CoprimeFactors", asdict(self), parents=(controller.hash,), versions=versions())
+        small = renamed(quotient((a, b, c, d), controller.D.shape[1]), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
         return certified(
             controller, small, hankel, P=P_loop, details={"gap_bound": 2 * float(np.sum(hankel[self.states :]))}

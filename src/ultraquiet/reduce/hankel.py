@@ -64,8 +64,8 @@ class HankelNorm:
         continuous = bilinear_to_continuous(*stable) if discrete else stable
         reduced, hankel, bound = hankel_approximation(continuous, keep)
         reduced = bilinear_to_discrete(*reduced) if discrete else reduced
-        made = Provenance("HankelNorm", asdict(self), parents=(controller.hash,), versions=versions())
-        small = renamed(joined(reduced, kept), controller, made)
+        provenance = Provenance("HankelNorm", asdict(self), parents=(controller.hash,), versions=versions())
+        small = renamed(joined(reduced, kept), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
         return certified(controller, small, hankel, P=P_loop, details={"bound": bound})
 

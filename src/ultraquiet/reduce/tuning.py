@@ -99,11 +99,11 @@ class Descent:
 
     def on_loop(self, x: FloatArray, steps: int, power: int) -> FloatArray:
         """Lower the norm of the loop itself: its mean square, or the peak by its smooth 2 `power`-norm."""
-        held = self._unstable(x, self.response(x).K)
+        unstable_before = self._unstable(x, self.response(x).K)
 
         def cost(x: FloatArray) -> tuple[float, FloatArray]:
             now = self.response(x)
-            if abs(self._unstable(x, now.K) - held) > 0.5:
+            if abs(self._unstable(x, now.K) - unstable_before) > 0.5:
                 return WALL, np.zeros_like(x)
             seen = self._grid.sensitivity(now.K)
             F = self._grid.P11 + self._grid.P12 @ now.K @ seen
@@ -163,8 +163,8 @@ class Descent:
 def _lowered(cost: Any, x: FloatArray, steps: int) -> FloatArray:
     from scipy.optimize import minimize
 
-    found = minimize(cost, x, jac=True, method="L-BFGS-B", options={"maxiter": steps, "maxcor": MEMORY})
-    return np.asarray(found.x)
+    minimum = minimize(cost, x, jac=True, method="L-BFGS-B", options={"maxiter": steps, "maxcor": MEMORY})
+    return np.asarray(minimum.x)
 
 
 def _adjoint(M: Array) -> Array:

@@ -85,19 +85,19 @@ class FrequencyWeighted:
         Q = output_gramian(stable, _matrices(V), discrete, self.combination, guard=self.guard)
         keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
         reduced, hankel = project(stable, P, Q, keep, discrete, self.method)
-        made = Provenance("FrequencyWeighted", asdict(self), parents=(controller.hash,), versions=versions())
-        small = renamed(joined(reduced, kept), controller, made)
+        provenance = Provenance("FrequencyWeighted", asdict(self), parents=(controller.hash,), versions=versions())
+        small = renamed(joined(reduced, kept), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
         details = {"weighted_error": _error(stable, reduced, V, W, controller.rate_hz)}
         return certified(controller, small, hankel, P=P_loop, details=details)
 
     def _weights(self, K: StateSpace, plant: StateSpace | None, weights: Weights) -> tuple[StateSpace, StateSpace]:
         """Return V and W, identities where there is none."""
-        given = weights if isinstance(weights, Mapping) else {}
+        by_side = weights if isinstance(weights, Mapping) else {}
         nu, ny = K.D.shape
         V, W = (StateSpace(*static(np.eye(size)), rate_hz=K.rate_hz) for size in (nu, ny))
-        if "input" in given or "output" in given:
-            V, W = given.get("output", V), given.get("input", W)
+        if "input" in by_side or "output" in by_side:
+            V, W = by_side.get("output", V), by_side.get("input", W)
         elif plant is not None:
             W = sensitivity(plant, K) if self.loop == "performance" else feedback(plant, K)
             V = feedback(plant, K) if self.loop == "performance" else V

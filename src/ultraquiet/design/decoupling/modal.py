@@ -71,17 +71,17 @@ class Modal:
             F, modes = self._feedback(plant)
             Q = plant.B @ plant.B.T * self.disturbance
             R = self.sensor_noise * np.eye(plant.D.shape[0])
-            found = discrete_riccati(plant.A.T, plant.C.T, Q, R)
+            filtering = discrete_riccati(plant.A.T, plant.C.T, Q, R)
         except NumericalError as error:
             return refused(f"Modal: {error}")
-        X = found.X
+        X = filtering.X
         L = np.linalg.solve(R + plant.C @ X @ plant.C.T, plant.C @ X @ plant.A.T).T
         A = plant.A + plant.B @ F - L @ (plant.C + plant.D @ F)
         law = StateSpace(A, L, F, np.zeros((plant.D.shape[1], plant.D.shape[0])), plant.rate_hz)
         details = {"modes": modes}
         if plant.D.shape[0] == plant.D.shape[1]:
             details["score"] = Specification(band_hz=self.band_hz).score(plant, law)  # type: ignore[assignment]
-        return judged(plant, law, self, float("nan"), float("nan"), {"filter": found.residual}, details)
+        return judged(plant, law, self, float("nan"), float("nan"), {"filter": filtering.residual}, details)
 
     def _feedback(self, plant: StateSpace) -> tuple[FloatArray, list[dict[str, float]]]:
         """Return F and what it does, one mode after the other."""
@@ -106,8 +106,8 @@ class Modal:
 
 def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> FloatArray:
     """Return F that moves one complex pair of A + B F to a target and leaves all else."""
-    found: Any = np.linalg.eig(A.T)
-    values, left = found
+    decomposition: Any = np.linalg.eig(A.T)
+    values, left = decomposition
     k = int(np.argmin(np.abs(values - pole)))
     W = np.vstack([left[:, k].real, left[:, k].imag])
     re, im = values[k].real, values[k].imag

@@ -128,10 +128,10 @@ def tuned(
     who = type(settings).__name__
     problem = posed(plant, start.structure, wanted)
     points = _points(problem, start.theta, starts, np.random.default_rng(seed))
-    found = lowest(problem, points, STEPS, 2)
-    if found is None:
+    lowest_point = lowest(problem, points, STEPS, 2)
+    if lowest_point is None:
         return refused(f"{who}: no start gave a stable loop; try another structure, more states or more starts.")
-    theta = _within(problem, balanced(problem, found[0], STEPS, ROUNDS)[0], plant, wanted)
+    theta = _within(problem, balanced(problem, lowest_point[0], STEPS, ROUNDS)[0], plant, wanted)
     levels = problem.measured(theta)
     controller = problem.plane.from_plane(start.structure.system(theta))
     score = wanted.score(plant, controller)
@@ -251,10 +251,10 @@ def _first_on_part(
         element, theta = _reduced(law, states + more, plane, part.D.shape)
         for left in range(states + more, states - 1, -2):
             problem = posed(part, one_element(element), wanted)
-            found = lowest(problem, [_calmed(problem, theta)], STEPS, 2)
-            if found is None:
+            lowest_point = lowest(problem, [_calmed(problem, theta)], STEPS, 2)
+            if lowest_point is None:
                 break
-            theta, reached = balanced(problem, found[0], STEPS, ROUNDS)
+            theta, reached = balanced(problem, lowest_point[0], STEPS, ROUNDS)
             if left == states:
                 if reached < level:
                     best, level = InitialLaw(one_element(element), theta), reached
@@ -272,9 +272,9 @@ def _reduced(law: StateSpace | None, states: int, plane: Plane, shape: tuple[int
         M: Matrices = plane.to_plane(law)
         P, Q = balance.gramians(*M[:3], discrete=False)
         left, right, _ = balance.balancing(P, Q, states)
-        found = from_system(balance.truncate(M, left, right)) if left.shape[0] == states else None
-        if found is not None:
-            return found
+        element_and_theta = from_system(balance.truncate(M, left, right)) if left.shape[0] == states else None
+        if element_and_theta is not None:
+            return element_and_theta
     element = StablePairs(states, shape[1], shape[0], np.ones(states))
     low, high = (
         float(w) for w in plane.of_hz(np.array([5.0, 500.0 if plane.rate_hz is None else 0.2 * plane.rate_hz]))

@@ -45,10 +45,10 @@ def bfgs(
         slope = float(g @ d)
         if slope >= 0:
             break
-        found = _wolfe(value, gradient, x, f, d, slope)
-        if found is None:
+        accepted = _wolfe(value, gradient, x, f, d, slope)
+        if accepted is None:
             break
-        t, x, f, new = found
+        t, x, f, new = accepted
         s, y = t * d, new - g
         g, sy = new, float(s @ y)
         if sy > 1e-12 * float(np.linalg.norm(s) * np.linalg.norm(y)) > 0:

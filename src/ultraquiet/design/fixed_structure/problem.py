@@ -152,9 +152,9 @@ class TuningProblem:
         before = self.level(theta, self.samples)
         w = self.samples.w
         between = np.sqrt(w[1:-2] * w[2:-1])
-        found = self._poles(theta)
-        own = np.concatenate([np.abs(found.imag), np.abs(found)])
-        near = (np.abs(found.imag[:, None]) + np.abs(found.real[:, None]) * np.linspace(-1, 1, 5)).ravel()
+        poles = self._poles(theta)
+        own = np.concatenate([np.abs(poles.imag), np.abs(poles)])
+        near = (np.abs(poles.imag[:, None]) + np.abs(poles.real[:, None]) * np.linspace(-1, 1, 5)).ravel()
         extra = np.concatenate([between, own, near])
         extra = extra[(extra > 0) & (extra < w[-1])]
         fine = self.sampled(extra)
@@ -254,14 +254,14 @@ class TuningProblem:
         S, weights = self.samples, self.weights()
         levels = self._levels(theta, S) * weights[:, None]
         top = levels.max()
-        found = _chosen(levels, (1 - share) * top, most)
-        at = np.array([k for _, _, k in found])
+        chosen = _chosen(levels, (1 - share) * top, most)
+        at = np.array([k for _, _, k in chosen])
         K = self.structure.response(theta, _axis(S.w[at]))
         loop = np.linalg.inv(np.eye(self.ny) - S.P22[at] @ K)
         right, left = loop @ S.P21[at], S.P12[at] @ (np.eye(self.nu) + K @ loop @ S.P22[at])
         M = S.P11[at] + left @ K @ S.P21[at]
         lefts, rights, values = [], [], []
-        for j, (_, i, k) in enumerate(found):
+        for j, (_, i, k) in enumerate(chosen):
             rows = self.requirements[i].rows
             U, s, Vh = np.linalg.svd(M[j, rows])
             factor = weights[i] / S.bounds[i][k]
@@ -303,8 +303,8 @@ def abscissa(problem: TuningProblem, theta: FloatArray) -> tuple[float, FloatArr
 
     A, B, C, D = problem.loop
     n = A.shape[0]
-    found: Any = eig(problem.closed(theta), left=True, right=True)
-    values, left, right = found
+    decomposition: Any = eig(problem.closed(theta), left=True, right=True)
+    values, left, right = decomposition
     k = int(np.argmax(values.real))
     s = values[[k]]
     K = problem.structure.response(theta, s)[0]

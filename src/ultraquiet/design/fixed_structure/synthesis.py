@@ -85,10 +85,10 @@ def synthesize_structured(
     points = [law.start(rng, problem.low / 3, 3 * problem.high) for _ in range(whole(who, "starts", starts, 1))]
     if full is not None and structure is None and not stable and full.states >= n:
         points.insert(0, _cut(problem, full, n))
-    found = lowest(problem, points, STEPS, ROUNDS)
-    if found is None:
+    lowest_point = lowest(problem, points, STEPS, ROUNDS)
+    if lowest_point is None:
         return refused(f"{who}: no start gave a stable loop with {n} states; allow more states or starts.")
-    theta, level = found
+    theta, level = lowest_point
     K = problem.plane.from_plane(law.system(theta))
     achieved = hinf_norm(lft(P, K))[0]
     details = {"optimum": optimum, "ratio": achieved / optimum, "theta": theta, "points": problem.samples.w.size}
@@ -98,10 +98,10 @@ def synthesize_structured(
 def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, float]:
     """Return the law of full order and the smallest norm it proves; nothing where the problem is singular."""
     try:
-        found = synthesize_hinf(P, ny, nu)
+        result = synthesize_hinf(P, ny, nu)
     except UltraquietError:
         return None, float("nan")
-    return (found.controller, float(found.details["optimum"][1])) if found.controller else (None, float("nan"))
+    return (result.controller, float(result.details["optimum"][1])) if result.controller else (None, float("nan"))
 
 
 def _cut(problem: TuningProblem, law: StateSpace, states: int) -> np.ndarray:

@@ -12,7 +12,7 @@ SPAN = 2500.0  # between the ends of the grid of frequencies, whose upper one is
 
 
 def recovery(
-    at: str, plant: StateSpace, loop: StateSpace | None, core: StateSpace, P: StateSpace, found: Solution
+    at: str, plant: StateSpace, loop: StateSpace | None, core: StateSpace, P: StateSpace, solution: Solution
 ) -> dict[str, FloatArray | str]:
     """Return where the loop was to be recovered and how far it is from its target over frequency.
 
@@ -25,17 +25,17 @@ def recovery(
         loop: the filter in the controller, None without one.
         core: the rest of the controller.
         P: generalised plant, its last inputs and outputs those of `core`.
-        found: solution of both Riccati equations.
+        solution: solution of both Riccati equations.
     """
     assert plant.rate_hz is not None
     f = np.geomspace(plant.rate_hz / 2 / SPAN, plant.rate_hz / 2, POINTS)
     seen = plant if loop is None else series(plant, loop)
     ny, nu = seen.D.shape
     if at == "input":
-        target = StateSpace(P.A, P.B[:, -nu:], -found.feedback, np.zeros((nu, nu)), P.rate_hz)
+        target = StateSpace(P.A, P.B[:, -nu:], -solution.feedback, np.zeros((nu, nu)), P.rate_hz)
         error = recovery_error(series(seen, core), target, f)
     else:
-        target = StateSpace(P.A, found.injection, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
+        target = StateSpace(P.A, solution.injection, -P.C[-ny:], np.zeros((ny, ny)), P.rate_hz)
         error = recovery_error(series(core, seen), target, f)
     return {"at": at, "f_hz": f, "error": error[0], "relative_error": error[1]}
 

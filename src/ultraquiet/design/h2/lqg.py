@@ -106,9 +106,9 @@ class Lqg:
         one_of("Lqg", "band_at", self.band_at, ("cost", "loop"))
         between("Lqg", "floor", self.floor, 0.0, 1.0)
         for name in ("disturbance_model", "noise_model"):
-            given: Any = getattr(self, name)
-            if given is not None and not isinstance(given, StateSpace):
-                object.__setattr__(self, name, frozen(real_array("Lqg", name, given, 2)))
+            model: Any = getattr(self, name)
+            if model is not None and not isinstance(model, StateSpace):
+                object.__setattr__(self, name, frozen(real_array("Lqg", name, model, 2)))
 
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
@@ -135,13 +135,13 @@ class Lqg:
         ny, nu = plant.D.shape
         for even in (StateSpace(form.A, form.B, form.C, plant.D, plant.rate_hz), plant):
             P = true if even is plant else generalised(even, parts)
-            found = self._solved(P, true, ny, nu)
-            if not isinstance(found, str):
+            solved = self._solved(P, true, ny, nu)
+            if not isinstance(solved, str):
                 break
-            sentence = sentence or f"Lqg: {found}{_advice(P, ny, nu)}"
+            sentence = sentence or f"Lqg: {solved}{_advice(P, ny, nu)}"
         else:
             return refused(sentence)
-        solution, core, promised, achieved = found
+        solution, core, promised, achieved = solved
         K = core if parts.loop is None else series(parts.loop, core)
         try:
             firm = feedback(K, plant).is_stable()
@@ -162,15 +162,15 @@ class Lqg:
         The equations are solved for P; what is achieved is measured on `true`, the same system as it was given.
         """
         try:
-            found = solve(H2Problem.of(P, ny, nu), discrete=True)
-            core = StateSpace(*found.controller(current=self.estimator == "current"), rate_hz=P.rate_hz)
+            solution = solve(H2Problem.of(P, ny, nu), discrete=True)
+            core = StateSpace(*solution.controller(current=self.estimator == "current"), rate_hz=P.rate_hz)
             achieved = h2_norm(lft(true, core))
-            promised = found.cost() if self.estimator == "current" else h2_norm(lft(P, core))
+            promised = solution.cost() if self.estimator == "current" else h2_norm(lft(P, core))
         except (NumericalError, InputError) as error:
             return str(error)
         if not abs(promised - achieved) <= AGREEMENT * achieved:
             return f"the equations promise a cost of {promised:.6g}, the loop has {achieved:.6g}."
-        return found, core, promised, achieved
+        return solution, core, promised, achieved
 
     def generalised(self, plant: StateSpace) -> StateSpace:
         """Return the system from (d, probe, v, u) to (W y, Wu u, y), all noises of unit variance.
@@ -185,10 +185,10 @@ class Lqg:
         assert plant.rate_hz is not None
         weights = self.weights(plant)
         at_input = self.disturbance_at == "input"
-        given = self.disturbance if self.disturbance_model is None else self.disturbance_model
-        disturbance = shaped("Lqg", "disturbance_model", given, nu if at_input else ny, plant.rate_hz)
-        given = self.sensor_noise if self.noise_model is None else self.noise_model
-        noise = shaped("Lqg", "noise_model", given, ny, plant.rate_hz)
+        setting = self.disturbance if self.disturbance_model is None else self.disturbance_model
+        disturbance = shaped("Lqg", "disturbance_model", setting, nu if at_input else ny, plant.rate_hz)
+        setting = self.sensor_noise if self.noise_model is None else self.noise_model
+        noise = shaped("Lqg", "noise_model", setting, ny, plant.rate_hz)
         output = stable_weight("Lqg", "output_weight", full(weights["performance"], ny, "output_weight"), plant)
         control = stable_weight("Lqg", "input_weight", full(weights["control"], nu, "input_weight"), plant)
         more, probe = self.recovery - 1, gain(np.zeros((nu, 0)), plant.rate_hz)

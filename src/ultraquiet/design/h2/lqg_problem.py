@@ -50,24 +50,24 @@ def generalised(plant: StateSpace, parts: LqgParts) -> StateSpace:
     return series(series(inner, through), append(parts.output, parts.control, gain(np.eye(ny), rate)))
 
 
-def shaped(who: str, name: str, given: FloatArray | StateSpace | float, size: int, rate_hz: float | None) -> StateSpace:
+def shaped(who: str, name: str, model: FloatArray | StateSpace | float, size: int, rate_hz: float | None) -> StateSpace:
     """Return a noise model as a system driven by white noise of unit variance.
 
     Args:
         who: the method that asks.
         name: the setting.
-        given: a shaping filter as it is, a covariance matrix `(size, size)`, or the variance of every channel.
+        model: a shaping filter as it is, a covariance matrix `(size, size)`, or the variance of every channel.
         size: number of channels it feeds.
         rate_hz: of the plant.
 
     Raises:
         InputError: a filter of other size, a covariance that is not symmetric or not positive semidefinite.
     """
-    if isinstance(given, StateSpace):
-        if given.D.shape[0] != size:
-            raise InputError(f"{who}: '{name}' has {given.D.shape[0]} outputs where {size} are wanted.")
-        return given
-    V = float(given) * np.eye(size) if np.ndim(given) == 0 else real_array(who, name, given, 2)
+    if isinstance(model, StateSpace):
+        if model.D.shape[0] != size:
+            raise InputError(f"{who}: '{name}' has {model.D.shape[0]} outputs where {size} are wanted.")
+        return model
+    V = float(model) * np.eye(size) if np.ndim(model) == 0 else real_array(who, name, model, 2)
     if V.shape != (size, size):
         raise InputError(f"{who}: '{name}' must be ({size}, {size}), got {V.shape}.")
     values, vectors = np.linalg.eigh((V + V.T) / 2)

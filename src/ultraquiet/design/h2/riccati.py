@@ -117,8 +117,8 @@ def solve(p: H2Problem, discrete: bool) -> Solution:
         F = np.linalg.solve(R, p.B2.T @ X.X @ p.A + Sx.T)
         L = np.linalg.solve(S, p.C2 @ Y.X @ p.A.T + Sy.T).T
         # of x and of w, the part that this sample's innovation tells
-        told = np.linalg.solve(R, p.B2.T @ X.X @ p.B1 + p.D12.T @ p.D11) @ p.D21.T
-        N = np.linalg.solve(S, (F @ Y.X @ p.C2.T + told).T).T
+        feedthrough = np.linalg.solve(R, p.B2.T @ X.X @ p.B1 + p.D12.T @ p.D11) @ p.D21.T
+        N = np.linalg.solve(S, (F @ Y.X @ p.C2.T + feedthrough).T).T
         return Solution(p, X, Y, F, L, N, True, units)
     X = _continuous(p.A, p.B2, p.C1.T @ p.C1, Rx, Sx)
     Y = _continuous(p.A.T, p.C2.T, p.B1 @ p.B1.T, Ry, Sy)

@@ -44,16 +44,16 @@ def synthesize_h2(P: StateSpace, measurements: int, controls: int) -> DesignResu
     ny = whole("synthesize_h2", "measurements", measurements, 1, P.D.shape[0] - 1)
     nu = whole("synthesize_h2", "controls", controls, 1, P.D.shape[1] - 1)
     try:
-        found = solve(H2Problem.of(P, ny, nu), P.rate_hz is not None)
+        solution = solve(H2Problem.of(P, ny, nu), P.rate_hz is not None)
     except NumericalError as error:
         return refused(str(error))
     settings = {"measurements": ny, "controls": nu}
-    made = Provenance("synthesize_h2", settings, parents=(P.hash,), versions=versions())
-    K = StateSpace(*found.controller(), rate_hz=P.rate_hz, provenance=made)
+    provenance = Provenance("synthesize_h2", settings, parents=(P.hash,), versions=versions())
+    K = StateSpace(*solution.controller(), rate_hz=P.rate_hz, provenance=provenance)
     loop = lft(P, K)
     poles = loop.poles()
-    promised, achieved = found.cost(), h2_norm(loop)
+    promised, achieved = solution.cost(), h2_norm(loop)
     if not is_stable(poles, P.rate_hz) or abs(promised - achieved) > AGREEMENT * achieved:
         return refused(f"H2 synthesis: promised {promised:.6g}, achieved {achieved:.6g}; scale the plant.")
     status = Status(StatusWord.OK, f"The loop is stable and its H2 norm is {achieved:.5g}.")
-    return DesignResult(status, K, promised, achieved, poles, residuals=found.residuals, provenance=made)
+    return DesignResult(status, K, promised, achieved, poles, residuals=solution.residuals, provenance=provenance)

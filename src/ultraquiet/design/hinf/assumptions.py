@@ -44,12 +44,12 @@ def zeros_on_boundary(plant: NormalisedPlant, rate_hz: float | None) -> str:
         ("P12 (controls to performance outputs)", plant.A, plant.B2, plant.C1, D12),
         ("P21 (disturbances to measurements)", plant.A.T, plant.C2.T, plant.B1.T, D21.T),
     ):
-        held = A - B2 @ D.T @ C1
+        inverse_A = A - B2 @ D.T @ C1
         rest = C1 - D @ D.T @ C1
-        zeros = np.linalg.eigvals(held) if held.size else np.zeros(0)
+        zeros = np.linalg.eigvals(inverse_A) if inverse_A.size else np.zeros(0)
         for z in zeros[(np.abs(zeros.real) <= NEAR_AXIS * np.maximum(1.0, np.abs(zeros))) & (zeros.imag >= 0)]:
             w = float(z.imag) if z.imag > NEAR_AXIS else 0.0
-            if _loses_rank(held.T, rest.T, 1j * w, RANK_AT_ZERO):
+            if _loses_rank(inverse_A.T, rest.T, 1j * w, RANK_AT_ZERO):
                 f_hz = _hertz(w * plant.speed, rate_hz)
                 return f"{WHO}: {name} has a zero on the stability boundary at {f_hz:.4g} Hz; weight that frequency."
     return ""

@@ -16,7 +16,7 @@ from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.structure_words import FULL, REPEATED, structure_word
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
-from ultraquiet.design.weights.given import Weight, weight
+from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg import balance
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import append
@@ -118,38 +118,38 @@ class BandAttenuation:
         part = plant if self.structure == FULL else common_mode(plant)
         if self.peak_db is not None:
             height = _height_for_peak(self, part, plant, self.peak_db)
-            return stands(plant, replace(self, height=height)._made(plant, part, self), bound)
+            return stands(plant, replace(self, height=height)._designed(plant, part, self), bound)
         if bound is None:
-            return self._made(plant, part, self)
+            return self._designed(plant, part, self)
 
         def of(height: float) -> BandAttenuation:
             return replace(self, height=height)
 
         return tallest(
-            plant, bound, self.height, lambda h: of(h)._law(plant, part), lambda h: of(h)._made(plant, part, self)
+            plant, bound, self.height, lambda h: of(h)._law(plant, part), lambda h: of(h)._designed(plant, part, self)
         )
 
     def _law(self, plant: StateSpace, part: StateSpace) -> StateSpace | None:
         return _spread(self.synthesis(part).controller, plant, part)
 
-    def _made(self, plant: StateSpace, part: StateSpace, asked: "BandAttenuation") -> DesignResult:
+    def _designed(self, plant: StateSpace, part: StateSpace, asked: "BandAttenuation") -> DesignResult:
         """Return the design at this height for the part, judged on the plant; `asked` are the caller's settings."""
-        found = self.synthesis(part)
-        law = _spread(found.controller, plant, part)
+        synthesised = self.synthesis(part)
+        law = _spread(synthesised.controller, plant, part)
         details: dict[str, Any] = {"height": self.height, "weights": self.weights(plant)}
         if law is not None:
             details["tones_db"] = {f: worst_attenuation_db(plant, law, (f, f)) for f in self.tones_hz}
             details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band())
-        return from_synthesis(plant, found, asked, details, law)
+        return from_synthesis(plant, synthesised, asked, details, law)
 
     def synthesis(self, plant: StateSpace) -> DesignResult:
         """Return the first stable controller over rising margins, or the first one when none is stable."""
         P, first = self.generalised(plant), None
         for margin in (self.margin, *(m for m in CALMER if m > self.margin)):
-            found = synthesize_hinf(P, *plant.D.shape, margin=margin)
-            if found.controller is None or found.controller.is_stable():
-                return first or found if found.controller is None else found
-            first = first or found
+            result = synthesize_hinf(P, *plant.D.shape, margin=margin)
+            if result.controller is None or result.controller.is_stable():
+                return first or result if result.controller is None else result
+            first = first or result
         assert first is not None
         return first
 
@@ -176,10 +176,10 @@ class BandAttenuation:
 
     def _bound(self, plant: StateSpace) -> StateSpace:
         """Return the uncertainty's weight: of one channel where that is how it was given."""
-        given = self.uncertainty
-        assert given is not None
-        full = isinstance(given, StateSpace) and given.D.shape != (1, 1)
-        return weight(WHO, "uncertainty", given, plant.D.shape[0] if full else 1, plant.rate_hz)
+        bound = self.uncertainty
+        assert bound is not None
+        full = isinstance(bound, StateSpace) and bound.D.shape != (1, 1)
+        return weight(WHO, "uncertainty", bound, plant.D.shape[0] if full else 1, plant.rate_hz)
 
     def _quiet_band(self) -> tuple[float, float]:
         one, other = self.band_hz[0] * WHOLE, self.band_hz[1] / WHOLE

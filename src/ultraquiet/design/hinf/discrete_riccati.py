@@ -104,13 +104,13 @@ def _solved(g: Game, name: str) -> Riccati:
             # the whole cost can be met; what is left of it is round-off, of which X would be made
             A, Q, S = A - B @ RS, np.zeros_like(Q), np.zeros_like(S)
     try:
-        found = discrete_riccati(A, B, Q, R, S)
+        riccati = discrete_riccati(A, B, Q, R, S)
     except NumericalError as error:
         raise NumericalError(f"{name}: {error}") from None
-    values = np.linalg.eigvalsh(found.X) if found.X.size else np.zeros(1)
+    values = np.linalg.eigvalsh(riccati.X) if riccati.X.size else np.zeros(1)
     if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(g.C1**2)):
         raise NumericalError(f"{name}: its solution is indefinite, smallest eigenvalue {values[0]:.2e}")
-    return found
+    return riccati
 
 
 def _without_worst(g: Game, X: Array, name: str) -> Game:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.design.hinf import riccati as kernel
+from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.lower_bound import lower_bound
 from ultraquiet.linalg.ordered import Array
 
@@ -29,7 +29,7 @@ class Bracket(NamedTuple):
     `nought` count as zero.
     """
 
-    best: kernel.Level
+    best: riccati.Level
     below: float
     reason: str
     probes: int
@@ -42,14 +42,14 @@ class Bracket(NamedTuple):
         return self.certain <= self.nought and self.best.gamma <= BLUR * self.nought
 
 
-def search(plant: kernel.NormalisedPlant, tolerance: float) -> Bracket:
+def search(plant: riccati.NormalisedPlant, tolerance: float) -> Bracket:
     """Bracket the smallest level to a relative tolerance.
 
     The bound from frequency responses is tried first; where it is not reached, each way to fail (X or Y turns
     indefinite through infinity, rho(XY) passes gamma^2) has a measure that is smooth and zero at the failure, and the
     largest of the roots that secants promise is tried next.
     """
-    certain = max(kernel.floor(plant), lower_bound(plant).level)
+    certain = max(riccati.floor(plant), lower_bound(plant).level)
     nought = SMALLEST * _size(plant)
     low, reason = certain, OUT_OF_REACH
     best, tried = _first(plant, max(certain * (1 + tolerance), nought))
@@ -60,7 +60,7 @@ def search(plant: kernel.NormalisedPlant, tolerance: float) -> Bracket:
     while not best.reason and best.gamma > low * (1 + tolerance) and len(tried) < PROBES:
         if best.gamma <= nought * (1 + tolerance):
             break
-        level = kernel.attempt(
+        level = riccati.attempt(
             plant, _next(tried, max(low, nought), best.gamma, tolerance, widths), reason.startswith("filter")
         )
         tried.append(level)
@@ -73,30 +73,30 @@ def search(plant: kernel.NormalisedPlant, tolerance: float) -> Bracket:
     return Bracket(best, low, reason, len(tried), certain, nought)
 
 
-def given(plant: kernel.NormalisedPlant, gamma: float) -> Bracket:
+def at_level(plant: riccati.NormalisedPlant, gamma: float) -> Bracket:
     """Try one level."""
-    certain, nought = max(kernel.floor(plant), lower_bound(plant).level), SMALLEST * _size(plant)
+    certain, nought = max(riccati.floor(plant), lower_bound(plant).level), SMALLEST * _size(plant)
     if gamma <= certain:
         none = np.zeros((0, 0))
         reason = f"at one frequency no controller gets below {certain:.6g}"
-        return Bracket(kernel.Level(gamma, none, none, reason=reason), gamma, "", 0, certain, nought)
-    return Bracket(kernel.attempt(plant, gamma), float("nan"), "", 1, certain, nought)
+        return Bracket(riccati.Level(gamma, none, none, reason=reason), gamma, "", 0, certain, nought)
+    return Bracket(riccati.attempt(plant, gamma), float("nan"), "", 1, certain, nought)
 
 
-def _first(plant: kernel.NormalisedPlant, start: float) -> tuple[kernel.Level, list[kernel.Level]]:
+def _first(plant: riccati.NormalisedPlant, start: float) -> tuple[riccati.Level, list[riccati.Level]]:
     """Climb from a level until one is solved."""
-    tried = [kernel.attempt(plant, start)]
+    tried = [riccati.attempt(plant, start)]
     while tried[-1].reason and tried[-1].gamma < LARGEST * start:
         last = tried[-1]
         factor = GROWTH[min(len(tried), len(GROWTH)) - 1]
         if np.isfinite(last.coupling):
             # rho(XY) falls with gamma: where X and Y exist, this level keeps it below gamma^2
             factor = min(factor, np.sqrt(last.coupling) * (1 + 1e-6)) if last.coupling > 1 else factor
-        tried.append(kernel.attempt(plant, last.gamma * factor, last.reason.startswith("filter")))
+        tried.append(riccati.attempt(plant, last.gamma * factor, last.reason.startswith("filter")))
     return tried[-1], tried
 
 
-def _next(tried: list[kernel.Level], low: float, high: float, tolerance: float, widths: list[float]) -> float:
+def _next(tried: list[riccati.Level], low: float, high: float, tolerance: float, widths: list[float]) -> float:
     """Return the next level to try, inside (low, high)."""
     middle = float(np.sqrt(low * high))
     if len(widths) > PATIENCE and np.log(widths[-1]) > np.log(widths[-1 - PATIENCE]) / 2:
@@ -112,7 +112,7 @@ def _next(tried: list[kernel.Level], low: float, high: float, tolerance: float, 
     return float(np.clip(guess, low * (1 + edge), high * (1 - edge)))
 
 
-def _root(tried: list[kernel.Level], measure: Callable[[kernel.Level], float], low: float, high: float) -> float:
+def _root(tried: list[riccati.Level], measure: Callable[[riccati.Level], float], low: float, high: float) -> float:
     """Return where a secant of a measure is zero inside (low, high); nan when none is.
 
     The secant through the two smallest values converges fast; the one through the smallest of either sign is safe.
@@ -128,12 +128,12 @@ def _root(tried: list[kernel.Level], measure: Callable[[kernel.Level], float], l
     return float("nan")
 
 
-def _spare(level: kernel.Level) -> float:
+def _spare(level: riccati.Level) -> float:
     """Return gamma^2 / rho(XY) - 1, nan where it is not known."""
     return 1 / level.coupling - 1 if 0 < level.coupling < np.inf else float("nan")
 
 
-def _room(reference: Array, name: str) -> Callable[[kernel.Level], float]:
+def _room(reference: Array, name: str) -> Callable[[riccati.Level], float]:
     """Return a measure of X (or Y): the inverse of its eigenvalue farthest from zero, relative to one at a good level.
 
     X grows without bound towards the level where it ceases to be of use and comes back from minus infinity below:
@@ -145,7 +145,7 @@ def _room(reference: Array, name: str) -> Callable[[kernel.Level], float]:
         return lambda _: float("nan")
     root = np.linalg.inv(np.linalg.cholesky(reference + REGULAR * scale * np.eye(n)))
 
-    def measure(level: kernel.Level) -> float:
+    def measure(level: riccati.Level) -> float:
         X = getattr(level, name)
         if not X.size:
             return float("nan")
@@ -155,7 +155,7 @@ def _room(reference: Array, name: str) -> Callable[[kernel.Level], float]:
     return measure
 
 
-def _size(plant: kernel.NormalisedPlant) -> float:
+def _size(plant: riccati.NormalisedPlant) -> float:
     """Return a level of the right order from the sizes of the blocks."""
     size = np.linalg.norm(plant.B1) * np.linalg.norm(plant.C1)
     return float(max(size, np.linalg.norm(plant.D11), 1e-12))

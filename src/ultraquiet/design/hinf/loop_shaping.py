@@ -13,11 +13,11 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.singular import singular_values
-from ultraquiet.design.hinf import coprime_stabilisation as kernel
+from ultraquiet.design.hinf import coprime_stabilisation as coprime
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, peak, rational
-from ultraquiet.design.weights.given import Weight, weight
+from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.values.generalised import four_block
@@ -100,30 +100,30 @@ class LoopShaping:
         shaped = _even(series(series(weights["pre"], plant), weights["post"]))
         M = (shaped.A, shaped.B, shaped.C, shaped.D)
         try:
-            found = self._stabilised(M, shaped.rate_hz is not None)
-            law = StateSpace(*found.controller, rate_hz=shaped.rate_hz)
-            gamma = hinf_norm(lft(_coprime(shaped, found), law))[0]
+            stabiliser = self._stabilised(M, shaped.rate_hz is not None)
+            law = StateSpace(*stabiliser.controller, rate_hz=shaped.rate_hz)
+            gamma = hinf_norm(lft(_coprime(shaped, stabiliser), law))[0]
             achieved = hinf_norm(lft(_gang(shaped), law))[0]
         except (NumericalError, LinAlgError) as error:
             return refused(f"{WHO}: the shaped plant W2 G W1 ({shaped.states} states) cannot be stabilised: {error}")
-        level = self.margin * found.gamma_min
+        level = self.margin * stabiliser.gamma_min
         if not achieved <= level * (1 + AGREEMENT):
             return refused(
                 f"{WHO}: the loop reaches {achieved:.6g} where {level:.6g} was designed for; scale the plant."
             )
         details = {
-            "gamma_min": found.gamma_min,
+            "gamma_min": stabiliser.gamma_min,
             "gamma_min_mapped": _mapped(M, shaped.rate_hz is not None),
             "level": level,
             "epsilon": 1 / achieved,
             "weights": weights,
             "shaped": shaped,
             "stabiliser": law,
-            "observer": {"F": found.feedback, "H": found.injection},
-            "conditions": found.conditions,
+            "observer": {"F": stabiliser.feedback, "H": stabiliser.injection},
+            "conditions": stabiliser.conditions,
             **_shapes(shaped, law),
         }
-        residuals = {"X": found.residuals[0], "Z": found.residuals[1]}
+        residuals = {"X": stabiliser.residuals[0], "Z": stabiliser.residuals[1]}
         K = series(series(weights["post"], law), weights["pre"])
         return judged(plant, K, self, gamma, achieved, residuals, details)
 
@@ -158,20 +158,20 @@ class LoopShaping:
             shape = series(shape, peak(tone_hz, self.tone_height, self.tone_zeta, rate))
         return series(shape, gain([[self.height / mean]], rate))
 
-    def _stabilised(self, M: kernel.Matrices, discrete: bool) -> kernel.Stabiliser:
+    def _stabilised(self, M: coprime.Matrices, discrete: bool) -> coprime.Stabiliser:
         if not discrete:
-            return kernel.continuous(M, self.margin)
-        if self.margin - 1 >= kernel.OPTIMAL:
-            return kernel.discrete(M, self.margin)
+            return coprime.continuous(M, self.margin)
+        if self.margin - 1 >= coprime.OPTIMAL:
+            return coprime.discrete(M, self.margin)
         # the discrete formulas are singular at the optimum, those beyond the bilinear map are not
-        found = kernel.continuous(bilinear_to_continuous(*M), 1.0)
-        _, _, Z, _ = kernel.smallest_level(M, discrete=True)
-        seen = kernel.discrete(M, 2.0)
-        return found._replace(
-            controller=bilinear_to_discrete(*found.controller),
+        mapped = coprime.continuous(bilinear_to_continuous(*M), 1.0)
+        _, _, Z, _ = coprime.smallest_level(M, discrete=True)
+        direct = coprime.discrete(M, 2.0)
+        return mapped._replace(
+            controller=bilinear_to_discrete(*mapped.controller),
             Z=Z,
-            injection=seen.injection,
-            innovation=seen.innovation,
+            injection=direct.injection,
+            innovation=direct.innovation,
         )
 
 
@@ -185,19 +185,19 @@ def _aligning(plant: StateSpace, f_hz: float) -> FloatArray:
 def _even(system: StateSpace) -> StateSpace:
     """Return a system in modal coordinates, whose states all weigh alike, in blocks of repeated poles too."""
     form = modal(system.A, system.B, system.C)
-    return StateSpace(*kernel.evened((form.A, form.B, form.C, system.D)), rate_hz=system.rate_hz)
+    return StateSpace(*coprime.evened((form.A, form.B, form.C, system.D)), rate_hz=system.rate_hz)
 
 
-def _mapped(M: kernel.Matrices, discrete: bool) -> float:
+def _mapped(M: coprime.Matrices, discrete: bool) -> float:
     """Return gamma_min of the system on the other side of the bilinear map, nan when a pole cannot be mapped."""
     try:
         if discrete:
-            return kernel.smallest_level(bilinear_to_continuous(*M), discrete=False)[0]
+            return coprime.smallest_level(bilinear_to_continuous(*M), discrete=False)[0]
         # s = 1 is moved to the speed of the plant, where the map bends least
         A, B, C, D = M
         speed = max(float(np.abs(np.linalg.eigvals(A)).mean()), 1e-300) if A.size else 1.0
         root = np.sqrt(speed)
-        return kernel.smallest_level(bilinear_to_discrete(A / speed, B / root, C / root, D), discrete=True)[0]
+        return coprime.smallest_level(bilinear_to_discrete(A / speed, B / root, C / root, D), discrete=True)[0]
     except (NumericalError, LinAlgError):
         return float("nan")
 
@@ -209,13 +209,14 @@ def _gang(shaped: StateSpace) -> StateSpace:
     return four_block(shaped, *one, disturbance=np.eye(nu), noise=np.eye(ny))
 
 
-def _coprime(shaped: StateSpace, found: kernel.Stabiliser) -> StateSpace:
+def _coprime(shaped: StateSpace, stabiliser: coprime.Stabiliser) -> StateSpace:
     """Return the system from (w, u) to (y, u, y) with y = M^-1 w + G u, M from the filter equation."""
     ny, nu = shaped.D.shape
     C = np.vstack([shaped.C, np.zeros((nu, shaped.states)), shaped.C])
-    seen = np.hstack([found.innovation, shaped.D])
+    seen = np.hstack([stabiliser.innovation, shaped.D])
     D = np.vstack([seen, np.hstack([np.zeros((nu, ny)), np.eye(nu)]), seen])
-    return StateSpace(shaped.A, np.hstack([-found.injection @ found.innovation, shaped.B]), C, D, shaped.rate_hz)
+    B = np.hstack([-stabiliser.injection @ stabiliser.innovation, shaped.B])
+    return StateSpace(shaped.A, B, C, D, shaped.rate_hz)
 
 
 def _shapes(shaped: StateSpace, law: StateSpace) -> dict[str, FloatArray]:

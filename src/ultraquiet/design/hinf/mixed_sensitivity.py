@@ -16,7 +16,7 @@ from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
-from ultraquiet.design.weights.given import Weight, weight
+from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.values.generalised import four_block, output_shaping
 from ultraquiet.values.state_space import StateSpace
 
@@ -121,24 +121,24 @@ class MixedSensitivity:
         """
         bound = self._bound(plant)
         if bound is None or self.performance is not None or self.form == "paper":
-            return stands(plant, self._made(plant), bound)
+            return stands(plant, self._designed(plant), bound)
 
         def of(height: float) -> MixedSensitivity:
             return replace(self, height=height)
 
-        return tallest(plant, bound, self.height, lambda h: of(h)._law(plant), lambda h: of(h)._made(plant))
+        return tallest(plant, bound, self.height, lambda h: of(h)._law(plant), lambda h: of(h)._designed(plant))
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate."""
         ny, nu = plant.D.shape
-        given: Mapping[str, tuple[Weight, int]] = {
+        settings: Mapping[str, tuple[Weight, int]] = {
             "performance": (self._performance(plant.rate_hz), ny),
             "control": (self._control(plant.rate_hz) if self.control is None else self.control, nu),
             "complementary": (self._complementary(plant.rate_hz), ny),
         }
-        made = {k: weight(WHO, k, w, n, plant.rate_hz) for k, (w, n) in given.items()}
-        made["performance"] = with_tones(made["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
-        return made
+        weights = {k: weight(WHO, k, w, n, plant.rate_hz) for k, (w, n) in settings.items()}
+        weights["performance"] = with_tones(weights["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
+        return weights
 
     def generalised(self, plant: StateSpace, weights: dict[str, StateSpace]) -> StateSpace:
         """Return the generalised plant of the form, its inputs (w, u) and outputs (z, y)."""
@@ -158,16 +158,16 @@ class MixedSensitivity:
         ny, nu = plant.D.shape
         return synthesize_hinf(self.generalised(plant, self.weights(plant)), ny, nu, margin=self.margin).controller
 
-    def _made(self, plant: StateSpace) -> DesignResult:
+    def _designed(self, plant: StateSpace) -> DesignResult:
         weights = self.weights(plant)
         P = self.generalised(plant, weights)
         ny, nu = plant.D.shape
-        found = synthesize_hinf(P, ny, nu, margin=self.margin)
+        synthesised = synthesize_hinf(P, ny, nu, margin=self.margin)
         idle = StateSpace(P.A, P.B[:, :-nu], P.C[:-ny], P.D[:-ny, :-nu], P.rate_hz)
         details: dict[str, Any] = {"weights": weights, "norm_without_control": hinf_norm(idle)[0]}
         if self.performance is None and self.form != "paper":
             details["height"] = self.height
-        return from_synthesis(plant, found, self, details)
+        return from_synthesis(plant, synthesised, self, details)
 
     def _bound(self, plant: StateSpace) -> StateSpace | None:
         if self.uncertainty is None:
@@ -193,5 +193,5 @@ class MixedSensitivity:
     def _complementary(self, rate_hz: float | None) -> Weight:
         if self.form == "paper":
             return 1.0
-        given = self.uncertainty if self.complementary is None else self.complementary
-        return high_pass(below_nyquist(self.roll_off_hz, rate_hz), 0.4, 4.0, 1, rate_hz) if given is None else given
+        setting = self.uncertainty if self.complementary is None else self.complementary
+        return high_pass(below_nyquist(self.roll_off_hz, rate_hz), 0.4, 4.0, 1, rate_hz) if setting is None else setting

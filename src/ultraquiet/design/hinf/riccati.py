@@ -100,7 +100,7 @@ def attempt(plant: NormalisedPlant, gamma: float, filter_first: bool = False) ->
     The equation named by `filter_first` is solved first, so that a search which knows where levels fail fails soon.
     """
     none = np.zeros((0, 0))
-    found, residuals, reason = {"X": none, "Y": none}, {"X": np.inf, "Y": np.inf}, ""
+    solutions, residuals, reason = {"X": none, "Y": none}, {"X": np.inf, "Y": np.inf}, ""
     for name in ("Y", "X") if filter_first else ("X", "Y"):
         A, G, Q = equation(plant, gamma, name)
         try:
@@ -108,13 +108,13 @@ def attempt(plant: NormalisedPlant, gamma: float, filter_first: bool = False) ->
         except (NumericalError, LinAlgError) as error:
             reason = f"{EQUATIONS[name]} equation {name}: {error}"
             break
-        found[name], residuals[name] = solution.X, solution.residual
+        solutions[name], residuals[name] = solution.X, solution.residual
         values = np.linalg.eigvalsh(solution.X) if plant.A.size else np.zeros(1)
         natural = np.linalg.norm(A) / max(np.linalg.norm(G), np.finfo(float).tiny)  # size of X where Q is zero
         if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * natural):
             reason = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {values[0]:.2e}"
             break
-    X, Y = found["X"], found["Y"]
+    X, Y = solutions["X"], solutions["Y"]
     coupling = np.inf
     if not reason:
         coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0

@@ -10,9 +10,9 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design.hinf import riccati as kernel
+from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.assumptions import WHO, out_of_reach, zeros_on_boundary
-from ultraquiet.design.hinf.gamma_search import Bracket, given, search
+from ultraquiet.design.hinf.gamma_search import Bracket, at_level, search
 from ultraquiet.design.hinf.verification import verify_level
 from ultraquiet.design.result import DesignResult, is_stable, refused
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
@@ -82,14 +82,14 @@ def synthesize_hinf(
     if sentence:
         return refused(sentence)
     try:
-        plant = kernel.normalise(_continuous(P), ny, nu)
+        plant = riccati.normalise(_continuous(P), ny, nu)
         sentence = zeros_on_boundary(plant, P.rate_hz)
         if sentence:
             return refused(sentence)
         bracket = (
             search(plant, max(FINEST, COARSENESS * (margin - 1)))
             if gamma is None
-            else given(plant, positive(who, "gamma", gamma))
+            else at_level(plant, positive(who, "gamma", gamma))
         )
         if bracket.best.reason:
             return refused(_sentence(gamma, bracket.best.reason))
@@ -103,17 +103,17 @@ def synthesize_hinf(
         return refused(str(error))
 
 
-def _continuous(P: StateSpace) -> kernel.Matrices:
+def _continuous(P: StateSpace) -> riccati.Matrices:
     M = (P.A, P.B, P.C, P.D)
     return M if P.rate_hz is None else bilinear_to_continuous(*M)
 
 
-def _seconded(P: StateSpace, result: DesignResult, found: Bracket) -> DesignResult:
+def _seconded(P: StateSpace, result: DesignResult, bracket: Bracket) -> DesignResult:
     """Add the second opinion on the optimum, and a word of it to the verdict when it differs."""
     settings = result.provenance.settings
     ny, nu = int(settings["measurements"]), int(settings["controls"])
-    low = max(found.below, LEAST * found.best.gamma)
-    opinion = verify_level(P, ny, nu, found.best.gamma, below=low)
+    low = max(bracket.below, LEAST * bracket.best.gamma)
+    opinion = verify_level(P, ny, nu, bracket.best.gamma, below=low)
     status = result.status
     if not opinion.agrees:
         status = Status(status.word, f"{status.sentence} The second opinion differs: {opinion.sentence}")
@@ -121,17 +121,17 @@ def _seconded(P: StateSpace, result: DesignResult, found: Bracket) -> DesignResu
 
 
 def _form(
-    P: StateSpace, plant: kernel.NormalisedPlant, found: Bracket, ny: int, nu: int, factors: list[float]
+    P: StateSpace, plant: riccati.NormalisedPlant, bracket: Bracket, ny: int, nu: int, factors: list[float]
 ) -> DesignResult:
     """Form, restore and verify controllers, first at the asked margin, then further from the optimum."""
     sentence = ""
     for factor in factors:
-        level = kernel.attempt(plant, found.best.gamma * factor) if factor > 1 else found.best
+        level = riccati.attempt(plant, bracket.best.gamma * factor) if factor > 1 else bracket.best
         if level.reason:
             sentence = level.reason
             continue
         try:
-            result = _verified(P, plant, level, found, ny, nu)
+            result = _verified(P, plant, level, bracket, ny, nu)
         except (NumericalError, InputError, LinAlgError) as error:
             sentence = str(error)
             continue
@@ -142,28 +142,28 @@ def _form(
 
 
 def _verified(
-    P: StateSpace, plant: kernel.NormalisedPlant, level: kernel.Level, found: Bracket, ny: int, nu: int
+    P: StateSpace, plant: riccati.NormalisedPlant, level: riccati.Level, bracket: Bracket, ny: int, nu: int
 ) -> DesignResult:
-    M = kernel.central(plant, level)
+    M = riccati.central(plant, level)
     K = M if P.rate_hz is None else bilinear_to_discrete(*M)
     settings = {"measurements": ny, "controls": nu, "bound": level.gamma}
-    made_by = Provenance("synthesize_hinf", settings, parents=(P.hash,), versions=versions())
-    controller = StateSpace(*K, rate_hz=P.rate_hz, provenance=made_by)
+    provenance = Provenance("synthesize_hinf", settings, parents=(P.hash,), versions=versions())
+    controller = StateSpace(*K, rate_hz=P.rate_hz, provenance=provenance)
     loop = lft(P, controller)
     poles = loop.poles()
     if not is_stable(poles, P.rate_hz):
         return refused(f"the loop at level {level.gamma:.6g} is unstable")
     achieved, f_hz = hinf_norm(loop)
     gamma = _own_norm(plant, M, _normalised_frequency(plant, f_hz, P.rate_hz))
-    apart = abs(achieved - gamma)
-    if not (apart <= AGREEMENT * max(achieved, found.nought) and achieved <= level.gamma * (1 + AGREEMENT)):
+    difference = abs(achieved - gamma)
+    if not (difference <= AGREEMENT * max(achieved, bracket.nought) and achieved <= level.gamma * (1 + AGREEMENT)):
         return refused(f"reported {gamma:.6g}, achieved {achieved:.6g} at level {level.gamma:.6g}")
     details = {
         "bound": level.gamma,
-        "optimum": (found.below, found.best.gamma),
-        "below": found.reason,
-        "certain": found.certain,
-        "probes": found.probes,
+        "optimum": (bracket.below, bracket.best.gamma),
+        "below": bracket.reason,
+        "certain": bracket.certain,
+        "probes": bracket.probes,
         "achieved_hz": f_hz,
         "coupling": level.coupling,
         "conditions": _conditions(plant, level),
@@ -173,31 +173,31 @@ def _verified(
     )
     residuals = {"X": level.residuals[0], "Y": level.residuals[1]}
     return DesignResult(
-        status, controller, gamma, achieved, poles, residuals=residuals, details=details, provenance=made_by
+        status, controller, gamma, achieved, poles, residuals=residuals, details=details, provenance=provenance
     )
 
 
-def _conditions(plant: kernel.NormalisedPlant, level: kernel.Level) -> dict[str, float]:
+def _conditions(plant: riccati.NormalisedPlant, level: riccati.Level) -> dict[str, float]:
     """Return the condition numbers of X, Y and I - Y X / gamma^2; X or Y may be singular, as where they vanish."""
     matrices = {"X": level.X, "Y": level.Y, "I - YX/g2": np.eye(plant.A.shape[0]) - level.Y @ level.X / level.gamma**2}
     return {name: float(np.linalg.cond(m)) if m.size else 1.0 for name, m in matrices.items()}
 
 
-def _own_norm(plant: kernel.NormalisedPlant, controller: kernel.Matrices, w: float) -> float:
+def _own_norm(plant: riccati.NormalisedPlant, controller: riccati.Matrices, w: float) -> float:
     """Return the gain, at the peak's frequency, of the loop formed in the normalised coordinates of the synthesis."""
-    D12, D21 = kernel.direct_terms(plant)
+    D12, D21 = riccati.direct_terms(plant)
     P = StateSpace(
         plant.A,
         np.hstack([plant.B1, plant.B2]),
         np.vstack([plant.C1, plant.C2]),
         np.block([[plant.D11, D12], [D21, np.zeros((D21.shape[0], D12.shape[1]))]]),
     )
-    loop = lft(P, StateSpace(*kernel.normalised_controller(plant, controller)))
+    loop = lft(P, StateSpace(*riccati.normalised_controller(plant, controller)))
     response = loop.C @ np.linalg.solve(1j * w * np.eye(loop.states) - loop.A, loop.B) + loop.D
     return float(np.linalg.norm(response, 2))
 
 
-def _normalised_frequency(plant: kernel.NormalisedPlant, f_hz: float, rate_hz: float | None) -> float:
+def _normalised_frequency(plant: riccati.NormalisedPlant, f_hz: float, rate_hz: float | None) -> float:
     w = 2 * np.pi * f_hz if rate_hz is None else np.tan(np.pi * f_hz / rate_hz)
     return min(float(w) / plant.speed, FASTEST)
 

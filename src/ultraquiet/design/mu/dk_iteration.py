@@ -15,7 +15,7 @@ from ultraquiet.design.mu.scalings import Scaling, constant, fitted, scaled
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
-from ultraquiet.design.weights.given import Weight, weight
+from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.values.generalised import uncertain
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -34,7 +34,7 @@ Blocks = tuple[tuple[int, int], ...]
 class _Step(NamedTuple):
     """One iteration: the controller, mu's peak and where, the level of the K-step, its scaling, loop and mu."""
 
-    found: DesignResult
+    result: DesignResult
     peak: tuple[float, float]
     level: float
     scaling: Scaling
@@ -134,20 +134,20 @@ class MuSynthesis:
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights in full size at the plant's rate, those left out missing."""
         (ny, nu), rate = plant.D.shape, plant.rate_hz
-        given: dict[str, tuple[Weight | None, int]] = {
+        settings: dict[str, tuple[Weight | None, int]] = {
             "on_inputs": (self.on_inputs, nu),
             "on_outputs": (self.on_outputs, ny),
             "performance": (self.performance, ny),
             "control": (self.control, nu),
         }
         if self.performance is None:
-            given["performance"] = (band_pass(self.band_hz, self.height, self.floor, self.order, rate), ny)
+            settings["performance"] = (band_pass(self.band_hz, self.height, self.floor, self.order, rate), ny)
         if self.control is None and self.control_limit is not None:
             corner, low = below_nyquist(self.roll_off_hz, rate), 1 / self.control_limit
-            given["control"] = (high_pass(corner, low, 10 * low, 1, rate), nu)
-        made = {k: weight(WHO, k, w, n, rate) for k, (w, n) in given.items() if w is not None}
-        made["performance"] = with_tones(made["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
-        return made
+            settings["control"] = (high_pass(corner, low, 10 * low, 1, rate), nu)
+        weights = {k: weight(WHO, k, w, n, rate) for k, (w, n) in settings.items() if w is not None}
+        weights["performance"] = with_tones(weights["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
+        return weights
 
     def _iterated(
         self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray
@@ -196,14 +196,14 @@ class MuSynthesis:
     def _step(self, P: StateSpace, shape: tuple[int, ...], scaling: Scaling, f: FloatArray) -> tuple[_Step | None, str]:
         """Return one K-step and mu of its loop, or why there is none."""
         ny, nu = shape
-        found = synthesize_hinf(scaled(P, scaling, ny, nu), ny, nu, margin=self.margin)
-        if found.controller is None:
-            return None, found.status.sentence
-        loop = lft(P, found.controller)
+        synthesised = synthesize_hinf(scaled(P, scaling, ny, nu), ny, nu, margin=self.margin)
+        if synthesised.controller is None:
+            return None, synthesised.status.sentence
+        loop = lft(P, synthesised.controller)
         bounds = mu_bounds(loop, scaling.blocks, f)
         if not bounds.stable:
             return None, "the loop is unstable with the unscaled plant"
-        return _Step(found, bounds.peak, found.gamma, scaling, loop, bounds), ""
+        return _Step(synthesised, bounds.peak, synthesised.gamma, scaling, loop, bounds), ""
 
 
 def _blocks(plant: StateSpace, weights: dict[str, StateSpace]) -> Blocks:
@@ -232,8 +232,8 @@ def _told(
     settings: MuSynthesis,
 ) -> DesignResult:
     """Judge the best iteration on the plant and say what its mu is worth."""
-    assert best.found.controller is not None
-    loop = lft(P, best.found.controller)
+    assert best.result.controller is not None
+    loop = lft(P, best.result.controller)
     bounds = mu_bounds(loop, blocks, _lines(loop))
     errors = len(blocks) - 1
     alone = StateSpace(loop.A, loop.B[:, :errors], loop.C[:errors], loop.D[:errors, :errors], loop.rate_hz)
@@ -251,20 +251,20 @@ def _told(
         "mu_upper": bounds.upper,
         "mu_lower": bounds.lower,
     }
-    result = from_synthesis(plant, best.found, settings, details)
+    result = from_synthesis(plant, best.result, settings, details)
     return result if not result.status.ok else _with_verdict(result, peak, at, stability, steps)
 
 
 def _with_verdict(result: DesignResult, peak: float, at: float, stability: float, steps: list[_Step]) -> DesignResult:
     first, n = steps[0].peak[0], len(steps)
-    told = f"mu peaks at {peak:.3f}, at {at:.4g} Hz, in {n} iterations ({first:.3f} by plain H-infinity)"
+    summary = f"mu peaks at {peak:.3f}, at {at:.4g} Hz, in {n} iterations ({first:.3f} by plain H-infinity)"
     if stability >= 1:
         sentence = (
-            f"{told}, for the uncertainty alone at {stability:.3f}: plants of the family may be unstable; ask less."
+            f"{summary}, for the uncertainty alone at {stability:.3f}: plants of the family may be unstable; ask less."
         )
         return replace(result, status=Status(StatusWord.NOT_ROBUST, sentence))
     worth = "performance holds for every plant of the family"
     if peak >= 1:
         share = f"{1 / peak:.0%}"
         worth = f"every plant of the family is stable; {share} of the performance holds for {share} of the errors"
-    return replace(result, status=Status(StatusWord.OK, f"{told}; {worth}. {result.status.sentence}"))
+    return replace(result, status=Status(StatusWord.OK, f"{summary}; {worth}. {result.status.sentence}"))

@@ -81,19 +81,19 @@ class AdaptiveLaw:
         Raises:
             InputError: another number of readings.
         """
-        given = np.asarray(y, dtype=np.float64).reshape(-1)
-        if given.size != self._inner.first.D.shape[1]:
-            raise InputError(f"{self._who}: takes {self._inner.first.D.shape[1]} readings, got {given.size}.")
-        sound = bool((np.abs(given) <= BELIEVED_V).all())  # not a number is not less than anything
-        base = self._linear(given) if sound else None
+        readings = np.asarray(y, dtype=np.float64).reshape(-1)
+        if readings.size != self._inner.first.D.shape[1]:
+            raise InputError(f"{self._who}: takes {self._inner.first.D.shape[1]} readings, got {readings.size}.")
+        sound = bool((np.abs(readings) <= BELIEVED_V).all())  # not a number is not less than anything
+        base = self._linear(readings) if sound else None
         if base is None:
             self._diverged("a reading, or the law around which it was put, was no number to be believed")
             return self._faded(self._sent)
-        self._power += self._mean * (float(given @ given) - self._power)
+        self._power += self._mean * (float(readings @ readings) - self._power)
         if self._fade >= 0 and not self._resumes():
             return base + self._faded(self._last)
         try:
-            met = self._adapt(given)
+            met = self._adapt(readings)
         except (np.linalg.LinAlgError, ZeroDivisionError):
             met = -1
         if met < 0 or not np.isfinite(self._v).all():
@@ -151,8 +151,8 @@ class AdaptiveLaw:
 
 def adapting(result: DesignResult, law: AdaptiveLaw) -> DesignResult:
     """Return a result that holds a law that adapts beside the linear one it is at rest, and says so."""
-    told = f"Adaptive, to be run as `law`. While its parameters stand still: {result.status.sentence}"
-    return replace(result, law=law, status=Status(result.status.word, told))
+    sentence = f"Adaptive, to be run as `law`. While its parameters stand still: {result.status.sentence}"
+    return replace(result, law=law, status=Status(result.status.word, sentence))
 
 
 def contiguous(system: StateSpace) -> Matrices:
@@ -163,10 +163,10 @@ def contiguous(system: StateSpace) -> Matrices:
 
 def limits_v(who: str, limit_v: float | tuple[float, ...], nu: int) -> FloatArray:
     """Return one limit per actuator, volts."""
-    given = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
-    if given.size not in (1, nu) or not np.all(given > 0):
+    limits = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
+    if limits.size not in (1, nu) or not np.all(limits > 0):
         raise InputError(f"{who}: 'limit_v' must be one voltage above zero, or {nu}, got {limit_v!r}.")
-    return np.ascontiguousarray(np.broadcast_to(given, (nu,)), dtype=np.float64)
+    return np.ascontiguousarray(np.broadcast_to(limits, (nu,)), dtype=np.float64)
 
 
 def without_faint_states(system: StateSpace) -> StateSpace:

@@ -171,10 +171,10 @@ class FilteredXLaw(AdaptiveLaw):
         return met
 
 
-def _indices(name: str, given: tuple[int, ...], count: int) -> list[int]:
+def _indices(name: str, channels: tuple[int, ...], count: int) -> list[int]:
     wanted = [
         whole("FilteredXLms", name, k, -count, count - 1) % count
-        for k in (given if isinstance(given, tuple | list) else (given,))
+        for k in (channels if isinstance(channels, tuple | list) else (channels,))
     ]
     if len(set(wanted)) < len(wanted):
         raise InputError(f"FilteredXLms: '{name}' names a channel twice: {wanted}.")

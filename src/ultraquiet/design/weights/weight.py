@@ -1,4 +1,4 @@
-"""A weight as a caller gives it, numbers or a system: made, checked and spread over the channels."""
+"""A weight from a setting, numbers or a system: made, checked and spread over the channels."""
 
 from collections.abc import Sequence
 
@@ -16,14 +16,14 @@ EDGE = 1e-9  # a pole nearer than this to the stability boundary (a share of its
 
 
 def weight(
-    who: str, name: str, given: Weight, size: int, rate_hz: float | None, integrators: bool = False
+    who: str, name: str, setting: Weight, size: int, rate_hz: float | None, integrators: bool = False
 ) -> StateSpace:
     """Return a weight of `size` channels at a rate.
 
     Args:
         who: the design that asks.
         name: what the weight is called there.
-        given: a system, `(1, 1)` or with `size` inputs; or a number, a gain; or numbers `(low, corner_hz, high)` or
+        setting: a system, `(1, 1)` or with `size` inputs; or a number, a gain; or numbers `(low, corner_hz, high)` or
             `(low, corner_hz, high, order)`, a gain `low` that leaves for `high` from the corner on.
         size: number of signals weighted.
         rate_hz: that of the plant.
@@ -37,26 +37,26 @@ def weight(
     >>> weight("design", "performance", (100.0, 5.0, 0.5), 2, 1000.0).D.shape
     (2, 2)
     """
-    made = given if isinstance(given, StateSpace) else _from_numbers(who, name, given, rate_hz)
-    same_rate(who, "the plant", rate_hz, f"the weight '{name}'", made.rate_hz)
-    if made.D.shape != (1, 1) and made.D.shape[1] != size:
+    system = setting if isinstance(setting, StateSpace) else _from_numbers(who, name, setting, rate_hz)
+    same_rate(who, "the plant", rate_hz, f"the weight '{name}'", system.rate_hz)
+    if system.D.shape != (1, 1) and system.D.shape[1] != size:
         raise InputError(
-            f"{who}: the weight '{name}' is {made.D.shape[0]} x {made.D.shape[1]} (outputs x inputs); it must be 1 x 1 "
-            f"or take {size} signals."
+            f"{who}: the weight '{name}' is {system.D.shape[0]} x {system.D.shape[1]} (outputs x inputs); it must be "
+            f"1 x 1 or take {size} signals."
         )
-    _refuse_poles(who, name, made, integrators)
-    return made if made.D.shape[1] == size else append(*[made] * size)
+    _refuse_poles(who, name, system, integrators)
+    return system if system.D.shape[1] == size else append(*[system] * size)
 
 
-def _from_numbers(who: str, name: str, given: Sequence[float] | float, rate_hz: float | None) -> StateSpace:
+def _from_numbers(who: str, name: str, setting: Sequence[float] | float, rate_hz: float | None) -> StateSpace:
     try:
-        numbers = [float(x) for x in np.atleast_1d(np.asarray(given))]
+        numbers = [float(x) for x in np.atleast_1d(np.asarray(setting))]
     except (TypeError, ValueError):
         numbers = []
     if not np.all(np.isfinite(numbers)) or not all(x > 0 for x in numbers) or len(numbers) not in (1, 3, 4):
         raise InputError(
             f"{who}: the weight '{name}' must be a StateSpace, a gain above zero, or (low gain, corner in Hz, high gain"
-            f"[, order]), all above zero, got {given!r}."
+            f"[, order]), all above zero, got {setting!r}."
         )
     if len(numbers) == 1:
         return gain([[numbers[0]]], rate_hz)
@@ -66,9 +66,9 @@ def _from_numbers(who: str, name: str, given: Sequence[float] | float, rate_hz: 
     return high_pass(below_nyquist(corner_hz, rate_hz), low, high, int(order), rate_hz)
 
 
-def _refuse_poles(who: str, name: str, made: StateSpace, integrators: bool) -> None:
-    poles = made.poles()
-    if made.rate_hz is None:
+def _refuse_poles(who: str, name: str, system: StateSpace, integrators: bool) -> None:
+    poles = system.poles()
+    if system.rate_hz is None:
         beyond, boundary = poles.real / np.maximum(np.abs(poles), 1e-300), "the imaginary axis"
         beyond = np.where(np.abs(poles) < np.finfo(float).tiny, 0.0, beyond)
     else:
@@ -76,7 +76,7 @@ def _refuse_poles(who: str, name: str, made: StateSpace, integrators: bool) -> N
     worst = int(np.argmax(beyond)) if poles.size else 0
     if not poles.size or beyond[worst] < -EDGE or (integrators and beyond[worst] <= EDGE):
         return
-    at = _frequency(poles[worst : worst + 1], made.rate_hz)
+    at = _frequency(poles[worst : worst + 1], system.rate_hz)
     if beyond[worst] > EDGE:
         raise InputError(f"{who}: the weight '{name}' is unstable, with a pole outside {boundary} at {at:.4g} Hz.")
     raise InputError(
