@@ -10,8 +10,8 @@ from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import FixedStructure, Specification, common_mode, synthesize_structured
 from ultraquiet.design.fixed_structure.controller_structure import decentralised, one_element, repeated
 from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
-from ultraquiet.design.fixed_structure.method import posed
 from ultraquiet.design.fixed_structure.sections import SectionCascade
+from ultraquiet.design.fixed_structure.tuning import posed
 from ultraquiet.linalg import balance
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, lft
