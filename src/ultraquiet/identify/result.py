@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status, StatusWord
 
 # A verdict errs once in a thousand good models.
 SIGNIFICANCE = 1e-3

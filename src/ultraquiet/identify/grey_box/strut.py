@@ -25,7 +25,7 @@ from ultraquiet.identify.grey_box.least_squares import (
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
 from ultraquiet.identify.record_checks import usable
-from ultraquiet.identify.result import SIGNIFICANCE, Result, usable
+from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
 
 WHO = "Structured"
