@@ -12,7 +12,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.deploy.frame import asked, show_frames
 from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
-from ultraquiet.deploy.frame.frame import BURST_EVERY, BURST_FRAMES
+from ultraquiet.deploy.frame.settings import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.verification.cortex_m import missing_tool

@@ -15,9 +15,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy import generate, on_bench, reanalysis
 from ultraquiet.deploy.c_code import render
-from ultraquiet.deploy.c_code.footprint import footprint_on
-from ultraquiet.deploy.call_graph import stack_bytes
-from ultraquiet.deploy.struct_size import state_bytes
+from ultraquiet.deploy.c_code.footprint import footprint_on, stack_bytes, state_bytes
 from ultraquiet.deploy.toolchain.targets import COMPILER, TARGETS
 from ultraquiet.deploy.verification.cortex_m import missing_tool
 from ultraquiet.deploy.verification.fuzz import fuzz_code

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.fixed_point.word_lengths import word_lengths as word_lengths
     from ultraquiet.deploy.frame.controller import FrameController as FrameController
     from ultraquiet.deploy.frame.frame import Frame as Frame
-    from ultraquiet.deploy.frame.frame import Overload as Overload
     from ultraquiet.deploy.frame.result import FrameSimulation as FrameSimulation
+    from ultraquiet.deploy.frame.settings import Overload as Overload
     from ultraquiet.deploy.frame.times import FrameTimes as FrameTimes
     from ultraquiet.deploy.law.anti_windup import conditioning_gain as conditioning_gain
     from ultraquiet.deploy.law.law import Law as Law
@@ -66,7 +66,7 @@ _HOME = {
     "Law": "law.law",
     "OnBench": "verification.bench_tones",
     "OnTarget": "verification.emulated_target",
-    "Overload": "frame.frame",
+    "Overload": "frame.settings",
     "Processor": "processor_in_loop",
     "Realisation": "law.realisation",
     "Reanalysis": "verification.rounded_loop",

@@ -19,7 +19,7 @@ from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.footprint import footprint
 from ultraquiet.deploy.c_code.output_folder import MANIFEST, manifest_text, require_ours, rewrite, write_folder
 from ultraquiet.deploy.law.anti_windup import Wish, wish
-from ultraquiet.deploy.law.coefficients import CoefficientBank
+from ultraquiet.deploy.law.coefficients import CoefficientBank, anti_windup_gain, bank_for
 from ultraquiet.deploy.law.form_choice import TOLERANCE, Choice, choose, error_of, loop_radius
 from ultraquiet.deploy.law.law import (
     DTYPES,
@@ -32,7 +32,6 @@ from ultraquiet.deploy.law.law import (
 )
 from ultraquiet.deploy.law.realisation import FORMS, realisation
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.retune import anti_windup_gain, bank_for
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.deploy.verification.bench_tones import on_bench

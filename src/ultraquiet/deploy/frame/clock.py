@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet.deploy.frame.frame import Draws
+from ultraquiet.deploy.frame.settings import Draws
 from ultraquiet.deploy.law.twin import ON, STOPPING
 
 

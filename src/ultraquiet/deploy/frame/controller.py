@@ -7,8 +7,8 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.frame.clock import FrameClock
-from ultraquiet.deploy.frame.frame import Frame, frame_settings
 from ultraquiet.deploy.frame.harness import FrameHarness
+from ultraquiet.deploy.frame.settings import FrameSettings, frame_settings
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import compiler
@@ -26,7 +26,7 @@ class FrameController:
     it cannot show is the shift of a sampling instant inside its period.
     """
 
-    def __init__(self, frame: Frame, made: "Deployment", times: FrameTimes, seed: int, ramp: bool) -> None:
+    def __init__(self, frame: FrameSettings, made: "Deployment", times: FrameTimes, seed: int, ramp: bool) -> None:
         self.made, self.ramp = made, ramp
         self._settings = frame_settings(frame, times, made.law.rate_hz)
         self._draws = frame.draw(MOST_SAMPLES, self._settings["period_s"], seed)

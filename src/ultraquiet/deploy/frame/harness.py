@@ -13,7 +13,8 @@ from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.self_test import sizes
 from ultraquiet.deploy.frame.clock import FrameClock, empty_arrays, run_clock
-from ultraquiet.deploy.frame.frame import Draws, Frame, frame_settings
+from ultraquiet.deploy.frame.result import FrameSimulation, judge
+from ultraquiet.deploy.frame.settings import Draws, FrameSettings, frame_settings
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
@@ -21,7 +22,6 @@ from ultraquiet.deploy.toolchain import compiler
 
 if TYPE_CHECKING:
     from ultraquiet.deploy.deployment import Deployment
-    from ultraquiet.deploy.frame.result import FrameSimulation
 
 # Measurements that are drawn and then repeated.
 NOISE_SAMPLES = 4096
@@ -135,11 +135,9 @@ class FrameHarness:
 
 
 def run_frames(
-    frame: Frame, made: "Deployment", frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
-) -> "FrameSimulation":
+    frame: FrameSettings, made: "Deployment", frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
+) -> FrameSimulation:
     """Return what `Frame.simulate` promises."""
-    from ultraquiet.deploy.frame.result import judge
-
     settings = frame_settings(frame, times, made.law.rate_hz)
     draws = frame.draw(frames, settings["period_s"], seed)
     y = _measurements(made.law, measurements, seed)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray, frozen, whole
-from ultraquiet.deploy.frame.frame import Frame
+from ultraquiet.deploy.frame.settings import FrameSettings
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import FAULT, ON
@@ -29,7 +29,7 @@ class FrameSimulation:
     """
 
     status: Status
-    frame: Frame
+    frame: FrameSettings
     times: FrameTimes
     period_s: float
     start_s: FloatArray
@@ -132,7 +132,7 @@ class FrameSimulation:
         return int(np.nanargmax(self.finish_s))
 
 
-def judge(frame: Frame, times: FrameTimes, law: Law, held: dict[str, Any], ran: str) -> FrameSimulation:
+def judge(frame: FrameSettings, times: FrameTimes, law: Law, held: dict[str, Any], ran: str) -> FrameSimulation:
     """Return the arrays of a run as a result with its verdict."""
     period = 1.0 / law.rate_hz
     ticks = np.arange(held["skipped"].size) * period
@@ -155,7 +155,7 @@ def judge(frame: Frame, times: FrameTimes, law: Law, held: dict[str, Any], ran: 
     )
 
 
-def _verdict(held: dict[str, Any], times: FrameTimes, period: float, frame: Frame) -> Status:
+def _verdict(held: dict[str, Any], times: FrameTimes, period: float, frame: FrameSettings) -> Status:
     frames, over = held["skipped"].size, int(held["overruns"][-1])
     late = int(np.count_nonzero(held["late"]))
     if over:
