@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ultraquiet.deploy.c31 import cycles as budget
+from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c31.assembly import c31_code
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
 from ultraquiet.deploy.law.law import Law, actuator_limits, rounded
@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "deploy"))
 c31_interpreter, c31_program, deploy_laws = map(import_module, ("c31_interpreter", "c31_program", "deploy_laws"))
 
 ORDERS = (30, 60, 120, 170)
-KERNEL_OF_60, FRAME = 1100, budget.BUDGET_CYCLES
+KERNEL_OF_60, FRAME = 1100, cycles.BUDGET_CYCLES
 INTERRUPT = 4  # the vector's fetch empties the pipeline as a branch does
 
 
@@ -31,7 +31,7 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
     yield from _one(_law(rng, 120, "modal", True), None)
     yield from _one(_bank(rng, 60), None)
     for anti_windup, wanted in ((False, 170), (True, 120)):
-        found = budget.largest_order("modal", anti_windup=anti_windup)
+        found = cycles.largest_order("modal", anti_windup=anti_windup)
         what = "largest modal order, 6 x 6" + (", anti-windup" if anti_windup else "")
         yield what, f"{found}", f"{wanted} states", found == wanted
 
@@ -43,19 +43,19 @@ def _one(law: Law, limit: int | None) -> Iterator[tuple[str, str, str, bool]]:
         machine.memory[machine.program.symbols["ADC"] + j] = 1000 * j
     whole = machine.run("controller_frame") + INTERRUPT
     kernel = machine.spent["controller_output"] + machine.spent["controller_update"]
-    modelled = budget.kernel_of(law)
+    modelled = cycles.kernel_of(law)
     what = f"{law.states} states, {law.form}{', anti-windup' if law.L is not None else ''}"
     yield f"{what}: kernel", f"{kernel} cycles", f"{modelled} of the model", kernel == modelled
     if limit is not None:
         yield "its kernel", f"{kernel} cycles", f"at most {limit}", kernel <= limit
     least = 14 * law.states + 36
     yield "over 14 n + 36 multiply-adds", f"{kernel / least:.3f}", "told", True
-    share = f"{100 * budget.cycles(law) / FRAME:.1f} % ({whole} counted)"
+    share = f"{100 * cycles.cycles(law) / FRAME:.1f} % ({whole} counted)"
     yield (
-        f"with a skeleton of {budget.SKELETON_CYCLES}: share of {FRAME}",
+        f"with a skeleton of {cycles.SKELETON_CYCLES}: share of {FRAME}",
         share,
         "at most 100 %",
-        max(whole, budget.cycles(law)) <= FRAME,
+        max(whole, cycles.cycles(law)) <= FRAME,
     )
     place = "internal" if code.coefficients_internal else "external"
     words = f"{code.program_words} + {code.data_words} + {code.coefficient_words} {place}"

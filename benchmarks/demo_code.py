@@ -15,7 +15,7 @@ import numpy as np
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import on_bench
-from ultraquiet.deploy.c31 import cycles as budget
+from ultraquiet.deploy.c31 import cycles
 from ultraquiet.pipeline.control import designed
 from ultraquiet.pipeline.study import packaged_study
 
@@ -83,7 +83,7 @@ def _limits(plant: uq.StateSpace) -> Iterator[Row]:
     """Yield the largest orders that fit, and that one pair of states more is refused with that order."""
     for anti_windup, largest in ((False, LARGEST), (True, LARGEST_ANTI_WINDUP)):
         title = "modal with anti-windup" if anti_windup else "modal"
-        found = budget.largest_order("modal", BUDGET, 6, 6, anti_windup=anti_windup)
+        found = cycles.largest_order("modal", BUDGET, 6, 6, anti_windup=anti_windup)
         yield f"{title}: largest order in 2800", f"{found} states", f"{largest}", found >= largest
         for states in (largest, found + 2):
             said = _generated(states, anti_windup)

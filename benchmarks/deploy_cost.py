@@ -10,7 +10,8 @@ from scipy.linalg import block_diag
 
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.deployment import Deployment
-from ultraquiet.deploy.verification.cortex_m import missing_tool, run_on_target
+from ultraquiet.deploy.toolchain.emulator import run_on_target
+from ultraquiet.deploy.toolchain.targets import missing_program
 from ultraquiet.deploy.verification.verify import measurements
 from ultraquiet.values import StateSpace
 
@@ -22,7 +23,7 @@ TAIL = 50  # `measurements` puts its NaN so many steps before the end
 
 
 def measure() -> Iterator[tuple[str, str, str, bool]]:
-    absent = missing_tool()
+    absent = missing_program()
     if absent is not None:
         yield "instructions of a step on a Cortex-M7", f"'{absent}' is not installed", "to be counted", False
         return
@@ -45,7 +46,7 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
 
 def counted(made: Deployment) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Return instructions of steps through ramp, bursts beyond limits and a bad measurement; which came before it."""
-    run = run_on_target(made.law, made.folder, measurements(made.law, STEPS, 1))
+    run = run_on_target(made.law, made.folder, measurements(made.plan, STEPS, 1))
     return run.step, np.arange(STEPS) < STEPS - TAIL
 
 

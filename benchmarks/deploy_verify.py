@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 import ultraquiet as uq
-from ultraquiet.deploy.toolchain.targets import TARGETS
-from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.deploy.verification.verify import Verification
 
 RATE_HZ = 3500.0
@@ -54,7 +53,7 @@ def measure() -> Iterator[Row]:
 def _rows(title: str, found: Verification, seconds: float) -> Iterator[Row]:
     figure = f"{found.mismatches} differ of {found.steps} steps, {seconds:.0f} s"
     yield f"{title}: host against twin", figure, "every bit", found.bit_exact is True
-    absent = missing_tool()
+    absent = missing_program()
     if absent is not None:
         yield f"{title}: emulated targets", f"'{absent}' is not installed", "tools", False
         return

@@ -9,7 +9,7 @@ import numpy as np
 
 import ultraquiet as uq
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
-from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.toolchain.targets import missing_program
 
 FRAMES, STATES, CHANNELS, RATE_HZ, LIMIT_S = 1_000_000, 60, 6, 3500.0, 10.0
 PERIOD_S = 1.0 / RATE_HZ
@@ -41,7 +41,7 @@ def measure() -> Iterator[tuple[str, str, str, bool]]:
 def _nominal(made: uq.deploy.Deployment, seed: int) -> Iterator[tuple[str, str, str, bool]]:
     frame = uq.deploy.Frame(load=0.5, jitter_s=5e-6, contention=0.1)
     times = {"C31 model": uq.deploy.FrameTimes.c31(made.law)}
-    if missing_tool() is None:
+    if missing_program() is None:
         times["Cortex-M7 at 216 MHz"] = uq.deploy.FrameTimes.on_target(made)
     for processor, each in times.items():
         began = time.perf_counter()

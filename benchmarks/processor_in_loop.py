@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 import ultraquiet as uq
-from ultraquiet.deploy.toolchain.targets import TARGETS
-from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.simulate import attenuation
 
 TONES_HZ = (5.0, 25.0, 100.0)
@@ -24,7 +23,7 @@ Row = tuple[str, str, str, bool]
 
 
 def measure() -> Iterator[Row]:
-    absent = missing_tool()
+    absent = missing_program()
     if absent is not None:
         yield "processor in the loop", f"'{absent}' is not installed", "tools", False
         return

@@ -8,8 +8,8 @@ import numpy as np
 
 import ultraquiet as uq
 from ultraquiet.deploy.fixed_point.deployment import measurements
+from ultraquiet.deploy.toolchain.targets import missing_program
 from ultraquiet.deploy.verification.bench_tones import on_bench
-from ultraquiet.deploy.verification.cortex_m import missing_tool
 
 LOSS_DB = 0.5
 STEPS = 20_000
@@ -39,7 +39,7 @@ def bank(law: uq.StateSpace, plant: uq.StateSpace, work: Path) -> Iterator[Promi
     said = f"{cycles[0]} cycles ({law.states} states)"
     yield "six alike channels as a bank, C31 kernel", said, "< 900", made.law.form == "bank" and cycles[0] < 900
     yield "  against modal form", f"{cycles[0] / cycles[1]:.2f}", "< 0.5", cycles[0] < 0.5 * cycles[1]
-    if missing_tool() is None:
+    if missing_program() is None:
         steps = []
         for each in (made, full):
             found = each.verify(steps=2000)

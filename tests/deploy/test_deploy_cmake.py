@@ -9,7 +9,7 @@ import pytest
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.exchange.cmake import write_project
-from ultraquiet.deploy.toolchain.targets import COMPILER, EMULATOR, TARGETS
+from ultraquiet.deploy.toolchain.targets import TARGETS
 
 
 @pytest.fixture
@@ -78,8 +78,8 @@ def test_another_project_can_take_it_in(cmake, law_of, tmp_path):
 
 @pytest.mark.parametrize("target", list(TARGETS))
 def test_toolchain_files_build_and_run_it_on_emulated_processors(target, cmake, law_of, tmp_path):
-    if not (shutil.which(COMPILER) and shutil.which(EMULATOR)):
-        pytest.skip(f"no {COMPILER} or {EMULATOR} on this machine")
+    if TARGETS[target].family.missing_program():
+        pytest.skip(f"no {TARGETS[target].family.missing_program()} on this machine")
     project = write_project(generate(law_of(6), tmp_path / "code"), tmp_path / "project")
     words, code = built(cmake, project, "--toolchain", f"cmake/{target}.cmake")
     print(target, words.splitlines()[-3])

@@ -10,8 +10,8 @@ from deploy_laws import RATE_HZ
 
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
-from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.twin import Twin
+from ultraquiet.deploy.toolchain.compiler import FLAGS
 from ultraquiet.deploy.verification.verify import compare, measurements
 from ultraquiet.values import Controller, StateSpace, SteppedController
 
@@ -48,8 +48,8 @@ def test_every_form_bit_for_bit(law_of, rng, seed, tmp_path, form, anti_windup, 
 
 
 def test_long_verification_visits_limits_ramp_and_fault(law_of, seed, tmp_path):
-    law = generate(law_of(12), tmp_path / "code", ramp_s=0.01).law
-    y = measurements(law, 5000, seed)
+    plan = generate(law_of(12), tmp_path / "code", ramp_s=0.01).plan
+    law, y = plan.law, measurements(plan, 5000, seed)
     twin = Twin(law)
     twin.enable()
     u = twin.run(y)
@@ -87,7 +87,7 @@ def test_a_law_that_does_not_compile_is_reported_not_raised(law_of, tmp_path):
 @pytest.mark.parametrize("level", ["-O0", "-O3"])
 def test_optimiser_changes_no_bit(law_of, seed, tmp_path, cc, level):
     made = generate(law_of(24), tmp_path / "code", ramp_s=0.01)
-    y = measurements(made.law, 2000, seed)
+    y = measurements(made.plan, 2000, seed)
     flags = tuple(level if f == "-O2" else f for f in FLAGS)
     runs = [CompiledController(Library(made.law, made.folder, cc, f)).run(y) for f in (FLAGS, flags)]
     assert compare(*runs) == (0, None)

@@ -10,14 +10,15 @@ from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain.compiler import compile_c
-from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, EMULATOR, TARGETS
-from ultraquiet.deploy.verification.cortex_m import count_instructions, missing_tool, run_on_target
+from ultraquiet.deploy.toolchain.cortex_m.processors import CORTEX_M
+from ultraquiet.deploy.toolchain.emulator import count_instructions, run_on_target
+from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.deploy.verification.verify import compare, measurements
 
 
 @pytest.fixture
 def target():
-    absent = missing_tool()
+    absent = missing_program()
     if absent is not None:
         pytest.skip(f"'{absent}' is not installed (Debian: gcc-arm-none-eabi, qemu-system-arm)")
 
@@ -38,7 +39,7 @@ def test_self_test_passes_bit_for_bit_on_the_target(law_of, rng, tmp_path, form,
 def test_long_run_bit_for_bit_on_the_target(law_of, seed, tmp_path, name, precision, steps):
     """Ramps, limits and a NaN included; the instructions of every step are known, those inside the limits are equal."""
     made = generate(law_of(30), tmp_path / "code", precision, ramp_s=0.1)
-    y = measurements(made.law, steps, seed)
+    y = measurements(made.plan, steps, seed)
     twin = Twin(made.law)
     twin.enable()
     run = run_on_target(made.law, made.folder, y, TARGETS[name])
@@ -103,7 +104,8 @@ def test_ram_is_the_state_on_the_target(law_of, rng, tmp_path, precision):
     made = generate(law, tmp_path / "code", precision)
     size = f"char same[sizeof(controller_state) == {made.tables['ram_bytes']}U ? 1 : -1];"
     (tmp_path / "code" / "size.c").write_text(f'#include "controller.h"\n{size}\n')
-    compile_c([COMPILER, *CORTEX_M7.flags, "-c", "size.c"], tmp_path / "code")
+    target = TARGETS["cortex-m7"]
+    compile_c([target.family.compiler, *target.flags, "-c", "size.c"], tmp_path / "code")
     assert made.tables["flash_from"].startswith("arm-none-eabi-gcc")
 
 
@@ -126,8 +128,8 @@ def test_emulator_out_of_order_does_not_spoil_the_comparison(law_of, tmp_path, m
     made = generate(law_of(4), tmp_path / "code", ramp_s=0.01)
     tools = tmp_path / "tools"
     tools.mkdir()
-    (tools / EMULATOR).write_text("#!/bin/sh\necho no such machine >&2; exit 1\n")
-    (tools / EMULATOR).chmod(0o755)
+    (tools / CORTEX_M.emulator).write_text("#!/bin/sh\necho no such machine >&2; exit 1\n")
+    (tools / CORTEX_M.emulator).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
     found = made.verify(steps=100)
     print(found.status)

@@ -8,11 +8,11 @@ from deploy_laws import RATE_HZ, block, random_law
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import FixedTwin, fixed_law, generate_fixed, word_lengths
-from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.fixed_point.deployment import measurements
 from ultraquiet.deploy.fixed_point.state_bounds import peaks
 from ultraquiet.deploy.fixed_point.twin import words
 from ultraquiet.deploy.law.form_choice import error_of
+from ultraquiet.deploy.toolchain.compiler import FLAGS
 from ultraquiet.values import StateSpace
 
 EVERY = [(w, f, s) for w in ("q31", "q15") for f in ("modal", "delta") for s in ("l1", "l2")]

@@ -15,7 +15,7 @@ from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
 from ultraquiet.deploy.frame.settings import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
 from ultraquiet.deploy.toolchain import compiler
-from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.toolchain.targets import missing_program
 from ultraquiet.values import StateSpace
 
 T = 1.0 / RATE_HZ
@@ -239,7 +239,7 @@ def test_times_of_the_c31_model_are_its_cycles(law_of, tmp_path):
     assert times.skeleton_s == pytest.approx(142 * 50e-9, rel=1e-12)
 
 
-@pytest.mark.skipif(missing_tool() is not None, reason=f"'{missing_tool()}' is not installed")
+@pytest.mark.skipif(missing_program() is not None, reason=f"'{missing_program()}' is not installed")
 @pytest.mark.parametrize("target", ["cortex-m7", "cortex-m4f"])
 def test_times_of_a_cortex_are_counted(made, target):
     times = FrameTimes.on_target(made, target, cycles_per_instruction=2.0)

@@ -12,8 +12,8 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy import Processor, generate, on_bench
-from ultraquiet.deploy.toolchain.targets import EMULATOR, TARGETS
-from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.toolchain.cortex_m.processors import CORTEX_M
+from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.deploy.verification.verify import compare, measurements
 from ultraquiet.simulate import attenuation
 from ultraquiet.values import Controller
@@ -23,7 +23,7 @@ QUIET_DB = 10.0  # a law that does less has not closed the loop
 
 @pytest.fixture(autouse=True)
 def target():
-    absent = missing_tool()
+    absent = missing_program()
     if absent is not None:
         pytest.skip(f"'{absent}' is not installed (Debian: gcc-arm-none-eabi, qemu-system-arm)")
 
@@ -64,7 +64,7 @@ def test_attenuation_through_the_binary_is_that_of_the_code_here(seed, tmp_path,
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_ramp_limits_and_faults_reach_the_bench_as_they_are(law_of, seed, tmp_path, precision):
     made = generate(law_of(8, 3, 5), tmp_path / "code", precision, ramp_s=0.05)
-    y = measurements(made.law, 1500, seed)
+    y = measurements(made.plan, 1500, seed)
     with Processor(made, ramp=True) as processor:
         first = processor.run(y)
         processor.reset()
@@ -124,8 +124,8 @@ def test_an_emulator_that_does_not_start_says_why(law_of, tmp_path, monkeypatch)
     made = generate(law_of(2), tmp_path / "code", ramp_s=0.01)
     tools = tmp_path / "tools"
     tools.mkdir()
-    (tools / EMULATOR).write_text("#!/bin/sh\necho no such machine >&2; exit 1\n")
-    (tools / EMULATOR).chmod(0o755)
+    (tools / CORTEX_M.emulator).write_text("#!/bin/sh\necho no such machine >&2; exit 1\n")
+    (tools / CORTEX_M.emulator).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tools}{os.pathsep}{os.environ['PATH']}")
     with pytest.raises(ToolError, match="ended after 0 steps, saying 'no such machine'"):
         Processor(made)

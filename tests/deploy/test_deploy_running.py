@@ -14,9 +14,9 @@ from deploy_laws import RATE_HZ
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import Twin, generate
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
-from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.coefficients import bank_of, numbers, with_numbers
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, OFF, ON, STOPPING
+from ultraquiet.deploy.toolchain.compiler import FLAGS
 from ultraquiet.values import StateSpace
 
 

@@ -5,7 +5,7 @@ import subprocess
 import pytest
 
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.c_code.render import FLAGS
+from ultraquiet.deploy.toolchain.compiler import FLAGS
 
 SANITIZERS = ["-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 

@@ -16,8 +16,8 @@ from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy import generate, on_bench, reanalysis
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.footprint import footprint_on, stack_bytes, state_bytes
-from ultraquiet.deploy.toolchain.targets import COMPILER, TARGETS
-from ultraquiet.deploy.verification.cortex_m import missing_tool
+from ultraquiet.deploy.toolchain.emulator import build
+from ultraquiet.deploy.toolchain.targets import TARGETS, missing_program
 from ultraquiet.deploy.verification.fuzz import fuzz_code
 from ultraquiet.simulate import attenuation
 from ultraquiet.values import StateSpace
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("cc")
 
 @pytest.fixture
 def target():
-    absent = missing_tool()
+    absent = missing_program()
     if absent is not None:
         pytest.skip(f"'{absent}' is not installed (Debian: gcc-arm-none-eabi, qemu-system-arm)")
 
@@ -165,7 +165,9 @@ def test_struct_size_without_a_compiler_is_the_compilers(law_of, rng, tmp_path, 
     size = state_bytes((tmp_path / "code" / "controller.h").read_text(), "controller")
     source = tmp_path / "code" / "size.c"
     source.write_text('#include "controller.h"\nconst char size[sizeof(controller_state)] = {1};\n')
-    subprocess.run([COMPILER, "-mcpu=cortex-m7", "-c", source, "-o", tmp_path / "size.o"], check=True)
+    subprocess.run(
+        [TARGETS["cortex-m7"].family.compiler, "-mcpu=cortex-m7", "-c", source, "-o", tmp_path / "size.o"], check=True
+    )
     told = subprocess.run(
         ["arm-none-eabi-nm", "-S", tmp_path / "size.o"], capture_output=True, text=True, check=True
     ).stdout
@@ -183,17 +185,14 @@ def test_stack_bound_holds_what_a_step_really_uses(law_of, rng, tmp_path, name):
     """Paint the memory below the stack pointer, run a step, look how deep it went."""
     made = generate(law_of(int(rng.integers(2, 40))), tmp_path / "code")
     bound = footprint_on(made.law, made.folder, TARGETS[name]).stack_bytes
-    used = painted(made.folder, TARGETS[name])
+    used = painted(made.law, made.folder, TARGETS[name])
     print(f"{name}: {used} bytes of stack used, bound {bound}")
     assert bound is not None
     assert 0 < used <= bound + LIBRARY_BYTES
 
 
-def painted(folder, target) -> int:
+def painted(law, folder, target) -> int:
     """Return the deepest byte that output and update touched below their caller's frame."""
-    from ultraquiet.deploy.c_code.render import FLAGS
-    from ultraquiet.deploy.toolchain.compiler import compile_c
-    from ultraquiet.deploy.verification.cortex_m import emulation
 
     path = folder / "controller_cortex.c"
     text = path.read_text()
@@ -220,12 +219,9 @@ def painted(folder, target) -> int:
         + paint
         + text[at:].replace("if (serve() == 0U) {", 'say("depth ", depth());\n    if (serve() == 0U) {')
     )
-    program = folder / "painted.elf"
-    sources = [folder / f"controller{part}.c" for part in ("", "_selftest", "_cortex")]
-    link = ("-nostdlib", "-nostartfiles", "-T", folder / "controller_cortex.ld")
-    compile_c([COMPILER, *FLAGS, *target.flags, *sources, *link, "-lgcc", "-o", program], folder)
+    program = build(law, folder, folder, target)
     told = subprocess.run(
-        [str(part) for part in emulation(target, program)], cwd=folder, capture_output=True, text=True, check=False
+        [str(part) for part in target.command(program)], cwd=folder, capture_output=True, text=True, check=False
     )
     found = re.search(r"depth (\d+)", told.stdout + told.stderr)
     assert found, told
@@ -268,7 +264,7 @@ def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
         "ok: All bits of 2000 steps",
     ):
         assert line in said
-    assert ("on Cortex-M7" in said) == (missing_tool() is None)
+    assert ("on Cortex-M7" in said) == (missing_program() is None)
     assert "on Cortex-M4F" not in said
 
 
@@ -344,7 +340,7 @@ def test_random_bits_meet_an_index_beyond_its_array(law_of, seed, tmp_path, cc):
 
 def fuzzed(made, cc, seed, steps):
     try:
-        return fuzz_code(made.law, made.folder, cc, steps, seed)
+        return fuzz_code(made, cc, steps, seed)
     except ToolError as refusal:
         if "no working sanitizers" not in str(refusal):
             raise

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.c31.cycles import largest_order as largest_order
     from ultraquiet.deploy.c_code.compiled import CompiledController as CompiledController
     from ultraquiet.deploy.deployment import Deployment as Deployment
-    from ultraquiet.deploy.deployment import generate as generate
     from ultraquiet.deploy.exchange.cmake import write_project as write_project
     from ultraquiet.deploy.exchange.exchange import export_law as export_law
     from ultraquiet.deploy.exchange.exchange import read_law as read_law
@@ -36,12 +35,15 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.frame.result import FrameSimulation as FrameSimulation
     from ultraquiet.deploy.frame.settings import Overload as Overload
     from ultraquiet.deploy.frame.times import FrameTimes as FrameTimes
+    from ultraquiet.deploy.generation import generate as generate
     from ultraquiet.deploy.law.anti_windup import conditioning_gain as conditioning_gain
     from ultraquiet.deploy.law.law import Law as Law
     from ultraquiet.deploy.law.realisation import Realisation as Realisation
     from ultraquiet.deploy.law.realisation import realisation as realisation
     from ultraquiet.deploy.law.twin import Twin as Twin
     from ultraquiet.deploy.law.word_length import rounding_errors as rounding_errors
+    from ultraquiet.deploy.options import C31Budget as C31Budget
+    from ultraquiet.deploy.options import CodeOptions as CodeOptions
     from ultraquiet.deploy.processor_in_loop import Processor as Processor
     from ultraquiet.deploy.verification.bench_tones import OnBench as OnBench
     from ultraquiet.deploy.verification.bench_tones import on_bench as on_bench
@@ -51,7 +53,9 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.verification.verify import Verification as Verification
 
 _HOME = {
+    "C31Budget": "options",
     "C31Code": "c31.assembly",
+    "CodeOptions": "options",
     "CompiledController": "c_code.compiled",
     "Deployment": "deployment",
     "FixedDeployment": "fixed_point.deployment",
@@ -78,7 +82,7 @@ _HOME = {
     "export_law": "exchange.exchange",
     "fixed_law": "fixed_point.law",
     "foton_text": "exchange.foton",
-    "generate": "deployment",
+    "generate": "generation",
     "generate_fixed": "fixed_point.deployment",
     "kernel_cycles": "c31.cycles",
     "largest_order": "c31.cycles",

@@ -8,16 +8,16 @@ import tempfile
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, ToolError
+from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.law.law import Rounded, require_floating
-from ultraquiet.deploy.toolchain.targets import target_named
-from ultraquiet.deploy.verification.cortex_m import (
+from ultraquiet.deploy.toolchain.emulator import (
     ASK_DISABLE,
     ASK_ENGAGE,
     ASK_START,
@@ -25,14 +25,11 @@ from ultraquiet.deploy.verification.cortex_m import (
     FRAMES,
     REPLIES,
     build,
-    emulation,
     frame_type,
     instructions,
     reply_type,
 )
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
+from ultraquiet.deploy.toolchain.targets import target_named
 
 ANSWER_S = 10.0  # a step takes some ten microseconds of emulation; the machine may be busy with other work
 LOOK_S = 0.1  # how often a silent emulator is asked whether it lives
@@ -49,7 +46,7 @@ class Processor:
 
     Args:
         deployment: what `generate` returned.
-        target: `cortex-m7` or `cortex-m4f`.
+        target: name of an emulated processor, `cortex-m7` say.
         ramp: start, and start again at each `reset`, with the ramp.
         timeout_s: seconds after which a silent emulator is given up.
 
@@ -66,7 +63,7 @@ class Processor:
     """
 
     def __init__(
-        self, deployment: "Deployment", target: str = "cortex-m7", ramp: bool = False, timeout_s: float = ANSWER_S
+        self, deployment: GeneratedCode, target: str = "cortex-m7", ramp: bool = False, timeout_s: float = ANSWER_S
     ) -> None:
         require_floating("Processor", deployment)
         self.law, self.target, self.ramp = deployment.law, target_named(target), ramp
@@ -102,7 +99,7 @@ class Processor:
     def instructions(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Instructions of `output` and of `update`, each `(n,)`, of the steps since the last `reset`."""
         ticks = np.array(self._ticks, dtype=np.int64).reshape(-1, 2)
-        return instructions(self._calibration, {"output": ticks[:, 0], "update": ticks[:, 1]})
+        return instructions(self._calibration, {"output": ticks[:, 0], "update": ticks[:, 1]}, self.target.ticks)
 
     def reset(self) -> None:
         """Return to rest and take control."""
@@ -156,7 +153,7 @@ class Processor:
         # emulator's death reads as an end of file.
         self._ends.append(os.open(work / REPLIES, os.O_RDONLY | os.O_NONBLOCK))
         self._ends.append(os.open(work / FRAMES, os.O_RDWR))
-        command = [str(part) for part in emulation(self.target, program)]
+        command = [str(part) for part in self.target.command(program)]
         try:
             self._process = subprocess.Popen(
                 command, cwd=work, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c31.float_format import decode, encode
+from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.render import render
 from ultraquiet.deploy.law.law import Law
 
@@ -55,7 +56,7 @@ def c31_code(law: Law, model_hash: str = "") -> C31Code:
     Raises:
         InputError: another form, a coefficient beyond the C31's numbers, or a law beyond its internal memory.
 
-    >>> from ultraquiet.deploy.deployment import generate
+    >>> from ultraquiet.deploy import generate
     >>> from ultraquiet.values import StateSpace
     >>> import tempfile
     >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
@@ -80,9 +81,9 @@ def c31_code(law: Law, model_hash: str = "") -> C31Code:
     return C31Code(text, linker, words[".text"], words["table"] + words["state"], words["coefs"], inside)
 
 
-def c31_files(law: Law, model_hash: str) -> dict[str, str]:
+def c31_files(plan: CodePlan) -> dict[str, str]:
     """Return file name -> text of what the folder holds for the C31."""
-    code = c31_code(law, model_hash)
+    law, code = plan.law, c31_code(plan.law, plan.model_hash)
     return {f"{law.name}_c31.asm": code.assembly, f"{law.name}_c31.cmd": code.linker}
 
 

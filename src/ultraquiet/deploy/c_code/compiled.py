@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, ToolError
-from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.law import Law, Rounded
-from ultraquiet.deploy.toolchain.compiler import compile_c
+from ultraquiet.deploy.toolchain.compiler import FLAGS, compile_c
 
 
 class Library:

@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.law import Law
-from ultraquiet.deploy.toolchain.compiler import compile_c, compiler, flash_of
-from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, Target
+from ultraquiet.deploy.toolchain.compiler import FLAGS, compile_c, compiler, flash_of
+from ultraquiet.deploy.toolchain.target import Target
+from ultraquiet.deploy.toolchain.targets import reference_target
 
-SIZE_TOOL = "arm-none-eabi-size"
 GRAPH = "-fcallgraph-info=su"  # gcc 10 and later
 ENTRIES = ("output", "update", "frame")
 _NODE = re.compile(r'node: \{ title: "([^"]+)" label: "[^"]*?(?:\\n(\d+) bytes \((static|dynamic,bounded|dynamic)\))?"')
@@ -39,8 +38,8 @@ class Footprint:
 def footprint(law: Law, files: Mapping[str, str]) -> dict[str, Any]:
     """Return `flash_bytes`, `ram_bytes`, `stack_bytes` and `flash_from`, the compiler whose object was measured.
 
-    RAM is one state struct on a 32-bit target; flash is code and constants without the self-test; stack is that of a
-    Cortex-M7, None without its compiler.
+    RAM is one state struct on a 32-bit target; flash is code and constants without the self-test; stack is that of the
+    reference target, None without its compiler.
     """
     held, source = _measured(law, files)
     flash = held.flash_bytes
@@ -58,12 +57,14 @@ def footprint_on(law: Law, folder: Path, target: Target) -> Footprint:
     """
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
         made, program = Path(work) / "controller.o", Path(work) / "controller.elf"
-        compile_c([COMPILER, *FLAGS, *target.flags, GRAPH, "-c", folder / f"{law.name}.c", "-o", made], folder)
+        compile_c(
+            [target.family.compiler, *FLAGS, *target.flags, GRAPH, "-c", folder / f"{law.name}.c", "-o", made], folder
+        )
         stack = _stack(made, law)
         # memset and memcpy are the program's own, whatever its library
         link = ("-nostdlib", "-nostartfiles", "-Wl,-e,0", "-Wl,--unresolved-symbols=ignore-all")
-        compile_c([COMPILER, *target.flags, *link, made, "-lgcc", "-o", program], Path(work))
-        return Footprint(flash_of(SIZE_TOOL, program), stack)
+        compile_c([target.family.compiler, *target.flags, *link, made, "-lgcc", "-o", program], Path(work))
+        return Footprint(flash_of(target.family.size_tool, program), stack)
 
 
 def _measured(law: Law, files: Mapping[str, str]) -> tuple[Footprint, str]:
@@ -71,16 +72,17 @@ def _measured(law: Law, files: Mapping[str, str]) -> tuple[Footprint, str]:
         folder = Path(work)
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
-        cross = shutil.which(COMPILER)
-        if cross is not None and shutil.which(SIZE_TOOL) is not None:
-            found = _object(law, folder, (cross, *FLAGS, *CORTEX_M7.flags, GRAPH), SIZE_TOOL)
-            if found is not None:
-                return found, f"{Path(cross).name} {CORTEX_M7.flags[0]}"
+        target = reference_target()
+        cross, size_tool = shutil.which(target.family.compiler), target.family.size_tool
+        if cross is not None and shutil.which(size_tool) is not None:
+            measured = _object(law, folder, (cross, *FLAGS, *target.flags, GRAPH), size_tool)
+            if measured is not None:
+                return measured, f"{Path(cross).name} {target.flags[0]}"
         cc = compiler()
         if cc is not None:
-            found = _object(law, folder, (cc, *FLAGS), "size")
-            if found is not None:
-                return found, f"{Path(cc).name} {FLAGS[1]}"
+            measured = _object(law, folder, (cc, *FLAGS), "size")
+            if measured is not None:
+                return measured, f"{Path(cc).name} {FLAGS[1]}"
     return Footprint(None, None), ""
 
 

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, Row, planted
-from ultraquiet.deploy.law.coefficients import numbers, sections
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.toolchain.targets import TARGETS
+from ultraquiet.deploy.toolchain.compiler import FLAGS
+from ultraquiet.deploy.toolchain.targets import TARGETS, families
 
 if TYPE_CHECKING:
     import jinja2
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
 VECTOR_STEPS = 256
 
 # Advisory rules of MISRA C:2012 that the controller's code departs from, and why; no required rule.
@@ -36,16 +36,27 @@ FILES = {
     "controller.c.j2": "{name}.c",
     "selftest.c.j2": "{name}_selftest.c",
     "host.c.j2": "{name}_host.c",
-    "cortex.c.j2": "{name}_cortex.c",
-    "cortex.ld.j2": "{name}_cortex.ld",
     "Makefile.j2": "Makefile",
 }
 
 
-def sources(law: Law, script: list[Row], model_hash: str) -> dict[str, str]:
+def sources(plan: CodePlan) -> dict[str, str]:
     """Return file name -> text of the C files and the Makefile."""
-    context = _context(law, script, model_hash)
-    return {file.format(name=law.name): render(template, context) for template, file in FILES.items()}
+    name, context = plan.law.name, _context(plan)
+    files = {file.format(name=name): render(template, context) for template, file in FILES.items()}
+    return files | _around_the_code(name, context)
+
+
+def _around_the_code(name: str, context: dict[str, Any]) -> dict[str, str]:
+    """Return what each family of processors adds: the program around the code, and a linker script for each memory."""
+    files: dict[str, str] = {}
+    for family, targets in families():
+        files[f"{name}_{family.stem}.c"] = render(family.template("harness.c.j2"), context | {"targets": targets})
+        for script in dict.fromkeys(target.script for target in targets):
+            those = [target for target in targets if target.script == script]
+            place = {"targets": those, "memory": those[0].memory or family.memory}
+            files[f"{name}_{script}.ld"] = render(family.template("memory.ld.j2"), context | place)
+    return files
 
 
 def readme(law: Law, model_hash: str, tables: dict[str, Any], said: list[str], assumptions: str) -> str:
@@ -59,6 +70,7 @@ def readme(law: Law, model_hash: str, tables: dict[str, Any], said: list[str], a
         "said": said,
         "assumptions": assumptions,
         "flags": " ".join(FLAGS),
+        "targets": list(TARGETS.values()),
         "deviations": DEVIATIONS,
     }
     return render("README.md.j2", context)
@@ -106,7 +118,7 @@ def _environment() -> "jinja2.Environment":
     import jinja2
 
     return jinja2.Environment(
-        loader=jinja2.PackageLoader("ultraquiet.deploy"),
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader("ultraquiet.deploy"), jinja2.FunctionLoader(_of_a_family)]),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -115,7 +127,17 @@ def _environment() -> "jinja2.Environment":
     )
 
 
-def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
+def _of_a_family(name: str) -> str | None:
+    """Return a template that stands in a family's folder, by `Family.template`."""
+    folders = {family.folder.name: family.folder for family, _ in families()}
+    folder, _, file = name.partition("/")
+    path = folders[folder] / file if folder in folders else None
+    return path.read_text(encoding="utf-8") if path is not None and path.is_file() else None
+
+
+def _context(plan: CodePlan) -> dict[str, Any]:
+    law = plan.law
+
     def table(matrix: Any) -> list[list[str]]:
         return [[constant(v, law.precision) for v in row] for row in matrix]
 
@@ -133,23 +155,24 @@ def _context(law: Law, script: list[Row], model_hash: str) -> dict[str, Any]:
         "real": "float" if bits == 32 else "double",
         "word": f"uint{bits}_t",
         "ramp_step": constant(law.dtype(1.0) / law.dtype(law.ramp_steps), law.precision),
-        "model_hash": model_hash,
+        "model_hash": plan.model_hash,
         "pairs": law.form in ("modal", "delta"),
         "sizes": [len(b) for b in law.blocks],
-        "bank": numbers(law),
-        "sections": _sections(law),
+        "bank": plan.coefficients,
+        "sections": _sections(plan),
         "turn_output": _turn(law.states, 1),
         "turn_update": _turn(law.states, 2),
         "limits": table(law.limits),
         "excitation": table(law.excitation),
         "bits": bits,
         "ops": OPS,
-        "script": [_call(row, law.precision) for row in script],
-        "crcs": [f"0x{planted(law, kind).crc:08X}U" for kind in range(LOADS)],
+        "script": [_call(row, law.precision) for row in plan.script],
+        "crcs": [f"0x{planted(plan.coefficients, kind).crc:08X}U" for kind in range(LOADS)],
         "special": special,
         "flags": " ".join(FLAGS),
         "targets": list(TARGETS.values()),
-        "scale": constant(2.0**-12 * script[0].scale * 2.0**23, law.precision),
+        "families": families(),
+        "scale": constant(2.0**-12 * plan.script[0].scale * 2.0**23, law.precision),
     }
 
 
@@ -159,10 +182,10 @@ def _turn(states: int, step: int) -> int:
     return min(sizes, key=lambda size: TURN_COST * (states // size) + LEFT_OVER_COST * (states % size))
 
 
-def _sections(law: Law) -> list[dict[str, Any]]:
+def _sections(plan: CodePlan) -> list[dict[str, Any]]:
     made, at = [], 0
-    for section in sections(law):
-        rows = [[constant(v, law.precision) for v in row] for row in section.rows]
+    for section in plan.sections:
+        rows = [[constant(v, plan.law.precision) for v in row] for row in section.rows]
         made.append({"label": section.label, "says": section.says, "rows": rows, "at": at})
         at += sum(len(row) for row in rows)
     return made

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ultraquiet.deploy.c_code import self_test_text as text_of
 from ultraquiet.deploy.law.coefficients import CoefficientBank, bank_from, numbers
-from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.law.twin import Twin
 
 OPS = (
@@ -68,13 +68,13 @@ class Row:
     digest: int
 
 
-def planted(law: Law, kind: int) -> CoefficientBank:
+def planted(coefficients: Rounded, kind: int) -> CoefficientBank:
     """Return the bank of a LOAD of some kind, with the CRC that goes with it."""
-    row = numbers(law) * law.dtype(0.5)
+    row = coefficients * coefficients.dtype.type(0.5)
     words = np.dtype(f"<u{row.dtype.itemsize}")
-    bits = SPECIAL[law.precision]
+    bits = SPECIAL[row.dtype.name]
     if kind == NAN_FIRST:
-        row[0] = np.array([bits["NOT_A_NUMBER"]], words).view(law.dtype)[0]
+        row[0] = np.array([bits["NOT_A_NUMBER"]], words).view(row.dtype)[0]
     if kind == INFINITE_LAST:
         row[-1] = np.inf
     bank = bank_from(row)
@@ -87,13 +87,14 @@ def planted(law: Law, kind: int) -> CoefficientBank:
     return bank
 
 
-def self_test(law: Law) -> list[Row]:
-    """Return the script for a law, its digests computed by the twin."""
+def self_test(law: Law, quiet: float, loud: float) -> list[Row]:
+    """Return the script for a law, its digests computed by the twin; the scales are those of `generator_scales`."""
     player = Player(law)
-    return [Row(op, count, scale, player.play(op, count, scale)) for op, count, scale in plan(law)]
+    calls = script_calls(law, quiet, loud)
+    return [Row(op, count, scale, player.play(op, count, scale)) for op, count, scale in calls]
 
 
-def plan(law: Law) -> list[tuple[str, int, float]]:
+def script_calls(law: Law, quiet: float, loud: float) -> list[tuple[str, int, float]]:
     """Return the calls: ramps, limits on both sides, every kind of bad measurement, faults, overruns, restarts."""
     last = law.inputs - 1
     bad = [f"{op} {channel}" for op in ("NOT_A_NUMBER", "INFINITE", "MINUS_INFINITE") for channel in {0, last}]
@@ -119,7 +120,6 @@ def plan(law: Law) -> list[tuple[str, int, float]]:
     some = min(law.ramp_steps, 7)
     names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
     names |= {"times": law.overrun_limit - 1, "times_twice": 2 * law.overrun_limit} | _taps(law)
-    quiet, loud = sizes(law)
     calls = []
     for line in filter(None, "\n".join(text).splitlines()):
         words = line[:COMMENT].split()
@@ -149,6 +149,7 @@ class Player:
 
     def __init__(self, law: Law) -> None:
         self.twin = Twin(law)
+        self._coefficients = numbers(law)
         self._random = 1
         self.digest = FNV_BASIS
         self._words = np.dtype(f"<u{np.dtype(law.dtype).itemsize}")
@@ -198,7 +199,7 @@ class Player:
         elif op == "ATTACH":
             twin.attach()
         elif op == "LOAD":
-            bank = planted(twin.law, count)
+            bank = planted(self._coefficients, count)
             self._fold([int(twin.load_bank(bank.words, bank.crc))])
             self._fold(self._bits(twin.numbers))
         elif op == "SWAP":
@@ -259,7 +260,7 @@ class Player:
         self.digest = digest
 
 
-def sizes(law: Law) -> tuple[float, float]:
+def generator_scales(law: Law) -> tuple[float, float]:
     """Return generator scales, powers of two, that keep all commands inside their limits, and that meet most limits."""
     player = Player(law)
     player.twin.reset()

@@ -2,16 +2,14 @@
 
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.output_folder import write_folder
+from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.law.law import DTYPES
-from ultraquiet.deploy.toolchain.targets import COMPILER, EMULATOR, TARGETS
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
+from ultraquiet.deploy.toolchain.compiler import FLAGS
+from ultraquiet.deploy.toolchain.targets import TARGETS, families
 
 NOBODY = "whoever had them designed"
 COPIED = ("vectors.csv", "manifest.json")
@@ -24,7 +22,7 @@ TEMPLATES = {
 }
 
 
-def write_project(made: "Deployment", folder: str | Path, owner: str = NOBODY) -> Path:
+def write_project(made: GeneratedCode, folder: str | Path, owner: str = NOBODY) -> Path:
     """Write a deployed law as a folder that can be pushed to a forge as it is and builds there.
 
     `CMakeLists.txt` makes a library, `name::name` for other projects, and its self-test for ctest; `cmake/` holds a
@@ -66,15 +64,16 @@ def write_project(made: "Deployment", folder: str | Path, owner: str = NOBODY) -
         "version": metadata.version("ultraquiet"),
         "model_hash": made.model_hash,
         "owner": owner,
-        "flags": " ".join(render.FLAGS[1:]),  # the standard is CMake's to ask for
+        "flags": " ".join(FLAGS[1:]),  # the standard is CMake's to ask for
         "targets": tuple(TARGETS.values()),
-        "compiler": COMPILER,
-        "emulator": EMULATOR,
+        "families": families(),
     }
     files = _generated(made.folder, law.name)
     files |= {name: render.render(template, context) for template, name in TEMPLATES.items()}
     for target in TARGETS.values():
-        files[f"cmake/{target.name}.cmake"] = render.render("github_cortex.cmake.j2", context | {"target": target})
+        files[f"cmake/{target.name}.cmake"] = render.render(
+            target.family.template("toolchain.cmake.j2"), context | {"target": target}
+        )
     write_folder(folder, files)
     return folder
 

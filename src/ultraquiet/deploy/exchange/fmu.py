@@ -11,22 +11,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.deploy.c_code import render
+from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.exchange.fmu_refused import REFUSED
 from ultraquiet.deploy.law.law import DTYPES, Law
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.files import write_bytes
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.status import Status, StatusWord
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
 
 VERSIONS = ("2.0", "3.0")
 EPOCH = (1980, 1, 1, 0, 0, 0)  # the oldest date a zip file knows: the same law makes the same bytes
@@ -52,7 +50,7 @@ class FmuFile:
 
 
 def write_fmu(
-    made: "Deployment",
+    made: GeneratedCode,
     path: str | os.PathLike[str],
     version: str = "3.0",
     *,
@@ -212,7 +210,7 @@ def _context(
         "ramp_description": _RAMP_SAYS,
         "time_name": TIME,
         "sources": [*sources, f"{law.name}_fmi{version[0]}.c"],
-        "flags": " ".join(render.FLAGS),
+        "flags": " ".join(compiler.FLAGS),
         "refused": REFUSED[version],
     }
 
@@ -232,7 +230,7 @@ def _compiled(cc: str, held: dict[str, str], sources: list[str]) -> bytes:
             (Path(work) / name).write_text(text)
         library = Path(work) / f"unit{_extension()}"
         hidden = "-fvisibility=hidden"
-        compiler.compile_c([cc, *render.FLAGS, "-fPIC", "-shared", hidden, *sources, "-o", library], Path(work))
+        compiler.compile_c([cc, *compiler.FLAGS, "-fPIC", "-shared", hidden, *sources, "-o", library], Path(work))
         return library.read_bytes()
 
 

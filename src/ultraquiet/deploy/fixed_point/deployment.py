@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.c_code.output_folder import manifest_text, require_ours, write_folder
-from ultraquiet.deploy.c_code.render import FLAGS, render
+from ultraquiet.deploy.c_code.render import render
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP, MASK
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole, fixed_law
 from ultraquiet.deploy.fixed_point.twin import FixedTwin, words
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of
 from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.toolchain import compiler
-from ultraquiet.deploy.toolchain.compiler import call, compile_c
+from ultraquiet.deploy.toolchain.compiler import FLAGS, call, compile_c
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 

@@ -1,20 +1,16 @@
 """The law on a bench, sample by sample, inside its real-time frame."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.frame.clock import FrameClock
 from ultraquiet.deploy.frame.harness import FrameHarness
 from ultraquiet.deploy.frame.settings import FrameSettings, frame_settings
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import compiler
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
 
 MOST_SAMPLES = 2**19  # 150 s at 3.5 kHz
 
@@ -26,7 +22,7 @@ class FrameController:
     it cannot show is the shift of a sampling instant inside its period.
     """
 
-    def __init__(self, frame: FrameSettings, made: "Deployment", times: FrameTimes, seed: int, ramp: bool) -> None:
+    def __init__(self, frame: FrameSettings, made: GeneratedCode, times: FrameTimes, seed: int, ramp: bool) -> None:
         self.made, self.ramp = made, ramp
         self._settings = frame_settings(frame, times, made.law.rate_hz)
         self._draws = frame.draw(MOST_SAMPLES, self._settings["period_s"], seed)

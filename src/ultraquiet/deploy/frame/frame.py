@@ -1,19 +1,16 @@
 """The real-time frame: does the step end before the next interrupt, and what happens when it does not."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
+from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.frame.controller import FrameController
 from ultraquiet.deploy.frame.harness import run_frames
 from ultraquiet.deploy.frame.result import FrameSimulation
 from ultraquiet.deploy.frame.settings import FrameSettings
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import require_floating
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
 
 FRAMES = 1_000_000
 
@@ -51,7 +48,7 @@ class Frame(FrameSettings):
 
     def simulate(
         self,
-        made: "Deployment",
+        made: GeneratedCode,
         frames: int = FRAMES,
         *,
         times: FrameTimes | None = None,
@@ -77,7 +74,7 @@ class Frame(FrameSettings):
         return run_frames(self, made, frames, times or FrameTimes.c31(made.law), measurements, seed)
 
     def controller(
-        self, made: "Deployment", *, times: FrameTimes | None = None, seed: int = 0, ramp: bool = False
+        self, made: GeneratedCode, *, times: FrameTimes | None = None, seed: int = 0, ramp: bool = False
     ) -> FrameController:
         """Return the law as a `Controller` for a bench: each sample is a frame, and a late command arrives late."""
         require_floating("Frame", made)

@@ -3,7 +3,7 @@
 import ctypes
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from ultraquiet._base.constraints import signal_array
 from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet.deploy.c_code import render
-from ultraquiet.deploy.c_code.self_test import sizes
+from ultraquiet.deploy.c_code.plan import CodePlan, GeneratedCode
+from ultraquiet.deploy.c_code.self_test import HALF_RANGE
 from ultraquiet.deploy.frame.clock import FrameClock, empty_arrays, run_clock
 from ultraquiet.deploy.frame.result import FrameSimulation, judge
 from ultraquiet.deploy.frame.settings import Draws, FrameSettings, frame_settings
@@ -19,9 +20,6 @@ from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import compiler
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
 
 # Measurements that are drawn and then repeated.
 NOISE_SAMPLES = 4096
@@ -65,7 +63,9 @@ class FrameHarness:
             text = render.render("frame_harness.c.j2", {"name": law.name, "NAME": law.name.upper()})
             source.write_text(text, encoding="utf-8")
             own = folder / f"{law.name}.c"
-            compiler.compile_c([cc, *render.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder)
+            compiler.compile_c(
+                [cc, *compiler.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder
+            )
             try:
                 self._library = ctypes.CDLL(str(made))
             except OSError as error:
@@ -135,12 +135,12 @@ class FrameHarness:
 
 
 def run_frames(
-    frame: FrameSettings, made: "Deployment", frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
+    frame: FrameSettings, made: GeneratedCode, frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
 ) -> FrameSimulation:
     """Return what `Frame.simulate` promises."""
     settings = frame_settings(frame, times, made.law.rate_hz)
     draws = frame.draw(frames, settings["period_s"], seed)
-    y = _measurements(made.law, measurements, seed)
+    y = _measurements(made.plan, measurements, seed)
     cc = compiler.compiler()
     if cc is not None:
         held = FrameHarness(made.law, made.folder, cc).run(settings, draws, frames, y)
@@ -159,11 +159,12 @@ def run_twin(law: Law, settings: dict[str, Any], draws: Draws, frames: int, y: N
     return held | {"hooked": None, "refused": clock.refused}
 
 
-def _measurements(law: Law, given: ArrayLike | None, seed: int) -> NDArray[Any]:
+def _measurements(plan: CodePlan, given: ArrayLike | None, seed: int) -> NDArray[Any]:
     """Return measurements as `(samples, inputs)` in the code's precision."""
+    law = plan.law
     if given is None:
         noise = np.random.default_rng(seed).standard_normal((NOISE_SAMPLES, law.inputs))
-        return np.ascontiguousarray(noise * sizes(law)[0] * 2.0**23, law.dtype)
+        return np.ascontiguousarray(noise * plan.quiet * HALF_RANGE, law.dtype)
     y = signal_array("Frame", "measurements", given)
     if y.shape[0] != law.inputs or y.shape[1] == 0:
         raise InputError(f"Frame: measurements must be ({law.inputs}, n), got {y.shape}.")

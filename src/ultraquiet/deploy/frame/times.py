@@ -1,18 +1,17 @@
 """How long the parts of one frame take on a processor: instructions counted or modelled, at a stated clock."""
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ultraquiet._base.constraints import between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.c31 import cycles
-from ultraquiet.deploy.c_code.self_test import HALF_RANGE, sizes
+from ultraquiet.deploy.c_code.plan import GeneratedCode
+from ultraquiet.deploy.c_code.self_test import HALF_RANGE
 from ultraquiet.deploy.law.law import Law
-
-if TYPE_CHECKING:
-    from ultraquiet.deploy.deployment import Deployment
+from ultraquiet.deploy.toolchain.emulator import run_on_target
+from ultraquiet.deploy.toolchain.targets import target_named
 
 # 50 ns an instruction, section 4.2 of the paper.
 C31_CLOCK_HZ = 20e6
@@ -116,7 +115,7 @@ class FrameTimes:
     @classmethod
     def on_target(
         cls,
-        made: "Deployment",
+        made: GeneratedCode,
         target: str = "cortex-m7",
         *,
         clock_hz: float | None = None,
@@ -126,18 +125,15 @@ class FrameTimes:
 
         Args:
             made: what `generate` has returned.
-            target: `cortex-m7` or `cortex-m4f`.
+            target: name of an emulated processor, `cortex-m7` say.
             clock_hz: processor clock in Hz; that of a common part when absent.
             cycles_per_instruction: 1 without wait states and stalls.
 
         Raises:
             ToolError: the target's compiler or emulator is missing or refuses.
         """
-        from ultraquiet.deploy.toolchain.targets import target_named
-        from ultraquiet.deploy.verification.cortex_m import run_on_target
-
         law, chosen = made.law, target_named(target)
-        y = np.random.default_rng(0).standard_normal((law.inputs, COUNTED_STEPS)) * sizes(law)[1] * HALF_RANGE
+        y = np.random.default_rng(0).standard_normal((law.inputs, COUNTED_STEPS)) * made.plan.loud * HALF_RANGE
         live = run_on_target(law, made.folder, y, chosen, ramp=False)  # loud enough to meet limits
         y[:, 0] = np.nan  # in fault and out of its ramp after a few steps: the guards alone
         idle = run_on_target(law, made.folder, y, chosen)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag, solve_discrete_are
 
-from ultraquiet._base.constraints import FloatArray, one_of, real_array, same_rate
+from ultraquiet._base.constraints import FloatArray, real_array, same_rate
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.values.state_space import StateSpace
 
@@ -70,11 +70,10 @@ def wish(
         disturbance_v: d, what the sensors show without control, `(ny, n)` in volts at the law's rate.
 
     Raises:
-        InputError: another word, or a disturbance of another number of channels.
+        InputError: a disturbance of another number of channels.
     """
     if isinstance(asked, bool):
         return Wish(asked, "asked for" if asked else "not asked for")
-    one_of("deploy", "anti_windup", asked, ("auto",))
     rate_hz = float(controller.rate_hz or 0)
     poles = controller.poles()
     size = np.abs(poles)

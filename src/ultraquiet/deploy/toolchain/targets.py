@@ -1,65 +1,25 @@
-"""Processors that the code can be built for and run on by an emulator."""
+"""The table of processors: those of every family that has a folder here."""
 
-from dataclasses import dataclass
+import pkgutil
+from collections.abc import Iterable
+from importlib import import_module
 
 from ultraquiet._base.constraints import one_of
+from ultraquiet.deploy import toolchain
+from ultraquiet.deploy.toolchain.target import Family, Target
 
-COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"
-# At 2^10 ns an instruction the emulated SysTick of 25 MHz advances 25.6 ticks for each, so counts round exactly.
-TICKS = 25.6
-COUNTING = ("-icount", "shift=10", "-display", "none", "-serial", "none", "-monitor", "none")
-
-
-@dataclass(frozen=True)
-class Target:
-    """A processor: the compiler's flags, the emulator's machine, and the clock at which times are stated.
-
-    The clock is that of a common part with this core; a time is `instructions / clock_hz`, one instruction a cycle,
-    without wait states of the memory. `doubles` tells whether it computes in float64 itself or by a library.
-    """
-
-    name: str
-    title: str
-    flags: tuple[str, ...]
-    machine: str
-    clock_hz: float
-    part: str
-    doubles: bool
-
-    @property
-    def emulation(self) -> tuple[str, ...]:
-        """Arguments of the emulator."""
-        return ("-M", self.machine, *COUNTING)
-
-    @property
-    def key(self) -> str:
-        """Name as the tables spell it."""
-        return self.name.replace("-", "_")
-
-    def seconds(self, instructions: float) -> float:
-        """Return the time of so many instructions at one a cycle."""
-        return instructions / self.clock_hz
+# Whose figures the tables of every law show: the part that laws of this size are flown on.
+REFERENCE = "cortex-m7"
 
 
-CORTEX_M7 = Target(
-    "cortex-m7",
-    "Cortex-M7",
-    ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"),
-    "mps2-an500",
-    216e6,
-    "STM32F7, 216 MHz",
-    doubles=True,
-)
-CORTEX_M4F = Target(
-    "cortex-m4f",
-    "Cortex-M4F",
-    ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
-    "mps2-an386",
-    168e6,
-    "STM32F4, 168 MHz",
-    doubles=False,
-)
-TARGETS = {target.name: target for target in (CORTEX_M4F, CORTEX_M7)}
+def targets_in(folders: Iterable[str]) -> tuple[Target, ...]:
+    """Return the processors of every family in these folders, in the order of the families' names."""
+    found = sorted(module.name for module in pkgutil.iter_modules(folders) if module.ispkg)
+    tables = [import_module(f"{toolchain.__name__}.{name}.processors").TARGETS for name in found]
+    return tuple(target for table in tables for target in table)
+
+
+TARGETS: dict[str, Target] = {target.name: target for target in targets_in(toolchain.__path__)}
 
 
 def target_named(name: str) -> Target:
@@ -69,3 +29,22 @@ def target_named(name: str) -> Target:
     'mps2-an500'
     """
     return TARGETS[one_of("deploy", "target", name, tuple(TARGETS))]
+
+
+def reference_target() -> Target:
+    """Return the processor whose footprint and instructions stand in the tables of every law."""
+    return TARGETS[REFERENCE]
+
+
+def families() -> list[tuple[Family, list[Target]]]:
+    """Return each family of the table with its processors."""
+    members: dict[Family, list[Target]] = {}
+    for target in TARGETS.values():
+        members.setdefault(target.family, []).append(target)
+    return list(members.items())
+
+
+def missing_program() -> str | None:
+    """Return the name of a compiler or emulator of any family that is not installed, None when all are."""
+    absent = (family.missing_program() for family, _ in families())
+    return next((program for program in absent if program is not None), None)

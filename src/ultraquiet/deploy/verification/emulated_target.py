@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from ultraquiet.deploy.c_code.footprint import footprint_on
 from ultraquiet.deploy.law.law import Law, Rounded
-from ultraquiet.deploy.toolchain.targets import Target
-from ultraquiet.deploy.verification.cortex_m import Run, count_instructions, run_on_target
+from ultraquiet.deploy.toolchain.emulator import Run, count_instructions, run_on_target
+from ultraquiet.deploy.toolchain.target import Target
 
-# Emulated soft doubles take some hundred times as long as a unit's.
+# Emulated sums by a library take some hundred times as long as a unit's.
 STEPS, STEPS_IN_SOFTWARE = 100_000, 2_000
 
 
@@ -63,7 +63,7 @@ def try_on_target(law: Law, folder: Path, y: Rounded, expected: Rounded, target:
     Raises:
         ToolError: a program is missing, refuses, or ends early.
     """
-    limit = STEPS if target.doubles or law.precision == "float32" else STEPS_IN_SOFTWARE
+    limit = STEPS if law.precision in target.in_hardware else STEPS_IN_SOFTWARE
     steps = min(y.shape[1], limit)
     tested = count_instructions(law, folder, target)
     run = run_on_target(law, folder, y[:, :steps], target)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.c_code.render import FLAGS, constant, render
-from ultraquiet.deploy.c_code.self_test import HALF_RANGE, sizes
-from ultraquiet.deploy.law.law import Law
-from ultraquiet.deploy.toolchain.compiler import call, compile_c
+from ultraquiet.deploy.c_code.plan import GeneratedCode
+from ultraquiet.deploy.c_code.render import constant, render
+from ultraquiet.deploy.c_code.self_test import HALF_RANGE
+from ultraquiet.deploy.toolchain.compiler import FLAGS, call, compile_c
 
 STEPS = 10_000
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -22,12 +22,13 @@ class Fuzz:
     finding: str
 
 
-def fuzz_code(law: Law, folder: Path, cc: str, steps: int = STEPS, seed: int = 0) -> Fuzz:
+def fuzz_code(code: GeneratedCode, cc: str, steps: int = STEPS, seed: int = 0) -> Fuzz:
     """Run the folder's code with random bits at its entrances under the address and undefined-behaviour sanitizers.
 
     Raises:
         ToolError: the compiler has no sanitizers.
     """
+    law, folder = code.law, code.folder
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as held:
         work = Path(held)
         (work / "probe.c").write_text("int main(void) { return 0; }\n", encoding="utf-8")
@@ -42,7 +43,7 @@ def fuzz_code(law: Law, folder: Path, cc: str, steps: int = STEPS, seed: int = 0
             "name": law.name,
             "NAME": law.name.upper(),
             "limits": [[constant(v, law.precision) for v in row] for row in law.limits],
-            "loud": constant(min(sizes(law)[1] * HALF_RANGE, 1e30), "float64"),
+            "loud": constant(min(code.plan.loud * HALF_RANGE, 1e30), "float64"),
         }
         (work / "fuzz.c").write_text(render("fuzz.c.j2", context), encoding="utf-8")
         sources = ["fuzz.c", folder / f"{law.name}.c"]

@@ -12,14 +12,13 @@ import numpy as np
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
-from ultraquiet.deploy.c_code.render import FLAGS
-from ultraquiet.deploy.c_code.self_test import sizes
+from ultraquiet.deploy.c_code.plan import CodePlan, GeneratedCode
+from ultraquiet.deploy.c_code.self_test import HALF_RANGE
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.toolchain.compiler import call, compile_c
-from ultraquiet.deploy.toolchain.targets import TARGETS, target_named
+from ultraquiet.deploy.toolchain.compiler import FLAGS, call, compile_c
+from ultraquiet.deploy.toolchain.targets import target_named
 from ultraquiet.deploy.verification.bench_tones import OnBench
-from ultraquiet.deploy.verification.cortex_m import missing_tool
 from ultraquiet.deploy.verification.emulated_target import OnTarget, differing, try_on_target
 from ultraquiet.deploy.verification.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.verification.fuzz import Fuzz, fuzz_code
@@ -99,12 +98,11 @@ class Verification:
 
 
 def verify_code(
-    law: Law,
-    folder: Path,
+    generated: GeneratedCode,
     cc: str | None,
     steps: int = STEPS,
     seed: int = 0,
-    targets: Sequence[str] = tuple(TARGETS),
+    targets: Sequence[str] = (),
     fuzz_steps: int = FUZZ_STEPS,
 ) -> Verification:
     """Compile the folder's code, run `steps` samples through it and through the twin, and compare the bits.
@@ -117,13 +115,13 @@ def verify_code(
         target_named(name)
     if cc is None:
         return Verification(Status(StatusWord.NO_COMPILER, _NO_COMPILER), None, missing=(_NO_COMPILER,))
-    began = time.perf_counter()
+    law, folder, began = generated.law, generated.folder, time.perf_counter()
     try:
         library = Library(law, folder, cc)
         self_test = _self_test(law, folder, cc)
     except ToolError as refusal:
         return Verification(Status(StatusWord.NOT_COMPILED, str(refusal)), None, compiler=cc)
-    y = measurements(law, steps, seed)
+    y = measurements(generated.plan, steps, seed)
     code, twin = CompiledController(library, ramp=True), Twin(law)
     twin.enable()
     expected = twin.run(y)
@@ -131,7 +129,7 @@ def verify_code(
     ran, missing = _on_targets(law, folder, y, expected, targets)
     fuzz = None
     try:
-        fuzz = fuzz_code(law, folder, cc, fuzz_steps, seed) if fuzz_steps else None
+        fuzz = fuzz_code(generated, cc, fuzz_steps, seed) if fuzz_steps else None
     except ToolError as refusal:
         missing.append(str(refusal))
     exact = mismatches == 0 and self_test and all(each.bit_exact for each in ran)
@@ -146,26 +144,27 @@ def _on_targets(
     law: Law, folder: Path, y: Rounded, expected: Rounded, targets: Sequence[str]
 ) -> tuple[tuple[OnTarget, ...], list[str]]:
     """Return what each target said, and why others said nothing."""
-    wanted = [target_named(name) for name in targets]
     ran: list[OnTarget] = []
     missing: list[str] = []
-    if wanted and (absent := missing_tool()) is not None:
-        titles = " and ".join(target.title for target in wanted)
-        missing.append(f"'{absent}' is not installed, so nothing was run or counted on {titles}.")
-        wanted = []
-    for target in wanted:
+    without: dict[str, list[str]] = {}
+    for target in map(target_named, targets):
+        if (absent := target.family.missing_program()) is not None:
+            without.setdefault(absent, []).append(target.title)
+            continue
         try:
             ran.append(try_on_target(law, folder, y, expected, target))
         except ToolError as refusal:
             # An emulator that does not work is no finding about the code.
             missing.append(str(refusal))
+    for program, titles in without.items():
+        missing.append(f"'{program}' is not installed, so nothing was run or counted on {' and '.join(titles)}.")
     return tuple(ran), missing
 
 
-def measurements(law: Law, steps: int, seed: int) -> Rounded:
+def measurements(plan: CodePlan, steps: int, seed: int) -> Rounded:
     """Return noise `(ny, steps)`: nine tenths inside the limits with bursts beyond them, NaN near the end."""
     rng = np.random.default_rng(seed)
-    quiet, loud = (scale * 2.0**23 for scale in sizes(law))
+    law, quiet, loud = plan.law, plan.quiet * HALF_RANGE, plan.loud * HALF_RANGE
     y = rng.standard_normal((law.inputs, steps)) * quiet
     burst = (np.arange(steps) // 250) % 10 == 9
     y[:, burst] *= loud / quiet

@@ -1,6 +1,5 @@
-"""The code on an emulated Cortex-M: its self-test, its bits over a long run, and its instructions, counted exactly."""
+"""The code on an emulated processor: its self-test, its bits over a long run, and its instructions, counted exactly."""
 
-import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.errors import ToolError
-from ultraquiet.deploy.c_code.render import FLAGS
 from ultraquiet.deploy.law.law import Law, Rounded
-from ultraquiet.deploy.toolchain.compiler import call, compile_c
-from ultraquiet.deploy.toolchain.targets import COMPILER, CORTEX_M7, EMULATOR, TICKS, Target
+from ultraquiet.deploy.toolchain.compiler import FLAGS, call, compile_c
+from ultraquiet.deploy.toolchain.target import Target
+from ultraquiet.deploy.toolchain.targets import reference_target
 
 SECONDS = 300.0
-ASK_STEP, ASK_ENGAGE, ASK_START, ASK_DISABLE = range(4)  # the template's words for a frame
+ASK_STEP, ASK_ENGAGE, ASK_START, ASK_DISABLE = range(4)  # the harness's words for a frame
 FRAMES, REPLIES = "frames", "replies"
 SLACK = 128  # ticks: the compiler may put a few instructions more between the readings
 CALIBRATION = 1000  # single instructions between two readings of the clock
@@ -50,75 +49,54 @@ class Run:
         return self.output + self.update
 
 
-def missing_tool() -> str | None:
-    """Return the name of a program that is not installed, None when all are."""
-    return next((tool for tool in (COMPILER, EMULATOR) if shutil.which(tool) is None), None)
-
-
-def require_tools(target: Target) -> None:
-    """Refuse when the target's compiler or emulator is missing.
-
-    Raises:
-        ToolError: names the program.
-    """
-    absent = missing_tool()
-    if absent is not None:
-        raise ToolError(f"deploy: '{absent}' is not installed, so nothing was run or counted on a {target.title}.")
-
-
 def build(law: Law, folder: Path, work: Path, target: Target) -> Path:
     """Return the program for the target, built in `work` from the folder's files.
 
     Raises:
         ToolError: the compiler is missing or refuses.
     """
-    require_tools(target)
-    program = work / f"{target.key}.elf"
-    sources = [folder / f"{law.name}{part}.c" for part in ("", "_selftest", "_cortex")]
-    link = ("-nostdlib", "-nostartfiles", "-T", folder / f"{law.name}_cortex.ld")
-    compile_c([COMPILER, *FLAGS, *target.flags, *sources, *link, "-lgcc", "-o", program], folder)
+    target.require_programs()
+    program, family = work / f"{target.key}.elf", target.family
+    sources = [folder / f"{law.name}{part}.c" for part in ("", "_selftest", f"_{family.stem}")]
+    link = ("-nostdlib", "-nostartfiles", "-T", folder / f"{law.name}_{target.script}.ld")
+    compile_c([family.compiler, *FLAGS, *target.flags, *sources, *link, "-lgcc", "-o", program], folder)
     return program
 
 
-def emulation(target: Target, program: Path) -> list[str | Path]:
-    """Return the command that runs a program on the emulated target."""
-    semihosting = ("-semihosting-config", "enable=on,target=native")
-    return [EMULATOR, *target.emulation, *semihosting, "-kernel", program]
-
-
-def count_instructions(law: Law, folder: Path, target: Target = CORTEX_M7) -> Count:
+def count_instructions(law: Law, folder: Path, target: Target | None = None) -> Count:
     """Build the folder's code for the target, run its self-test there and count a step (the longest of 64).
 
     Raises:
         ToolError: a program is missing, refuses, or says nothing that can be read.
     """
+    target = target or reference_target()
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
         program = build(law, folder, Path(work), target)
-        told = call(emulation(target, program), Path(work), SECONDS)
-    return _read(told.stdout + told.stderr)
+        told = call(target.command(program), Path(work), SECONDS)
+    return _read(told.stdout + told.stderr, target.ticks)
 
 
-def run_on_target(law: Law, folder: Path, y: ArrayLike, target: Target = CORTEX_M7, ramp: bool = True) -> Run:
+def run_on_target(law: Law, folder: Path, y: ArrayLike, target: Target | None = None, ramp: bool = True) -> Run:
     """Return what the target commands for measurements `(ny, n)` from rest, and what each step costs it.
 
     Args:
         law: the law that `folder` holds the code of.
         folder: generated files.
         y: measurements in volts.
-        target: the processor.
+        target: the processor; the reference when absent.
         ramp: start with the ramp of a real start, else at full command.
 
     Raises:
         ToolError: a program is missing, refuses, or ends early.
     """
-    given = np.asarray(y, law.dtype)
+    target, given = target or reference_target(), np.asarray(y, law.dtype)
     frames = np.zeros(given.shape[1] + 1, frame_type(law))
     frames["ask"][0] = ASK_START if ramp else ASK_ENGAGE
     frames["y"][1:] = given.T
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
         program = build(law, folder, Path(work), target)
         frames.tofile(Path(work) / FRAMES)
-        told = call(emulation(target, program), Path(work), SECONDS)
+        told = call(target.command(program), Path(work), SECONDS)
         path = Path(work) / REPLIES
         held = path.read_bytes() if path.exists() else b""
     replies = np.frombuffer(held[: len(held) // reply_type(law).itemsize * reply_type(law).itemsize], reply_type(law))
@@ -126,7 +104,7 @@ def run_on_target(law: Law, folder: Path, y: ArrayLike, target: Target = CORTEX_
         words = " ".join((told.stdout + told.stderr).split())[:200]
         asked = frames.size - 1
         raise ToolError(f"deploy: the emulated {target.title} ended after {replies.size} of {asked} steps: {words!r}.")
-    return Run(replies["u"][1:].T, *instructions(replies[0], replies[1:]))
+    return Run(replies["u"][1:].T, *instructions(replies[0], replies[1:], target.ticks))
 
 
 def frame_type(law: Law) -> np.dtype[Any]:
@@ -139,26 +117,26 @@ def reply_type(law: Law) -> np.dtype[Any]:
     return np.dtype([("output", "<u4"), ("update", "<u4"), ("u", law.dtype, (law.outputs,))])
 
 
-def instructions(calibration: Any, replies: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def instructions(calibration: Any, replies: Any, ticks: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return instructions of each half of steps from ticks of the clock; the first reply to a start calibrates it."""
     empty = float(calibration["output"])
-    _require_clock(empty, float(calibration["update"]))
-    output, update = (np.rint((replies[half].astype(float) - empty) / TICKS) for half in ("output", "update"))
+    _require_clock(empty, float(calibration["update"]), ticks)
+    output, update = (np.rint((replies[half].astype(float) - empty) / ticks) for half in ("output", "update"))
     return output.astype(np.int64), update.astype(np.int64)
 
 
-def _read(words: str) -> Count:
+def _read(words: str, ticks: float) -> Count:
     pairs = [line.split() for line in words.splitlines()]
     held = {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2 and pair[1].isdigit()}
     if not {"empty", "thousand", "output", "update", "self-test"} <= held.keys():
         raise ToolError(f"deploy: the emulator's words make no sense: {' '.join(words.split())[:200]!r}.")
-    _require_clock(held["empty"], held["thousand"])
-    output, update = (round((held[key] - held["empty"]) / TICKS) for key in ("output", "update"))
+    _require_clock(held["empty"], held["thousand"], ticks)
+    output, update = (round((held[key] - held["empty"]) / ticks) for key in ("output", "update"))
     return Count(output, update, held["self-test"] == 0)
 
 
-def _require_clock(empty: float, thousand: float) -> None:
+def _require_clock(empty: float, thousand: float, ticks: float) -> None:
     """Refuse to count by a clock whose ticks an instruction are not what the counts are divided by."""
-    if abs(thousand - empty - CALIBRATION * TICKS) > SLACK:
-        ticks = (thousand - empty) / CALIBRATION
-        raise ToolError(f"deploy: the emulator's clock ticks {ticks:.3f} times an instruction, not {TICKS:g}.")
+    if abs(thousand - empty - CALIBRATION * ticks) > SLACK:
+        seen = (thousand - empty) / CALIBRATION
+        raise ToolError(f"deploy: the emulator's clock ticks {seen:.3f} times an instruction, not {ticks:g}.")

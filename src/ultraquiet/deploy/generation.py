@@ -1,0 +1,228 @@
+"""From a controller to a folder of C99 that proves itself."""
+
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import FloatArray, one_of
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.deploy.c31 import cycles
+from ultraquiet.deploy.c31.assembly import c31_files
+from ultraquiet.deploy.c_code import render
+from ultraquiet.deploy.c_code.footprint import footprint
+from ultraquiet.deploy.c_code.output_folder import require_ours, write_folder
+from ultraquiet.deploy.c_code.plan import plan_code
+from ultraquiet.deploy.deployment import Deployment
+from ultraquiet.deploy.law.anti_windup import wish
+from ultraquiet.deploy.law.coefficients import anti_windup_gain
+from ultraquiet.deploy.law.form_choice import Choice, choose, error_of, loop_radius
+from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, require_discrete, require_plant, rounded
+from ultraquiet.deploy.law.realisation import realisation
+from ultraquiet.deploy.options import C31Budget, CodeOptions, collected
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
+
+
+def generate(
+    controller: StateSpace,
+    folder: str | Path,
+    precision: str = "float32",
+    name: str = "controller",
+    limits_v: ArrayLike = 25.0,
+    *,
+    plant: StateSpace | None = None,
+    options: CodeOptions | None = None,
+    c31: C31Budget | None = None,
+    **settings: Any,
+) -> Deployment:
+    """Write a controller as C99 with its self-test and test vectors.
+
+    x+ = A x + B y + L (sat(u) - u), u = C x + D y, limited, ramped, guarded; the code needs no library.
+
+    Args:
+        controller: discrete law from measurements to commands, u = K y.
+        folder: where to write; appears whole or not at all, and replaces only what this function wrote.
+        precision: `float32` or `float64`, of coefficients, states and arithmetic.
+        name: prefix of every file and symbol.
+        limits_v: actuator limits in volts: a number, `(nu,)`, or `(nu, 2)` low and high.
+        plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.
+        options: how the law becomes code: form, anti-windup, ramp and more.
+        c31: what the law may take of a TMS320C31's frame.
+        settings: single fields of `CodeOptions` instead of `options`, and `budget_cycles`, `enforce_budget`,
+            `budget_share` instead of `c31`.
+
+    Returns:
+        A `Deployment`; its `status` warns of an unstable law or a large rounding error.
+
+    Raises:
+        InputError: a law in continuous time, a coefficient beyond the precision, an impossible budget, bad settings.
+        StorageError: the folder cannot be written or holds something else.
+
+    >>> import tempfile
+    >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
+    >>> made = generate(law, tempfile.mkdtemp() + "/code", limits_v=10.0)
+    >>> made.tables["form"], made.tables["states"], made.tables["bit_exact"]
+    ('modal', 2, None)
+    >>> generate(law, tempfile.mkdtemp() + "/code", form="delta").tables["form"]
+    'delta'
+    """
+    folder = Path(folder).absolute()
+    options, c31 = collected(options, c31, settings)
+    require_discrete(controller, name)
+    require_plant(plant)
+    maker = _maker(controller, precision, name, limits_v, plant, options)
+    require_ours(folder)
+    choice, why = maker.choice(c31)
+    if c31.binding:
+        cycles.require_fit(choice.law, c31.cycles, 1.0 if c31.share is None else c31.share)
+    plan = plan_code(choice.law, controller.hash)
+    files = render.sources(plan)
+    tables = _tables(choice, c31) | {"anti_windup_because": why} | footprint(plan.law, files)
+    files["vectors.csv"] = render.vectors(plan.law)
+    if "c31" in options.targets:
+        files |= c31_files(plan)
+    made = Deployment(plan, folder, tables, maker.status(choice), controller, plant)
+    write_folder(folder, files | made.documents())
+    return made
+
+
+@dataclass(frozen=True, eq=False)
+class _LawMaker:
+    """Rounds one controller to one precision, form by form, and judges what that does to it, or to its loop."""
+
+    controller: StateSpace
+    plant: StateSpace | None
+    options: CodeOptions
+    precision: str
+    name: str
+    limits: FloatArray
+    excitation: FloatArray | None
+    ramp_steps: int
+
+    def law(self, form: str, anti_windup: bool) -> tuple[Law, float]:
+        """Return the law in a form, and the condition number of its eigenvectors."""
+        parts = realisation(self.controller, form)
+        law = rounded(
+            parts,
+            anti_windup_gain(parts) if anti_windup else None,
+            self.limits,
+            self.precision,
+            rate_hz=float(self.controller.rate_hz or 0),
+            order=self.controller.states,
+            name=self.name,
+            ramp_steps=self.ramp_steps,
+            excitation=self.excitation,
+            overrun_limit=self.options.overrun_limit,
+        )
+        return law, parts.condition
+
+    def choice(self, c31: C31Budget) -> tuple[Choice, str]:
+        """Return the law to generate and why it has anti-windup or not: not where `auto` finds no room for it."""
+        asked = self.options.anti_windup
+        wanted = wish(asked, self.controller, self.limits, self.plant, self.options.disturbance_v)
+        if not wanted.on:
+            return self._of_form(anti_windup=False), f"off: {wanted.why}"
+        room = c31.allowed if asked == "auto" else np.inf
+        try:
+            choice = self._of_form(anti_windup=True)
+        except NumericalError as refusal:
+            if np.isinf(room):
+                raise
+            return self._of_form(anti_windup=False), f"off: {wanted.why}, but {refusal}"
+        need = cycles.cycles(choice.law)
+        if need > room:
+            off = f"off: {wanted.why}, but {need} C31 instructions do not fit the {room:g} allowed"
+            return self._of_form(anti_windup=False), off
+        return choice, f"on: {wanted.why}"
+
+    def _of_form(self, anti_windup: bool) -> Choice:
+        controller, plant, form = self.controller, self.plant, self.options.form
+        make = partial(self.law, anti_windup=anti_windup)
+        if form == "auto":
+            return choose(controller, make, cycles.cycles, plant, self.options.tolerance)
+        law, condition = make(form)
+        error = error_of(law.state_space(), controller, plant)
+        return Choice(law, error, {form: error}, condition)
+
+    def status(self, choice: Choice) -> Status:
+        """Return a sentence on the law: a loop or a law that is not stable, a large rounding error."""
+        controller, plant, law = self.controller, self.plant, choice.law
+        if plant is not None and (radius := loop_radius(plant, controller)) >= 1.0:
+            return Status(
+                StatusWord.UNSTABLE,
+                f"The loop of this plant and the controller as designed has a pole at {radius:.6f}.",
+            )
+        if not controller.is_stable():
+            return Status(
+                StatusWord.UNSTABLE, "The controller itself is unstable: it runs to its limits whenever the loop opens."
+            )
+        if not law.state_space().is_stable():
+            return Status(
+                StatusWord.UNSTABLE,
+                f"The controller is stable, its {law.precision} coefficients are not; take form='delta' or float64.",
+            )
+        if not np.isfinite(choice.error):
+            return Status(
+                StatusWord.UNSTABLE,
+                f"The loop is stable with the controller, not with its {law.precision} coefficients.",
+            )
+        more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
+        what = "the response" if plant is None else "the loop's sensitivity"
+        word = "ok" if choice.error <= self.options.tolerance else "inexact"
+        sentence = (
+            f"Rounding to {law.precision} in {law.form} form{more} changes {what} by {choice.error:.1e} of its size."
+        )
+        return Status(word, sentence)
+
+
+def _maker(
+    controller: StateSpace,
+    precision: str,
+    name: str,
+    limits_v: ArrayLike,
+    plant: StateSpace | None,
+    options: CodeOptions,
+) -> _LawMaker:
+    one_of("deploy", "precision", precision, tuple(DTYPES))
+    limits = actuator_limits(limits_v, controller.D.shape[0])
+    given = options.excitation_v
+    excitation = None if given is None else actuator_limits(given, len(limits), "excitation_v")
+    steps = options.ramp_steps(float(controller.rate_hz or 0))
+    return _LawMaker(controller, plant, options, precision, name, limits, excitation, steps)
+
+
+def _tables(choice: Choice, c31: C31Budget) -> dict[str, Any]:
+    law = choice.law
+    used = cycles.cycles(law)
+    kernel = cycles.kernel_of(law)
+    anti_windup = law.L is not None
+    return {
+        "states": law.order,
+        "form": law.form,
+        "precision": law.precision,
+        "anti_windup": anti_windup,
+        "c31_cycles": used,
+        "c31_kernel_cycles": kernel,
+        "c31_output_cycles": cycles.output_cycles(law),
+        "c31_budget": c31.cycles,
+        "c31_budget_share": used / c31.cycles,
+        "c31_fits_the_model": used <= c31.cycles,
+        "c31_words": cycles.words(law),
+        "c31_internal_words": cycles.INTERNAL_WORDS,
+        "c31_largest_order": cycles.largest_order(law.form, c31.cycles, law.inputs, law.outputs, **cycles.shape(law)),
+        "cortex_m7_instructions": None,
+        "coefficients": law.coefficients,
+        "response_error": _finite(choice.error),
+        "forms_tried": {form: _finite(error) for form, error in choice.tried.items()},
+        "eigenvector_condition": _finite(choice.condition),
+        "bit_exact": None,
+    }
+
+
+def _finite(value: float) -> float | None:
+    """Return the number, or None for an infinite one, which JSON cannot hold."""
+    return value if np.isfinite(value) else None

@@ -1,0 +1,140 @@
+"""What `generate` may be asked for: how the code is made, and how much of a TMS320C31's frame it may take."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from ultraquiet._base.constraints import between, one_of, positive, whole
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy.c31.cycles import BUDGET_CYCLES
+from ultraquiet.deploy.law.form_choice import TOLERANCE
+from ultraquiet.deploy.law.law import OVERRUN_LIMIT
+from ultraquiet.deploy.law.realisation import FORMS
+
+RAMP_S = 0.5  # ten periods of the slowest isolated tone pass in 2 s; a quarter of that keeps the start below it
+MAX_STEPS = 2**24  # beyond it float32 no longer counts every step
+TARGET_CODES = ("c99", "c31")
+
+
+@dataclass(frozen=True, eq=False)
+class CodeOptions:
+    """How a law becomes code.
+
+    Args:
+        form: `modal`, `delta`, `bank`, `bank-delta`, `schur`, `dense`, or `auto`: the cheapest whose rounded response
+            is within `tolerance`.
+        anti_windup: correct the state by what the limits took away; `auto` when the law has an unstable pole or one
+            below 1 Hz, or its commands meet a limit under `disturbance_v`, and the budget allows.
+        disturbance_v: design disturbance for `auto`, what the sensors show without control, `(ny, n)` volts.
+        excitation_v: limits of what may be added to the commands, like the actuators'; a tenth of those when absent.
+        overrun_limit: overruns in a row that latch a fault and ramp the command out.
+        ramp_s: seconds from zero to full command, and back.
+        tolerance: largest relative error that `auto` accepts.
+        targets: `c99` alone, or with `c31` for TMS320C31 assembly of a modal or delta law beside it.
+
+    Raises:
+        InputError: the setting and what it may be.
+
+    >>> CodeOptions(form="modal", ramp_s=1.0).targets
+    ('c99',)
+    """
+
+    form: str = "auto"
+    anti_windup: bool | str = False
+    disturbance_v: ArrayLike | None = None
+    excitation_v: ArrayLike | None = None
+    overrun_limit: int = OVERRUN_LIMIT
+    ramp_s: float = RAMP_S
+    tolerance: float = TOLERANCE
+    targets: Sequence[str] = ("c99",)
+
+    def __post_init__(self) -> None:
+        one_of("deploy", "form", self.form, ("auto", *FORMS))
+        if isinstance(self.targets, str) or not isinstance(self.targets, Sequence) or "c99" not in self.targets:
+            raise InputError(f"deploy: 'targets' must list 'c99' and may list 'c31', got {self.targets!r}.")
+        for target in self.targets:
+            one_of("deploy", "targets", target, TARGET_CODES)
+        between("deploy", "tolerance", self.tolerance, 0.0, 1.0)
+        positive("deploy", "ramp_s", self.ramp_s, "s")
+        whole("deploy", "overrun_limit", self.overrun_limit, 1, MAX_STEPS)
+        if not isinstance(self.anti_windup, bool):
+            one_of("deploy", "anti_windup", self.anti_windup, ("auto",))
+
+    def ramp_steps(self, rate_hz: float) -> int:
+        """Return the ramp in samples.
+
+        Raises:
+            InputError: less than one sample, or more than float32 counts.
+        """
+        return whole("deploy", "ramp_s in samples", round(self.ramp_s * rate_hz), 1, MAX_STEPS)
+
+
+@dataclass(frozen=True)
+class C31Budget:
+    """Instructions of a TMS320C31's frame that a law may take.
+
+    Args:
+        cycles: instructions a frame may take.
+        enforce: refuse a law that does not fit.
+        share: refuse a law that takes more than this share of `cycles`, 0 to 1.
+
+    Raises:
+        InputError: an impossible budget or share.
+
+    >>> C31Budget(share=0.5).allowed
+    1400.0
+    """
+
+    cycles: int = BUDGET_CYCLES
+    enforce: bool = False
+    share: float | None = None
+
+    def __post_init__(self) -> None:
+        whole("deploy", "budget_cycles", self.cycles, 1)
+        if self.share is not None:
+            between("deploy", "budget_share", self.share, 0.0, 1.0)
+
+    @property
+    def binding(self) -> bool:
+        """True when a law that takes more is refused."""
+        return self.enforce or self.share is not None
+
+    @property
+    def allowed(self) -> float:
+        """Instructions that the law may take."""
+        return self.cycles * (1.0 if self.share is None else self.share)
+
+
+# Settings of `generate` that stand in the budget, by the names it takes them under.
+BUDGET_NAMES = {"budget_cycles": "cycles", "enforce_budget": "enforce", "budget_share": "share"}
+
+
+def collected(
+    options: CodeOptions | None, c31: C31Budget | None, settings: Mapping[str, Any]
+) -> tuple[CodeOptions, C31Budget]:
+    """Return options and budget, either as they are or made of single settings.
+
+    Raises:
+        InputError: a setting that is none, or one given beside the object that holds it.
+    """
+    own = [field.name for field in fields(CodeOptions)]
+    unknown = sorted(set(settings) - {*own, *BUDGET_NAMES})
+    if unknown:
+        names = ", ".join(map(repr, unknown))
+        raise InputError(f"deploy: there is no setting {names}; there are {', '.join([*own, *BUDGET_NAMES])}.")
+    of_code = {name: settings[name] for name in own if name in settings}
+    of_budget = {name: settings[name] for name in BUDGET_NAMES if name in settings}
+    _alone("options", options, CodeOptions, of_code)
+    _alone("c31", c31, C31Budget, of_budget)
+    budget = {BUDGET_NAMES[name]: value for name, value in of_budget.items()}
+    return options or CodeOptions(**of_code), c31 or C31Budget(**budget)
+
+
+def _alone(name: str, value: object, kind: type[Any], settings: Mapping[str, Any]) -> None:
+    """Refuse an object of another kind, and one that stands beside single settings."""
+    if value is not None and not isinstance(value, kind):
+        raise InputError(f"deploy: '{name}' must be {kind.__name__}, got {type(value).__name__}.")
+    if value is not None and settings:
+        raise InputError(f"deploy: give '{name}' or single settings ({', '.join(settings)}), not both.")
