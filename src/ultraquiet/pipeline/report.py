@@ -1,16 +1,14 @@
 """The report of a study: its stages as sections."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ultraquiet._base.provenance import versions
 from ultraquiet.pipeline import report_limits, report_loops, report_models
+from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Report
 
-if TYPE_CHECKING:
-    from ultraquiet.pipeline.walk import Done
 
-
-def report(done: "Done", summary: dict[str, Any]) -> Report:
+def report(done: StudyResult, summary: dict[str, Any]) -> Report:
     """Return the report of a finished study."""
     bench = done.study.bench
     facts = [

@@ -1,20 +1,18 @@
 """What the report says of limits."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Section, Table
-
-if TYPE_CHECKING:
-    from ultraquiet.pipeline.walk import Done
 
 # A difference between two bands that is worth a sentence.
 MARKED_DB = 3.0
 
 
-def limits(done: "Done") -> Section:
+def limits(done: StudyResult) -> Section:
     """What no linear controller can reach on the identified plant, and what each design leaves of it."""
     facts = done.bounds.facts
     columns = (

@@ -1,16 +1,14 @@
 """What the report says of controllers, loops and code."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, paper
 from ultraquiet.report import Section, Table
-
-if TYPE_CHECKING:
-    from ultraquiet.pipeline.walk import Done
 
 PAPER_SAYS = "33 dB at 5 Hz, 12 dB (abstract) or 13 dB (text) at 25 Hz, nothing satisfactory at 100 Hz (section 4.2)"
 # A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
@@ -19,7 +17,7 @@ IDLE = 1e-3
 DRAWN_ABOVE_DB = 1.0
 
 
-def design(done: "Done") -> Section:
+def design(done: StudyResult) -> Section:
     """Each controller on the design model."""
     rows, words = [], []
     for name, outcome in done.designs.items():
@@ -47,7 +45,7 @@ def _remarks(facts: Mapping[str, Any]) -> list[str]:
     return remarks
 
 
-def closed_loop(done: "Done") -> Section:
+def closed_loop(done: StudyResult) -> Section:
     """Each loop on the bench of every unit."""
     settings = done.study.closed_loop
     low, high = settings.band_hz
@@ -67,7 +65,7 @@ def closed_loop(done: "Done") -> Section:
     return Section("Closed loop", text, [table], [*figures, *_time_responses(done)])
 
 
-def _loop_rows(done: "Done") -> list[tuple[object, ...]]:
+def _loop_rows(done: StudyResult) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for name, outcome in done.loops.items():
         for unit, facts in outcome.facts.items():
@@ -80,7 +78,7 @@ def _loop_rows(done: "Done") -> list[tuple[object, ...]]:
     return [*_idle_rows(done), *rows]
 
 
-def _idle_rows(done: "Done") -> list[tuple[object, ...]]:
+def _idle_rows(done: StudyResult) -> list[tuple[object, ...]]:
     """Return one row a unit of what the paper's number is without any control."""
     rows: dict[str, tuple[object, ...]] = {}
     for outcome in done.loops.values():
@@ -92,7 +90,7 @@ def _idle_rows(done: "Done") -> list[tuple[object, ...]]:
     return list(rows.values())
 
 
-def _noise_limits(done: "Done") -> list[str]:
+def _noise_limits(done: StudyResult) -> list[str]:
     """Say at which tones noise hides more than a controller may have reached."""
     for outcome in done.loops.values():
         for facts in outcome.facts.values():
@@ -105,7 +103,7 @@ def _noise_limits(done: "Done") -> list[str]:
     return []
 
 
-def _curves(done: "Done") -> dict[str, tuple[FloatArray, FloatArray]]:
+def _curves(done: StudyResult) -> dict[str, tuple[FloatArray, FloatArray]]:
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
     unit = done.study.closed_loop.units[0]
     for name, outcome in done.loops.items():
@@ -116,7 +114,7 @@ def _curves(done: "Done") -> dict[str, tuple[FloatArray, FloatArray]]:
     return curves
 
 
-def _time_responses(done: "Done") -> list[Figure]:
+def _time_responses(done: StudyResult) -> list[Figure]:
     figures: list[Figure] = []
     unit = done.study.closed_loop.units[0]
     for name, outcome in done.loops.items():
@@ -130,7 +128,7 @@ def _time_responses(done: "Done") -> list[Figure]:
     return figures
 
 
-def code(done: "Done") -> Section:
+def code(done: StudyResult) -> Section:
     """The generated code of each controller."""
     keys = ("states", "form", "c31_cycles", "c31_budget", "flash_bytes", "ram_bytes", "bit_exact")
     rows = [(name, *(str(t.get(k, "-")) for k in keys)) for name, t in done.deployment.items()]

@@ -1,17 +1,15 @@
 """What the report says of records and models."""
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.validation import SHOWN_HZ
 from ultraquiet.plot import Figure, paper
 from ultraquiet.report import Section, Table
 from ultraquiet.spectra import psd
-
-if TYPE_CHECKING:
-    from ultraquiet.pipeline.walk import Done
 
 SHOWN_SIGNALS = ("chirp", "noise", "prbs")
 # Strut 2 is the one whose functions the paper prints, eqs. (11) and (12).
@@ -22,7 +20,7 @@ AT_DC_HZ = 0.1
 LOW_HZ = 50.0
 
 
-def excitation(done: "Done") -> Section:
+def excitation(done: StudyResult) -> Section:
     """Test signals, and the responses to one of them."""
     shown = {}
     for name in SHOWN_SIGNALS:
@@ -38,7 +36,7 @@ def excitation(done: "Done") -> Section:
     return Section("Excitation", [f"Records in which a sensor stood at its limits: {words}."], figures=figures)
 
 
-def identification(done: "Done") -> Section:
+def identification(done: StudyResult) -> Section:
     """The ranking of structures and orders, the paper's structure, the plant for design."""
     facts, settings = done.identified.facts, done.study.identify
     best, plant = facts["preferred"], done.plant.facts
@@ -94,7 +92,7 @@ def _by_signal(fits: Mapping[str, Mapping[str, Any]]) -> list[tuple[object, ...]
     ]
 
 
-def _shown_models(done: "Done") -> dict[str, Any]:
+def _shown_models(done: StudyResult) -> dict[str, Any]:
     first = done.study.identify.paper_records[0]
     return {
         "design plant": done.plant.values["plant"],
@@ -103,7 +101,7 @@ def _shown_models(done: "Done") -> dict[str, Any]:
     }
 
 
-def validation(done: "Done") -> Section:
+def validation(done: StudyResult) -> Section:
     """The paper's step, sine and Bode comparisons, and the bench's own response where there is one."""
     facts = done.validated.facts
     names = done.study.identify.paper_records
@@ -125,7 +123,7 @@ def validation(done: "Done") -> Section:
     return Section("Validation", [sentence], tables, figures)
 
 
-def _time_figures(done: "Done", models: tuple[str, ...]) -> list[Figure]:
+def _time_figures(done: StudyResult, models: tuple[str, ...]) -> list[Figure]:
     figures: list[Figure] = []
     for name, draw in (("step", paper.step_response), ("tone", paper.sine_response)):
         held = done.validated.values.get(f"simulated-{name}")
@@ -151,7 +149,7 @@ def _fit(percent: float | None) -> str:
     return "unstable" if percent is None or not np.isfinite(percent) else f"{percent:.1f}"
 
 
-def analysis(done: "Done") -> Section:
+def analysis(done: StudyResult) -> Section:
     """Singular values, poles, zeros, symmetry."""
     facts = done.analysed.facts
     f = np.array(facts["f_hz"])

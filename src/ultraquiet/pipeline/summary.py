@@ -2,15 +2,13 @@
 
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ultraquiet._base.provenance import plain, versions
-
-if TYPE_CHECKING:
-    from ultraquiet.pipeline.walk import Done
+from ultraquiet.pipeline.result import StudyResult
 
 
-def summarise(done: "Done") -> dict[str, Any]:
+def summarise(done: StudyResult) -> dict[str, Any]:
     """Return the summary: identification, design, closed loop, deployment, limits, versions and seed."""
     return {
         "title": done.study.study.title,
@@ -30,7 +28,7 @@ def summarise(done: "Done") -> dict[str, Any]:
     }
 
 
-def _mean_log(done: "Done") -> dict[str, dict[str, float]]:
+def _mean_log(done: StudyResult) -> dict[str, dict[str, float]]:
     """Return Bode's integral of every loop as the bench shows it, by controller and unit."""
     return {
         name: {unit: facts["mean_log_sensitivity_db"] for unit, facts in outcome.facts.items() if facts["stable"]}

@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,29 +15,13 @@ from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.files import write_bytes
 from ultraquiet.pipeline import control, identification, limits, preflight, report, study, summary, validation
 from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import write
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 PACKAGED_LISTS = ("suite",)
 STUDY_FILE = "study.json"
 Say = Callable[[str], object]
-
-
-@dataclass(frozen=True)
-class Done:
-    """Everything a study knows when it is through; what report and summary are written from."""
-
-    study: study.Study
-    bench: Any
-    records: Mapping[str, Record]
-    identified: Outcome
-    plant: Outcome
-    validated: Outcome
-    analysed: Outcome
-    designs: Mapping[str, Outcome]
-    loops: Mapping[str, Outcome]
-    deployment: Mapping[str, Mapping[str, Any]]
-    bounds: Outcome
 
 
 def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> dict[str, Any]:
@@ -87,7 +71,7 @@ def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.St
     return experiments.run(listed, place, bench, resume=True, repeat=every)
 
 
-def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[str, Record], say: Say) -> Done:
+def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[str, Record], say: Say) -> StudyResult:
     marks = {name: record.hash for name, record in records.items()}
     found = cache.stage(
         "identify", "models", [marks, settings.identify], partial(identification.identified, records, settings.identify)
@@ -141,7 +125,7 @@ def _stages(settings: study.Study, cache: Cache, bench: Any, records: Mapping[st
     limits_key = [system.hash, band_hz, {name: law.hash for name, law in laws.items()}]
     bounded = cache.stage("limits", "models", limits_key, partial(limits.bounded, system, laws, band_hz))
     say(f"limits: {bounded.facts['bands'][-1]['status']}")
-    return Done(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment, bounded)
+    return StudyResult(settings, bench, records, found, plant, validated, analysed, designs, loops, deployment, bounded)
 
 
 def _closed(name: str, law: StateSpace, plant: StateSpace, bench: Any, settings: study.Study, adapts: bool) -> Outcome:
