@@ -34,7 +34,7 @@ def laws(plant: uq.StateSpace) -> Iterator[tuple[str, uq.StateSpace, bool]]:
             started = time.perf_counter()
             found = designed(name, plant, version)
             law = found.values.get(name)
-            print(f"# {name}: {found.facts['status']} {time.perf_counter() - started:.0f} s", flush=True)
+            print(f"# {name}: {found.facts.status} {time.perf_counter() - started:.0f} s", flush=True)
             if isinstance(law, uq.StateSpace):
                 yield name, law, version.reduce is not None
 

@@ -88,7 +88,7 @@ def test_noise_makes_no_poles(seed, rng):
     f = np.concatenate([np.arange(3, 130, 0.5), np.geomspace(130, 1700, 300)])
     T = np.moveaxis(truth.frequency_response(f), 2, 0)
     error = np.linalg.norm(np.linalg.solve(T, np.moveaxis(G.frequency_response(f), 2, 0) - T), 2, axis=(1, 2))
-    print(f"order {found.facts['order']}, {G.states} states; worst direction off by {error.max():.1%} over 3-1700 Hz")
+    print(f"order {found.facts.order}, {G.states} states; worst direction off by {error.max():.1%} over 3-1700 Hz")
     assert G.is_stable()
     assert error.max() < 0.25
     assert np.median(error) < 0.03

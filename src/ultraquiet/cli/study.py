@@ -1,12 +1,20 @@
 """`ultraquiet demo`, `run` and `report`: whole studies."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ultraquiet._base.constraints import whole
 from ultraquiet.cli.progress import bars
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ultraquiet.pipeline import Study
+    from ultraquiet.pipeline.summary import Summary
+
+TONES_HZ = ("5", "25", "100")  # of the paper
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
@@ -48,12 +56,11 @@ def report(
     _walk(reload_study(folder), folder, folder)
 
 
-def _walk(study: object, folder: Path, beside: Path | None) -> None:
+def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
     from rich.console import Console
 
-    from ultraquiet.pipeline import Study, walk
+    from ultraquiet.pipeline import walk
 
-    assert isinstance(study, Study)
     with bars() as console:
         summary = walk(study, folder, beside=beside, say=console.print)
     show = Console()
@@ -61,20 +68,22 @@ def _walk(study: object, folder: Path, beside: Path | None) -> None:
     show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
 
 
-def _table(summary: dict[str, Any]) -> object:
+def _table(summary: "Summary") -> "Table":
     from rich.table import Table
+
+    from ultraquiet.pipeline.facts.loops import UnstableLoop
 
     table = Table(title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
     table.add_column("controller", no_wrap=True)
-    for head in ("unit", "states", "5 Hz", "25 Hz", "100 Hz", "band", "peak"):
+    for head in ("unit", "states", *(f"{f} Hz" for f in TONES_HZ), "band", "peak"):
         table.add_column(head, no_wrap=True, justify="left" if head == "unit" else "right")
-    for name, units in summary["closed_loop"].items():
-        for unit, result in units.items():
-            states = str(summary["design"][name]["states"])
-            if not result["stable"]:
+    for name, units in summary.closed_loop.items():
+        states = str(summary.design[name].states)
+        for unit, loop in units.items():
+            if isinstance(loop, UnstableLoop):
                 table.add_row(name, unit, states, "[red]unstable")
                 continue
-            tones = [result["tones"].get(f, {}).get("reduction_db") for f in ("5", "25", "100")]
-            numbers = [*tones, result["worst_direction_band_db"], result["peak_amplification_db"]]
-            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in numbers))
+            tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in TONES_HZ]
+            figures = [*tones, loop.worst_direction_band_db, loop.peak_amplification_db]
+            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
     return table

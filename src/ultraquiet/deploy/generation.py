@@ -172,7 +172,7 @@ class _LawMaker:
             )
         more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
         what = "the response" if plant is None else "the loop's sensitivity"
-        word = "ok" if choice.error <= self.options.tolerance else "inexact"
+        word = StatusWord.OK if choice.error <= self.options.tolerance else StatusWord.INEXACT
         sentence = (
             f"Rounding to {law.precision} in {law.form} form{more} changes {what} by {choice.error:.1e} of its size."
         )

@@ -6,11 +6,21 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """How near a loop comes to its target L_t at one end: sigma(L - L_t) over `f_hz`, and the same over sigma(L_t)."""
+
+    at: str
+    f_hz: FloatArray
+    error: FloatArray
+    relative_error: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +53,22 @@ class DesignResult:
     details: Mapping[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     law: Controller | None = None
+
+    @property
+    def weights(self) -> Mapping[str, StateSpace] | None:
+        """The weights that the cost was formed with, for a reduction to be judged by; None for a method without."""
+        return self.details.get("weights")
+
+    @property
+    def norm_without_control(self) -> float | None:
+        """The cost of doing nothing, where the method computes it."""
+        return self.details.get("norm_without_control")
+
+    @property
+    def recovery(self) -> Recovery | None:
+        """What loop transfer recovery came to, where the method recovers a loop."""
+        table = self.details.get("recovery")
+        return None if table is None else Recovery(**table)
 
 
 class DesignMethod(Protocol):

@@ -7,78 +7,89 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from ultraquiet._base.errors import StorageError, UltraquietError
-from ultraquiet._base.provenance import content_hash, plain, versions
+from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet.files import archive, write_bytes
 from ultraquiet.files.names import inside
+from ultraquiet.pipeline.facts.typed import from_plain, to_plain
 
 STAGES = "stages"
 PACKAGE = Path(__file__).parents[1]
 CODE = (".py", ".toml", ".j2")
 
+Facts = TypeVar("Facts")
+
 
 @dataclass(frozen=True)
-class Outcome:
-    """What a stage leaves: values by name, facts as JSON's types, and whether it was reused."""
+class Outcome(Generic[Facts]):
+    """What a stage leaves: its facts, and values by the names of their files (`stored.py`)."""
 
+    facts: Facts
     values: Mapping[str, Any] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    reused: bool = False
 
 
 @dataclass(frozen=True)
 class Cache:
-    """The folder of a study. `fresh` stages compute; the others are read back."""
+    """The folder of a study: stages that are there with the same key are read back, the others computed."""
 
     folder: Path
 
     def stage(
-        self, name: str, room: str, key: Any, compute: Callable[[], Outcome], needs: Path | None = None
-    ) -> Outcome:
+        self,
+        name: str,
+        room: str,
+        key: Any,
+        kind: Any,
+        compute: Callable[[], Outcome[Facts]],
+        needs: Path | None = None,
+    ) -> Outcome[Facts]:
         """Return the stage's outcome, computed unless a finished one with the same key is there.
 
         Args:
             name: of the stage; its facts go to `stages/NAME.json`.
             room: sub-folder of its values (`records`, `models`, ...).
             key: everything the outcome depends on; versions of the libraries and this package's code are added.
+            kind: type of the facts, perhaps a union; a stage whose file holds another shape is computed again.
             compute: called when there is nothing to reuse.
             needs: something the stage wrote beside its values; when it is gone the stage is computed again.
         """
-        mark = content_hash(key, versions(), _code())
-        found = self._read(name, mark) if needs is None or needs.exists() else None
-        if found is not None:
-            return found
+        digest = content_hash(key, versions(), _code())
+        kept = self._read(name, digest, kind) if needs is None or needs.exists() else None
+        if kept is not None:
+            return kept
         started = time.perf_counter()
         outcome = compute()
-        self._write(name, room, mark, outcome, time.perf_counter() - started)
-        return Outcome(outcome.values, json.loads(json.dumps(outcome.facts, default=plain)))
+        self._write(name, room, digest, outcome, time.perf_counter() - started)
+        return outcome
 
-    def _facts(self, name: str) -> Path:
+    def _path(self, name: str) -> Path:
         return self.folder / STAGES / f"{name}.json"
 
-    def _read(self, name: str, mark: str) -> Outcome | None:
+    def _read(self, name: str, digest: str, kind: Any) -> Outcome[Facts] | None:
         try:
-            held = json.loads(self._facts(name).read_text(encoding="utf-8"))
-            if held["key"] != mark:
+            content = json.loads(self._path(name).read_text(encoding="utf-8"))
+            if content["key"] != digest:
                 return None
-            paths = {key: PurePosixPath(path).parts for key, path in held["values"].items()}
+            facts = from_plain(kind, content["facts"])
+            paths = {key: PurePosixPath(path).parts for key, path in content["values"].items()}
             values = {key: archive.load(inside("study", self.folder, *parts)) for key, parts in paths.items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError, UltraquietError):
             return None  # a stage that cannot be read back is computed again
-        return Outcome(values, held["facts"], reused=True)
+        return Outcome(facts, values)
 
-    def _write(self, name: str, room: str, mark: str, outcome: Outcome, seconds: float) -> None:
+    def _write(self, name: str, room: str, digest: str, outcome: Outcome[Any], seconds: float) -> None:
         paths: dict[str, str] = {}
         try:
             (self.folder / room).mkdir(parents=True, exist_ok=True)
-            self._facts(name).parent.mkdir(parents=True, exist_ok=True)
+            self._path(name).parent.mkdir(parents=True, exist_ok=True)
             for key, value in outcome.values.items():
                 paths[key] = f"{room}/{key}.h5"
                 archive.save(value, self.folder / paths[key])
-            held = {"key": mark, "seconds": round(seconds, 3), "values": paths, "facts": outcome.facts}
-            write_bytes(self._facts(name), json.dumps(held, indent=1, default=plain).encode())
+            facts = to_plain(outcome.facts)
+            content = {"key": digest, "seconds": round(seconds, 3), "values": paths, "facts": facts}
+            write_bytes(self._path(name), json.dumps(content, indent=1).encode())
         except OSError as error:
             raise StorageError(
                 f"study: stage '{name}' could not be written under '{self.folder}' ({error}); earlier stages are kept."

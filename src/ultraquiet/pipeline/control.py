@@ -1,59 +1,85 @@
 """The stages that make controllers, put them on the bench and turn them into code."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ultraquiet import simulate
+from ultraquiet import analyse, simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
+from ultraquiet.design import DesignResult
 from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.loops import (
+    DeploymentFacts,
+    DesignFacts,
+    GeneratedCode,
+    LoopFacts,
+    LoopMargins,
+    NoCode,
+    RecoveryFacts,
+    Reduction,
+    StableLoop,
+    ToneFacts,
+    UnstableLoop,
+)
 from ultraquiet.pipeline.preflight import as_unit
 from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
-# The bands that every summary reports, whatever band the study asks for.
-BROADBAND_HZ = ((5.0, 100.0), (10.0, 60.0))
 # What a study compares of every controller's code, here and on an emulated Cortex-M7; `ultraquiet deploy` takes more
 # steps, the Cortex-M4F and random bits besides.
 COMPARED_STEPS, TARGETS = 5_000, ("cortex-m7",)
 
 
-def designed(name: str, plant: StateSpace, settings: Design) -> Outcome:
+def designed(name: str, plant: StateSpace, settings: Design) -> Outcome[DesignFacts]:
     """Design one controller from the identified plant, and reduce it when the study says so."""
     with task(f"design {name}", 1 + (settings.reduce is not None)) as progress:
         result = settings.design.make("design").design(plant)
-        facts: dict[str, Any] = {
-            "method": settings.design.method,
-            "status": str(result.status),
-            "ok": result.status.ok,
-            "gamma": result.gamma,
-            "achieved": result.achieved,
-            "peak_sensitivity_db": result.peak_sensitivity_db,
-            "margins": _plain(result.margins),
-            "residuals": _plain(result.residuals),
-            "details": _plain(result.details),
-            "adaptive": result.law is not None and settings.reduce is None,
-        }
         progress.advance(note=str(result.status))
         law = result.controller
         if law is None:
-            return Outcome({}, {**facts, "states": 0})
+            return Outcome(_design_facts(result, settings, None, 0))
+        reduction = None
         if settings.reduce is not None:
-            reduced = settings.reduce.make("reduce").reduce(law, plant, result.details.get("weights"))
-            facts["reduction"] = {
-                "from_states": law.states,
-                "cost_before": reduced.cost_before,
-                "cost_after": reduced.cost_after,
-                "status": str(reduced.status),
-            }
+            reduced = settings.reduce.make("reduce").reduce(law, plant, result.weights)
+            reduction = Reduction(
+                from_states=law.states,
+                cost_before=reduced.cost_before,
+                cost_after=reduced.cost_after,
+                status=str(reduced.status),
+            )
             law = reduced.controller if reduced.status.ok else law
-            progress.advance(note=str(reduced.status))
-    return Outcome({name: law}, {**facts, "states": law.states})
+            progress.advance(note=reduction.status)
+    return Outcome(_design_facts(result, settings, reduction, law.states), {name: law})
+
+
+def _design_facts(result: DesignResult, settings: Design, reduction: Reduction | None, states: int) -> DesignFacts:
+    recovery = result.recovery
+    return DesignFacts(
+        method=settings.design.method,
+        status=str(result.status),
+        ok=result.status.ok,
+        states=states,
+        gamma=result.gamma,
+        achieved=result.achieved,
+        peak_sensitivity_db=result.peak_sensitivity_db,
+        margins={side: _margins(m) for side, m in result.margins.items() if isinstance(m, analyse.Margins)},
+        residuals={name: float(value) for name, value in result.residuals.items()},
+        adaptive=result.law is not None and settings.reduce is None,
+        reduction=reduction,
+        norm_without_control=result.norm_without_control,
+        recovery=recovery and RecoveryFacts(at=recovery.at, least_relative_error=float(recovery.relative_error.min())),
+        details=_plain(result.details),
+    )
+
+
+def _margins(margins: analyse.Margins) -> LoopMargins:
+    return LoopMargins(**{field.name: getattr(margins, field.name) for field in fields(LoopMargins)})
 
 
 def adapting(plant: StateSpace, settings: Design) -> Controller | None:
@@ -61,60 +87,64 @@ def adapting(plant: StateSpace, settings: Design) -> Controller | None:
     return settings.design.make("design").design(plant).law
 
 
-def closed(name: str, law: StateSpace | Controller, bench: Any, settings: ClosedLoop) -> Outcome:
+def closed(name: str, law: StateSpace | Controller, bench: Any, settings: ClosedLoop) -> Outcome[LoopFacts]:
     """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction."""
-    facts: dict[str, Any] = {}
+    units: dict[str, StableLoop | UnstableLoop] = {}
     values: dict[str, Any] = {}
     for unit in settings.units:
         on = as_unit(bench, unit)
         check = simulate.check_stability(on, law)
-        facts[unit] = {"stable": check.status.ok, "status": str(check.status)}
         if not check.status.ok:
+            units[unit] = UnstableLoop(status=str(check.status))
             continue
         try:
             tones = simulate.attenuation(on, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
             matrix = simulate.measure_sensitivity(on, law)
         except UltraquietError as error:
             # A law that runs away under a stronger disturbance is a finding about the law.
-            facts[unit] = {"stable": False, "status": f"unstable: Under disturbances the loop ran away: {error}"}
+            units[unit] = UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}")
             continue
-        facts[unit] |= _measured(tones, matrix, settings)
-        values[f"{name}-{unit}-sensitivity"] = matrix.S
+        units[unit] = _measured(str(check.status), tones, matrix, settings)
+        values[stored.sensitivity(name, unit)] = matrix.S
         if unit == settings.units[0]:
             for f, opened, run in zip(settings.tones_hz, tones.opened, tones.closed, strict=True):
-                values[f"{name}-{f:g}hz"] = run
-                values[f"open-{f:g}hz"] = opened
-    return Outcome(values, facts)
+                values[stored.under_tone(name, f)] = run
+                values[stored.open_under_tone(f)] = opened
+    return Outcome(LoopFacts(units=units), values)
 
 
 def _measured(
-    tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity, settings: ClosedLoop
-) -> dict[str, Any]:
-    worst_reduction, worst_paper = tones.worst_reduction_db, tones.worst_paper_db
+    status: str, tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity, settings: ClosedLoop
+) -> StableLoop:
     low, high = settings.band_hz
-    return {
-        "tones": {
-            f"{f:g}": {
-                "reduction_db": worst_reduction[k],
-                "paper_db": worst_paper[k],
-                "reduction_db_per_channel": tones.reduction_db[k],
-                "paper_db_per_channel": tones.paper_db[k],
-                "worst_direction_db": matrix.worst_in_band_db(f, f) if f in matrix.f_hz else None,
-                "open_v": tones.open_v[k],
-                "closed_v": tones.closed_v[k],
-                "floor_v": tones.floor_v[k],
-            }
-            for k, f in enumerate(settings.tones_hz)
-        },
-        **{f"broadband_{a:g}_{b:g}_db": matrix.broadband_db(a, b) for a, b in BROADBAND_HZ},
-        "band_hz": settings.band_hz,
-        "worst_direction_band_db": matrix.worst_in_band_db(low, high),
-        "peak_amplification_db": matrix.peak_amplification_db(),
-        "mean_log_sensitivity_db": matrix.mean_log_db(),
-    }
+    return StableLoop(
+        status=status,
+        tones={f"{f:g}": _tone(k, f, tones, matrix) for k, f in enumerate(settings.tones_hz)},
+        broadband_5_100_db=matrix.broadband_db(5.0, 100.0),
+        broadband_10_60_db=matrix.broadband_db(10.0, 60.0),
+        band_hz=settings.band_hz,
+        worst_direction_band_db=matrix.worst_in_band_db(low, high),
+        peak_amplification_db=matrix.peak_amplification_db(),
+        mean_log_sensitivity_db=matrix.mean_log_db(),
+    )
 
 
-def deployed(name: str, law: StateSpace, plant: StateSpace, bench: Any, folder: Path, settings: Deploy) -> Outcome:
+def _tone(k: int, tone_hz: float, tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity) -> ToneFacts:
+    return ToneFacts(
+        reduction_db=float(tones.worst_reduction_db[k]),
+        paper_db=float(tones.worst_paper_db[k]),
+        reduction_db_per_channel=tones.reduction_db[k],
+        paper_db_per_channel=tones.paper_db[k],
+        worst_direction_db=matrix.worst_in_band_db(tone_hz, tone_hz) if tone_hz in matrix.f_hz else None,
+        open_v=tones.open_v[k],
+        closed_v=tones.closed_v[k],
+        floor_v=tones.floor_v[k],
+    )
+
+
+def deployed(
+    name: str, law: StateSpace, plant: StateSpace, bench: Any, folder: Path, settings: Deploy
+) -> Outcome[DeploymentFacts]:
     """Generate, compile and compare the controller's code; what cannot be done is said, not raised.
 
     Forms and rounding are judged by what they do to the loop with the identified plant.
@@ -123,11 +153,22 @@ def deployed(name: str, law: StateSpace, plant: StateSpace, bench: Any, folder: 
 
     limits = np.array([[c.low, c.high] for c in bench.actuators])
     try:
-        made = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
-        verified = made.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0)
+        code = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
+        verified = code.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0)
     except UltraquietError as error:
-        return Outcome({}, {"status": f"refused: {error}"})
-    return Outcome({}, {**_plain(made.tables), "status": str(made.status), "verification": str(verified.status)})
+        return Outcome(NoCode(status=f"refused: {error}"))
+    return Outcome(generated(code.tables, str(code.status), str(verified.status)))
+
+
+def generated(tables: Mapping[str, Any], status: str, verification: str) -> GeneratedCode:
+    """Return what a deployment's tables hold as facts; what was not measured is left out of tables inside them."""
+    names = [field.name for field in fields(GeneratedCode) if field.name in tables]
+    figures = {name: _known(tables[name]) for name in names}
+    return GeneratedCode(**figures, status=status, verification=verification)
+
+
+def _known(value: Any) -> Any:
+    return {k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value
 
 
 def _plain(value: Any) -> Any:
@@ -135,8 +176,8 @@ def _plain(value: Any) -> Any:
     if is_dataclass(value) and not isinstance(value, type | StateSpace):
         return _plain(asdict(value))
     if isinstance(value, Mapping):
-        held = {str(k): _plain(v) for k, v in value.items()}
-        return {k: v for k, v in held.items() if v is not None}
+        entries = {str(k): _plain(v) for k, v in value.items()}
+        return {k: v for k, v in entries.items() if v is not None}
     if isinstance(value, np.ndarray):
         return value.tolist() if value.size <= 1000 and not np.iscomplexobj(value) else None
     if isinstance(value, list | tuple):

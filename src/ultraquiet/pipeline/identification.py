@@ -1,7 +1,7 @@
 """The stages that turn records into models: channel by channel as the paper did, and whole for design."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,16 @@ from ultraquiet import identify, spectra
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
 from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.models import (
+    IdentificationFacts,
+    PaperFit,
+    PlantFacts,
+    PreferredModels,
+    RankedModel,
+    RecordPlant,
+    ResponsePlant,
+)
 from ultraquiet.pipeline.study import Plant, Sweep
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
 
@@ -18,14 +28,14 @@ def group(records: Mapping[str, Record], name: str) -> list[Record]:
     """Return the records of a group in the actuators' order: NAME-1, NAME-2, ..., or NAME alone."""
     if name in records:
         return [records[name]]
-    found = [key for key in records if key.rpartition("-")[0] == name]
-    if not found:
+    members = [key for key in records if key.rpartition("-")[0] == name]
+    if not members:
         known = sorted({key.rpartition("-")[0] or key for key in records})
         raise InputError(f"study: there are no records '{name}'; the experiment leaves {', '.join(known)}.")
-    return [records[key] for key in sorted(found, key=lambda k: int(k.rpartition("-")[2]))]
+    return [records[key] for key in sorted(members, key=lambda k: int(k.rpartition("-")[2]))]
 
 
-def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome:
+def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome[IdentificationFacts]:
     """Rank structures and orders on held-out records, and fit the paper's structure to each of its test signals."""
     ranking = identify.sweep(
         group(records, settings.records),
@@ -33,61 +43,65 @@ def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome:
         structures=settings.structures,
         orders=settings.orders,
     )
-    preferred = ranking.preferred.method
+    best = ranking.preferred.method
     matrix, methods, words = ranking.by_channel()
     driven = group(records, settings.records)
-    names = [record.actuators[k] for k, record in enumerate(driven)]
-    values: dict[str, Any] = {"preferred": PolynomialMatrix(matrix.rows, names, driven[0].sensors)}
-    paper = lookup("identify", settings.paper_structure)(order=settings.paper_order)
-    fits: dict[str, Any] = {}
-    for name in settings.paper_records:
-        started = time.perf_counter()
-        result = identify.identify_matrix(paper, group(records, name))
-        values[f"paper-{name}"] = result.model
-        fits[name] = {
-            "median_fit_percent": float(np.median(result.fit_percent)),
-            "worst_fit_percent": float(np.min(result.fit_percent)),
-            "status": str(result.status),
-            "ok": sum(s.ok for row in result.statuses for s in row),
-            "stable": result.model.is_stable(),
-            "invertible": result.model.is_invertible(),
-            "seconds": time.perf_counter() - started,
-        }
-    facts = {
-        "table": ranking.table(),
-        "preferred": {
-            "structure": preferred.name,
-            "order": preferred.order,
-            "by_channel": [[f"{m.name} {m.order}" for m in row] for row in methods],
-            "verdicts": {word: words.count(word) for word in dict.fromkeys(words)},
-        },
-        "paper": fits,
+    actuators = [record.actuators[k] for k, record in enumerate(driven)]
+    values: dict[str, PolynomialMatrix] = {
+        stored.PREFERRED: PolynomialMatrix(matrix.rows, actuators, driven[0].sensors)
     }
-    return Outcome(values, facts)
+    paper = lookup("identify", settings.paper_structure)(order=settings.paper_order)
+    fits: dict[str, PaperFit] = {}
+    for name in settings.paper_records:
+        values[stored.paper(name)], fits[name] = _paper_fit(paper, group(records, name))
+    preferred = PreferredModels(
+        structure=best.name,
+        order=best.order,
+        by_channel=tuple(tuple(f"{m.name} {m.order}" for m in row) for row in methods),
+        verdicts={word: words.count(word) for word in dict.fromkeys(words)},
+    )
+    table = tuple(RankedModel(**row) for row in ranking.table())
+    return Outcome(IdentificationFacts(table=table, preferred=preferred, paper=fits), values)
 
 
-def plant(records: Mapping[str, Record], settings: Plant) -> Outcome:
+def _paper_fit(structure: Any, records: Sequence[Record]) -> tuple[PolynomialMatrix, PaperFit]:
+    started = time.perf_counter()
+    result = identify.identify_matrix(structure, records)
+    fit = PaperFit(
+        median_fit_percent=float(np.median(result.fit_percent)),
+        worst_fit_percent=float(np.min(result.fit_percent)),
+        status=str(result.status),
+        ok=sum(s.ok for row in result.statuses for s in row),
+        stable=result.model.is_stable(),
+        invertible=result.model.is_invertible(),
+        seconds=time.perf_counter() - started,
+    )
+    return result.model, fit
+
+
+def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]:
     """Identify the model that controllers are designed from."""
     method = settings.make("identify")
     if settings.period_samples is None:
         if len(settings.records) > 1 or len(group(records, settings.records[0])) > 1:
             raise InputError("plant: without 'period_samples' one record that excites all actuators is needed.")
         result = method.identify(group(records, settings.records[0])[0])
-        system, facts = result.state_space(), {"status": str(result.status), "fit_percent": result.fit_percent}
-        return Outcome({"plant": system}, {**facts, "states": system.states})
+        system = result.state_space()
+        facts = RecordPlant(status=str(result.status), fit_percent=result.fit_percent, states=system.states)
+        return Outcome(facts, {stored.PLANT: system})
     if not hasattr(method, "identify_response"):
         raise InputError(f"plant: '{settings.method}' does not fit responses; leave 'period_samples' out.")
     response = measured_response(records, settings)
     rate_hz = group(records, settings.records[0])[0].rate_hz
-    found = method.identify_response(response, rate_hz)
-    facts = {
-        "status": str(found.status),
-        "states": found.model.states,
-        "order": found.order,
-        "held_out_error": found.error[1],
-        "errors_by_order": found.errors_by_order,
-    }
-    return Outcome({"plant": found.model, "response": response}, facts)
+    fit = method.identify_response(response, rate_hz)
+    facts = ResponsePlant(
+        status=str(fit.status),
+        states=fit.model.states,
+        order=fit.order,
+        held_out_error=fit.error[1],
+        errors_by_order=fit.errors_by_order,
+    )
+    return Outcome(facts, {stored.PLANT: fit.model, stored.RESPONSE: response})
 
 
 def measured_response(records: Mapping[str, Record], settings: Plant) -> FrequencyResponse:

@@ -3,13 +3,12 @@
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
-from typing import Any
 
 from ultraquiet import limits
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
 from ultraquiet.values import StateSpace
 
 # The price at which bands are compared: gain margin 2 in every direction, and what a strut takes of a sensor's noise.
@@ -19,52 +18,51 @@ BROADEST_HZ = (5.0, 100.0)
 BASIS = 60
 
 
-def bounded(plant: StateSpace, laws: Mapping[str, StateSpace], band_hz: tuple[float, float]) -> Outcome:
+def bounded(plant: StateSpace, laws: Mapping[str, StateSpace], band_hz: tuple[float, float]) -> Outcome[LimitFacts]:
     """Return limits of the plant's weakest direction over both bands, and each design beside its own.
 
     What has no limit, an unstable plant of several channels for instance, says so in its `status`.
     """
     bands = [BROADEST_HZ, *([band_hz] if band_hz != BROADEST_HZ else [])]
-    jobs = [partial(_of_band, plant, band) for band in bands]
-    jobs += [partial(_of_design, plant, law, band_hz) for law in laws.values()]
-    with task("limits", len(jobs)) as progress, ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = []
-        for facts in pool.map(lambda job: job(), jobs):
-            found.append(facts)
-            progress.advance(note=facts["status"])
-    told, designs = found[: len(bands)], dict(zip(laws, found[len(bands) :], strict=True))
-    return Outcome({}, {"bands": told, "designs": designs})
+    with task("limits", len(bands) + len(laws)) as progress, ThreadPoolExecutor(os.cpu_count()) as pool:
+        of_bands = [pool.submit(_of_band, plant, band) for band in bands]
+        of_designs = {name: pool.submit(_of_design, plant, law, band_hz) for name, law in laws.items()}
+        for job in (*of_bands, *of_designs.values()):
+            progress.advance(note=job.result().status)
+    designs = {name: job.result() for name, job in of_designs.items()}
+    return Outcome(LimitFacts(bands=tuple(job.result() for job in of_bands), designs=designs))
 
 
-def _of_band(plant: StateSpace, band_hz: tuple[float, float]) -> dict[str, Any]:
-    facts = {"band_hz": band_hz, "peak_db": PEAK_DB, "control_gain": CONTROL_GAIN}
+def _of_band(plant: StateSpace, band_hz: tuple[float, float]) -> BandLimit | RefusedBand:
     try:
         weakest = limits.principal_directions(plant, band_hz)[:, :1]
         price = {"control_gain": CONTROL_GAIN, "directions": weakest, "basis": BASIS}
         limit = limits.by_direction(plant, band_hz, PEAK_DB, **price)[0].limit
     except UltraquietError as error:
-        return {**facts, "status": f"refused: {error}"}
-    return {
-        **facts,
-        "attenuation_db": limit.attenuation_db,
-        "bound_db": limit.bound_db,
-        "binding": dict(limit.binding),
-        "status": str(limit.status),
-    }
+        return RefusedBand(band_hz=band_hz, peak_db=PEAK_DB, control_gain=CONTROL_GAIN, status=f"refused: {error}")
+    return BandLimit(
+        band_hz=band_hz,
+        peak_db=PEAK_DB,
+        control_gain=CONTROL_GAIN,
+        attenuation_db=limit.attenuation_db,
+        bound_db=limit.bound_db,
+        binding=limit.binding,
+        status=str(limit.status),
+    )
 
 
-def _of_design(plant: StateSpace, law: StateSpace, band_hz: tuple[float, float]) -> dict[str, Any]:
+def _of_design(plant: StateSpace, law: StateSpace, band_hz: tuple[float, float]) -> DesignLimit | NoDistance:
     try:
-        found = limits.distance(plant, law, band_hz, basis=BASIS)
+        distance = limits.distance(plant, law, band_hz, basis=BASIS)
     except UltraquietError as error:
-        return {"status": f"refused: {error}"}
-    return {
-        "band_hz": band_hz,
-        "attenuation_db": found.attenuation_db,
-        "peak_db": found.peak_db,
-        "control_gain": found.control_gain,
-        "limit_db": found.attenuation_db + found.left_db,
-        "left_db": found.left_db,
-        "alone_db": found.limit.attenuation_db if found.limit else None,
-        "status": str(found.status),
-    }
+        return NoDistance(status=f"refused: {error}")
+    return DesignLimit(
+        band_hz=band_hz,
+        attenuation_db=distance.attenuation_db,
+        peak_db=distance.peak_db,
+        control_gain=distance.control_gain,
+        limit_db=distance.attenuation_db + distance.left_db,
+        left_db=distance.left_db,
+        alone_db=distance.limit.attenuation_db if distance.limit else None,
+        status=str(distance.status),
+    )

@@ -5,22 +5,54 @@ from dataclasses import dataclass
 from typing import Any
 
 from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.limits import LimitFacts
+from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
+from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.study import Study
-from ultraquiet.values import Record
+from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
 
 
 @dataclass(frozen=True)
 class StudyResult:
-    """Everything a study knows when it is through; what report and summary are written from."""
+    """The outcomes of all stages, what report and summary are written from; designs, loops and code by controller."""
 
     study: Study
     bench: Any
     records: Mapping[str, Record]
-    identified: Outcome
-    plant: Outcome
-    validated: Outcome
-    analysed: Outcome
-    designs: Mapping[str, Outcome]
-    loops: Mapping[str, Outcome]
-    deployment: Mapping[str, Mapping[str, Any]]
-    bounds: Outcome
+    identification: Outcome[IdentificationFacts]
+    plant: Outcome[PlantFacts]
+    validation: Outcome[ValidationFacts]
+    analysis: Outcome[AnalysisFacts]
+    designs: Mapping[str, Outcome[DesignFacts]]
+    loops: Mapping[str, Outcome[LoopFacts]]
+    deployment: Mapping[str, DeploymentFacts]
+    limits: Outcome[LimitFacts]
+
+    @property
+    def design_plant(self) -> StateSpace:
+        """The model that controllers are designed from."""
+        return self.plant.values[stored.PLANT]
+
+    @property
+    def preferred_model(self) -> PolynomialMatrix:
+        """The matrix in which every channel has the model its held-out record prefers."""
+        return self.identification.values[stored.PREFERRED]
+
+    def paper_model(self, signal: str) -> PolynomialMatrix:
+        """Return the paper's structure fitted to a test signal."""
+        return self.identification.values[stored.paper(signal)]
+
+    def simulated(self, record: str) -> Record | None:
+        """Return what models say to a record, one output a model; None where the study has no such record."""
+        return self.validation.values.get(stored.simulated(record))
+
+    def sensitivity(self, controller: str, unit: str) -> FrequencyResponse | None:
+        """Return the sensitivity matrix measured on a unit; None where the loop did not settle."""
+        return self.loops[controller].values.get(stored.sensitivity(controller, unit))
+
+    def under_tone(self, controller: str, tone_hz: float) -> tuple[Record, Record] | None:
+        """Return the records of the closed and of the open loop under a tone on the first unit, where there are any."""
+        values = self.loops[controller].values
+        closed, opened = stored.under_tone(controller, tone_hz), stored.open_under_tone(tone_hz)
+        return (values[closed], values[opened]) if closed in values and opened in values else None

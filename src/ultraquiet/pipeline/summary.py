@@ -1,54 +1,133 @@
 """`summary.json`: the study's numbers under the names that the contract fixes."""
 
 import json
-import math
-from typing import Any
+from collections.abc import Mapping
 
-from ultraquiet._base.provenance import plain, versions
+from ultraquiet._base.provenance import versions
+from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
+from ultraquiet.pipeline.facts.loops import (
+    DeploymentFacts,
+    DesignFacts,
+    LoopMargins,
+    Reduction,
+    StableLoop,
+    UnstableLoop,
+)
+from ultraquiet.pipeline.facts.models import Agreement, PaperFit, PlantFacts, PreferredModels, RankedModel
+from ultraquiet.pipeline.facts.typed import fact, finite, schema_of, to_plain
 from ultraquiet.pipeline.result import StudyResult
 
 
-def summarise(done: StudyResult) -> dict[str, Any]:
+@fact
+class IdentificationSummary:
+    """The ranking, the paper's structure, each model against the bench, the plant that designs use."""
+
+    table: tuple[RankedModel, ...]
+    preferred: PreferredModels
+    paper: Mapping[str, PaperFit]
+    against_bench: Mapping[str, Agreement] | None
+    plant: PlantFacts
+
+
+@fact
+class DesignSummary:
+    """A controller as designed."""
+
+    method: str
+    status: str
+    ok: bool
+    states: int
+    gamma: float
+    achieved: float
+    peak_sensitivity_db: float
+    margins: Mapping[str, LoopMargins]
+
+
+@fact
+class ReducedDesignSummary(DesignSummary):
+    """A controller as designed and reduced; `states` are those that are left."""
+
+    reduction: Reduction
+
+
+@fact
+class LimitSummary:
+    """What no controller can reach, and Bode's integral of every loop as the bench shows it, by controller and unit."""
+
+    bands: tuple[BandLimit | RefusedBand, ...]
+    designs: Mapping[str, DesignLimit | NoDistance]
+    mean_log_sensitivity_db: Mapping[str, Mapping[str, float]]
+
+
+@fact
+class Summary:
+    """The whole summary; `closed_loop` by controller and unit."""
+
+    title: str
+    identification: IdentificationSummary
+    design: Mapping[str, DesignSummary | ReducedDesignSummary]
+    closed_loop: Mapping[str, Mapping[str, StableLoop | UnstableLoop]]
+    deployment: Mapping[str, DeploymentFacts]
+    limits: LimitSummary
+    versions: Mapping[str, str]
+    seed: int
+
+
+def summarise(result: StudyResult) -> Summary:
     """Return the summary: identification, design, closed loop, deployment, limits, versions and seed."""
+    identification = result.identification.facts
+    limits = result.limits.facts
+    return Summary(
+        title=result.study.study.title,
+        identification=IdentificationSummary(
+            table=identification.table,
+            preferred=identification.preferred,
+            paper=identification.paper,
+            against_bench=result.validation.facts.against_bench,
+            plant=result.plant.facts,
+        ),
+        design={name: _design(outcome.facts) for name, outcome in result.designs.items()},
+        closed_loop={name: outcome.facts.units for name, outcome in result.loops.items()},
+        deployment=result.deployment,
+        limits=LimitSummary(
+            bands=limits.bands, designs=limits.designs, mean_log_sensitivity_db=_mean_log_sensitivity(result)
+        ),
+        versions=versions(),
+        seed=result.study.study.seed,
+    )
+
+
+def _mean_log_sensitivity(result: StudyResult) -> dict[str, dict[str, float]]:
     return {
-        "title": done.study.study.title,
-        "identification": {
-            "table": done.identified.facts["table"],
-            "preferred": done.identified.facts["preferred"],
-            "paper": done.identified.facts["paper"],
-            "against_bench": done.validated.facts.get("against_bench"),
-            "plant": done.plant.facts,
-        },
-        "design": {name: _design(outcome.facts) for name, outcome in done.designs.items()},
-        "closed_loop": {name: dict(outcome.facts) for name, outcome in done.loops.items()},
-        "deployment": {name: dict(tables) for name, tables in done.deployment.items()},
-        "limits": {**done.bounds.facts, "mean_log_sensitivity_db": _mean_log(done)},
-        "versions": versions(),
-        "seed": done.study.study.seed,
+        name: {
+            unit: loop.mean_log_sensitivity_db
+            for unit, loop in outcome.facts.units.items()
+            if isinstance(loop, StableLoop)
+        }
+        for name, outcome in result.loops.items()
     }
 
 
-def _mean_log(done: StudyResult) -> dict[str, dict[str, float]]:
-    """Return Bode's integral of every loop as the bench shows it, by controller and unit."""
-    return {
-        name: {unit: facts["mean_log_sensitivity_db"] for unit, facts in outcome.facts.items() if facts["stable"]}
-        for name, outcome in done.loops.items()
-    }
+def _design(facts: DesignFacts) -> DesignSummary:
+    common = DesignSummary(
+        method=facts.method,
+        status=facts.status,
+        ok=facts.ok,
+        states=facts.states,
+        gamma=facts.gamma,
+        achieved=facts.achieved,
+        peak_sensitivity_db=facts.peak_sensitivity_db,
+        margins=facts.margins,
+    )
+    return common if facts.reduction is None else ReducedDesignSummary(**vars(common), reduction=facts.reduction)
 
 
-def _design(facts: Any) -> dict[str, Any]:
-    kept = ("method", "status", "ok", "states", "gamma", "achieved", "peak_sensitivity_db", "margins", "reduction")
-    return {key: facts[key] for key in kept if key in facts}
-
-
-def to_json(summary: dict[str, Any]) -> bytes:
+def to_json(summary: Summary) -> bytes:
     """Return the summary as JSON; what is not a finite number is null there, as JSON knows no other word for it."""
-    return json.dumps(_finite(json.loads(json.dumps(summary, default=plain))), indent=1).encode()
+    return json.dumps(finite(to_plain(summary)), indent=1).encode()
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list):
-        return [_finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def schema_text() -> str:
+    """Return the JSON schema of `summary.json` as it stands in the documentation."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema_of(Summary)}
+    return json.dumps(schema, indent=1) + "\n"

@@ -1,0 +1,1 @@
+"""What the stages of a study tell each other: facts by frozen dataclasses, values by the names of their files."""

@@ -1,0 +1,157 @@
+"""What the stages of controllers, loops and code found out, in figures and words: one frozen dataclass a stage.
+
+Frequencies are in Hz, attenuations in dB and positive where it is quieter; `status` is a word and a sentence.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from ultraquiet.pipeline.facts.typed import Vector, fact
+
+
+@fact
+class LoopMargins:
+    """Margins of every loop opened by itself, see `analyse.Margins`; `(loops,)` each."""
+
+    gain_up_db: Vector
+    gain_down_db: Vector
+    phase_deg: Vector
+    delay_s: Vector
+    disk: Vector
+
+
+@fact
+class RecoveryFacts:
+    """How near a recovered loop comes to its target at best, relative; `at` says at which end."""
+
+    at: str
+    least_relative_error: float
+
+
+@fact
+class Reduction:
+    """What reducing a controller did to the closed-loop cost."""
+
+    from_states: int
+    cost_before: float
+    cost_after: float
+    status: str
+
+
+@fact
+class DesignFacts:
+    """Stage `design`. `details` are the method's own numbers, for readers; nothing here is decided by them."""
+
+    method: str
+    status: str
+    ok: bool
+    states: int
+    gamma: float
+    achieved: float
+    peak_sensitivity_db: float
+    margins: Mapping[str, LoopMargins]
+    residuals: Mapping[str, float]
+    adaptive: bool
+    reduction: Reduction | None = None
+    norm_without_control: float | None = None
+    recovery: RecoveryFacts | None = None
+    details: Mapping[str, Any]
+
+
+@fact
+class ToneFacts:
+    """One tone on the bench: the worst channel, every channel, the worst direction, amplitudes in V."""
+
+    reduction_db: float
+    paper_db: float
+    reduction_db_per_channel: Vector
+    paper_db_per_channel: Vector
+    worst_direction_db: float | None
+    open_v: Vector
+    closed_v: Vector
+    floor_v: Vector
+
+
+@fact
+class StableLoop:
+    """A loop that settled on the bench; `tones` by frequency, in Hz."""
+
+    stable: Literal[True] = True
+    status: str
+    tones: Mapping[str, ToneFacts]
+    broadband_5_100_db: float
+    broadband_10_60_db: float
+    band_hz: tuple[float, float]
+    worst_direction_band_db: float
+    peak_amplification_db: float
+    mean_log_sensitivity_db: float
+
+
+@fact
+class UnstableLoop:
+    """A loop that ran away, at once or under a disturbance."""
+
+    stable: Literal[False] = False
+    status: str
+
+
+@fact
+class LoopFacts:
+    """Stage `loop`: one controller on the bench of every unit."""
+
+    units: Mapping[str, StableLoop | UnstableLoop]
+
+
+@fact
+class GeneratedCode:
+    """Stage `deploy`: see `deploy.Deployment.tables`; None is what could not be measured here."""
+
+    states: int
+    form: str
+    precision: str
+    anti_windup: bool
+    c31_cycles: int
+    c31_kernel_cycles: int
+    c31_output_cycles: int
+    c31_budget: int
+    c31_budget_share: float
+    c31_fits_the_model: bool
+    c31_words: int
+    c31_internal_words: int
+    c31_largest_order: int
+    cortex_m7_instructions: int | None
+    coefficients: int
+    response_error: float | None
+    forms_tried: Mapping[str, float]
+    eigenvector_condition: float | None
+    bit_exact: bool | None
+    anti_windup_because: str
+    flash_bytes: int
+    ram_bytes: int
+    stack_bytes: int | None
+    flash_from: str
+    cortex_m7_output_instructions: int | None = None
+    bit_exact_on: Mapping[str, bool] | None = None
+    latency_us: Mapping[str, float] | None = None
+    status: str
+    verification: str
+
+    @property
+    def verdict(self) -> str:
+        """What the proof of the code came to."""
+        return self.verification
+
+
+@fact
+class NoCode:
+    """Stage `deploy`, where no code was generated; `status` says why."""
+
+    status: str
+
+    @property
+    def verdict(self) -> str:
+        """Why there is no code."""
+        return self.status
+
+
+DeploymentFacts = GeneratedCode | NoCode

@@ -1,0 +1,28 @@
+"""How the values that stages leave are named: these names are stems of files."""
+
+PLANT, RESPONSE, PREFERRED = "plant", "response", "preferred"
+
+
+def paper(signal: str) -> str:
+    """Return the name of the paper's structure fitted to a test signal."""
+    return f"paper-{signal}"
+
+
+def simulated(record: str) -> str:
+    """Return the name of what models say to a record."""
+    return f"simulated-{record}"
+
+
+def sensitivity(controller: str, unit: str) -> str:
+    """Return the name of the sensitivity matrix measured on a unit."""
+    return f"{controller}-{unit}-sensitivity"
+
+
+def under_tone(controller: str, tone_hz: float) -> str:
+    """Return the name of the record of a closed loop under a tone."""
+    return f"{controller}-{tone_hz:g}hz"
+
+
+def open_under_tone(tone_hz: float) -> str:
+    """Return the name of the record of the open loop under a tone."""
+    return under_tone("open", tone_hz)

@@ -1,0 +1,78 @@
+"""What the report says of limits."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
+from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.report import Section, Table
+
+# A difference between two bands that is worth a sentence.
+MARKED_DB = 3.0
+COLUMNS = (
+    "controller",
+    "worst direction, dB",
+    "peak of S, dB",
+    "|K S|",
+    "reached there alone, dB",
+    "none beyond, dB",
+    "left, dB",
+)
+
+
+def limits(result: StudyResult) -> Section:
+    """What no linear controller can reach on the identified plant, and what each design leaves of it."""
+    facts = result.limits.facts
+    rows = [(name, *_figures(limit)) for name, limit in facts.designs.items()]
+    text = [
+        "On the identified plant, along the direction that it moves least: what cannot be reached there cannot be "
+        "reached in the worst direction. A bound holds for every linear controller at that peak and that gain, of any "
+        "order, without margin for errors of the model; a design that is to work in practice stays below it.",
+        *(_of_band(limit) for limit in facts.bands),
+        *_lower_end(facts.bands),
+    ]
+    low, high = result.study.closed_loop.band_hz
+    return Section("Limits", text, [Table(f"Each design beside its own limit over {low:g}-{high:g} Hz", COLUMNS, rows)])
+
+
+def _figures(limit: DesignLimit | NoDistance) -> list[str]:
+    if isinstance(limit, NoDistance):
+        return ["-"] * (len(COLUMNS) - 1)
+    figures = (limit.attenuation_db, limit.peak_db, limit.control_gain, limit.alone_db, limit.limit_db, limit.left_db)
+    return [_number(figure) for figure in figures]
+
+
+def _of_band(limit: BandLimit | RefusedBand) -> str:
+    low, high = limit.band_hz
+    if isinstance(limit, RefusedBand) or not np.isfinite(limit.bound_db):
+        return f"{low:g}-{high:g} Hz: {limit.status}"
+    return (
+        f"{low:g}-{high:g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:g} V/V: "
+        f"{limit.attenuation_db:.1f} dB can be reached, {limit.bound_db:.1f} dB cannot be exceeded."
+    )
+
+
+def _lower_end(bands: Sequence[BandLimit | RefusedBand]) -> list[str]:
+    """Say what the lower end of the broadest band costs, and whether the gain at low frequency is the reason."""
+    broad, narrow = bands[0], bands[-1]
+    if isinstance(broad, RefusedBand) or isinstance(narrow, RefusedBand):
+        return []
+    if not np.isfinite([broad.bound_db, narrow.bound_db]).all():
+        return []
+    lost = narrow.attenuation_db - broad.bound_db
+    if narrow.band_hz[1] != broad.band_hz[1] or lost < MARKED_DB:
+        return []
+    low = broad.band_hz[0]
+    spent = any(span[0] < low for span in broad.binding.get("control gain", ()))
+    reason = " There the sensor hears little and the gain of the control is used up." if spent else ""
+    return [
+        f"Starting at {low:g} Hz instead of {narrow.band_hz[0]:g} Hz costs at least {lost:.0f} dB: the broad band "
+        f"is limited at its lower end, {broad.band_hz[1]:g} Hz is not out of reach.{reason}"
+    ]
+
+
+def _number(value: float | None) -> str:
+    if value is None or not np.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}"

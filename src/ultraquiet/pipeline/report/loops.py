@@ -1,0 +1,148 @@
+"""What the report says of controllers, loops and code."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.pipeline.facts.loops import DesignFacts, GeneratedCode, StableLoop, UnstableLoop
+from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.plot import Figure, paper
+from ultraquiet.report import Section, Table
+
+PAPER_SAYS = "33 dB at 5 Hz, 12 dB (abstract) or 13 dB (text) at 25 Hz, nothing satisfactory at 100 Hz (section 4.2)"
+# A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
+IDLE = 1e-3
+# A response is drawn for each controller at the tone it attenuates most, if it attenuates at all.
+DRAWN_ABOVE_DB = 1.0
+
+
+CODE_COLUMNS = ("states", "form", "c31_cycles", "c31_budget", "flash_bytes", "ram_bytes", "bit_exact")
+
+
+def design(result: StudyResult) -> Section:
+    """Each controller on the design model."""
+    rows: list[tuple[object, ...]] = []
+    sentences: list[str] = []
+    for name, outcome in result.designs.items():
+        facts = outcome.facts
+        figures = (facts.gamma, facts.achieved, facts.peak_sensitivity_db)
+        rows.append((name, facts.method, facts.states, *(_number(figure) for figure in figures)))
+        sentences.append(f"{name}: {' '.join([facts.status, *_remarks(facts)])}")
+    columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
+    return Section("Design", sentences, [Table("Controllers, on the design model, before reduction", columns, rows)])
+
+
+def _remarks(facts: DesignFacts) -> list[str]:
+    remarks: list[str] = []
+    idle = facts.norm_without_control
+    if idle is not None and facts.achieved < IDLE:
+        remarks.append(f"The same cost without any control is {idle:.3g}: as printed, the weights ask for nothing.")
+    if facts.recovery is not None:
+        least = facts.recovery.least_relative_error
+        remarks.append(f"Recovery at the {facts.recovery.at}: |L - L target| is at best {least:.2g} |L target|.")
+    if facts.reduction is not None:
+        remarks.append(f"From {facts.reduction.from_states} states. {facts.reduction.status}")
+    return remarks
+
+
+def closed_loop(result: StudyResult) -> Section:
+    """Each loop on the bench of every unit."""
+    settings = result.study.closed_loop
+    low, high = settings.band_hz
+    heads = [h for t in settings.tones_hz for h in (f"{t:g} Hz", f"{t:g} Hz paper_db")]
+    columns = ("controller", "unit", *heads, "5-100 Hz rms", f"worst direction {low:g}-{high:g} Hz", "peak")
+    table = Table("On the bench, dB, positive is quieter; peak is amplification", columns, _loop_rows(result))
+    text = [
+        "A column headed by a tone is reduction_db = -20 log10(|y closed| / |y open|) of the worst channel. paper_db = "
+        "-20 log10(|y closed| / |d|) counts the plant's own gain as well: the row 'no control' shows how much of it is "
+        "had for nothing.",
+        f"The paper's simulations: {PAPER_SAYS}.",
+        "The worst direction is the largest singular value of the sensitivity matrix measured on the bench.",
+        *_noise_limits(result),
+    ]
+    curves = _curves(result)
+    figures = [paper.sensitivity(curves, settings.band_hz)] if curves else []
+    return Section("Closed loop", text, [table], [*figures, *_time_responses(result)])
+
+
+def _loops(result: StudyResult) -> Iterator[tuple[str, str, StableLoop | UnstableLoop]]:
+    """Yield controller, unit and how the loop did."""
+    for name, outcome in result.loops.items():
+        for unit, loop in outcome.facts.units.items():
+            yield name, unit, loop
+
+
+def _loop_rows(result: StudyResult) -> list[tuple[object, ...]]:
+    rows: list[tuple[object, ...]] = []
+    for name, unit, loop in _loops(result):
+        if isinstance(loop, UnstableLoop):
+            rows.append((name, unit, loop.status, *[""] * (2 + 2 * len(result.study.closed_loop.tones_hz))))
+            continue
+        tones = [_number(db, 1) for tone in loop.tones.values() for db in (tone.reduction_db, tone.paper_db)]
+        rest = (loop.broadband_5_100_db, loop.worst_direction_band_db, loop.peak_amplification_db)
+        rows.append((name, unit, *tones, *(_number(db, 1) for db in rest)))
+    return [*_idle_rows(result), *rows]
+
+
+def _idle_rows(result: StudyResult) -> list[tuple[object, ...]]:
+    """Return one row a unit of what the paper's number is without any control."""
+    rows: dict[str, tuple[object, ...]] = {}
+    for _, unit, loop in _loops(result):
+        if isinstance(loop, StableLoop) and unit not in rows:
+            d = result.study.closed_loop.amplitude_v
+            own = [20 * np.log10(d / tone.open_v.max()) for tone in loop.tones.values()]
+            rows[unit] = ("no control", unit, *(c for v in own for c in ("0", _number(v, 1))), "0", "0", "0")
+    return list(rows.values())
+
+
+def _noise_limits(result: StudyResult) -> list[str]:
+    """Say at which tones noise hides more than a controller may have reached."""
+    for _, _, loop in _loops(result):
+        if isinstance(loop, StableLoop):
+            limits = [
+                f"{20 * np.log10(tone.open_v.min() / tone.floor_v.max()):.0f} dB at {f} Hz"
+                for f, tone in loop.tones.items()
+            ]
+            return [f"Noise feigns a rest of the tone: reductions cannot be told beyond about {', '.join(limits)}."]
+    return []
+
+
+def _curves(result: StudyResult) -> dict[str, tuple[FloatArray, FloatArray]]:
+    curves: dict[str, tuple[FloatArray, FloatArray]] = {}
+    for name in result.loops:
+        S = result.sensitivity(name, result.study.closed_loop.units[0])
+        if S is not None:
+            size = np.linalg.svd(np.moveaxis(S.values, 2, 0), compute_uv=False)[:, 0]
+            curves[name] = (S.f_hz, -20 * np.log10(size))
+    return curves
+
+
+def _time_responses(result: StudyResult) -> list[Figure]:
+    figures: list[Figure] = []
+    first = result.study.closed_loop.units[0]
+    for name, unit, loop in _loops(result):
+        if unit != first or isinstance(loop, UnstableLoop):
+            continue
+        tone, best = max(loop.tones.items(), key=lambda item: item[1].reduction_db)
+        records = result.under_tone(name, float(tone))
+        if best.reduction_db > DRAWN_ABOVE_DB and records is not None:
+            figures.append(paper.closed_loop(name, float(tone), *records))
+    return figures
+
+
+def code(result: StudyResult) -> Section:
+    """The generated code of each controller."""
+    rows: list[tuple[str, ...]] = []
+    for name, facts in result.deployment.items():
+        generated = isinstance(facts, GeneratedCode)
+        rows.append((name, *(str(getattr(facts, column)) if generated else "-" for column in CODE_COLUMNS)))
+    sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
+    note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
+    return Section("Code", [*sentences, note], [Table("Generated C99", ("controller", *CODE_COLUMNS), rows)])
+
+
+def _number(value: float, digits: int = 4) -> str:
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.{digits}f}" if digits == 1 else f"{value:.{digits}g}"

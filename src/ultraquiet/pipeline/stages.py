@@ -1,0 +1,140 @@
+"""The stages of a study after its records, each reused when nothing it depends on has changed."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+from ultraquiet.deploy.toolchain.compiler import compiler
+from ultraquiet.pipeline import control, identification, limits, validation
+from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.limits import LimitFacts
+from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
+from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
+from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.pipeline.study import Method, Study
+from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+
+Say = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Stages:
+    """A study, the bench it is made on and its records; `say` is told one line per finished stage."""
+
+    study: Study
+    cache: Cache
+    bench: Any
+    records: Mapping[str, Record]
+    say: Say
+
+    def run(self) -> StudyResult:
+        """Go through all stages in order."""
+        identified = self._identify()
+        plant = self._plant()
+        system: StateSpace = plant.values[stored.PLANT]
+        control.require_bench(self.bench, system)
+        validated, analysed = self._validate(identified, system), self._analyse(identified, system)
+        self.say("validated and analysed")
+        designs: dict[str, Outcome[DesignFacts]] = {}
+        loops: dict[str, Outcome[LoopFacts]] = {}
+        deployment: dict[str, DeploymentFacts] = {}
+        laws: dict[str, StateSpace] = {}
+        for name in self.study.controllers:
+            design = designs[name] = self._design(name, system)
+            if name in design.values:
+                law = laws[name] = design.values[name]
+                loops[name] = self._close(name, law, system, design.facts.adaptive)
+                deployment[name] = self._deploy(name, law, system, design.facts.adaptive)
+        return StudyResult(
+            study=self.study,
+            bench=self.bench,
+            records=self.records,
+            identification=identified,
+            plant=plant,
+            validation=validated,
+            analysis=analysed,
+            designs=designs,
+            loops=loops,
+            deployment=deployment,
+            limits=self._limits(system, laws),
+        )
+
+    @cached_property
+    def _record_hashes(self) -> dict[str, str]:
+        return {name: record.hash for name, record in self.records.items()}
+
+    def _identify(self) -> Outcome[IdentificationFacts]:
+        settings = self.study.identify
+        compute = partial(identification.identified, self.records, settings)
+        key = [self._record_hashes, settings]
+        outcome = self.cache.stage("identify", "models", key, IdentificationFacts, compute)
+        best = outcome.facts.preferred
+        self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
+        return outcome
+
+    def _plant(self) -> Outcome[PlantFacts]:
+        settings = self.study.plant
+        compute = partial(identification.plant, self.records, settings)
+        key = [self._record_hashes, _key(settings)]
+        outcome = self.cache.stage("plant", "models", key, PlantFacts, compute)
+        self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
+        return outcome
+
+    def _models_key(self, plant: StateSpace) -> list[Any]:
+        return [self._record_hashes, self.study.identify, self.bench, plant.hash]
+
+    def _validate(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[ValidationFacts]:
+        models = {k: v for k, v in identified.values.items() if isinstance(v, PolynomialMatrix)}
+        compute = partial(validation.validated, self.records, models, plant, self.bench)
+        return self.cache.stage("validate", "models", self._models_key(plant), ValidationFacts, compute)
+
+    def _analyse(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[AnalysisFacts]:
+        paper = identified.values[stored.paper(self.study.identify.paper_records[0])]
+        compute = partial(validation.analysed, plant, paper)
+        return self.cache.stage("analyse", "models", self._models_key(plant), AnalysisFacts, compute)
+
+    def _design(self, name: str, plant: StateSpace) -> Outcome[DesignFacts]:
+        """Design and reduce one controller."""
+        wanted = self.study.controllers[name]
+        key = [plant.hash, _key(wanted.design), wanted.reduce and _key(wanted.reduce)]
+        compute = partial(control.designed, name, plant, wanted)
+        outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+        self.say(f"designed {name}: {outcome.facts.status}")
+        return outcome
+
+    def _close(self, name: str, law: StateSpace, plant: StateSpace, adaptive: bool) -> Outcome[LoopFacts]:
+        """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
+        wanted, settings = self.study.controllers[name], self.study.closed_loop
+        key = [law.hash, self.bench, settings, *([plant.hash, _key(wanted.design)] if adaptive else [])]
+
+        def compute() -> Outcome[LoopFacts]:
+            acting = control.adapting(plant, wanted) if adaptive else None
+            return control.closed(name, acting or law, self.bench, settings)
+
+        return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
+
+    def _deploy(self, name: str, law: StateSpace, plant: StateSpace, adaptive: bool) -> DeploymentFacts:
+        """Turn it into code, unless it adapts."""
+        if adaptive:
+            self.say(f"closed {name}, which adapts and is not deployed")
+            return NoCode(status="not generated: the law adapts; C99 is generated from linear laws alone.")
+        settings, folder = self.study.deploy, self.cache.folder / "code"
+        key = [law.hash, plant.hash, self.bench.actuators, settings, compiler()]
+        compute = partial(control.deployed, name, law, plant, self.bench, folder, settings)
+        facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, folder / name).facts
+        self.say(f"closed and deployed {name}: {facts.verdict}")
+        return facts
+
+    def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace]) -> Outcome[LimitFacts]:
+        band_hz = self.study.closed_loop.band_hz
+        key = [plant.hash, band_hz, {name: law.hash for name, law in laws.items()}]
+        outcome = self.cache.stage("limits", "models", key, LimitFacts, partial(limits.bounded, plant, laws, band_hz))
+        self.say(f"limits: {outcome.facts.bands[-1].status}")
+        return outcome
+
+
+def _key(method: Method) -> dict[str, Any]:
+    """Return all that a method's table says; its settings are not declared fields and must be asked for."""
+    return method.model_dump()
