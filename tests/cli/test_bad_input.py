@@ -56,6 +56,16 @@ def test_identify_refuses(run, tmp_path, rng, culprit):
     assert target.read_bytes() == b"mine"
 
 
+def test_every_setting_that_is_wrong_is_named_at_once(run, tmp_path, rng):
+    path = put(tmp_path, record(rng))
+    words = ("--set", "order=2.5", "--set", "dleay=1", "--set", "clipped=maybe")
+    code, _, said = run("identify", path, "--method", "arx", *words)
+    print(said)
+    assert code == 2
+    for named in ("'order'", "no setting 'dleay'; did you mean 'delay'?", "'clipped'", "3 mistakes"):
+        assert named in said
+
+
 def test_a_rate_that_contradicts_is_refused(run, tmp_path, rng):
     """The record's own rate against --rate, and a model's rate against a record's."""
     held = record(rng)

@@ -10,6 +10,7 @@ import pytest
 import ultraquiet as uq
 from ultraquiet import experiments, pipeline
 from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline.study import StudyError, parse
 from ultraquiet.pipeline.walk import _list_of, _prepare, _recorded, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()
@@ -40,11 +41,83 @@ def test_a_mistake_stops_the_study_before_it_begins(culprit, tmp_path):
     old, new, named = WRONG[culprit]
     assert old in SUITE
     (tmp_path / "study.toml").write_text(SUITE.replace(old, new))
-    with pytest.raises(uq.errors.InputError, match=r"1 mistake|2 mistakes") as told:
+    with pytest.raises(StudyError) as refused:
         walk(pipeline.load_study(tmp_path / "study.toml"), tmp_path / "out", say=lambda _: None)
-    print(told.value)
-    assert named in str(told.value)
+    print(refused.value)
+    line = SUITE[: SUITE.index(old)].count("\n") + 1
+    assert any(named in sentence for at, sentence in refused.value.mistakes if at == line)
+    assert all(at == line for at, _ in refused.value.mistakes)
     assert not (tmp_path / "out").exists()
+
+
+MANY = """\
+[study]
+title = "many"
+sede = 3
+
+[bench]
+method = "hexapodd"
+
+[identify]
+structures = ["arx", "rational"]
+paper_structure = 5
+
+[plant]
+method = "rational"
+records = ["low"]
+period = 7000
+
+[controllers.one.design]
+method = "mixed-sensitivity"
+form = "five-block"
+tilt = 2
+peak_db = "high"
+[controllers.one.reduce]
+method = "closed-loop-weighted"
+states = 2.5
+[controllers.two]
+design = "lqg"
+
+[closed_loop]
+tones_hz = [5.0, -5.0]
+band_hz = [
+  100.0,
+  10.0,
+]
+[closed_lop]
+"""
+
+
+def test_every_mistake_of_a_study_has_its_line():
+    with pytest.raises(StudyError) as refused:
+        parse(MANY)
+    print(refused.value)
+    expected = {
+        3: "no key 'sede' here; did you mean 'seed'? Known are title, seed",
+        6: "no method 'hexapodd'; did you mean 'hexapod'?",
+        9: "'rational' is no polynomial structure",
+        10: "'paper_structure' should be a valid string, got 5",
+        15: "identify 'rational' has no setting 'period'",
+        19: "'form' must be one of",
+        20: "design 'mixed-sensitivity' has no setting 'tilt'",
+        21: "no setting 'peak_db'",
+        24: "reduce 'closed-loop-weighted': 'states' should be a valid integer",
+        26: "'design' must be a table, got 'lqg'",
+        29: "'tones_hz[1]' should be greater than 0, got -5.0",
+        30: "'band_hz' is [100.0, 10.0]; the band must rise",
+        34: "no key 'closed_lop' here; did you mean 'closed_loop'?",
+    }
+    mistakes = dict(refused.value.mistakes)
+    for line, words in expected.items():
+        assert words in mistakes[line], (line, mistakes.get(line))
+    assert set(mistakes) == set(expected)
+
+
+@pytest.mark.parametrize(("text", "line"), [("a = 1\nb = \n", 2), ("[study]\ntitle = 1.e\n", 2)])
+def test_a_study_that_is_no_toml_says_where(text, line):
+    with pytest.raises(StudyError, match="not TOML") as refused:
+        parse(text)
+    assert [at for at, _ in refused.value.mistakes] == [line]
 
 
 def listed(bench):

@@ -5,7 +5,8 @@
 True
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from importlib import import_module, metadata
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -58,5 +59,17 @@ def lookup(family: str, name: str) -> type[Any]:
     """Return the class registered under `name`, or name what there is."""
     known = methods(family)
     if name not in known:
-        raise UnknownMethodError(f"{family}: there is no method '{name}'; known are {', '.join(known)}.")
+        raise UnknownMethodError(f"{family}: there is no method '{name}'{known_are(name, known)}.")
     return known[name]
+
+
+def known_are(name: str, known: Iterable[str]) -> str:
+    """Return the end of a sentence on an unknown name: which one was meant perhaps, and which there are.
+
+    >>> known_are("ordr", ("order", "delay")), known_are("x", ("order", "delay"))
+    ("; did you mean 'order'? Known are order, delay", '; known are order, delay')
+    """
+    names = list(known)
+    nearest = get_close_matches(name, names, n=1)
+    listed = f"nown are {', '.join(names)}" if names else "nown are none"
+    return f"; did you mean '{nearest[0]}'? K{listed}" if nearest else f"; k{listed}"

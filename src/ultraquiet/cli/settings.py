@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.pipeline.study import Method
+from ultraquiet._base.tables import Method
 
 
 def method(family: str, name: str, words: Sequence[str], **given: Any) -> Any:

@@ -9,9 +9,9 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.lines import Place
+from ultraquiet._base.mistakes import Mistakes
 from ultraquiet.bench import Hexapod
 from ultraquiet.bench.hexapod.physics.parameters import STRUTS
-from ultraquiet.experiments.mistakes import Mistakes
 from ultraquiet.experiments.plan import Drive
 from ultraquiet.values import Channel, StateSpace
 

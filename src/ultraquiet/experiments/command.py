@@ -6,6 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from ultraquiet._base.tables import Method, Strict
+
 # Longer runs would not fit the memory of a small machine: 6 + 6 channels of float64 take 1 GB.
 MOST_SAMPLES = 10_000_000
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -40,25 +42,6 @@ Seed = Annotated[int, Field(ge=0, strict=True)]
 Limit = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 # Each command is checked on its own by the compiler, so that one mistake does not hide those of its neighbours.
 Commands = Annotated[list[Any], Field(min_length=1)]
-
-
-class Strict(BaseModel):
-    """Unknown keys are mistakes."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Method(BaseModel):
-    """A registered method by its name; every other key is one of its settings."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-    method: str
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The settings, lists turned into tuples."""
-        return {key: tuple(v) if isinstance(v, list) else v for key, v in (self.model_extra or {}).items()}
 
 
 class Set(BaseModel):

@@ -11,11 +11,13 @@ from pydantic import TypeAdapter, ValidationError
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.lines import Place
+from ultraquiet._base.mistakes import Mistakes
+from ultraquiet._base.tables import Method
 from ultraquiet.experiments import command as c
 from ultraquiet.experiments.channels import rows
 from ultraquiet.experiments.checks import Checks, Disturbance
 from ultraquiet.experiments.making import make
-from ultraquiet.experiments.mistakes import UNDEFINED, Mistakes
+from ultraquiet.experiments.mistakes import UNDEFINED, add_command_refusal
 from ultraquiet.experiments.plan import Drive, Measurement, Pause, Step, Thermometer, duration_s
 from ultraquiet.files import load as load_value
 from ultraquiet.values import StateSpace
@@ -65,7 +67,7 @@ class Compiler:
             try:
                 checked = _COMMAND.validate_python(filled)
             except ValidationError as error:
-                self._mistakes.add_refusal(at, error, c.VOCABULARY.get(_word(filled)))
+                add_command_refusal(self._mistakes, at, error, c.VOCABULARY.get(_word(filled)))
                 self._look_inside(raw, filled, at)
                 continue
             getattr(self, "_" + checked.do.replace("-", "_"))(checked, at)
@@ -93,7 +95,7 @@ class Compiler:
             self._disturbance = Disturbance((), place)
         signal = filled.get("signal") if isinstance(filled, Mapping) else None
         if isinstance(signal, Mapping) and isinstance(signal.get("method"), str):
-            method = c.Method.model_validate(signal)
+            method = Method.model_validate(signal)
             made = make("signals", method, (*place, "signal"), self._mistakes)
             drive = Drive(method.method, made, _NOWHERE, 0)
             self._checks.signals([drive], (*place, "signal"), self._samples, self._limit_v)

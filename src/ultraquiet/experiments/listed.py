@@ -1,9 +1,6 @@
 """Experiment lists: read from TOML, checked whole, ready to run."""
 
 import os
-import re
-import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +8,13 @@ from typing import Any
 from pydantic import ValidationError
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.lines import Place, line_numbers
+from ultraquiet._base.mistakes import Mistakes, read_toml
 from ultraquiet._base.provenance import content_hash
 from ultraquiet.bench import Process
 from ultraquiet.experiments.command import Content
 from ultraquiet.experiments.compile import Compiler
 from ultraquiet.experiments.making import checked_bench, make
-from ultraquiet.experiments.mistakes import ListError, Mistakes
+from ultraquiet.experiments.mistakes import ListError
 from ultraquiet.experiments.plan import Measurement, Step, duration_s
 from ultraquiet.files import reason
 
@@ -118,7 +115,7 @@ def parse(
     ultraquiet.experiments.mistakes.ListError: experiment list: one mistake; nothing was executed.
       line 8: there is no actuator 7; the bench has 1 to 6 (strut 1, strut 2, strut 3, strut 4, strut 5, strut 6).
     """
-    content, places = _read(text, name)
+    content, places = read_toml(text, name, ListError)
     mistakes = Mistakes(places)
     head = _head(content, mistakes)
     given = bench is not None
@@ -130,18 +127,16 @@ def parse(
     if isinstance(bench, STARTED_WHEN_ASKED):
         # Its channels cost the start of a program: not for a list that is wrong by itself.
         _compiled(commands, Compiler(None, folder, first, mistakes))
-        if len(mistakes):
-            raise ListError(name, mistakes.told())
+        mistakes.refuse(ListError, name)
     if bench is not None:
         bench = checked_bench(bench, () if given else ("bench",), mistakes)
     compiler = _compiled(commands, Compiler(bench, folder, first, mistakes))
     if not any(isinstance(step, Measurement) for step in compiler.steps) and not len(mistakes):
         mistakes.add((), "no command records anything; it would take an 'excite' or a 'record'.")
-    if len(mistakes):
-        # A bench may still be given to run, so its absence alone is no mistake yet.
-        if bench is None and "bench" not in content:
-            mistakes.add((), NO_BENCH)
-        raise ListError(name, mistakes.told())
+    # A bench may still be given to run, so its absence alone is no mistake yet.
+    if len(mistakes) and bench is None and "bench" not in content:
+        mistakes.add((), NO_BENCH)
+    mistakes.refuse(ListError, name)
     steps = () if bench is None else tuple(compiler.steps)
     return ExperimentList(name, head.title, text, folder, bench, steps, seed)
 
@@ -152,25 +147,12 @@ def _compiled(commands: list[Any], compiler: Compiler) -> Compiler:
     return compiler
 
 
-def _read(text: str, name: str) -> tuple[dict[str, Any], Mapping[Place, int]]:
-    """Return the tables of a TOML text and the line of each."""
-    try:
-        return tomllib.loads(text), line_numbers(text)
-    except tomllib.TOMLDecodeError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        raise ListError(name, [(int(found[1]) if found else 1, f"this is not TOML: {error}.")]) from None
-    except RecursionError:
-        raise ListError(name, [(1, "its tables lie too deep inside one another.")]) from None
-    except ValueError as error:  # dates and whole numbers that Python cannot hold
-        raise ListError(name, [(1, f"this is not TOML: {error}.")]) from None
-
-
 def _head(content: dict[str, Any], mistakes: Mistakes) -> Content:
     """Return the head of a list; what is wrong in it is noted and left at its default."""
     try:
         return Content.model_validate(content)
     except ValidationError as error:
         mistakes.add_refusal((), error, Content)
-        wrong = {found["loc"][0] for found in error.errors()}
+        wrong = {refusal["loc"][0] for refusal in error.errors()}
         sound = {k: v for k, v in content.items() if k not in wrong and k in Content.model_fields}
         return Content.model_validate({"commands": [None], **sound})

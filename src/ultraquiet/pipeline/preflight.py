@@ -1,23 +1,25 @@
 """What a study asks of its bench and of its experiment list, checked before anything moves."""
 
-from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.lines import Place
+from ultraquiet._base.mistakes import Mistakes
 from ultraquiet.experiments import ExperimentList
-from ultraquiet.pipeline.study import Study, listed
+from ultraquiet.pipeline.study import Study, StudyError
 
 
 def check(study: Study, bench: Any, experiment: ExperimentList) -> None:
     """Refuse units and tones that the bench does not have, and records that the experiment does not leave.
 
     Raises:
-        InputError: every mistake, in one message.
+        StudyError: every mistake, in one message.
     """
-    mistakes = [*_closed_loop(study, bench), *_records(study, experiment)]
-    if mistakes:
-        raise InputError(listed("study", mistakes))
+    mistakes = study.mistakes()
+    _closed_loop(study, bench, mistakes)
+    _records(study, experiment, mistakes)
+    mistakes.refuse(StudyError, "study")
 
 
 def as_unit(bench: Any, unit: str) -> Any:
@@ -27,26 +29,28 @@ def as_unit(bench: Any, unit: str) -> Any:
     return bench
 
 
-def _closed_loop(study: Study, bench: Any) -> Iterator[str]:
-    for unit in study.closed_loop.units:
+def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
+    for k, unit in enumerate(study.closed_loop.units):
         try:
             as_unit(bench, unit)
         except UltraquietError as error:
-            yield f"closed_loop.units: {error}"
-    for f in study.closed_loop.tones_hz:
+            mistakes.add(("closed_loop", "units", k), f"closed_loop.units: {error}")
+    for k, f in enumerate(study.closed_loop.tones_hz):
         if f >= bench.rate_hz / 2:
-            yield f"closed_loop.tones_hz: {f:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
+            fault = f"{f:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
+            mistakes.add(("closed_loop", "tones_hz", k), f"closed_loop.tones_hz: {fault}")
 
 
-def _records(study: Study, experiment: ExperimentList) -> Iterator[str]:
+def _records(study: Study, experiment: ExperimentList, mistakes: Mistakes) -> None:
     names = [m.name for m in experiment.measurements]
     known = dict.fromkeys([*names, *(name.rpartition("-")[0] for name in names)])
-    asked = [
-        ("identify.records", study.identify.records),
-        ("identify.held_out", study.identify.held_out),
-        *(("identify.paper_records", name) for name in study.identify.paper_records),
-        *(("plant.records", name) for name in study.plant.records),
+    asked: list[tuple[Place, str]] = [
+        (("identify", "records"), study.identify.records),
+        (("identify", "held_out"), study.identify.held_out),
+        *((("identify", "paper_records", k), name) for k, name in enumerate(study.identify.paper_records)),
+        *((("plant", "records", k), name) for k, name in enumerate(study.plant.records)),
     ]
-    for where, name in asked:
+    for place, name in asked:
         if name not in known:
-            yield f"{where}: there are no records '{name}'; the experiment leaves {', '.join(experiment.groups)}."
+            fault = f"there are no records '{name}'; the experiment leaves {', '.join(experiment.groups)}."
+            mistakes.add(place, f"{place[0]}.{place[1]}: {fault}")

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
+from ultraquiet._base.tables import Method
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, limits, validation
 from ultraquiet.pipeline.cache import Cache, Outcome
@@ -13,7 +14,7 @@ from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Method, Study
+from ultraquiet.pipeline.study import Study
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 Say = Callable[[str], object]

@@ -1,17 +1,16 @@
 """The study file: what a study says, checked whole before anything starts."""
 
 import re
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError
 
-from ultraquiet._base.errors import InputError, UltraquietError
-from ultraquiet._base.registry import lookup
-from ultraquiet.experiments import command
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.lines import Place
+from ultraquiet._base.mistakes import Mistakes, TableError, read_toml
+from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 
@@ -38,35 +37,26 @@ Name = Annotated[str, AfterValidator(_file_name)]
 Band = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
 
 
-class Method(command.Method):
-    """A registered method by name; every other key is one of its settings."""
+class StudyError(TableError):
+    """A study with mistakes; `.mistakes` holds them as (line, sentence), sorted by line."""
 
-    def make(self, family: str, **more: Any) -> Any:
-        """Return the settings object, or say which setting is wrong; `more` are settings the table does not give."""
-        kind = lookup(family, self.method)
-        known = [f.name for f in fields(kind)]
-        for key in self.settings:
-            if key not in known:
-                raise InputError(
-                    f"{family} '{self.method}': there is no setting '{key}'; known are {', '.join(known)}."
-                )
-        return kind(**more, **self.settings)
+    consequence = "; nothing was started"
 
 
-class Head(command.Strict):
+class Head(Strict):
     """`[study]`: the seed is where test signals and sensor noise start."""
 
     title: str
     seed: Annotated[int, Field(ge=0)] = 0
 
 
-class Experiment(command.Strict):
+class Experiment(Strict):
     """`[experiment]`: the list to execute; "suite" is the packaged one, anything else a file beside the study."""
 
     list: str = "suite"
 
 
-class Sweep(command.Strict):
+class Sweep(Strict):
     """`[identify]`: the channel-by-channel identification and its judges; records are named by their group."""
 
     structures: list[str] = Field(default=["arx", "armax", "output-error", "box-jenkins"], min_length=1)
@@ -85,14 +75,14 @@ class Plant(Method):
     period_samples: int | None = Field(default=None, ge=2)
 
 
-class Design(command.Strict):
+class Design(Strict):
     """`[controllers.NAME]`: a design method with its settings, and what follows it."""
 
     design: Method
     reduce: Method | None = None
 
 
-class ClosedLoop(command.Strict):
+class ClosedLoop(Strict):
     """`[closed_loop]`."""
 
     units: list[str] = Field(default=["ground"], min_length=1)
@@ -102,13 +92,13 @@ class ClosedLoop(command.Strict):
     band_hz: Band = (10.0, 100.0)
 
 
-class Deploy(command.Strict):
+class Deploy(Strict):
     """`[deploy]`."""
 
     precision: Literal["float32", "float64"] = "float32"
 
 
-class Study(command.Strict):
+class Study(Strict):
     """A whole study file."""
 
     study: Head
@@ -119,6 +109,17 @@ class Study(command.Strict):
     controllers: dict[Name, Design] = Field(min_length=1)
     closed_loop: ClosedLoop = ClosedLoop()
     deploy: Deploy = Deploy()
+    _places: Mapping[Place, int] | None = PrivateAttr(default=None)
+
+    def at(self, places: Mapping[Place, int]) -> "Study":
+        """Return the study with the lines of its file on which things stand."""
+        located = self.model_copy()
+        located._places = places
+        return located
+
+    def mistakes(self) -> Mistakes:
+        """Return a collector that knows these lines, if the study was read from a file."""
+        return Mistakes(self._places)
 
 
 def packaged_study(name: str) -> Study:
@@ -148,10 +149,10 @@ def reload_study(folder: Path) -> Study:
 
 
 def load_study(path: Path) -> Study:
-    """Read and check a study file; every mistake is named in one error.
+    """Read and check a study file; every mistake is told in one error, with its line.
 
     Raises:
-        InputError: the file is missing, not TOML, or holds mistakes (all of them are listed).
+        InputError: the file is missing, or a `StudyError` as of `parse`.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -161,66 +162,59 @@ def load_study(path: Path) -> Study:
 
 
 def parse(text: str, name: str = "study") -> Study:
-    """Check the text of a study file."""
-    try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{name}: this is not TOML: {error}.") from error
-    mistakes: list[str] = []
-    study = None
+    r"""Check the text of a study file.
+
+    Raises:
+        StudyError: it is not TOML, or holds mistakes; all of them are told, each with its line.
+
+    >>> parse('[study]\ntitle = "short"\nseed = -1\n[deploy]\nprecison = "float64"')
+    Traceback (most recent call last):
+    ultraquiet.pipeline.study.StudyError: study: 5 mistakes; nothing was started.
+      line 1: 'bench' is missing.
+      line 1: 'controllers' is missing.
+      line 1: 'plant' is missing.
+      line 3: 'seed' should be greater than or equal to 0, got -1.
+      line 5: there is no key 'precison' here; did you mean 'precision'? Known are precision.
+    """
+    content, places = read_toml(text, name, StudyError)
+    mistakes = Mistakes(places)
+    for place, family, table in _methods(content):
+        _check_method(place, family, table, mistakes)
     try:
         study = Study.model_validate(content)
     except ValidationError as error:
-        mistakes += [_sentence(e) for e in error.errors()]
-    mistakes += list(_method_mistakes(content))
-    if mistakes or study is None:
-        raise InputError(listed(name, mistakes))
-    return study
+        mistakes.add_refusal((), error, Study)
+        raise StudyError(name, mistakes.by_line()) from None
+    mistakes.refuse(StudyError, name)
+    return study.at(places)
 
 
-def listed(name: str, mistakes: Sequence[str]) -> str:
-    """Return one message that tells all mistakes."""
-    count = f"{len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}"
-    return f"{name}: {count}.\n" + "\n".join(f"  - {m}" for m in mistakes)
+def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes: Mistakes) -> None:
+    """Note everything that the registry or the method refuses, whatever else is wrong with the file."""
+    try:
+        method = (Plant if place == ("plant",) else Method).model_validate(table)
+    except ValidationError:
+        return  # the schema notes it
+    made = settings_object(family, method.method, method.settings, place, mistakes)
+    if made is not None and place[0] == "identify" and not isinstance(made, PolynomialMethod):
+        mistakes.add(place, f"'{method.method}' is no polynomial structure.")
 
 
-def _sentence(error: Any) -> str:
-    where = ".".join(str(part) for part in error["loc"] if part != "[key]")
-    if error["type"] == "extra_forbidden":
-        return f"{where}: there is no such key."
-    if error["type"] == "missing":
-        return f"{where}: this key is missing."
-    said = error["msg"].removeprefix("Value error, ")
-    return f"{where}: {said[0].lower()}{said[1:]}, got {error['input']!r}."
-
-
-def _method_mistakes(content: Mapping[str, Any]) -> Iterator[str]:
-    """Name every method or setting that the registry does not know, whatever else is wrong with the file."""
-    for where, family, table in _methods(content):
-        try:
-            made = (Plant if where == "plant" else Method).model_validate(table).make(family)
-            if where.startswith("identify.") and not isinstance(made, PolynomialMethod):
-                yield f"{where}: '{table['method']}' is no polynomial structure."
-        except ValidationError:
-            continue  # the schema has named it already
-        except (UltraquietError, TypeError, ValueError) as error:
-            yield f"{where}: {error}"
-
-
-def _methods(content: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
-    places: list[tuple[str, str, Any]] = [
-        ("bench", "bench", content.get("bench")),
-        ("plant", "identify", content.get("plant")),
+def _methods(content: Mapping[str, Any]) -> Iterator[tuple[Place, str, Mapping[str, Any]]]:
+    """Yield place, family and table of every method that a study names."""
+    tables: list[tuple[Place, str, Any]] = [
+        (("bench",), "bench", content.get("bench")),
+        (("plant",), "identify", content.get("plant")),
     ]
     controllers = content.get("controllers")
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():
         if isinstance(entry, dict):
-            places.append((f"controllers.{name}.design", "design", entry.get("design")))
-            places.append((f"controllers.{name}.reduce", "reduce", entry.get("reduce")))
+            tables += [(("controllers", name, family), family, entry.get(family)) for family in ("design", "reduce")]
     sweep = content.get("identify")
-    structures = sweep.get("structures", []) if isinstance(sweep, dict) else []
-    for k, name in enumerate(structures if isinstance(structures, list) else []):
-        places.append((f"identify.structures.{k}", "identify", {"method": name}))
-    if isinstance(sweep, dict) and "paper_structure" in sweep:
-        places.append(("identify.paper_structure", "identify", {"method": sweep["paper_structure"]}))
-    return ((where, family, table) for where, family, table in places if isinstance(table, dict))
+    if isinstance(sweep, dict):
+        structures = sweep.get("structures")
+        for k, name in enumerate(structures if isinstance(structures, list) else []):
+            tables.append((("identify", "structures", k), "identify", {"method": name}))
+        if "paper_structure" in sweep:
+            tables.append((("identify", "paper_structure"), "identify", {"method": sweep["paper_structure"]}))
+    return ((place, family, table) for place, family, table in tables if isinstance(table, dict))

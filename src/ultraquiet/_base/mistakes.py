@@ -1,0 +1,125 @@
+"""Mistakes in tables that people write: collected all, told at once, each with its line."""
+
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.lines import Place, line_numbers, line_of
+from ultraquiet._base.registry import known_are
+
+# The line of a mistake in a table that was read from no text.
+NO_LINE = 0
+
+
+class TableError(InputError):
+    """Tables with mistakes; `.mistakes` holds them as (line, sentence), sorted by line."""
+
+    consequence: ClassVar[str] = ""
+
+    def __init__(self, name: str, mistakes: Sequence[tuple[int, str]]) -> None:
+        self.mistakes = tuple(mistakes)
+        count = "one mistake" if len(mistakes) == 1 else f"{len(mistakes)} mistakes"
+        lines = "".join(f"\n  {_bullet(line)} {sentence}" for line, sentence in self.mistakes)
+        alone = len(mistakes) == 1 and mistakes[0][0] == NO_LINE
+        super().__init__(mistakes[0][1] if alone else f"{name}: {count}{self.consequence}.{lines}")
+
+
+def _bullet(line: int) -> str:
+    return "-" if line == NO_LINE else f"line {line}:"
+
+
+class Mistakes:
+    """A collector that knows where in a text things stand; where there is no text, its mistakes have no lines.
+
+    >>> mistakes = Mistakes({("bench",): 3, ("bench", "unit"): 4})
+    >>> mistakes.add(("bench", "unit"), "there is no unit 'moon'.")
+    >>> mistakes.by_line()
+    [(4, "there is no unit 'moon'.")]
+    """
+
+    def __init__(self, places: Mapping[Place, int] | None = None) -> None:
+        self._places = places
+        # A dictionary, because rounds of a repeat would tell twice.
+        self._mistakes: dict[tuple[int, str], None] = {}
+
+    def add(self, place: Place, sentence: str) -> None:
+        """Note a mistake at a place."""
+        self._mistakes[self.line(place), sentence] = None
+
+    def line(self, place: Place) -> int:
+        """Return the line of a place."""
+        return NO_LINE if self._places is None else line_of(self._places, place)
+
+    def add_refusal(self, place: Place, error: ValidationError, model: type[BaseModel]) -> None:
+        """Note everything that pydantic refused of a table at `place`."""
+        for refusal in error.errors():
+            path = tuple(step for step in refusal["loc"] if step != "[key]")
+            self.add((*place, *path), sentence(refusal, model))
+
+    def by_line(self) -> list[tuple[int, str]]:
+        """Return all mistakes by line."""
+        return sorted(self._mistakes)
+
+    def refuse(self, error: type[TableError], name: str) -> None:
+        """Raise the error when there are mistakes."""
+        if self._mistakes:
+            raise error(name, self.by_line())
+
+    def __len__(self) -> int:
+        return len(self._mistakes)
+
+
+def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, Any], Mapping[Place, int]]:
+    """Return the tables of a TOML text and the line of each; what is no TOML is a mistake like any other."""
+    try:
+        return tomllib.loads(text), line_numbers(text)
+    except tomllib.TOMLDecodeError as refusal:
+        match = re.search(r"at line (\d+)", str(refusal))
+        raise error(name, [(int(match[1]) if match else 1, f"this is not TOML: {refusal}.")]) from None
+    except RecursionError:
+        raise error(name, [(1, "its tables lie too deep inside one another.")]) from None
+    except ValueError as refusal:  # dates and whole numbers that Python cannot hold
+        raise error(name, [(1, f"this is not TOML: {refusal}.")]) from None
+
+
+def sentence(refusal: Any, model: type[BaseModel] | None) -> str:
+    """Return what pydantic refused as a sentence; `model` is that of the table its path begins at."""
+    path = tuple(step for step in refusal["loc"] if step != "[key]")
+    key, kind, value = _named(path), refusal["type"], refusal["input"]
+    if kind == "missing":
+        return f"'{key}' is missing."
+    if kind == "extra_forbidden":
+        table = _model_at(model, path[:-1])
+        return f"there is no key '{key}' here{known_are(key, table.model_fields if table else ())}."
+    if kind == "model_type":
+        return f"'{key}' must be a table, got {value!r}."
+    if kind == "value_error":
+        return f"'{key}' is {value!r}; {refusal['ctx']['error']}."
+    words = refusal["msg"].removeprefix("Input ")
+    return f"'{key}' {words}, got {value!r}." if key else f"it {words}, got {value!r}."
+
+
+def _named(path: Sequence[str | int]) -> str:
+    """Return the last key of a path, with the index of an element of a list."""
+    index = ""
+    for step in reversed(path):
+        if isinstance(step, str):
+            return f"{step}{index}"
+        index = f"[{step}]{index}"
+    return index
+
+
+def _model_at(kind: Any, path: Sequence[str | int]) -> type[BaseModel] | None:
+    """Return the model of the table that a path through a model's fields leads to."""
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        if not path:
+            return kind
+        field = kind.model_fields.get(str(path[0]))
+        return None if field is None else _model_at(field.annotation, path[1:])
+    parts = get_args(kind)
+    inner = path[1:] if get_origin(kind) in (dict, list) else path
+    return next((model for part in parts if (model := _model_at(part, inner)) is not None), None)

@@ -1,0 +1,45 @@
+"""Every method that registers itself can be had by its name."""
+
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ultraquiet
+from ultraquiet._base.errors import UnknownMethodError
+from ultraquiet._base.registry import lookup
+
+SRC = Path(ultraquiet.__file__).parent
+# In a process of its own, where no test has imported what a room forgot; a room imports no room above it, so that in
+# the order of the layers none can hide the gap of another.
+KNOWN = """
+import json
+from ultraquiet._base.registry import FAMILIES, methods
+print(json.dumps({family: list(methods(family)) for family in FAMILIES}))
+"""
+
+
+def registered():
+    """(family, name) of every decorated class of the source tree, read without importing it."""
+    for path in SRC.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            for call in getattr(node, "decorator_list", ()):
+                if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "register":
+                    yield tuple(ast.literal_eval(argument) for argument in call.args)
+
+
+def test_every_registered_method_is_reachable():
+    done = subprocess.run([sys.executable, "-c", KNOWN], capture_output=True, text=True, check=True)
+    reachable = [(family, name) for family, names in json.loads(done.stdout).items() for name in names]
+    assert len(reachable) > 40
+    assert sorted(registered()) == sorted(reachable)
+
+
+def test_an_unknown_name_is_answered_with_the_nearest():
+    with pytest.raises(
+        UnknownMethodError, match=r"no method 'box-jenkin'; did you mean 'box-jenkins'\? Known are arma"
+    ):
+        lookup("identify", "box-jenkin")
