@@ -51,17 +51,17 @@ class _Scanner:
             self._skip()
 
     def _skip(self) -> None:
-        found = _BLANK.match(self.text, self.at)
-        assert found is not None
-        self.at = found.end()
+        match = _BLANK.match(self.text, self.at)
+        assert match is not None
+        self.at = match.end()
 
     def _keys(self) -> tuple[str, ...]:
         keys: list[str] = []
         dotted = "."
-        while dotted and (found := _KEY.match(self.text, self.at)):
-            key, dotted = found.groups()
+        while dotted and (match := _KEY.match(self.text, self.at)):
+            key, dotted = match.groups()
             keys.append(key[1:-1] if key[0] in "\"'" else key)
-            self.at = found.end()
+            self.at = match.end()
         return tuple(keys)
 
     def _note(self, place: Place, start: int) -> None:
@@ -100,9 +100,9 @@ class _Scanner:
         if opening in "[{":
             self._inside(place, opening)
             return
-        found = (_TEXT if opening in "\"'" else _BARE).match(self.text, self.at)
-        assert found is not None
-        self.at = found.end()
+        match = (_TEXT if opening in "\"'" else _BARE).match(self.text, self.at)
+        assert match is not None
+        self.at = match.end()
 
     def _inside(self, place: Place, opening: str) -> None:
         closing = "]" if opening == "[" else "}"

@@ -34,9 +34,9 @@ def register(family: str, name: str) -> Callable[[Method], Method]:
             raise UnknownMethodError(
                 f"registry: '{method.__name__}' lacks the verb '{FAMILIES[family]}' of '{family}'."
             )
-        holder = _table[family].get(name)
-        if holder is not None and holder.__qualname__ != method.__qualname__:
-            raise UnknownMethodError(f"registry: '{name}' of '{family}' is taken by {holder.__qualname__}.")
+        registered = _table[family].get(name)
+        if registered is not None and registered.__qualname__ != method.__qualname__:
+            raise UnknownMethodError(f"registry: '{name}' of '{family}' is taken by {registered.__qualname__}.")
         _table[family][name] = method
         return method
 

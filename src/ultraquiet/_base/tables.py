@@ -95,8 +95,8 @@ def settings_object(
             mistakes.add(place, f"{who} lacks its setting '{key}'.")
     if any(_needed(field) and key not in values for key, field in known.items()):
         return None
-    made = _built(kind, values, known, place, mistakes)
-    return None if misfits else made
+    method = _built(kind, values, known, place, mistakes)
+    return None if misfits else method
 
 
 def _needed(field: "Field[Any]") -> bool:
@@ -110,25 +110,25 @@ def _built(
     left_out: set[str] = set()
     while True:
         try:
-            made = kind(**settings)
+            method = kind(**settings)
         except UltraquietError as error:
             words = str(error)
             if any(f"'{key}'" in words for key in left_out):
                 return None  # it may be the default that is refused now
             # The sentence names its setting; the line of that setting is where it is mended.
-            named = next((key for key in settings if f"'{key}'" in words), None)
-            mistakes.add(place if named is None else (*place, named), words)
-            if named is None or _needed(known[named]):
+            refused = next((key for key in settings if f"'{key}'" in words), None)
+            mistakes.add(place if refused is None else (*place, refused), words)
+            if refused is None or _needed(known[refused]):
                 return None
-            left_out.add(named)
-            del settings[named]
+            left_out.add(refused)
+            del settings[refused]
         except Exception as error:  # a method may be anybody's, and what it is given anything
             if not left_out:
-                said = f"{kind.__name__} does not take these settings ({type(error).__name__}: {error})."
-                mistakes.add(place, said)
+                fault = f"{kind.__name__} does not take these settings ({type(error).__name__}: {error})."
+                mistakes.add(place, fault)
             return None
         else:
-            return None if left_out else made
+            return None if left_out else method
 
 
 def _misfits(kind: type[Any], settings: Mapping[str, Any]) -> dict[str, str]:

@@ -40,21 +40,23 @@ def identify(
 
     from ultraquiet import files, validate
 
-    share = between("identify", "hold-out", hold_out, 0.0, 0.9)
+    held_out_share = between("identify", "hold-out", hold_out, 0.0, 0.9)
     data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping)
     settings = make("identify", method, setting or (), order=order)
-    cut = data.samples - int(share * data.samples)
+    cut = data.samples - int(held_out_share * data.samples)
     with bars():
         result = settings.identify(data.part(0, cut))
-    judged = validate.compare(result.model, data.part(cut)).fit_percent if share else np.full(len(data.sensors), np.nan)
+    unseen_percent = np.full(len(data.sensors), np.nan)
+    if held_out_share:
+        unseen_percent = validate.compare(result.model, data.part(cut)).fit_percent
     target = out or record.with_name(f"{record.stem}-{method}.h5")
     files.save(result.model, target, overwrite=force)
     table = Table(
         "output", "fit, seen", "fit, held out", "loss", title=f"{method} from {cut} samples at {data.rate_hz:g} Hz"
     )
-    for channel, seen, held, loss in zip(data.sensors, result.fit_percent, judged, result.loss, strict=True):
+    for channel, seen, unseen, loss in zip(data.sensors, result.fit_percent, unseen_percent, result.loss, strict=True):
         unit = f" {channel.unit}²" if channel.unit else ""
-        table.add_row(channel.name, f"{seen:.2f} %", f"{held:.2f} %" if share else "-", f"{loss:.4g}{unit}")
+        table.add_row(channel.name, f"{seen:.2f} %", f"{unseen:.2f} %" if held_out_share else "-", f"{loss:.4g}{unit}")
     console = Console()
     console.print(table)
     console.print(f"{result.status}\nmodel: {target}", highlight=False, soft_wrap=True)

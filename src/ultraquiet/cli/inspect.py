@@ -20,26 +20,26 @@ def inspect(
 
     from ultraquiet import files
 
-    found = files.survey(path, rate_hz)
+    survey = files.survey(path, rate_hz)
     console = Console()
-    clock = "rate unknown" if found.rate_hz is None else f"{found.rate_hz:.10g} Hz"
-    length = "" if found.duration_s is None else f", {found.duration_s:g} s"
+    clock = "rate unknown" if survey.rate_hz is None else f"{survey.rate_hz:.10g} Hz"
+    length = "" if survey.duration_s is None else f", {survey.duration_s:g} s"
     numbers = ("samples", "mean", "rms", "peak", "clipped", "NaN")
     table = Table(
         Column("channel", overflow="fold"),
         *(Column(name, no_wrap=True) for name in ("role", "unit")),
         *(Column(name, no_wrap=True, justify="right") for name in numbers),
-        title=escape(f"{path.name}: {found.format}, {found.size}, {clock}{length}"),
+        title=escape(f"{path.name}: {survey.format}, {survey.size}, {clock}{length}"),
         box=SIMPLE_HEAD,
         padding=0,
         pad_edge=False,
         collapse_padding=True,
     )
-    for c in found.channels:
+    for c in survey.channels:
         levels = (f"{level:.4g}" for level in (c.mean, c.rms, c.peak))
         table.add_row(
             escape(c.name), c.role or "-", escape(c.unit), str(c.samples), *levels, str(c.clipped), str(c.missing)
         )
     console.print(table)
-    for note in found.notes:
+    for note in survey.notes:
         console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)

@@ -32,17 +32,17 @@ def records(
 
     if rebuild:
         experiments.rebuild(folder)
-    found = experiments.search(folder, what, bench, since, status, listed)
+    entries = experiments.search(folder, what, bench, since, status, listed)
     if as_json:
-        sys.stdout.write(json.dumps([asdict(entry) for entry in found], indent=1) + "\n")
+        sys.stdout.write(json.dumps([asdict(entry) for entry in entries], indent=1) + "\n")
         return
-    told = Console(highlight=False)
-    if found:
-        told.print(_table(found))
-    told.print("1 run" if len(found) == 1 else f"{len(found)} runs", soft_wrap=True)
+    console = Console(highlight=False)
+    if entries:
+        console.print(_table(entries))
+    console.print("1 run" if len(entries) == 1 else f"{len(entries)} runs", soft_wrap=True)
 
 
-def _table(found: tuple["Entry", ...]) -> "Table":
+def _table(entries: tuple["Entry", ...]) -> "Table":
     from datetime import datetime
 
     from rich.box import SIMPLE_HEAD
@@ -57,13 +57,13 @@ def _table(found: tuple["Entry", ...]) -> "Table":
         whole["when"], words["run"], whole["status"], words["bench, list"], words["sent"], *counts, words["file"],
         box=SIMPLE_HEAD, padding=0, pad_edge=False, collapse_padding=True,
     )  # fmt: skip
-    for e in found:
+    for e in entries:
         when = datetime.fromisoformat(e.when).astimezone().strftime("%Y-%m-%d\n%H:%M:%S") if e.when else "-"
         sent = [f"{e.signal} {e.actuators}".strip() or "-"]
         sent += [f"d: {e.disturbance}"] * bool(e.disturbance) + [f"K: {e.controller}"] * bool(e.controller)
-        warm = "-" if e.temperature_c is None else f"{e.temperature_c:.1f}"
-        told = ("\n".join(filter(None, lines)) for lines in ((e.name, e.comment), (e.bench, e.list), sent))
-        run, bench, signals = map(escape, told)
-        numbers = (str(e.samples), str(e.clipped), str(e.overruns), warm)
+        temperature = "-" if e.temperature_c is None else f"{e.temperature_c:.1f}"
+        cells = ("\n".join(filter(None, lines)) for lines in ((e.name, e.comment), (e.bench, e.list), sent))
+        run, bench, signals = map(escape, cells)
+        numbers = (str(e.samples), str(e.clipped), str(e.overruns), temperature)
         table.add_row(when, run, e.status, bench, signals, *numbers, escape(e.file) or "-")
     return table

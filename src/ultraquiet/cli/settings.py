@@ -8,13 +8,13 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.tables import Method
 
 
-def method(family: str, name: str, words: Sequence[str], **given: Any) -> Any:
+def method(family: str, name: str, assignments: Sequence[str], **options: Any) -> Any:
     """Return the settings object of a method; values are written as in TOML, bare words are text."""
-    settings: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    for word in words:
-        key, equals, value = word.partition("=")
+    settings: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    for assignment in assignments:
+        key, equals, value = assignment.partition("=")
         if not equals:
-            raise InputError(f"--set: '{word}' must read key=value.")
+            raise InputError(f"--set: '{assignment}' must read key=value.")
         if key == "method":
             raise InputError("--set: the method is chosen with --method.")
         settings[key.replace("-", "_")] = _value(value)

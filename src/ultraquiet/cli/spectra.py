@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from ultraquiet.spectra import BandLevels
     from ultraquiet.values import Record
 
-    _Told = tuple[list[Table], Figure, list[str]]
+    _Display = tuple[list[Table], Figure, list[str]]
 
 # So many channels stand beside each other in a terminal of 80 columns.
 ABREAST = 4
 
 
 @dataclass(frozen=True)
-class _Wanted:
+class _Request:
     """What the words of the command line ask for."""
 
     averaging: dict[str, Any]
@@ -68,7 +68,7 @@ def spectra(
     from ultraquiet import files
     from ultraquiet.plot import draw_svg
 
-    kinds: dict[str, Callable[[Record, _Wanted], _Told]] = {
+    kinds: dict[str, Callable[[Record, _Request], _Display]] = {
         "density": _density, "response": _response, "transmissibility": _transmissibility, "octaves": _octaves,
     }  # fmt: skip
     one_of("spectra", "show", show, tuple(kinds))
@@ -76,8 +76,8 @@ def spectra(
         raise InputError(f"spectra: '--out' must end in .svg, the one kind of picture that is drawn, got '{out}'.")
     data = _scaled(files.read_record(record, rate, inputs, outputs, mapping), unit, sensitivity)
     averaging = {"segment_samples": segment, "overlap": overlap, "window": window, "detrend": detrend}
-    wanted = _Wanted(averaging, estimator, base, payload, fraction, quantity)
-    tables, figure, words = kinds[show](data, wanted)
+    request = _Request(averaging, estimator, base, payload, fraction, quantity)
+    tables, figure, words = kinds[show](data, request)
     if out is not None:
         files.write_bytes(out, draw_svg(figure).encode())
         words.append(f"picture: {out}")
@@ -97,67 +97,71 @@ def _scaled(data: "Record", unit: str | None, sensitivity: float | None) -> "Rec
     return Record(data.inputs, data.outputs / divisor, data.rate_hz, data.actuators, sensors, data.provenance)
 
 
-def _density(data: "Record", wanted: _Wanted) -> "_Told":
+def _density(data: "Record", request: _Request) -> "_Display":
     import numpy as np
     from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import density_figure
 
-    found = room.psd(data, **wanted.averaging)
+    spectrum = room.psd(data, **request.averaging)
     table = Table("channel", "rms", "strongest line", "density there", "95 % interval", title="Power spectral density")
-    low, high = found.interval()
-    total = found.rms()
-    for k, channel in enumerate(found.channels):
-        at = int(np.argmax(found.values[k]))
-        span = f"{low[k, at]:.3g} to {high[k, at]:.3g}"
-        density = f"{found.values[k, at]:.4g} ({channel.unit})²/Hz"
-        table.add_row(channel.name, f"{total[k]:.4g} {channel.unit}", f"{found.f_hz[at]:.4g} Hz", density, span)
-    return [table], density_figure(found), [found.estimator]
+    low, high = spectrum.interval()
+    total = spectrum.rms()
+    for k, channel in enumerate(spectrum.channels):
+        peak = int(np.argmax(spectrum.values[k]))
+        span = f"{low[k, peak]:.3g} to {high[k, peak]:.3g}"
+        density = f"{spectrum.values[k, peak]:.4g} ({channel.unit})²/Hz"
+        table.add_row(channel.name, f"{total[k]:.4g} {channel.unit}", f"{spectrum.f_hz[peak]:.4g} Hz", density, span)
+    return [table], density_figure(spectrum), [spectrum.estimator]
 
 
-def _response(data: "Record", wanted: _Wanted) -> "_Told":
+def _response(data: "Record", request: _Request) -> "_Display":
     import numpy as np
     from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import response_figure
 
-    found = room.frf(data, estimator=wanted.estimator, **wanted.averaging)
-    assert found.coherence is not None
+    response = room.frf(data, estimator=request.estimator, **request.averaging)
+    assert response.coherence is not None
     table = Table("output", "input", "largest gain", "at", "median coherence", title="Frequency response")
-    for i, sensor in enumerate(found.sensors):
-        for j, actuator in enumerate(found.actuators):
-            at = _strongest(np.abs(found.values[i, j]), found.coherence[i, j], found.f_hz)
-            told = ("-", "-") if at is None else (f"{found.magnitude_db[i, j, at]:.2f} dB", f"{found.f_hz[at]:.4g} Hz")
-            table.add_row(sensor.name, actuator.name, *told, f"{np.median(found.coherence[i, j]):.3f}")
-    return [table], response_figure(found), [found.estimator, _where()]
+    for i, sensor in enumerate(response.sensors):
+        for j, actuator in enumerate(response.actuators):
+            peak = _strongest(np.abs(response.values[i, j]), response.coherence[i, j], response.f_hz)
+            cells = (
+                ("-", "-")
+                if peak is None
+                else (f"{response.magnitude_db[i, j, peak]:.2f} dB", f"{response.f_hz[peak]:.4g} Hz")
+            )
+            table.add_row(sensor.name, actuator.name, *cells, f"{np.median(response.coherence[i, j]):.3f}")
+    return [table], response_figure(response), [response.estimator, _where()]
 
 
-def _transmissibility(data: "Record", wanted: _Wanted) -> "_Told":
+def _transmissibility(data: "Record", request: _Request) -> "_Display":
     from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import transmissibility_figure
 
-    if wanted.base is None or wanted.payload is None:
+    if request.base is None or request.payload is None:
         names = ", ".join(c.name for c in data.sensors)
         raise InputError(f"spectra: transmissibility needs '--base' and '--payload', sensors among {names}.")
-    sides = [[name.strip() for name in side.split(",")] for side in (wanted.base, wanted.payload)]
-    found = room.transmissibility(data, sides[0], sides[1], estimator=wanted.estimator, **wanted.averaging)
+    sides = [[name.strip() for name in side.split(",")] for side in (request.base, request.payload)]
+    transmissibility = room.transmissibility(data, sides[0], sides[1], estimator=request.estimator, **request.averaging)
     table = Table("payload", "base", "largest", "at", "95 % interval", title="Transmissibility")
-    low, high = found.interval_db()
-    coherence = found.response.coherence
+    low, high = transmissibility.interval_db()
+    coherence = transmissibility.response.coherence
     assert coherence is not None
-    for i, p in enumerate(found.response.sensors):
-        for j, b in enumerate(found.response.actuators):
-            at = _strongest(found.db[i, j], coherence[i, j], found.f_hz)
-            told = ("-", "-", "-")
-            if at is not None:
-                span = f"{low[i, j, at]:.2f} to {high[i, j, at]:.2f} dB"
-                told = f"{found.db[i, j, at]:.2f} dB", f"{found.f_hz[at]:.4g} Hz", span
-            table.add_row(p.name, b.name, *told)
-    return [table], transmissibility_figure(found), [found.estimator, _where()]
+    for i, p in enumerate(transmissibility.response.sensors):
+        for j, b in enumerate(transmissibility.response.actuators):
+            peak = _strongest(transmissibility.db[i, j], coherence[i, j], transmissibility.f_hz)
+            cells = ("-", "-", "-")
+            if peak is not None:
+                span = f"{low[i, j, peak]:.2f} to {high[i, j, peak]:.2f} dB"
+                cells = f"{transmissibility.db[i, j, peak]:.2f} dB", f"{transmissibility.f_hz[peak]:.4g} Hz", span
+            table.add_row(p.name, b.name, *cells)
+    return [table], transmissibility_figure(transmissibility), [transmissibility.estimator, _where()]
 
 
 def _strongest(gain: "FloatArray", coherence: "FloatArray", f_hz: "FloatArray") -> int | None:
@@ -176,16 +180,16 @@ def _where() -> str:
     return f"largest among the lines with a coherence above {TRUSTED:g}"
 
 
-def _octaves(data: "Record", wanted: _Wanted) -> "_Told":
+def _octaves(data: "Record", request: _Request) -> "_Display":
     from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import bands_figure
 
-    found = room.psd(data, **wanted.averaging)
-    if wanted.quantity is not None:
-        found = room.convert_spectrum(found, wanted.quantity, "velocity")
-    levels = room.band_levels(found, wanted.fraction)
+    spectrum = room.psd(data, **request.averaging)
+    if request.quantity is not None:
+        spectrum = room.convert_spectrum(spectrum, request.quantity, "velocity")
+    levels = room.band_levels(spectrum, request.fraction)
     tables: list[Table] = []
     for first in range(0, len(levels.channels), ABREAST):
         part = slice(first, first + ABREAST)

@@ -29,25 +29,25 @@ def validate(
     from ultraquiet import validate as room
     from ultraquiet.values import PolynomialMatrix, PolynomialModel, StateSpace
 
-    held = files.load(model)
-    if not isinstance(held, PolynomialMatrix | PolynomialModel | StateSpace):
-        raise InputError(f"validate: '{model}' holds a {type(held).__name__}, not a model.")
+    system = files.load(model)
+    if not isinstance(system, PolynomialMatrix | PolynomialModel | StateSpace):
+        raise InputError(f"validate: '{model}' holds a {type(system).__name__}, not a model.")
     data = files.read_record(record, rate, inputs, outputs, mapping)
-    found = room.compare(held, data)
-    tested = None if isinstance(held, StateSpace) else room.residual_test(held, data)
-    ahead = [] if tested is None else [room.compare(held, data, steps=k).fit_percent for k in STEPS]
-    named = [f"{k} ahead" for k in STEPS]
-    table = Table("output", "simulated fit", *named, "clipped", *P_VALUES, title=f"{model} on {record}")
+    comparison = room.compare(system, data)
+    residuals = None if isinstance(system, StateSpace) else room.residual_test(system, data)
+    ahead = [] if residuals is None else [room.compare(system, data, steps=k).fit_percent for k in STEPS]
+    heads = [f"{k} ahead" for k in STEPS]
+    table = Table("output", "simulated fit", *heads, "clipped", *P_VALUES, title=f"{model} on {record}")
     for i, channel in enumerate(data.sensors):
         steps = [f"{fit[i]:.2f} %" for fit in ahead] or ["-"] * len(STEPS)
         tests = ["-"] * len(P_VALUES)
-        if tested is not None:
-            values = (tested.whiteness_p[i], tested.correlation_p[i].min(), tested.feedback_p[i].min())
+        if residuals is not None:
+            values = (residuals.whiteness_p[i], residuals.correlation_p[i].min(), residuals.feedback_p[i].min())
             tests = [f"{p:.3g}" for p in values]
-        table.add_row(channel.name, f"{found.fit_percent[i]:.2f} %", *steps, str(found.clipped[i]), *tests)
+        table.add_row(channel.name, f"{comparison.fit_percent[i]:.2f} %", *steps, str(comparison.clipped[i]), *tests)
     console = Console()
     console.print(table)
-    if tested is not None:
-        console.print(f"p-values take the coefficients as fitted to {tested.origin}.")
-    for advice in room.advise(data, None if isinstance(held, StateSpace) else held):
+    if residuals is not None:
+        console.print(f"p-values take the coefficients as fitted to {residuals.origin}.")
+    for advice in room.advise(data, None if isinstance(system, StateSpace) else system):
         console.print(str(advice), markup=False)

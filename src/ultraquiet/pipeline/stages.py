@@ -98,20 +98,20 @@ class Stages:
 
     def _design(self, name: str, plant: StateSpace) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
-        wanted = self.study.controllers[name]
-        key = [plant.hash, _key(wanted.design), wanted.reduce and _key(wanted.reduce)]
-        compute = partial(control.designed, name, plant, wanted)
+        settings = self.study.controllers[name]
+        key = [plant.hash, _key(settings.design), settings.reduce and _key(settings.reduce)]
+        compute = partial(control.designed, name, plant, settings)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
 
     def _close(self, name: str, law: StateSpace, plant: StateSpace, adaptive: bool) -> Outcome[LoopFacts]:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
-        wanted, settings = self.study.controllers[name], self.study.closed_loop
-        key = [law.hash, self.bench, settings, *([plant.hash, _key(wanted.design)] if adaptive else [])]
+        design, settings = self.study.controllers[name], self.study.closed_loop
+        key = [law.hash, self.bench, settings, *([plant.hash, _key(design.design)] if adaptive else [])]
 
         def compute() -> Outcome[LoopFacts]:
-            acting = control.adapting(plant, wanted) if adaptive else None
+            acting = control.adapting(plant, design) if adaptive else None
             return control.closed(name, acting or law, self.bench, settings)
 
         return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)

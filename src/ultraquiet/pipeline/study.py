@@ -195,8 +195,8 @@ def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes:
         method = (Plant if place == ("plant",) else Method).model_validate(table)
     except ValidationError:
         return  # the schema notes it
-    made = settings_object(family, method.method, method.settings, place, mistakes)
-    if made is not None and place[0] == "identify" and not isinstance(made, PolynomialMethod):
+    candidate = settings_object(family, method.method, method.settings, place, mistakes)
+    if candidate is not None and place[0] == "identify" and not isinstance(candidate, PolynomialMethod):
         mistakes.add(place, f"'{method.method}' is no polynomial structure.")
 
 

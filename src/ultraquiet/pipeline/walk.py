@@ -41,10 +41,10 @@ def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: S
     records = _recorded(listed, bench, settings, folder)
     say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
     result = Stages(settings, Cache(folder), bench, records, say).run()
-    summed = summarise(result)
-    write_bytes(folder / "summary.json", to_json(summed))
+    summary = summarise(result)
+    write_bytes(folder / "summary.json", to_json(summary))
     write(report(result), folder / "report.html")
-    return summed
+    return summary
 
 
 def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
@@ -54,19 +54,19 @@ def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.St
     before the new key is written; records that no study left are never touched.
     """
     place = folder / "records"
-    digest, kept = content_hash(listed.hash, bench).encode(), place / "list.key"
-    every = [m.name for m in listed.measurements]
-    there = [name for name in every if (place / f"{name}.h5").exists()]
-    if there and not kept.exists():
+    digest, key_file = content_hash(listed.hash, bench).encode(), place / "list.key"
+    names = [m.name for m in listed.measurements]
+    present = [name for name in names if (place / f"{name}.h5").exists()]
+    if present and not key_file.exists():
         raise StorageError(
-            f"study: '{place}' holds records that no study left ({there[0]}, ...); choose another --out."
+            f"study: '{place}' holds records that no study left ({present[0]}, ...); choose another --out."
         )
     place.mkdir(exist_ok=True)
-    if not (kept.exists() and kept.read_bytes() == digest):
-        for name in there:
+    if not (key_file.exists() and key_file.read_bytes() == digest):
+        for name in present:
             (place / f"{name}.h5").unlink()
-        write_bytes(kept, digest)
-    return experiments.run(listed, place, bench, resume=True, repeat=every)
+        write_bytes(key_file, digest)
+    return experiments.run(listed, place, bench, resume=True, repeat=names)
 
 
 def _bench(settings: study.Study) -> Any:
@@ -91,9 +91,9 @@ def _prepare(settings: study.Study, folder: Path, beside: Path | None) -> None:
         ) from error
     if shutil.disk_usage(folder).free < NEEDED_BYTES:
         raise StorageError(f"study: '{folder}' has less than {NEEDED_BYTES >> 20} MB free; nothing was started.")
-    listed = study.Experiment(list=_list_of(settings, beside))
-    kept = settings.model_copy(update={"experiment": listed})
-    write_bytes(folder / STUDY_FILE, kept.model_dump_json(indent=1).encode())
+    experiment = study.Experiment(list=_list_of(settings, beside))
+    located = settings.model_copy(update={"experiment": experiment})
+    write_bytes(folder / STUDY_FILE, located.model_dump_json(indent=1).encode())
 
 
 # Records, loops and models of the packaged study take about 60 MB.

@@ -10,27 +10,32 @@ if TYPE_CHECKING:
     from ultraquiet.deploy import FrameSimulation
 
 
-def frame_figure(found: "FrameSimulation") -> Figure:
+def frame_figure(simulation: "FrameSimulation") -> Figure:
     """Return a figure of simulated frames: the worst frame's parts, when each step ended, overruns and ramp."""
-    spans = found.spans_us(found.worst_frame)
+    spans = simulation.spans_us(simulation.worst_frame)
     bars = [Line.of([a, b], [-k, -k], name, shade=k) for k, (name, a, b) in enumerate(spans)]
-    period = 1e6 * found.period_s
-    seconds = np.arange(found.frames) * found.period_s
-    ran = ~found.skipped
+    period = 1e6 * simulation.period_s
+    seconds = np.arange(simulation.frames) * simulation.period_s
+    ran = ~simulation.skipped
     ends = [
-        Line.of(seconds[ran], 1e6 * found.finish_s[ran], "step ends"),
-        Line.of(seconds[ran], 1e6 * found.written_s[ran], "converters written", shade=2),
+        Line.of(seconds[ran], 1e6 * simulation.finish_s[ran], "step ends"),
+        Line.of(seconds[ran], 1e6 * simulation.written_s[ran], "converters written", shade=2),
         Line.of(seconds[[0, -1]], [period, period], "next interrupt", "--", 1),
     ]
-    level = found.level / max(1, int(found.level.max()))
-    count = found.overruns / max(1, found.overrun_count)
+    level = simulation.level / max(1, int(simulation.level.max()))
+    count = simulation.overruns / max(1, simulation.overrun_count)
     counters = [
         Line.of(seconds, level, "ramp's level, of its largest"),
-        Line.of(seconds, count, f"overruns, of {found.overrun_count}", "--", 1),
+        Line.of(seconds, count, f"overruns, of {simulation.overrun_count}", "--", 1),
     ]
     panels = (
-        Panel(bars, f"frame {found.worst_frame}, the worst", "us after the interrupt was due", y_range=(-len(bars), 1)),
+        Panel(
+            bars,
+            f"frame {simulation.worst_frame}, the worst",
+            "us after the interrupt was due",
+            y_range=(-len(bars), 1),
+        ),
         Panel(ends, "every frame", "s", "us"),
         Panel(counters, "what the code counted", "s"),
     )
-    return Figure("frame", "The real-time frame", str(found.status), panels, columns=1, size_in=(8.0, 7.0))
+    return Figure("frame", "The real-time frame", str(simulation.status), panels, columns=1, size_in=(8.0, 7.0))

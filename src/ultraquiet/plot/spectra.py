@@ -31,8 +31,8 @@ def density_figure(spectrum: PowerSpectrum, level: float = 0.95) -> Figure:
     sides = ((low, f"{100 * level:g} % interval"), (high, ""))
     panels: list[Panel] = []
     for k, channel in enumerate(spectrum.channels):
-        around = [Line.of(x, _db(side[k, f]), label, ":", 7) for side, label in sides]
-        lines = [*around, Line.of(x, _db(spectrum.values[k, f]))]
+        interval = [Line.of(x, _db(side[k, f]), label, ":", 7) for side, label in sides]
+        lines = [*interval, Line.of(x, _db(spectrum.values[k, f]))]
         panels.append(Panel(lines, channel.name, HZ, f"dB re {channel.unit}/√Hz", x_log=True))
         total = [Line.of(x, spectrum.cumulative_rms[k, f])]
         panels.append(Panel(total, f"{channel.name}: rms up to here", HZ, channel.unit, x_log=True))
@@ -54,32 +54,34 @@ def response_figure(response: FrequencyResponse) -> Figure:
             if response.variance is not None and np.isfinite(response.variance[i, j]).all():
                 lines.append(Line.of(x, _db(response.variance[i, j]), style=":", shade=j))
         title = f"{sensor.name} (dotted: standard error)"
-        shown = _trusted_range(_db(np.abs(response.values[i]) ** 2), response.coherence, i)
-        panels.append(Panel(lines, title, HZ, "dB", x_log=True, y_range=shown))
+        span_db = _trusted_range(_db(np.abs(response.values[i]) ** 2), response.coherence, i)
+        panels.append(Panel(lines, title, HZ, "dB", x_log=True, y_range=span_db))
         if response.coherence is not None:
             named = enumerate(zip(response.coherence[i], response.actuators, strict=True))
-            shares = [Line.of(x, share, actuator.name, shade=j) for j, (share, actuator) in named]
-            panels.append(Panel(shares, "coherence", HZ, x_log=True, y_range=(0.0, 1.05)))
+            coherences = [Line.of(x, share, actuator.name, shade=j) for j, (share, actuator) in named]
+            panels.append(Panel(coherences, "coherence", HZ, x_log=True, y_range=(0.0, 1.05)))
     columns = 1 if response.coherence is None else 2
     signed, size = _signed(panels, response.estimator), _size(panels, columns)
     return Figure("response", "Frequency responses", f"{response.estimator}.", signed, columns, size)
 
 
-def transmissibility_figure(found: Transmissibility, level: float = 0.95) -> Figure:
+def transmissibility_figure(transmissibility: Transmissibility, level: float = 0.95) -> Figure:
     """Each payload direction over each base direction in dB with its interval; then the ratio of whole powers."""
-    x = found.f_hz
-    low, high = found.interval_db(level)
+    x = transmissibility.f_hz
+    low, high = transmissibility.interval_db(level)
     panels: list[Panel] = []
-    for i, payload in enumerate(found.response.sensors):
-        for j, base in enumerate(found.response.actuators):
-            around = [Line.of(x, np.maximum(side[i, j], LOWEST_DB), style=":", shade=7) for side in (low, high)]
-            lines = [*around, Line.of(x, found.db[i, j])]
-            shown = _trusted_range(found.db[i], found.response.coherence, i)
-            panels.append(Panel(lines, f"{base.name} to {payload.name}", HZ, "dB", x_log=True, y_range=shown))
-    panels.append(Panel([Line.of(x, found.overall_db)], "all directions: ratio of powers", HZ, "dB", x_log=True))
-    caption = f"Transmissibility with its {100 * level:g} % interval (dotted). {found.estimator}."
-    columns = len(found.response.actuators)
-    signed = _signed(panels, found.estimator)
+    for i, payload in enumerate(transmissibility.response.sensors):
+        for j, base in enumerate(transmissibility.response.actuators):
+            interval = [Line.of(x, np.maximum(side[i, j], LOWEST_DB), style=":", shade=7) for side in (low, high)]
+            lines = [*interval, Line.of(x, transmissibility.db[i, j])]
+            span_db = _trusted_range(transmissibility.db[i], transmissibility.response.coherence, i)
+            panels.append(Panel(lines, f"{base.name} to {payload.name}", HZ, "dB", x_log=True, y_range=span_db))
+    panels.append(
+        Panel([Line.of(x, transmissibility.overall_db)], "all directions: ratio of powers", HZ, "dB", x_log=True)
+    )
+    caption = f"Transmissibility with its {100 * level:g} % interval (dotted). {transmissibility.estimator}."
+    columns = len(transmissibility.response.actuators)
+    signed = _signed(panels, transmissibility.estimator)
     return Figure("transmissibility", "Base to payload", caption, signed, columns, _size(panels, columns))
 
 
@@ -113,8 +115,8 @@ def _trusted_range(db: FloatArray, coherence: FloatArray | None, row: int) -> tu
     """Return what `db` `(input, frequency)` spans where the output of that row is coherent, and a margin."""
     if coherence is None or not (trusted := (coherence[row] > TRUSTED) & np.isfinite(db)).any():
         return None
-    seen = db[trusted]
-    return float(max(seen.min(), LOWEST_DB)) - MARGIN_DB, float(seen.max()) + MARGIN_DB
+    coherent = db[trusted]
+    return float(max(coherent.min(), LOWEST_DB)) - MARGIN_DB, float(coherent.max()) + MARGIN_DB
 
 
 def _signed(panels: Sequence[Panel], estimator: str) -> list[Panel]:
