@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Mapping
+from dataclasses import fields
 
 from ultraquiet._base.provenance import versions
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
 from ultraquiet.pipeline.facts.loops import (
     DeploymentFacts,
     DesignFacts,
-    LoopMargins,
+    DesignSummary,
     Reduction,
     StableLoop,
     UnstableLoop,
@@ -30,22 +31,8 @@ class IdentificationSummary:
 
 
 @fact
-class DesignSummary:
-    """A controller as designed."""
-
-    method: str
-    status: str
-    ok: bool
-    states: int
-    gamma: float
-    achieved: float
-    peak_sensitivity_db: float
-    margins: Mapping[str, LoopMargins]
-
-
-@fact
 class ReducedDesignSummary(DesignSummary):
-    """A controller as designed and reduced; `states` are those that are left."""
+    """A controller that was reduced."""
 
     reduction: Reduction
 
@@ -109,17 +96,10 @@ def _mean_log_sensitivity(result: StudyResult) -> dict[str, dict[str, float]]:
 
 
 def _design(facts: DesignFacts) -> DesignSummary:
-    common = DesignSummary(
-        method=facts.method,
-        status=facts.status,
-        ok=facts.ok,
-        states=facts.states,
-        gamma=facts.gamma,
-        achieved=facts.achieved,
-        peak_sensitivity_db=facts.peak_sensitivity_db,
-        margins=facts.margins,
-    )
-    return common if facts.reduction is None else ReducedDesignSummary(**vars(common), reduction=facts.reduction)
+    common = {field.name: getattr(facts, field.name) for field in fields(DesignSummary)}
+    if facts.reduction is None:
+        return DesignSummary(**common)
+    return ReducedDesignSummary(**common, reduction=facts.reduction)
 
 
 def to_json(summary: Summary) -> bytes:

@@ -48,6 +48,11 @@ class ReductionResult:
         """Relative growth of the closed-loop norm."""
         return self.cost_after / self.cost_before - 1 if self.cost_before else 0.0
 
+    @property
+    def bound(self) -> float | None:
+        """What the error's H-infinity norm cannot exceed, where the method promises that of the controller alone."""
+        return self.details.get("bound")
+
 
 class StableSplit(NamedTuple):
     """A system split in two: matrices to be reduced, A, B, C of the part that is kept, and the first one's states.

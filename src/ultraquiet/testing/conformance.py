@@ -130,7 +130,7 @@ def _reduce(name: str, method: Any, seed: int) -> None:
 def _owns_up(name: str, cut: Any, law: StateSpace, plant: StateSpace) -> None:
     """Check what is said of a cut that hurts: no method can promise that the loop survives it."""
     assert cut.controller.states <= law.states - 2, f"{name}: must keep the number of states asked for"
-    bound = cut.details.get("bound")
+    bound = cut.bound
     if bound is None:
         assert not cut.status.ok or _settles(plant, cut.controller), f"{name}: must not call a lost loop ok"
     else:  # it judges the controller alone, and says how far off it may be

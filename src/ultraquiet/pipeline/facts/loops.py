@@ -39,8 +39,8 @@ class Reduction:
 
 
 @fact
-class DesignFacts:
-    """Stage `design`. `details` are the method's own numbers, for readers; nothing here is decided by them."""
+class DesignSummary:
+    """A controller in short; `states` are those that a reduction has left."""
 
     method: str
     status: str
@@ -50,6 +50,12 @@ class DesignFacts:
     achieved: float
     peak_sensitivity_db: float
     margins: Mapping[str, LoopMargins]
+
+
+@fact
+class DesignFacts(DesignSummary):
+    """Stage `design`. `details` are the method's own numbers, for readers; nothing here is decided by them."""
+
     residuals: Mapping[str, float]
     adaptive: bool
     reduction: Reduction | None = None
