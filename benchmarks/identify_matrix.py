@@ -41,7 +41,7 @@ def records(rng: np.random.Generator, count: int, name: str = "suite_rate") -> l
 def measure() -> Iterator[tuple[str, str, str, bool]]:
     rng, cores = np.random.default_rng(), os.cpu_count() or 1
     method = uq.identify.BoxJenkins(order=5)
-    from ultraquiet.identify.polynomial.matrix import in_threads
+    from ultraquiet._base.threads import in_threads
 
     data = records(rng, 36)
     method.identify(data[0][0])

@@ -11,7 +11,7 @@ import numpy as np
 import ultraquiet as uq
 from benchmarks import _peer
 from benchmarks.identify_matrix import records
-from ultraquiet.identify.polynomial.matrix import in_threads
+from ultraquiet._base.threads import in_threads
 from ultraquiet.linalg import prediction
 
 PEER = ("sippy_unipi==1.0.1",)

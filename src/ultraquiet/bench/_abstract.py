@@ -73,7 +73,7 @@ class Tally:
     >>> tally = Tally()
     >>> for _ in range(2):
     ...     tally.take(Block(np.zeros((1, 5)), np.zeros((1, 5)), np.array([3]), np.array([0])))
-    >>> tally.told()
+    >>> tally.counts()
     {'limited_commands': [6], 'limited_readings': [0], 'overruns': 0}
     """
 
@@ -91,9 +91,11 @@ class Tally:
         """Frames that came too late."""
         return int(self._counts.get("overruns", 0))
 
-    def told(self) -> dict[str, Any]:
+    def counts(self) -> dict[str, Any]:
         """Return the counts as a provenance holds them."""
         return {name: np.asarray(count).tolist() for name, count in self._counts.items()}
+
+    told = counts  # its name until 0.1
 
 
 @runtime_checkable

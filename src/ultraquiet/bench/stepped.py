@@ -90,7 +90,7 @@ class Stepped:
             met.take(block)
         command = np.concatenate([b.command for b in blocks], axis=1)
         readings = np.concatenate([b.readings for b in blocks], axis=1)
-        told = Provenance(made.made_by, {**made.settings, **met.told()}, made.seed, made.parents, made.versions)
+        told = Provenance(made.made_by, {**made.settings, **met.counts()}, made.seed, made.parents, made.versions)
         return Record(command, readings, setup.rate_hz, setup.actuators, setup.sensors, told)
 
     def stream(

@@ -214,7 +214,7 @@ class _Run:
         return block.readings
 
     def _notes(self) -> dict[str, Any]:
-        return {"bench": self._met.told()} if isinstance(self._bench, Streaming) else {}
+        return {"bench": self._met.counts()} if isinstance(self._bench, Streaming) else {}
 
     def _incomplete(self, samples: int) -> str:
         if self._stopped:

@@ -1,25 +1,21 @@
 """The whole transfer matrix from one record per actuator."""
 
-import os
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.threads import in_threads
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import Channel, starting_models
 from ultraquiet.identify.result import worst
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,21 +135,6 @@ def excited(k: int, record: Record, count: int) -> Record:
             f"put the records in the actuators' order."
         )
     return record.pick([k])
-
-
-def in_threads(title: str, work: Callable[[Any], T], items: Sequence[Any], workers: int | None) -> dict[Any, T]:
-    """Run `work` on every item in threads (the kernels hold no lock), telling progress; the first error is raised."""
-    out: dict[Any, T] = {}
-    with task(title, len(items)) as progress, ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        futures = {pool.submit(work, item): item for item in items}
-        try:
-            for future in as_completed(futures):
-                out[futures[future]] = future.result()
-                progress.advance(note=str(futures[future]))
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
-    return out
 
 
 def assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> MatrixResult:

@@ -10,7 +10,8 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
-from ultraquiet.identify.polynomial.matrix import columns, in_threads
+from ultraquiet._base.threads import in_threads
+from ultraquiet.identify.polynomial.matrix import columns
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
