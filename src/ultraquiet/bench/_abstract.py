@@ -178,12 +178,12 @@ def checked_controller(who: str, controller: Any, rate_hz: float, sensors: int, 
     return controller
 
 
-def commands(who: str, given: Any, actuators: int, sample: int) -> FloatArray:
+def commands(who: str, output: Any, actuators: int, sample: int) -> FloatArray:
     """Return one sample of a controller's output as `(nu,)`, or say what is wrong with it."""
-    u = np.asarray(given, dtype=np.float64).reshape(-1)
+    u = np.asarray(output, dtype=np.float64).reshape(-1)
     if u.size != actuators or not np.isfinite(u).all():
         raise InputError(
-            f"{who}: at sample {sample} the controller must return {actuators} finite commands, got {given!r}."
+            f"{who}: at sample {sample} the controller must return {actuators} finite commands, got {output!r}."
         )
     return u
 

@@ -15,7 +15,7 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import BenchError, InputError, StorageError, ToolError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench.stepped import Plant, Setup, Stepped
+from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel
 
 REALS = ("Real", "Float64")  # what FMI 2.0 and 3.0 call a double
@@ -98,7 +98,7 @@ class _Unpacked:
         try:
             self.model = fmpy.read_model_description(path)
         except Exception as error:  # FMPy raises whatever its parser raises
-            raise InputError(f"Fmu: '{path}' cannot be read as an FMU ({_said(error)}).") from error
+            raise InputError(f"Fmu: '{path}' cannot be read as an FMU ({_described(error)}).") from error
         version = str(self.model.fmiVersion)
         if self.model.coSimulation is None or version[:2] not in ("2.", "3."):
             raise InputError(f"Fmu: '{path}' is no co-simulation FMU of FMI 2.0 or 3.0, but of FMI {version}.")
@@ -120,20 +120,20 @@ class _Unpacked:
             for v in self.model.modelVariables
             if v.causality in kinds and v.type in REALS and not (v.dimensions or v.dimensionValueReferences)
         }
-        asked = [n.name if isinstance(n, Channel) else str(n) for n in names] or list(real)
-        unknown = [name for name in asked if name not in real]
-        if unknown or not asked:
+        requested = [n.name if isinstance(n, Channel) else str(n) for n in names] or list(real)
+        unknown = [name for name in requested if name not in real]
+        if unknown or not requested:
             raise InputError(
                 f"Fmu: '{self._path}' has no real {causality} '{unknown[0] if unknown else ''}'; "
                 f"it has {', '.join(real) or 'none'}."
             )
-        return [real[name] for name in asked]
+        return [real[name] for name in requested]
 
     def __reduce__(self) -> Any:
         return _Unpacked, (self._path,)
 
 
-class _Instance(Plant):
+class _Instance(SteppedPlant):
     """One instance of the FMU, for one run."""
 
     def __init__(self, bench: Fmu, rate_hz: float) -> None:
@@ -141,7 +141,7 @@ class _Instance(Plant):
         unpacked = bench._unpacked
         self._inputs = [v.valueReference for v in unpacked.chosen("input", bench.actuators)]
         self._outputs = [v.valueReference for v in unpacked.chosen("output", bench.sensors)]
-        self._said: list[str] = []
+        self._messages: list[str] = []
         self._slave: Any = None
         self._healthy = True
 
@@ -193,7 +193,7 @@ class _Instance(Plant):
     def _instantiated(self) -> Any:
         from fmpy import fmi2, fmi3
 
-        unpacked, said = self._bench._unpacked, self._said
+        unpacked, messages = self._bench._unpacked, self._messages
         model = unpacked.model
         names = {
             "guid": model.guid if self._old else model.instantiationToken,
@@ -203,11 +203,11 @@ class _Instance(Plant):
         }
         if not self._old:
             slave = fmi3.FMU3Slave(**names)
-            slave.instantiate(logMessage=lambda _env, _status, _category, text: said.append(_text(text)))
+            slave.instantiate(logMessage=lambda _env, _status, _category, text: messages.append(_text(text)))
             return slave
         slave = fmi2.FMU2Slave(**names)
         callbacks = fmi2.fmi2CallbackFunctions()
-        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _c, _n, _s, _k, text: said.append(_text(text)))
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _c, _n, _s, _k, text: messages.append(_text(text)))
         callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
         callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
         slave.instantiate(callbacks=callbacks)
@@ -221,16 +221,16 @@ class _Instance(Plant):
 
     def _failure(self, where: str, error: Exception) -> BenchError:
         self._healthy = False
-        words = f", its last words: '{self._said[-1]}'" if self._said else ""
-        return BenchError(f"Fmu: {where} the model failed ({_said(error)}){words}.")
+        words = f", its last words: '{self._messages[-1]}'" if self._messages else ""
+        return BenchError(f"Fmu: {where} the model failed ({_described(error)}){words}.")
 
 
 def _channel(variable: Any) -> Channel:
     kind = variable.declaredType
 
     def declared(name: str, otherwise: float) -> float:
-        said = [value for owner in (variable, kind) if (value := getattr(owner, name, None)) is not None]
-        return float(said[0]) if said else otherwise
+        declarations = [value for owner in (variable, kind) if (value := getattr(owner, name, None)) is not None]
+        return float(declarations[0]) if declarations else otherwise
 
     unit = variable.unit or getattr(kind, "unit", None) or ""
     return Channel(variable.name, unit, declared("min", -math.inf), declared("max", math.inf))
@@ -248,5 +248,5 @@ def _text(words: Any) -> str:
     return " ".join((words.decode(errors="replace") if isinstance(words, bytes) else str(words)).split())
 
 
-def _said(error: Exception) -> str:
+def _described(error: Exception) -> str:
     return _text(str(error)).rstrip(".") or type(error).__name__

@@ -81,12 +81,12 @@ class Replay:
             raise InputError("Replay.run: a recording cannot react, so it takes neither disturbance nor controller.")
         u, _ = checked_signals("Replay.run", len(self.actuators), actuation, disturbance)
         low, high = limits(self.actuators)
-        asked = np.clip(u, low[:, None], high[:, None])
-        found = [record for record in self.records if np.array_equal(record.inputs, asked)]
-        if not found:
-            raise InputError(self._refusal(asked))
+        command = np.clip(u, low[:, None], high[:, None])
+        matches = [record for record in self.records if np.array_equal(record.inputs, command)]
+        if not matches:
+            raise InputError(self._refusal(command))
         index = 0 if run_index is None else whole("Replay.run", "run_index", run_index, 0)
-        return found[index % len(found)]
+        return matches[index % len(matches)]
 
     def stream(
         self,
@@ -104,18 +104,18 @@ class Replay:
         size = whole("Replay.run", "block_samples", block_samples, 1)
         return _cut(self.run(actuation, disturbance, controller, run_index), size, stop)
 
-    def _refusal(self, asked: FloatArray) -> str:
-        count, samples = len(self.records), asked.shape[1]
-        said = f"Replay.run: none of the {count} records holds this actuation of shape {asked.shape}"
+    def _refusal(self, command: FloatArray) -> str:
+        count, samples = len(self.records), command.shape[1]
+        refusal = f"Replay.run: none of the {count} records holds this actuation of shape {command.shape}"
         matching = [(k, r.inputs) for k, r in enumerate(self.records, 1) if r.samples == samples]
         if not matching:
             lengths = sorted({r.samples for r in self.records})
-            return f"{said}, they are {', '.join(map(str, lengths))} samples long; send the inputs of one of them."
-        number, inputs = min(matching, key=lambda held: np.count_nonzero(held[1] != asked))
-        row, k = (int(i) for i in np.argwhere(inputs != asked)[0])
+            return f"{refusal}, they are {', '.join(map(str, lengths))} samples long; send the inputs of one of them."
+        number, inputs = min(matching, key=lambda numbered: np.count_nonzero(numbered[1] != command))
+        row, k = (int(i) for i in np.argwhere(inputs != command)[0])
         return (
-            f"{said}: the nearest, record {number}, differs first in '{self.actuators[row].name}' at sample {k}, "
-            f"where {inputs[row, k]:.17g} was recorded and {asked[row, k]:.17g} is asked; send the inputs of one."
+            f"{refusal}: the nearest, record {number}, differs first in '{self.actuators[row].name}' at sample {k}, "
+            f"where {inputs[row, k]:.17g} was recorded and {command[row, k]:.17g} is asked; send the inputs of one."
         )
 
 

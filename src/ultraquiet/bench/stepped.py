@@ -1,7 +1,7 @@
 """The loop of every bench that is stepped one sample at a time: the order of events stands here and nowhere else."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +27,7 @@ from ultraquiet.values.channel import at_limits
 Stop = Callable[[], bool]
 
 
-class Plant:
+class SteppedPlant:
     """What the loop drives. A plant overrides `step`, and whatever else it can do better than here."""
 
     def start(self, run_index: int) -> None:
@@ -58,7 +58,7 @@ class Setup:
     """A plant between its channels; `who` opens the sentence of a refusal."""
 
     who: str
-    plant: Plant
+    plant: SteppedPlant
     rate_hz: float
     actuators: tuple[Channel, ...]
     sensors: tuple[Channel, ...]
@@ -83,15 +83,15 @@ class Stepped:
         run_index: int | None = None,
     ) -> Record:
         """Return the record of one run from rest; see `Bench.run`. `run_index` numbers it for the plant."""
-        made, setup = self.provenance, self._setup()
+        setup = self._setup()
         blocks = list(self.stream(actuation, disturbance, controller, run_index=run_index))
-        met = Tally()
+        tally = Tally()
         for block in blocks:
-            met.take(block)
+            tally.take(block)
         command = np.concatenate([b.command for b in blocks], axis=1)
         readings = np.concatenate([b.readings for b in blocks], axis=1)
-        told = Provenance(made.made_by, {**made.settings, **met.counts()}, made.seed, made.parents, made.versions)
-        return Record(command, readings, setup.rate_hz, setup.actuators, setup.sensors, told)
+        provenance = replace(self.provenance, settings={**self.provenance.settings, **tally.counts()})
+        return Record(command, readings, setup.rate_hz, setup.actuators, setup.sensors, provenance)
 
     def stream(
         self,
@@ -128,7 +128,7 @@ class Loop:
         self.low, self.high = limits(setup.actuators)
         self.u, self.d = u, d
         self.gain = np.ones(u.shape[1])
-        self.held = np.zeros(len(u))
+        self.held_command = np.zeros(len(u))
         self.k, self.end = 0, u.shape[1]
         self.faded = False
 
@@ -150,43 +150,45 @@ class Loop:
         """Run up to `samples` further samples: what was measured, and what broke them off."""
         start, error = self.k, None
         m = min(samples, self.end - start)
-        asked, y = np.zeros((len(self.u), m)), np.zeros((len(self.setup.sensors), m))
+        requested, y = np.zeros((len(self.u), m)), np.zeros((len(self.setup.sensors), m))
         try:
             # One by one even in open loop, so that `self.k` always says how much was measured.
-            for _ in self._open(asked, y, start) if self.law is None else self._closed(self.law, asked, y, start):
+            for _ in (
+                self._open(requested, y, start) if self.law is None else self._closed(self.law, requested, y, start)
+            ):
                 self.k += 1
         except BaseException as caught:  # an interrupt, too, must bring the plant to rest before anything else
             error = caught
         done = self.k - start
-        return (self._block(asked[:, :done], y[:, :done]) if done else None), error
+        return (self._block(requested[:, :done], y[:, :done]) if done else None), error
 
-    def _open(self, asked: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
+    def _open(self, requested: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
         now = slice(start, start + y.shape[1])
-        asked[:] = self.gain[now] * self.u[:, now]
-        formed = np.clip(asked, self.low[:, None], self.high[:, None])
-        applied = np.concatenate([self.held[:, None], formed[:, :-1]], axis=1)
+        requested[:] = self.gain[now] * self.u[:, now]
+        formed = np.clip(requested, self.low[:, None], self.high[:, None])
+        applied = np.concatenate([self.held_command[:, None], formed[:, :-1]], axis=1)
         readings = self.setup.plant.advance(applied, self.gain[now] * self.d[:, now], start)
         for j in range(y.shape[1]):
             y[:, j] = next(readings)
-            self.held = formed[:, j]
+            self.held_command = formed[:, j]
             yield
 
-    def _closed(self, law: Controller, asked: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
+    def _closed(self, law: Controller, requested: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
         plant, who = self.setup.plant, self.setup.who
         for j in range(y.shape[1]):
             k = start + j
-            y[:, j] = plant.step(self.held, self.gain[k] * self.d[:, k], k)
+            y[:, j] = plant.step(self.held_command, self.gain[k] * self.d[:, k], k)
             answer = commands(who, law.step(y[:, j].copy()), len(self.u), k)
-            asked[:, j] = self.gain[k] * (self.u[:, k] + answer)
-            self.held = np.clip(asked[:, j], self.low, self.high)
+            requested[:, j] = self.gain[k] * (self.u[:, k] + answer)
+            self.held_command = np.clip(requested[:, j], self.low, self.high)
             yield
 
-    def _block(self, asked: FloatArray, y: FloatArray) -> Block:
+    def _block(self, requested: FloatArray, y: FloatArray) -> Block:
         low, high = self.low[:, None], self.high[:, None]
         return Block(
-            np.clip(asked, low, high),
+            np.clip(requested, low, high),
             y,
-            np.count_nonzero((asked < low) | (asked > high), axis=1),
+            np.count_nonzero((requested < low) | (requested > high), axis=1),
             at_limits(y, self.setup.sensors),
             self.setup.plant.overruns(),
         )
@@ -220,12 +222,12 @@ def driven(loop: Loop, run_index: int, block_samples: int, stop: Stop | None, ra
             plant.rest(None)
 
 
-def checked_readings(who: str, given: Any, sensors: int, k: int) -> FloatArray:
+def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
     """Return what a plant handed over at sample `k` as `(ny,)` finite numbers, or say what is wrong with it."""
     try:
-        y = np.asarray(given, dtype=np.float64).reshape(-1)
+        y = np.asarray(answer, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):
         y = np.empty(0)
     if y.size != sensors or not np.isfinite(y).all():
-        raise InputError(f"{who}: at sample {k} the plant must return {sensors} finite readings, got {given!r}.")
+        raise InputError(f"{who}: at sample {k} the plant must return {sensors} finite readings, got {answer!r}.")
     return y

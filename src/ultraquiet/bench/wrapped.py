@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench.stepped import Plant, Setup, Stepped, checked_readings
+from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant, checked_readings
 from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
 
@@ -52,9 +52,9 @@ class Wrapped(Stepped):
         actuators: Sequence[Channel | str],
         sensors: Sequence[Channel | str],
     ) -> None:
-        for name, given in (("step", step), ("reset", reset)):
-            if not callable(given):
-                raise InputError(f"Wrapped: '{name}' must be a function, got {type(given).__name__}.")
+        for name, function in (("step", step), ("reset", reset)):
+            if not callable(function):
+                raise InputError(f"Wrapped: '{name}' must be a function, got {type(function).__name__}.")
         put = object.__setattr__
         put(self, "step", step)
         put(self, "reset", reset)
@@ -72,7 +72,7 @@ class Wrapped(Stepped):
         return Setup("Wrapped.run", plant, self.rate_hz, self.actuators, self.sensors)
 
 
-class _Called(Plant):
+class _Called(SteppedPlant):
     """Two functions as a plant."""
 
     def __init__(self, step: Callable[[FloatArray, FloatArray], ArrayLike], reset: Callable[[], Any], ny: int) -> None:

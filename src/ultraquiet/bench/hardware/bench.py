@@ -15,7 +15,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench.hardware.interlocks import Guard, Interlocks
 from ultraquiet.bench.hardware.pacing import Pacer
 from ultraquiet.bench.hardware.termination import Termination
-from ultraquiet.bench.stepped import Loop, Plant, Setup, Stepped
+from ultraquiet.bench.stepped import Loop, Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
 
@@ -83,9 +83,9 @@ class Hardware(Stepped):
         interlocks: Interlocks | None = None,
         wait: Callable[[], int | None] | None = None,
     ) -> None:
-        for name, given in (("write", write), ("read", read), ("wait", wait)):
-            if not callable(given) and not (name == "wait" and given is None):
-                raise InputError(f"Hardware: '{name}' must be a function, got {type(given).__name__}.")
+        for name, callback in (("write", write), ("read", read), ("wait", wait)):
+            if not callable(callback) and not (name == "wait" and callback is None):
+                raise InputError(f"Hardware: '{name}' must be a function, got {type(callback).__name__}.")
         put = object.__setattr__
         put(self, "write", write)
         put(self, "read", read)
@@ -100,8 +100,8 @@ class Hardware(Stepped):
     @property
     def provenance(self) -> Provenance:
         """Who measures, and between which limits."""
-        held = {name: value for name, value in vars(self.interlocks).items() if name != "stop"}
-        return Provenance("bench.hardware", {"rate_hz": self.rate_hz, "interlocks": held})
+        limits = {name: value for name, value in vars(self.interlocks).items() if name != "stop"}
+        return Provenance("bench.hardware", {"rate_hz": self.rate_hz, "interlocks": limits})
 
     def _guard(self) -> Guard:
         return Guard(self.interlocks, self.rate_hz, self.actuators, self.sensors)
@@ -123,16 +123,16 @@ class _Descending(Loop):
     def fade(self, ramp_samples: int) -> None:
         rig = self.setup.plant
         assert isinstance(rig, _Rig)
-        sent = self.held + self.d[:, self.k]
+        sent = self.held_command + self.d[:, self.k]
         samples = rig.guard.ramp_samples(sent, ramp_samples)
         self.end = min(self.end, self.k + samples)
-        left = 1.0 - np.arange(1, self.end - self.k + 1) / samples
-        self.u[:, self.k : self.end] = sent[:, None] * left
+        fading = 1.0 - np.arange(1, self.end - self.k + 1) / samples
+        self.u[:, self.k : self.end] = sent[:, None] * fading
         self.d[:, self.k + 1 :] = 0.0
         self.law, self.faded = None, True
 
 
-class _Rig(Plant):
+class _Rig(SteppedPlant):
     """The callbacks during one run."""
 
     def __init__(self, bench: Hardware, guard: Guard) -> None:
@@ -177,7 +177,8 @@ class _Rig(Plant):
             what = "" if error is None else f"{str(error).rstrip('.') or type(error).__name__}; and "
             raise BenchError(
                 f"{what}Hardware: the actuators could not be brought to zero, 'write' failed {PATIENCE} times "
-                f"({_said(failure)}); they may still hold {np.round(self._last, 6).tolist()}, switch them off by hand."
+                f"({_described(failure)}); they may still hold {np.round(self._last, 6).tolist()}, switch them off by "
+                "hand."
             ) from error
         if interrupt is not None and error is None:
             raise interrupt
@@ -217,7 +218,7 @@ class _Rig(Plant):
         try:
             late = int(self._wait() or 0)
         except Exception as error:
-            raise BenchError(f"Hardware: at sample {k} 'wait' failed ({_said(error)}).") from error
+            raise BenchError(f"Hardware: at sample {k} 'wait' failed ({_described(error)}).") from error
         now = time.perf_counter()
         self._late += late
         elapsed_s, self._before = now - self._before, now
@@ -228,20 +229,20 @@ class _Rig(Plant):
         try:
             self._bench.write(value.copy())
         except Exception as error:
-            raise BenchError(f"Hardware: at sample {k} 'write' failed ({_said(error)}).") from error
+            raise BenchError(f"Hardware: at sample {k} 'write' failed ({_described(error)}).") from error
         self._last, self._doubtful = value.copy(), False
 
     def _read(self, k: int) -> FloatArray:
         try:
-            given = self._bench.read()
-            y = np.array(given, dtype=np.float64).reshape(-1)
+            answer = self._bench.read()
+            y = np.array(answer, dtype=np.float64).reshape(-1)
         except Exception as error:
-            raise BenchError(f"Hardware: at sample {k} 'read' failed ({_said(error)}).") from error
+            raise BenchError(f"Hardware: at sample {k} 'read' failed ({_described(error)}).") from error
         expected = len(self._bench.sensors)
         if y.size != expected or not np.isfinite(y).all():
-            raise BenchError(f"Hardware: at sample {k} 'read' must return {expected} finite numbers, got {given!r}.")
+            raise BenchError(f"Hardware: at sample {k} 'read' must return {expected} finite numbers, got {answer!r}.")
         return y
 
 
-def _said(error: Exception) -> str:
+def _described(error: Exception) -> str:
     return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

@@ -52,8 +52,8 @@ class Interlocks:
 
     def __post_init__(self) -> None:
         for name in ("amplitude_v", "slew_v_per_s", "duration_s", "reading_v", "rms_v"):
-            given = getattr(self, name)
-            for value in given if isinstance(given, tuple) else (given,):
+            level = getattr(self, name)
+            for value in level if isinstance(level, tuple) else (level,):
                 if value is not None:
                     positive("Interlocks", name, value)
         for name in ("rms_window_s", "frame_s", "ramp_s"):
@@ -67,16 +67,16 @@ class Guard:
     """The interlocks of one bench, per channel and per sample."""
 
     def __init__(
-        self, held: Interlocks, rate_hz: float, actuators: tuple[Channel, ...], sensors: tuple[Channel, ...]
+        self, interlocks: Interlocks, rate_hz: float, actuators: tuple[Channel, ...], sensors: tuple[Channel, ...]
     ) -> None:
-        self.held, self.rate_hz, self.actuators, self.sensors = held, rate_hz, actuators, sensors
+        self.interlocks, self.rate_hz, self.actuators, self.sensors = interlocks, rate_hz, actuators, sensors
         low, high = limits(actuators)
-        amplitude = _levels("amplitude_v", held.amplitude_v, actuators)
+        amplitude = _levels("amplitude_v", interlocks.amplitude_v, actuators)
         self.low, self.high = np.maximum(low, -amplitude), np.minimum(high, amplitude)
-        self.step = _levels("slew_v_per_s", held.slew_v_per_s, actuators) / rate_hz
-        self._reading = _levels("reading_v", held.reading_v, sensors)
-        self._rms = _levels("rms_v", held.rms_v, sensors)
-        self._forget = -np.expm1(-1.0 / (held.rms_window_s * rate_hz))
+        self.step = _levels("slew_v_per_s", interlocks.slew_v_per_s, actuators) / rate_hz
+        self._reading = _levels("reading_v", interlocks.reading_v, sensors)
+        self._rms = _levels("rms_v", interlocks.rms_v, sensors)
+        self._forget = -np.expm1(-1.0 / (interlocks.rms_window_s * rate_hz))
         self.reset()
         for c, least, most in zip(actuators, self.low, self.high, strict=True):
             if not (np.isfinite(least) and np.isfinite(most) and least <= 0.0 <= most):
@@ -96,7 +96,7 @@ class Guard:
 
     def foresee(self, sent: FloatArray) -> None:
         """Refuse a run whose values `(nu, n)` are known to trip an interlock before it begins."""
-        longest = self.held.duration_s
+        longest = self.interlocks.duration_s
         if longest is not None and sent.shape[1] > longest * self.rate_hz * (1 + ROUNDING):
             takes = sent.shape[1] / self.rate_hz
             raise InputError(
@@ -109,17 +109,17 @@ class Guard:
         bad = np.flatnonzero((over | fast).any(axis=0))
         if bad.size:
             k = int(bad[0])
-            name, said, _ = self._outgoing(sent[:, k], before[:, k])
-            raise InputError(f"Hardware: at sample {k} {said} by the interlock '{name}'; nothing was moved.")
+            name, description, _ = self._outgoing(sent[:, k], before[:, k])
+            raise InputError(f"Hardware: at sample {k} {description} by the interlock '{name}'; nothing was moved.")
 
     def out(self, value: FloatArray, before: FloatArray, k: int) -> None:
         """Check what is about to be sent at sample `k` after `before`."""
-        if self.held.stop is not None and self.held.stop():
+        if self.interlocks.stop is not None and self.interlocks.stop():
             raise self._tripped("stop", k, 1.0, "the emergency stop was pressed")
         inside = (value >= self.low) & (value <= self.high)  # not a number is not inside either
         if not (inside & (np.abs(value - before) <= self.step * (1 + ROUNDING))).all():
-            name, said, number = self._outgoing(value, before)
-            raise self._tripped(name, k, number, said)
+            name, description, number = self._outgoing(value, before)
+            raise self._tripped(name, k, number, description)
 
     def back(self, y: FloatArray, k: int) -> None:
         """Check what was read at sample `k`."""
@@ -135,14 +135,14 @@ class Guard:
     def frame(self, late: int, elapsed_s: float, since_s: float, k: int) -> None:
         """Check the time: frames missed now, seconds since the frame before and since the start of the run."""
         self._late = self._late + late if late else 0
-        if self._late > self.held.late_frames:
-            said = f"{self._late} frames in a row came too late, {self.held.late_frames} are allowed"
-            raise self._tripped("late frames", k, self._late, said)
-        if elapsed_s > self.held.frame_s:
-            said = f"the frame before took {elapsed_s:.3g} s, {self.held.frame_s:g} s are allowed"
-            raise self._tripped("frame", k, elapsed_s, said)
+        if self._late > self.interlocks.late_frames:
+            description = f"{self._late} frames in a row came too late, {self.interlocks.late_frames} are allowed"
+            raise self._tripped("late frames", k, self._late, description)
+        if elapsed_s > self.interlocks.frame_s:
+            description = f"the frame before took {elapsed_s:.3g} s, {self.interlocks.frame_s:g} s are allowed"
+            raise self._tripped("frame", k, elapsed_s, description)
         # The run itself is as long as was foreseen; only a clock that is slow makes it longer.
-        if self.held.duration_s is not None and since_s > self.held.duration_s + self.held.frame_s:
+        if self.interlocks.duration_s is not None and since_s > self.interlocks.duration_s + self.interlocks.frame_s:
             raise self._tripped("duration", k, since_s, f"the run has taken {since_s:.3g} s already")
 
     def _outgoing(self, value: FloatArray, before: FloatArray) -> tuple[str, str, float]:
@@ -157,8 +157,8 @@ class Guard:
                 return "slew", f"'{c.name}' was to change by {jump:g} {c.unit}/s, {allowed}", jump
         raise AssertionError("asked about values that are within all limits")
 
-    def _tripped(self, interlock: str, k: int, value: float, said: str) -> InterlockError:
-        sentence = f"Hardware: the interlock '{interlock}' ended the run at sample {k}: {said}."
+    def _tripped(self, interlock: str, k: int, value: float, description: str) -> InterlockError:
+        sentence = f"Hardware: the interlock '{interlock}' ended the run at sample {k}: {description}."
         return InterlockError(sentence, interlock, k, float(value))
 
 

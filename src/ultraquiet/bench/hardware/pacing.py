@@ -27,7 +27,7 @@ class Pacer:
             missed = 1 + int((now - self._due_s) / self._period_s)
             self._due_s = now  # time that is lost is not made up for: frames would follow each other too fast
             return missed
-        while (left := self._due_s - time.perf_counter()) > 0:
-            if left > SPIN_S:
-                time.sleep(left - SPIN_S)
+        while (remaining_s := self._due_s - time.perf_counter()) > 0:
+            if remaining_s > SPIN_S:
+                time.sleep(remaining_s - SPIN_S)
         return 0

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag, expm
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.bench.hexapod.physics.assemble import Mechanics
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ, STRUTS
-from ultraquiet.bench.hexapod.physics.parts import Parts
+from ultraquiet.bench.hexapod.physics.parts import HexapodParts
 from ultraquiet.bench.hexapod.physics.sensors import Geophone
 
 # The sampled response sums this many images of the spectrum to either side. The chain falls off as f^-4 and the hold as
@@ -27,17 +27,17 @@ class Chain:
     def sampled(self, rate_hz: float = RATE_HZ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return A, B, C of the exact zero-order-hold equivalent."""
         n, nu = self.B.shape
-        held = np.zeros((n + nu, n + nu))
-        held[:n, :n], held[:n, n:] = self.A / rate_hz, self.B / rate_hz
-        held = np.asarray(expm(held), dtype=np.float64)
-        return held[:n, :n], held[:n, n:], self.C
+        exponential = np.zeros((n + nu, n + nu))
+        exponential[:n, :n], exponential[:n, n:] = self.A / rate_hz, self.B / rate_hz
+        exponential = np.asarray(expm(exponential), dtype=np.float64)
+        return exponential[:n, :n], exponential[:n, n:], self.C
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
-    """The shapes in which the structure's motion is told: its modes at rest, `(nq, n)`, and their frequencies `(n,)`.
+class ModalBasis:
+    """The structure's modes at rest, `(nq, n)`, and their frequencies `(n,)`: the coordinates of its motion.
 
-    Any hexapod near the one they were taken from may be told in them, exactly: only the free motions are left out.
+    Any hexapod near the one they were taken from may be expressed in them, exactly: only the free motions are left out.
     """
 
     rad_s: FloatArray
@@ -45,18 +45,18 @@ class Basis:
     volts_per_speed: float
 
     @classmethod
-    def of(cls, mechanics: Mechanics, parts: Parts) -> "Basis":
+    def of(cls, mechanics: Mechanics, parts: HexapodParts) -> "ModalBasis":
         """Return the basis of a structure's own modes."""
         f_hz, shapes = mechanics.modes()
         line = parts.lines[0]
         return cls(2.0 * np.pi * f_hz, shapes, line.geophone_v_per_m_s * line.gain)
 
 
-def chain(mechanics: Mechanics, parts: Parts, basis: Basis) -> Chain:
+def chain(mechanics: Mechanics, parts: HexapodParts, basis: ModalBasis) -> Chain:
     """Connect structure and electronics; every state is in volts, so that none dwarfs another."""
     amplifier = np.diag(2.0 * np.pi * parts.amplifiers_hz)
     S = _structure(mechanics, basis)
-    # Lengths are told in a unit that turns a geophone's speed into its volts; where sensors differ, here is the rest.
+    # Lengths are measured in a unit that turns a geophone's speed into its volts; for other sensors, here is the rest.
     volts = parts.per_line("geophone_v_per_m_s") * parts.per_line("gain") / basis.volts_per_speed
     speed = volts[:, np.newaxis] * S[2]
     G = _geophones(parts)
@@ -74,7 +74,7 @@ def chain(mechanics: Mechanics, parts: Parts, basis: Basis) -> Chain:
     return Chain(A, B, C)
 
 
-def _structure(m: Mechanics, basis: Basis) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _structure(m: Mechanics, basis: ModalBasis) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return volts behind the amplifiers to speeds at the geophones in modal coordinates, with the stages' dashpots.
 
     States: modal deflections times their frequency, modal speeds, then for each branch the six dashpots r_j,
@@ -100,7 +100,7 @@ def _structure(m: Mechanics, basis: Basis) -> tuple[FloatArray, FloatArray, Floa
     return A, B, C
 
 
-def _geophones(parts: Parts) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _geophones(parts: HexapodParts) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what geophones take away from the speeds u: y = u - (w^2 + 2 z w s) / (s^2 + 2 z w s + w^2) u."""
     w, z = 2.0 * np.pi * parts.per_line("geophone_hz"), parts.per_line("geophone_damping")
     one, none = np.eye(len(w)), np.zeros((len(w), len(w)))
@@ -108,7 +108,7 @@ def _geophones(parts: Parts) -> tuple[FloatArray, FloatArray, FloatArray]:
     return A, np.vstack([none, np.diag(w)]), np.hstack([-one, -np.diag(2.0 * z)])
 
 
-def _filters(parts: Parts) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _filters(parts: HexapodParts) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the anti-alias filters w^2 / (s^2 + 2 z w s + w^2)."""
     w, z = 2.0 * np.pi * parts.per_line("filter_hz"), parts.per_line("filter_damping")
     one, none = np.eye(len(w)), np.zeros((len(w), len(w)))
@@ -116,7 +116,7 @@ def _filters(parts: Parts) -> tuple[FloatArray, FloatArray, FloatArray]:
     return A, np.vstack([none, np.diag(w)]), np.hstack([one, none])
 
 
-def continuous_response(mechanics: Mechanics, parts: Parts, f_hz: FloatArray) -> ComplexArray:
+def continuous_response(mechanics: Mechanics, parts: HexapodParts, f_hz: FloatArray) -> ComplexArray:
     """Return commands to sensor volts before sampling, `(ny, nu, nf)`, from complex stiffnesses and eq. (4)."""
     s = 2j * np.pi * f_hz
     sensed = np.empty((len(parts.lines), f_hz.size), dtype=np.complex128)
@@ -130,7 +130,9 @@ def continuous_response(mechanics: Mechanics, parts: Parts, f_hz: FloatArray) ->
     return mechanics.displacement(f_hz) * sensed[:, np.newaxis] * amplifiers
 
 
-def sampled_response(mechanics: Mechanics, parts: Parts, f_hz: FloatArray, rate_hz: float = RATE_HZ) -> ComplexArray:
+def sampled_response(
+    mechanics: Mechanics, parts: HexapodParts, f_hz: FloatArray, rate_hz: float = RATE_HZ
+) -> ComplexArray:
     """Return the response between samples behind a zero-order hold, `(ny, nu, nf)`.
 
     G(e^jwT) = sum_k G_c(j w_k) (1 - e^{-j w T}) / (j w_k T), w_k = w + 2 pi k / T: hold, chain and all images.

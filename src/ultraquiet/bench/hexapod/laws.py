@@ -28,7 +28,7 @@ class Limits:
         return self.command_v, self.actuator_v, self.reading_v, self.step_v
 
 
-class Law(Protocol):
+class FeedbackLaw(Protocol):
     """What closes the loop."""
 
     def advance(self, plant: Matrices, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
@@ -36,7 +36,7 @@ class Law(Protocol):
         ...
 
 
-class Linear:
+class LinearLaw:
     """A linear law, compiled together with the plant; it may read and drive the leading channels only."""
 
     def __init__(self, law: StateSpace, sensors: int, actuators: int) -> None:
@@ -56,7 +56,7 @@ class Linear:
             raise LostError(int(lost[0]))
 
 
-class Stepped:
+class SteppedLaw:
     """A controller of Python, asked sample by sample; it may read and drive the leading channels only."""
 
     def __init__(self, law: Controller, readings: int, answers: int) -> None:
@@ -68,19 +68,19 @@ class Stepped:
 
         u, d, noise, gain = signals
         command, y, limited = results
-        held = state[1]
-        work, driven = np.empty_like(state[0]), np.empty_like(held)
+        held_command = state[1]
+        work, driven = np.empty_like(state[0]), np.empty_like(held_command)
         for k in range(len(u)):
             kernels.read(plant[2], state[0], noise[k], limits.reading_v, limits.step_v, y[k])
             try:
                 answer = commands(WHO, self._law.step(y[k, : self._ny].copy()), self._nu, self._k)
             except BaseException as error:  # an interrupt, too, leaves the samples before it to be handed over
                 raise LostError(k, error) from error
-            asked = u[k].copy()
-            asked[: self._nu] += answer
+            requested = u[k].copy()
+            requested[: self._nu] += answer
             kernels.move(plant, state, gain[k] * d[k], limits.actuator_v, driven, work, limited[1])
-            kernels.clip(gain[k] * asked, limits.command_v, held, limited[0])
-            command[k] = held
+            kernels.clip(gain[k] * requested, limits.command_v, held_command, limited[0])
+            command[k] = held_command
             self._k += 1
 
 
@@ -92,7 +92,7 @@ class LostError(Exception):
         self.sample, self.error = sample, error
 
 
-def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float, leading: int) -> Law:
+def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float, leading: int) -> FeedbackLaw:
     """Return the law of a loop with `actuators` and `sensors`, checked; None never acts.
 
     A controller takes and gives all channels, or the first `leading` of either only: one made for the struts may stay
@@ -100,14 +100,14 @@ def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float
     like; without, it has all.
     """
     if controller is None:
-        return Linear(_silent(rate_hz), sensors, actuators)
+        return LinearLaw(_silent(rate_hz), sensors, actuators)
     law = controller if isinstance(controller, StateSpace) else _linear_part(controller)
-    given = getattr(getattr(law, "D", None), "shape", None)
-    nu, ny = (leading, leading) if given == (leading, leading) else (actuators, sensors)
+    shape = getattr(getattr(law, "D", None), "shape", None)
+    nu, ny = (leading, leading) if shape == (leading, leading) else (actuators, sensors)
     if isinstance(controller, StateSpace):
         checked_law(WHO, controller, rate_hz, ny, nu)
-        return Linear(controller, sensors, actuators)
-    return Stepped(checked_controller(WHO, controller, rate_hz, ny, nu), ny, nu)
+        return LinearLaw(controller, sensors, actuators)
+    return SteppedLaw(checked_controller(WHO, controller, rate_hz, ny, nu), ny, nu)
 
 
 def _linear_part(controller: Any) -> Any:

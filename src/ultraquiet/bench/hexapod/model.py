@@ -3,11 +3,11 @@
 from functools import cached_property, lru_cache
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.bench.hexapod.chain import Basis, Chain, chain, sampled_response
+from ultraquiet.bench.hexapod.chain import Chain, ModalBasis, chain, sampled_response
 from ultraquiet.bench.hexapod.physics.assemble import Mechanics, assemble
 from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, at_temperature
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ
-from ultraquiet.bench.hexapod.physics.parts import Parts, nominal
+from ultraquiet.bench.hexapod.physics.parts import HexapodParts, nominal
 from ultraquiet.bench.hexapod.physics.spread import draw
 
 UNITS_KEPT = 128  # a campaign of a hundred units is put together once
@@ -17,7 +17,7 @@ Sampled = tuple[FloatArray, FloatArray, FloatArray]
 class Model:
     """The linear truth of one unit, at any temperature; treat its arrays as read-only."""
 
-    def __init__(self, parts: Parts) -> None:
+    def __init__(self, parts: HexapodParts) -> None:
         self.parts = parts
 
     @cached_property
@@ -26,9 +26,9 @@ class Model:
         return assemble(self.parts)
 
     @cached_property
-    def basis(self) -> Basis:
-        """The shapes in which motions are told, at every temperature."""
-        return Basis.of(self.mechanics, self.parts)
+    def basis(self) -> ModalBasis:
+        """The shapes in which motions are expressed, at every temperature."""
+        return ModalBasis.of(self.mechanics, self.parts)
 
     @cached_property
     def continuous(self) -> Chain:

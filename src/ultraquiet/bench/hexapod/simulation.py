@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench._abstract import Block, IntArray, fade
-from ultraquiet.bench.hexapod.laws import WHO, Law, Limits, LostError, Matrices, turned
+from ultraquiet.bench.hexapod.laws import WHO, FeedbackLaw, Limits, LostError, Matrices, turned
 
 
 class Simulation:
@@ -25,7 +25,7 @@ class Simulation:
     def __init__(
         self,
         plants: Callable[[int], tuple[Matrices, int]],
-        law: Law,
+        law: FeedbackLaw,
         limits: Limits,
         actuation: FloatArray,
         disturbance: FloatArray,
@@ -72,11 +72,11 @@ class Simulation:
             signals = self._u[now], self._d[now], self._noise(now.stop - now.start), self._gain[now]
             try:
                 self._law.advance(plant, signals, self._limits, self._state, (command[part], y[part], limited))
-                taken = now.stop - now.start
+                advanced = now.stop - now.start
             except LostError as caught:
-                lost, taken = caught, caught.sample
-            done += taken
-            self._k += taken
+                lost, advanced = caught, caught.sample
+            done += advanced
+            self._k += advanced
         return (self._block(command[:done], y[:done], limited.astype(np.int64)) if done else None), lost
 
     def _block(self, command: FloatArray, y: FloatArray, limited: IntArray) -> Block:

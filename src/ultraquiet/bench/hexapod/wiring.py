@@ -8,7 +8,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench.hexapod.laws import Limits
 from ultraquiet.bench.hexapod.physics.monitors import AXES, BODIES
 from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Electronics
-from ultraquiet.bench.hexapod.physics.parts import Parts
+from ultraquiet.bench.hexapod.physics.parts import HexapodParts
 from ultraquiet.values import Channel
 
 _STRUTS = tuple(f"strut {i + 1}" for i in range(STRUTS))
@@ -21,7 +21,7 @@ def channels(names: tuple[str, ...], limits_v: FloatArray) -> tuple[Channel, ...
     return tuple(Channel(name, "V", -v, v) for name, v in zip(names, limits_v.tolist(), strict=False))
 
 
-def limits(parts: Parts, adc_bits: int | None, saturate: bool) -> Limits:
+def limits(parts: HexapodParts, adc_bits: int | None, saturate: bool) -> Limits:
     """Return where commands, actuators and readings saturate; without `adc_bits` readings are not rounded."""
     e = Electronics()
     # The converter is used symmetrically: of its 2^bits codes the lowest stays unused, so both ends are +-10 V.

@@ -13,7 +13,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
 from ultraquiet.bench.process.link import Child, Link, Remote
 from ultraquiet.bench.process.protocol import SHOWN, Card, number, spoken
-from ultraquiet.bench.stepped import Plant, Setup, Stepped
+from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel
 
 
@@ -136,7 +136,7 @@ class Process(Stepped):
             link = Remote(self.host, self.port, self.start_timeout_s) if self.port else Child(self.command)
             line.hold(link)
             try:
-                card = Card.asked(link, self.start_timeout_s)
+                card = Card.from_handshake(link, self.start_timeout_s)
                 if line.card is not None and card != line.card:
                     raise BenchError("Process: the plant has another rate or other channels than when it began before.")
             except BaseException:
@@ -151,7 +151,7 @@ class Process(Stepped):
         return Setup("Process.run", _Driven(self), card.rate_hz, card.actuators, card.sensors)
 
 
-class _Driven(Plant):
+class _Driven(SteppedPlant):
     """The plant's side of one run."""
 
     def __init__(self, bench: Process) -> None:

@@ -86,14 +86,14 @@ class Link:
 
     def _receive(self) -> None:
         try:
-            came = self._take(CHUNK_BYTES)
+            received = self._take(CHUNK_BYTES)
         except BlockingIOError:
             return
         except OSError:
-            came = b""
-        if not came:
+            received = b""
+        if not received:
             raise BenchError(f"Process: {self.where} the plant '{self.name}' {self.ending()}.")
-        *lines, self._rest = (self._rest + came).split(b"\n")
+        *lines, self._rest = (self._rest + received).split(b"\n")
         self._lines.extend(lines)
         if len(self._rest) > LONGEST_LINE_BYTES:
             raise BenchError(
@@ -154,11 +154,11 @@ class Child(Link):
         try:
             code = self._process.wait(GRACE_S)
         except subprocess.TimeoutExpired:
-            return "closed its output" + self._said()
+            return "closed its output" + self._last_words()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        return how + self._said()
+        return how + self._last_words()
 
-    def _said(self) -> str:
+    def _last_words(self) -> str:
         self._words.seek(0)
         words = " ".join(self._words.read()[-4 * LAST_WORDS :].decode(errors="replace").split())
         return f", its last words: '{words[-LAST_WORDS:]}'" if words else " without a word"

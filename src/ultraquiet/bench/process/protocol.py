@@ -24,7 +24,7 @@ class Card:
     hexadecimal: bool = False
 
     @classmethod
-    def asked(cls, link: Link, timeout_s: float) -> "Card":
+    def from_handshake(cls, link: Link, timeout_s: float) -> "Card":
         """Greet the plant and read its lines up to `ready`."""
         link.where = "in the handshake"
         link.send(f"hello {VERSION}\n")

@@ -10,7 +10,7 @@ from ultraquiet.bench.hexapod.physics.geometry import jacobian
 from ultraquiet.bench.hexapod.physics.maxwell import Stage, stage
 from ultraquiet.bench.hexapod.physics.monitors import AXES, ProofMass, triaxial_axes
 from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Body
-from ultraquiet.bench.hexapod.physics.parts import Parts
+from ultraquiet.bench.hexapod.physics.parts import HexapodParts
 
 # Modes below this are the free motions of a floating hexapod: nothing inside it can excite them, nor read them.
 RIGID_BODY_HZ = 0.1
@@ -61,7 +61,7 @@ class Mechanics:
         return np.moveaxis(self.read @ q, 0, -1).astype(np.complex128)
 
 
-def assemble(parts: Parts) -> Mechanics:
+def assemble(parts: HexapodParts) -> Mechanics:
     """Return the structure that the parts make."""
     bodies = _bodies(parts)
     n = FREEDOMS * len(bodies) + STRUTS
@@ -91,7 +91,7 @@ def assemble(parts: Parts) -> Mechanics:
     return Mechanics(M, E_p, E_v, K_p, C_p, K_g, C_g, stages, push, _read(parts, total, n))
 
 
-def _proof_masses(parts: Parts) -> list[tuple[int, ProofMass, Body, slice]]:
+def _proof_masses(parts: HexapodParts) -> list[tuple[int, ProofMass, Body, slice]]:
     """Return the proof masses that stand on something that moves: number, body and the body's place in q."""
     payload = FREEDOMS * (len(_bodies(parts)) - 1)
     places = ((parts.base.body, slice(0, FREEDOMS)), (parts.payload, slice(payload, payload + FREEDOMS)))
@@ -99,11 +99,11 @@ def _proof_masses(parts: Parts) -> list[tuple[int, ProofMass, Body, slice]]:
     return [(j, p, body, at) for j, (p, (body, at)) in enumerate(pairs) if body is not None]
 
 
-def _bodies(parts: Parts) -> list[Body]:
+def _bodies(parts: HexapodParts) -> list[Body]:
     return [parts.payload] if parts.base.body is None else [parts.base.body, parts.payload]
 
 
-def _stacks(parts: Parts) -> tuple[FloatArray, FloatArray]:
+def _stacks(parts: HexapodParts) -> tuple[FloatArray, FloatArray]:
     """Return stiffness and damping of the stacks on their feet, `(6, 6)`.
 
     K_p^-1 = diag(1 / k_p + f) - f u u', u = (-1, 1, -1, 1, -1, 1) / sqrt(6): every foot yields by f along its strut,
@@ -119,7 +119,7 @@ def _stacks(parts: Parts) -> tuple[FloatArray, FloatArray]:
     return np.asarray(K_p, np.float64), np.asarray(share[:, np.newaxis] * K_p * share, np.float64)
 
 
-def _mounts(parts: Parts, total: int) -> tuple[FloatArray, FloatArray]:
+def _mounts(parts: HexapodParts, total: int) -> tuple[FloatArray, FloatArray]:
     """Return stiffness and damping of the base's mounts."""
     K_g, C_g = np.zeros((total, total)), np.zeros((total, total))
     if parts.base.body is not None:
@@ -129,7 +129,7 @@ def _mounts(parts: Parts, total: int) -> tuple[FloatArray, FloatArray]:
     return K_g, C_g
 
 
-def _read(parts: Parts, total: int, struts_end: int) -> FloatArray:
+def _read(parts: HexapodParts, total: int, struts_end: int) -> FloatArray:
     """Return what geophones feel of q: their struts' masses, or along their axes the bodies, amid the joints."""
     rows = np.zeros((len(parts.lines), total))
     rows[:STRUTS, struts_end - STRUTS : struts_end] = np.eye(STRUTS)

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 
 from ultraquiet.bench.hexapod.physics.parameters import Electronics, Strut
-from ultraquiet.bench.hexapod.physics.parts import Parts
+from ultraquiet.bench.hexapod.physics.parts import HexapodParts
 
 REFERENCE_C = 20.0  # where the parts are as drawn
 # Cycles of the temperature: period in seconds and amplitude in kelvin at a drift of 1, all assumed. A low orbit takes
@@ -48,7 +48,7 @@ def weather(unit: str, seed: int, drift: float) -> Callable[[float], float]:
     return lambda t: REFERENCE_C + drift * float(sum(a * np.sin(w * t + phase) for w, a, phase in waves))
 
 
-def at_temperature(parts: Parts, temperature_c: float) -> Parts:
+def at_temperature(parts: HexapodParts, temperature_c: float) -> HexapodParts:
     """Return the parts at a temperature, all of them at the same; those known at REFERENCE_C are given.
 
     What a driven stack warms by itself is left out.
@@ -57,9 +57,9 @@ def at_temperature(parts: Parts, temperature_c: float) -> Parts:
     if warmer == 0.0:
         return parts
 
-    def moved(given: Part, per_kelvin: dict[str, float]) -> Part:
-        changed = {name: getattr(given, name) * (1.0 + share * warmer) for name, share in per_kelvin.items()}
-        return replace(given, **changed)
+    def moved(part: Part, per_kelvin: dict[str, float]) -> Part:
+        changed = {name: getattr(part, name) * (1.0 + share * warmer) for name, share in per_kelvin.items()}
+        return replace(part, **changed)
 
     struts = tuple(moved(strut, PER_KELVIN_STRUT) for strut in parts.struts)
     return replace(parts, struts=struts, lines=tuple(moved(line, PER_KELVIN_LINE) for line in parts.lines))

@@ -13,7 +13,7 @@ INSTRUMENTS = ("struts", "all")
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class HexapodParts:
     """The parts of one bench.
 
     Args:
@@ -55,7 +55,7 @@ class Parts:
         return np.array([getattr(line, name) for line in self.lines])
 
 
-def nominal(unit: str, instruments: str) -> Parts:
+def nominal(unit: str, instruments: str) -> HexapodParts:
     """Return the parts of a unit, as drawn."""
     every = instruments == "all"
     lines = (Electronics(),) * STRUTS
@@ -63,4 +63,6 @@ def nominal(unit: str, instruments: str) -> Parts:
         lines += (replace(Electronics(), gain=TRIAXIAL_GAIN),) * (len(BODIES) * len(AXES))
     proof_masses = PROOF_MASSES if every else ()
     geometry = Geometry()
-    return Parts(BASES[unit], PAYLOAD, joints(geometry), geometry.height_m, (Strut(),) * STRUTS, lines, proof_masses)
+    return HexapodParts(
+        BASES[unit], PAYLOAD, joints(geometry), geometry.height_m, (Strut(),) * STRUTS, lines, proof_masses
+    )

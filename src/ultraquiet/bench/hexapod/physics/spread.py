@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench.hexapod.physics.geometry import Joints
 from ultraquiet.bench.hexapod.physics.monitors import ProofMass
 from ultraquiet.bench.hexapod.physics.parameters import STRUTS, Base, Body, Electronics, Strut
-from ultraquiet.bench.hexapod.physics.parts import Parts
+from ultraquiet.bench.hexapod.physics.parts import HexapodParts
 
 # Each number lies evenly within plus or minus this share of the drawing's. "Data sheets" are the usual figures of the
 # trade for such parts, not SUITE's own; the paper states none.
@@ -47,7 +47,7 @@ MOUNT_SHARES = {"mount_hz": 0.10, "mount_damping": 0.30}  # assumed
 Part = TypeVar("Part", Strut, Electronics, ProofMass, Base)
 
 
-def draw(parts: Parts, spread: float, unit_seed: int) -> Parts:
+def draw(parts: HexapodParts, spread: float, unit_seed: int) -> HexapodParts:
     """Return the parts of one unit: every number drawn evenly within `spread` times its tolerance.
 
     The same seed draws the same struts whatever instruments stand beside them, and deviations grow with `spread`.
@@ -64,10 +64,10 @@ def draw(parts: Parts, spread: float, unit_seed: int) -> Parts:
     def even(*shape: int) -> FloatArray:
         return spread * rng.uniform(-1.0, 1.0, shape)
 
-    def varied(given: Part, shares: dict[str, float]) -> Part:
+    def varied(part: Part, shares: dict[str, float]) -> Part:
         by = even(len(shares))
-        changed = {name: getattr(given, name) * (1.0 + s * v) for (name, s), v in zip(shares.items(), by, strict=True)}
-        return replace(given, **changed)
+        changed = {name: getattr(part, name) * (1.0 + s * v) for (name, s), v in zip(shares.items(), by, strict=True)}
+        return replace(part, **changed)
 
     struts = tuple(varied(strut, STRUT_SHARES) for strut in parts.struts)
     at = Joints(parts.at.base + JOINT_M * even(STRUTS, 3), parts.at.platform + JOINT_M * even(STRUTS, 3))
@@ -76,7 +76,7 @@ def draw(parts: Parts, spread: float, unit_seed: int) -> Parts:
     base: Base = varied(replace(parts.base, body=None if body is None else _body(body, even(6))), MOUNT_SHARES)
     lines = tuple(varied(line, LINE_SHARES) for line in parts.lines)
     proof_masses = tuple(varied(p, PROOF_MASS_SHARES) for p in parts.proof_masses)
-    return Parts(base, payload, at, parts.height_m, struts, lines, proof_masses)
+    return HexapodParts(base, payload, at, parts.height_m, struts, lines, proof_masses)
 
 
 def _body(body: Body, by: FloatArray) -> Body:
