@@ -16,6 +16,8 @@ from scipy.io import wavfile
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError
+from ultraquiet.files import formats
+from ultraquiet.files.table import Column, FileTable
 from ultraquiet.values import Channel, Record
 
 read = files.read_record
@@ -259,3 +261,24 @@ def test_uff_of_others(tmp_path, rng, kind):
     record = read(path, inputs="12 +X", outputs="13 -Z")
     assert (record.rate_hz, record.sensors[0].unit) == (3500.0, "m/s^2")
     np.testing.assert_allclose(record.outputs[0], values[1], rtol=0 if kind == "binary" else 6e-12)
+
+
+def read_pairs(name, data):
+    """A format that nobody has: input and output alternate, two a sample."""
+    u, y = np.frombuffer(data, "<f8").reshape(-1, 2).T
+    return FileTable(name, (Column("u", u.copy(), rate_hz=10.0), Column("y", y.copy(), rate_hz=10.0)))
+
+
+def write_pairs(record):
+    return np.vstack([record.inputs, record.outputs]).T.astype("<f8").tobytes()
+
+
+def test_a_new_format_is_a_reader_and_one_line(tmp_path, monkeypatch):
+    added = formats.Format("pairs", (".pairs",), read_pairs, write_pairs)
+    monkeypatch.setattr(formats, "FORMATS", (*formats.FORMATS, added))
+    record = Record([[1.0, 2.0, 3.0]], [[0.5, -1.0, 0.25]], 10.0)
+    path = files.export_record(record, tmp_path / "run.pairs")
+    same(read(path), Record(record.inputs, record.outputs, 10.0, [Channel("u", "")], [Channel("y", "")]), 0.0)
+    assert files.survey(path).format == "pairs"
+    with pytest.raises(InputError, match=r"\.pairs"):
+        read(tmp_path / "run.unknown")

@@ -15,7 +15,7 @@ from typing import Any
 
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files import reason
-from ultraquiet.files.names import is_plain, told
+from ultraquiet.files.names import is_plain, quoted
 
 FILE = "journal.txt"
 
@@ -132,7 +132,7 @@ def _entry(path: Path, body: bytes, at: int) -> dict[str, Any]:
     for name in names:
         if not is_plain(name):
             raise StorageError(
-                f"journal: '{path}' names {told(name)} at byte {at}, which is no name of a file in its folder; move "
+                f"journal: '{path}' names {quoted(name)} at byte {at}, which is no name of a file in its folder; move "
                 "the folder's records elsewhere."
             )
     return entry

@@ -2,10 +2,11 @@
 
 from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
 from ultraquiet.files.atomic import reason, write_bytes
-from ultraquiet.files.chunks import LongRecord, LongWriter
 from ultraquiet.files.export import export_record
 from ultraquiet.files.log import LogWriter, log_header
 from ultraquiet.files.logged import Log, finalise, read_log
+from ultraquiet.files.long_record import LongRecord
+from ultraquiet.files.long_writer import LongWriter
 from ultraquiet.files.mapping import MappingError, load_mapping, parse_mapping
 from ultraquiet.files.read import read_record
 from ultraquiet.files.responses import export_frf, read_frf

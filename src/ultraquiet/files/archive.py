@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.files.atomic import reason, taken, write_bytes
+from ultraquiet.files.atomic import name_taken, reason, write_bytes
 from ultraquiet.files.packing import Tree, Value, pack, unpack
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def save(value: Value, path: _Path, overwrite: bool = True) -> Path:
 def save_many(values: Mapping[str, Value], path: _Path, overwrite: bool = True) -> Path:
     """Write several named values to one HDF5 file, whole or not at all; arguments and errors as in `save`."""
     if not overwrite and os.path.lexists(path):
-        raise taken(path)
+        raise name_taken(path)
     for name in values:
         if not name or "/" in name or "\0" in name or name == "." or not name.isprintable():
             raise InputError(f"archive: {name!r} cannot name a value; use printable characters without '/'.")
@@ -75,10 +75,10 @@ def load(path: _Path, name: str | None = None) -> Any:
     Raises:
         StorageError: missing, foreign, damaged or newer than this version, or no value of that name.
     """
-    held = load_many(path, None if name is None else (name,))
-    if len(held) != 1:
-        raise StorageError(f"archive: '{path}' holds {len(held)} values ({', '.join(held)}); name one of them.")
-    return next(iter(held.values()))
+    values = load_many(path, None if name is None else (name,))
+    if len(values) != 1:
+        raise StorageError(f"archive: '{path}' holds {len(values)} values ({', '.join(values)}); name one of them.")
+    return next(iter(values.values()))
 
 
 def load_many(path: _Path, names: tuple[str, ...] | None = None) -> dict[str, Any]:
@@ -130,14 +130,14 @@ def _seal(image: bytes) -> bytes:
 def _write(group: "h5py.Group", tree: Tree) -> None:
     import h5py
 
-    for key, held in tree.items():
-        if isinstance(held, dict):
-            _write(group.create_group(key), held)
-        elif isinstance(held, str):
+    for key, item in tree.items():
+        if isinstance(item, dict):
+            _write(group.create_group(key), item)
+        elif isinstance(item, str):
             # Plain ASCII: JSON has escaped what HDF5 strings cannot hold (NUL, lone surrogates).
-            group.create_dataset(key, data=held, dtype=h5py.string_dtype("ascii"))
+            group.create_dataset(key, data=item, dtype=h5py.string_dtype("ascii"))
         else:
-            group.create_dataset(key, data=held)
+            group.create_dataset(key, data=item)
 
 
 def _opened(path: _Path) -> "h5py.File":
@@ -166,11 +166,11 @@ def _opened(path: _Path) -> "h5py.File":
 
 def _read(path: _Path, names: tuple[str, ...] | None) -> dict[str, tuple[str, Tree]]:
     with _opened(path) as file:
-        held = [str(name) for name in file]
-        missing = [name for name in names or () if name not in held]
+        stored = [str(name) for name in file]
+        missing = [name for name in names or () if name not in stored]
         if missing:
-            raise StorageError(f"archive: '{path}' holds no '{missing[0]}', only {', '.join(held)}.")
-        groups: dict[str, Any] = {name: file[name] for name in (held if names is None else names)}
+            raise StorageError(f"archive: '{path}' holds no '{missing[0]}', only {', '.join(stored)}.")
+        groups: dict[str, Any] = {name: file[name] for name in (stored if names is None else names)}
         return {name: (str(group.attrs["kind"]), _tree(group)) for name, group in groups.items()}
 
 
@@ -178,11 +178,11 @@ def _tree(group: Any) -> Tree:
     import h5py
 
     tree: Tree = {}
-    for key, held in group.items():
-        if isinstance(held, h5py.Group):
-            tree[key] = _tree(held)
-        elif h5py.check_string_dtype(held.dtype):
-            tree[key] = held[()].decode("ascii")
+    for key, item in group.items():
+        if isinstance(item, h5py.Group):
+            tree[key] = _tree(item)
+        elif h5py.check_string_dtype(item.dtype):
+            tree[key] = item[()].decode("ascii")
         else:
-            tree[key] = held[()] if held.shape else np.array(held[()])
+            tree[key] = item[()] if item.shape else np.array(item[()])
     return tree

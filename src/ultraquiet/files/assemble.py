@@ -9,12 +9,12 @@ from ultraquiet._base.constraints import positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files.select import Picked
-from ultraquiet.files.table import JITTER, Column, Table
+from ultraquiet.files.table import JITTER, Column, FileTable
 from ultraquiet.values import Channel, Record
 
 
 def assemble(
-    table: Table,
+    table: FileTable,
     picked: Picked,
     rate_hz: float | None = None,
     crop_s: tuple[float, float] | None = None,
@@ -29,8 +29,8 @@ def assemble(
     u, y = picked
     columns = (*u, *y)
     if len({c.values.size for c in columns}) != 1:
-        said = ", ".join(f"{c.name} ({c.values.size})" for c in columns)
-        raise InputError(f"read_record: the columns chosen from '{table.path}' differ in length: {said}.")
+        lengths = ", ".join(f"{c.name} ({c.values.size})" for c in columns)
+        raise InputError(f"read_record: the columns chosen from '{table.path}' differ in length: {lengths}.")
     rate = table.rate_hz(columns) if rate_hz is None else rate_hz
     # Checked here already: the cut and the starts are counted in samples.
     positive("read_record", "rate_hz", rate, "Hz")
@@ -38,14 +38,14 @@ def assemble(
     rows = _rows(table, columns[0].values.size, rate, crop_s)
     for c in columns:
         _sound(table, c, rows)
-    told = {"file": table.path, "inputs": [c.name for c in u], "outputs": [c.name for c in y], **(settings or {})}
+    choices = {"file": table.path, "inputs": [c.name for c in u], "outputs": [c.name for c in y], **(settings or {})}
     return Record(
         np.stack([c.values[rows] for c in u]),
         np.stack([c.values[rows] for c in y]),
         rate,
         [_channel(c) for c in u],
         [_channel(c) for c in y],
-        Provenance("read_record", told, parents=parents, versions=versions()),
+        Provenance("read_record", choices, parents=parents, versions=versions()),
     )
 
 
@@ -53,14 +53,14 @@ def _channel(c: Column) -> Channel:
     return Channel(c.name, c.unit, c.low, c.high)
 
 
-def _together(table: Table, columns: Sequence[Column], rate_hz: float) -> None:
+def _together(table: FileTable, columns: Sequence[Column], rate_hz: float) -> None:
     starts = [c.start_s for c in columns]
     if (max(starts) - min(starts)) * rate_hz > JITTER:
-        said = ", ".join(f"{c.name} ({c.start_s:g} s)" for c in columns)
-        raise InputError(f"read_record: channels of '{table.path}' do not start together: {said}; align them first.")
+        listing = ", ".join(f"{c.name} ({c.start_s:g} s)" for c in columns)
+        raise InputError(f"read_record: channels of '{table.path}' do not start together: {listing}; align them first.")
 
 
-def _rows(table: Table, samples: int, rate_hz: float, crop_s: tuple[float, float] | None) -> slice:
+def _rows(table: FileTable, samples: int, rate_hz: float, crop_s: tuple[float, float] | None) -> slice:
     if crop_s is None:
         return slice(0, samples)
     first, last = (min(max(round(t * rate_hz), 0), samples) for t in crop_s)
@@ -72,7 +72,7 @@ def _rows(table: Table, samples: int, rate_hz: float, crop_s: tuple[float, float
     return slice(first, last)
 
 
-def _sound(table: Table, c: Column, rows: slice) -> None:
+def _sound(table: FileTable, c: Column, rows: slice) -> None:
     bad = np.flatnonzero(~np.isfinite(c.values[rows]))
     if bad.size:
         raise InputError(

@@ -24,14 +24,14 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, overwrite: bool = Tru
     # A link stays a link: its target is what gets replaced.
     target = Path(os.path.realpath(path))
     if not overwrite and target.exists():
-        raise taken(path)
+        raise name_taken(path)
     part = target.with_name(f".{target.name[:200]}.{secrets.token_hex(6)}.part")
     try:
         _write_through(part, data)
         _take_name(part, target, overwrite)
         sync_folder(target.parent)
     except FileExistsError:
-        raise taken(path) from None
+        raise name_taken(path) from None
     except OSError as error:
         raise StorageError(
             f"files: '{path}' could not be written ({reason(error)}); what was there before is untouched."
@@ -43,7 +43,7 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, overwrite: bool = Tru
     return Path(path)
 
 
-def taken(path: str | os.PathLike[str]) -> StorageError:
+def name_taken(path: str | os.PathLike[str]) -> StorageError:
     """Return the refusal to write over an existing file."""
     return StorageError(f"files: '{path}' exists already and was not asked to be overwritten; choose another name.")
 

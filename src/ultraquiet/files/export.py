@@ -44,6 +44,6 @@ def export_record(record: Record, path: str | os.PathLike[str], overwrite: bool 
         return save(record, path, overwrite)
     write = partial(write_uff, text=text) if form.write is write_uff else form.write
     if write is None:
-        known = ", ".join(s for held in FORMATS if held.write is not None for s in held.suffixes)
+        known = ", ".join(s for other in FORMATS if other.write is not None for s in other.suffixes)
         raise InputError(f"export_record: {form.name} files are read only; write {', '.join(ARCHIVES)}, {known}.")
     return write_bytes(path, write(record), overwrite)

@@ -10,7 +10,7 @@ from ultraquiet.files.matlab import read_mat, write_mat
 from ultraquiet.files.npz import read_npz
 from ultraquiet.files.parquet import read_parquet, write_parquet
 from ultraquiet.files.plain import read_text, write_text
-from ultraquiet.files.table import Table
+from ultraquiet.files.table import FileTable
 from ultraquiet.files.tdms import read_tdms
 from ultraquiet.files.uff import read_uff, write_uff
 from ultraquiet.files.wav import read_wav
@@ -27,7 +27,7 @@ class Format:
 
     name: str
     suffixes: tuple[str, ...]
-    read: Callable[[str, bytes], Table]
+    read: Callable[[str, bytes], FileTable]
     write: Callable[[Record], bytes] | None = None
 
 
@@ -47,8 +47,8 @@ ARCHIVES = FORMATS[0].suffixes
 def format_of(who: str, path: str | Path) -> Format:
     """Return the format that a file's suffix names."""
     suffix = Path(path).suffix.lower()
-    found = next((held for held in FORMATS if suffix in held.suffixes), None)
-    if found is None:
-        known = ", ".join(known for held in FORMATS for known in held.suffixes)
+    match = next((form for form in FORMATS if suffix in form.suffixes), None)
+    if match is None:
+        known = ", ".join(known for form in FORMATS for known in form.suffixes)
         raise InputError(f"{who}: '{path}' has none of the suffixes {known}.")
-    return found
+    return match

@@ -32,7 +32,7 @@ class UnsoundError(Exception):
 
 
 @dataclass(frozen=True)
-class Frame:
+class LogFrame:
     """One frame; `samples` columns of `channels` rows begin at sample `offset` of the run."""
 
     kind: bytes
@@ -46,7 +46,7 @@ class Frame:
     def packed(self) -> bytes:
         """Return the bytes of the frame.
 
-        >>> frame = Frame(DATA, 3, b"abcdefgh", 175, 1, 2, bytes(16))
+        >>> frame = LogFrame(DATA, 3, b"abcdefgh", 175, 1, 2, bytes(16))
         >>> frame_at(frame.packed(), 0) == frame, len(frame.packed())
         (True, 72)
         """
@@ -61,7 +61,7 @@ class Frame:
         return HEAD_BYTES + len(self.payload) + _CRC.size
 
 
-def frame_at(data: bytes | memoryview, at: int) -> Frame:
+def frame_at(data: bytes | memoryview, at: int) -> LogFrame:
     """Return the frame that begins at byte `at`, its payload a view of `data`.
 
     Raises:
@@ -80,4 +80,4 @@ def frame_at(data: bytes | memoryview, at: int) -> Frame:
         raise UnsoundError("it is cut short", torn=True)
     if _CRC.unpack_from(view, end)[0] != zlib.crc32(view[:end]):
         raise UnsoundError("it does not match its checksum")
-    return Frame(kind, sequence, run, offset, channels, samples, view[HEAD_BYTES:end])
+    return LogFrame(kind, sequence, run, offset, channels, samples, view[HEAD_BYTES:end])

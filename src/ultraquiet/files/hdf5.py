@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet.files.archive import FORMAT, MAGIC, SEAL
-from ultraquiet.files.table import RATE_NAMES, STEP_NAMES, Table, from_arrays
+from ultraquiet.files.table import RATE_NAMES, STEP_NAMES, FileTable, from_arrays
 
 SHA256_DIGITS = 64
 UNITS = ("unit", "units", "Unit", "Units")
@@ -29,7 +29,7 @@ def is_ours(data: bytes) -> bool:
         return False
 
 
-def read_hdf5(name: str, data: bytes) -> Table:
+def read_hdf5(name: str, data: bytes) -> FileTable:
     """Return the numeric datasets of an HDF5 file; one in a group is named `group.dataset`.
 
     Attributes of the file, a group or a dataset may say the rate (`fs`, `rate_hz`, `dt`, ...); those of a dataset its
@@ -40,37 +40,37 @@ def read_hdf5(name: str, data: bytes) -> Table:
     arrays: dict[str, Any] = {}
     texts: dict[str, list[str]] = {}
 
-    def visit(path: str, held: Any) -> None:
+    def visit(path: str, item: Any) -> None:
         place = path.replace("/", ".")
-        arrays.update(_told(place, held))
-        if not isinstance(held, h5py.Dataset):
+        arrays.update(_stated_rates(place, item))
+        if not isinstance(item, h5py.Dataset):
             return
-        if held.dtype.names:
-            whole = held[()]
-            arrays.update({f"{place}.{field}": whole[field] for field in held.dtype.names})
-        elif held.dtype.kind in "fiu":
-            arrays[place] = held[()]
-            texts.update(_labels(place, held))
-        elif h5py.check_string_dtype(held.dtype) is not None:
-            texts[place] = _words(held.asstr()[()])
+        if item.dtype.names:
+            whole = item[()]
+            arrays.update({f"{place}.{field}": whole[field] for field in item.dtype.names})
+        elif item.dtype.kind in "fiu":
+            arrays[place] = item[()]
+            texts.update(_labels(place, item))
+        elif h5py.check_string_dtype(item.dtype) is not None:
+            texts[place] = _words(item.asstr()[()])
 
     with h5py.File(io.BytesIO(data), "r") as file:
-        arrays.update(_told("", file))
+        arrays.update(_stated_rates("", file))
         file.visititems(visit)
         return from_arrays(name, arrays, texts)
 
 
-def _told(place: str, held: Any) -> dict[str, Any]:
+def _stated_rates(place: str, item: Any) -> dict[str, Any]:
     """Return the scalars that attributes state: the rate, by any of its names."""
-    known = {key: np.asarray(value) for key, value in held.attrs.items() if key.lower() in (*RATE_NAMES, *STEP_NAMES)}
+    known = {key: np.asarray(value) for key, value in item.attrs.items() if key.lower() in (*RATE_NAMES, *STEP_NAMES)}
     return {f"{place}.{key}".lstrip("."): value.reshape(-1)[0] for key, value in known.items() if value.size == 1}
 
 
-def _labels(place: str, held: Any) -> dict[str, list[str]]:
+def _labels(place: str, dataset: Any) -> dict[str, list[str]]:
     labels: dict[str, list[str]] = {}
     for kind, keys in (("names", NAMES), ("units", UNITS)):
-        words = next((_words(held.attrs[key]) for key in keys if key in held.attrs), [])
-        count = min(held.shape) if held.ndim == 2 else 1
+        words = next((_words(dataset.attrs[key]) for key in keys if key in dataset.attrs), [])
+        count = min(dataset.shape) if dataset.ndim == 2 else 1
         # One unit may hold for every channel of a matrix.
         labels[f"{place}_{kind}"] = words * count if kind == "units" and len(words) == 1 else words
     return {key: words for key, words in labels.items() if words}

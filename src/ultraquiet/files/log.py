@@ -3,7 +3,6 @@
 import contextlib
 import hashlib
 import json
-import math
 import os
 import secrets
 import time
@@ -18,7 +17,8 @@ from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance, plain
 from ultraquiet.files.atomic import reason, write_bytes
-from ultraquiet.files.frames import DATA, END, HEADER, RUN_BYTES, Frame
+from ultraquiet.files.channel_rows import channel_rows
+from ultraquiet.files.frames import DATA, END, HEADER, RUN_BYTES, LogFrame
 from ultraquiet.values import Channel
 
 SYNC_S = 0.1  # what a power cut may cost, and one block; a disk syncs some hundred times a second, and idles so
@@ -44,13 +44,9 @@ def log_header(
     >>> header["channels"][0], header["inputs"]
     (['force', 'N', None, None], 1)
     """
-    # JSON knows no infinity: a limit that is absent is null.
-    rows = [
-        [c.name, c.unit, *(float(v) if math.isfinite(v) else None for v in (c.low, c.high))]
-        for c in (*actuators, *sensors)
-    ]
-    made = json.loads(provenance.to_json())
-    return {"channels": rows, "inputs": len(actuators), "rate_hz": rate_hz, "samples": samples, "provenance": made}
+    rows = channel_rows((*actuators, *sensors))
+    origin = json.loads(provenance.to_json())
+    return {"channels": rows, "inputs": len(actuators), "rate_hz": rate_hz, "samples": samples, "provenance": origin}
 
 
 class _Written(NamedTuple):
@@ -100,7 +96,7 @@ class LogWriter:
         self._channels = len(channels)
         self._run = secrets.token_bytes(RUN_BYTES)
         self._failure = ""
-        first = Frame(HEADER, 0, self._run, 0, self._channels, 0, text).packed()
+        first = LogFrame(HEADER, 0, self._run, 0, self._channels, 0, text).packed()
         # A log appears with its whole header or not at all, so there is no log that cannot be read.
         write_bytes(self.path, first, overwrite=False)
         try:
@@ -166,7 +162,7 @@ class LogWriter:
         payload = content if isinstance(content, bytes) else content.astype("<f8").tobytes()
         columns = 0 if isinstance(content, bytes) else content.shape[1]
         size, sequence, samples, digest = self._written
-        frame = Frame(kind, sequence, self._run, samples, self._channels, columns, payload).packed()
+        frame = LogFrame(kind, sequence, self._run, samples, self._channels, columns, payload).packed()
         digest = digest.copy()
         if kind == DATA:
             digest.update(payload)

@@ -3,10 +3,9 @@
 import contextlib
 import hashlib
 import json
-import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,10 @@ from ultraquiet._base.constraints import FloatArray, frozen
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.files.archive import load, save
-from ultraquiet.files.atomic import reason, sync_folder, taken
-from ultraquiet.files.frames import DATA, END, HEADER, Frame, UnsoundError, frame_at
-from ultraquiet.values import Channel, Record
+from ultraquiet.files.atomic import name_taken, reason, sync_folder
+from ultraquiet.files.channel_rows import from_rows
+from ultraquiet.files.frames import DATA, END, HEADER, LogFrame, UnsoundError, frame_at
+from ultraquiet.values import Record
 
 _Path = str | os.PathLike[str]
 
@@ -54,23 +54,20 @@ class Log:
             InputError: no samples, or a header that `log_header` did not make.
         """
         try:
-            rows = [
-                Channel(n, unit, _or(low, -math.inf), _or(high, math.inf))
-                for n, unit, low, high in self.header["channels"]
-            ]
+            rows = from_rows(self.header["channels"])
             inputs, rate_hz = self.header["inputs"], self.header["rate_hz"]
-            made = Provenance.from_json(json.dumps(self.header["provenance"]))
+            provenance = Provenance.from_json(json.dumps(self.header["provenance"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"log: its header describes no record ({reason(error)}).") from None
-        settings = dict(made.settings)
+        settings = dict(provenance.settings)
         for key, note in self.notes.items():
-            held = settings.get(key)
-            settings[key] = {**held, **note} if isinstance(held, dict) and isinstance(note, dict) else note
+            setting = settings.get(key)
+            settings[key] = {**setting, **note} if isinstance(setting, dict) and isinstance(note, dict) else note
         if not self.complete:
             planned = self.header.get("samples")
             settings["partial"] = {"samples": self.samples.shape[1], "of": planned, "reason": self.reason}
-        made = Provenance(made.made_by, settings, made.seed, made.parents, made.versions)
-        return Record(self.samples[:inputs], self.samples[inputs:], rate_hz, rows[:inputs], rows[inputs:], made)
+        provenance = replace(provenance, settings=settings)
+        return Record(self.samples[:inputs], self.samples[inputs:], rate_hz, rows[:inputs], rows[inputs:], provenance)
 
 
 def read_log(path: _Path) -> Log:
@@ -129,7 +126,7 @@ def finalise(path: _Path, record_path: _Path, overwrite: bool = False) -> Record
 class _Reading:
     """One pass over the blocks behind a header."""
 
-    def __init__(self, data: memoryview, first: Frame) -> None:
+    def __init__(self, data: memoryview, first: LogFrame) -> None:
         self._data, self._first = data, first
         self._at, self._sequence, self._samples = first.size, 1, 0
         self._blocks: list[FloatArray] = []
@@ -160,10 +157,10 @@ class _Reading:
         return Log(header, samples, ended, "; ".join(why), lost, damaged, complete, end["notes"])
 
     def _unsound(self, lost: int) -> str:
-        kept = f"{self._samples} samples before it are sound, {lost} bytes from it on are dropped"
-        return f"the block at byte {self._at} is unsound ({self._problem}); {kept}"
+        consequence = f"{self._samples} samples before it are sound, {lost} bytes from it on are dropped"
+        return f"the block at byte {self._at} is unsound ({self._problem}); {consequence}"
 
-    def _take(self, frame: Frame) -> None:
+    def _take(self, frame: LogFrame) -> None:
         if self._end is not None:
             raise UnsoundError("it stands behind the end")
         place = (frame.run, frame.sequence, frame.offset, frame.channels)
@@ -178,14 +175,14 @@ class _Reading:
         self._at += frame.size
         self._sequence += 1
 
-    def _take_samples(self, frame: Frame) -> None:
+    def _take_samples(self, frame: LogFrame) -> None:
         if len(frame.payload) != 8 * frame.channels * frame.samples:
             raise UnsoundError("its size does not fit its samples")
         self._blocks.append(np.frombuffer(frame.payload, "<f8").reshape(frame.channels, frame.samples))
         self._digest.update(frame.payload)
         self._samples += frame.samples
 
-    def _take_end(self, frame: Frame) -> None:
+    def _take_end(self, frame: LogFrame) -> None:
         end = json.loads(bytes(frame.payload))
         if (end["samples"], end["sha256"]) != (self._samples, self._digest.hexdigest()):
             raise UnsoundError("it does not agree with the samples before it")
@@ -197,12 +194,8 @@ def _is_there(record: Record, path: _Path) -> bool:
     if not os.path.lexists(path):
         return False
     with contextlib.suppress(StorageError):
-        held = load(path)
-        same = isinstance(held, Record) and held.hash == record.hash
-        if same and held.provenance.to_json() == record.provenance.to_json():
+        stored = load(path)
+        same = isinstance(stored, Record) and stored.hash == record.hash
+        if same and stored.provenance.to_json() == record.provenance.to_json():
             return True
-    raise taken(path)
-
-
-def _or(value: float | None, otherwise: float) -> float:
-    return otherwise if value is None else value
+    raise name_taken(path)

@@ -14,7 +14,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import Place, line_numbers, line_of
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.select import Picked, chosen
-from ultraquiet.files.table import Column, Table
+from ultraquiet.files.table import Column, FileTable
 
 HEAD = ("rate_hz", "crop_s", "inputs", "outputs")
 CHANNEL = ("column", "name", "unit", "scale", "offset", "limits")
@@ -26,8 +26,8 @@ class MappingError(InputError):
     def __init__(self, name: str, mistakes: Sequence[tuple[int, str]]) -> None:
         self.mistakes = tuple(sorted(set(mistakes)))
         count = "one mistake" if len(self.mistakes) == 1 else f"{len(self.mistakes)} mistakes"
-        told = "".join(f"\n  line {line}: {sentence}" for line, sentence in self.mistakes)
-        super().__init__(f"{name}: {count}; nothing was read.{told}")
+        listing = "".join(f"\n  line {line}: {sentence}" for line, sentence in self.mistakes)
+        super().__init__(f"{name}: {count}; nothing was read.{listing}")
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Mapping:
     outputs: tuple[Mapped, ...]
     places: AnyMapping[Place, int] = field(repr=False, compare=False)
 
-    def pick(self, table: Table) -> Picked:
+    def pick(self, table: FileTable) -> Picked:
         """Return the columns that go in and those that come out, renamed and scaled.
 
         Raises:
@@ -80,8 +80,8 @@ class Mapping:
             raise MappingError(self.name, mistakes)
         return picked[0], picked[1]
 
-    def _channels(self, table: Table, mapped: Sequence[Mapped], mistakes: list[tuple[int, str]]) -> list[Column]:
-        held: list[Column] = []
+    def _channels(self, table: FileTable, mapped: Sequence[Mapped], mistakes: list[tuple[int, str]]) -> list[Column]:
+        picked: list[Column] = []
         for one in mapped:
             line = line_of(self.places, (*one.place, "column"))
             try:
@@ -91,8 +91,8 @@ class Mapping:
                 continue
             if len(columns) > 1 and one.name is not None:
                 mistakes.append((line, f"'{one.column}' are {len(columns)} columns, which cannot share one name."))
-            held.extend(one.apply(c) for c in columns)
-        return held
+            picked.extend(one.apply(c) for c in columns)
+        return picked
 
 
 def load_mapping(path: str | os.PathLike[str]) -> Mapping:
@@ -140,8 +140,8 @@ def parse_mapping(text: str, name: str = "mapping") -> Mapping:
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        raise MappingError(name, [(int(found[1]) if found else 1, f"this is not TOML: {error}.")]) from None
+        match = re.search(r"at line (\d+)", str(error))
+        raise MappingError(name, [(int(match[1]) if match else 1, f"this is not TOML: {error}.")]) from None
     check = _Check(line_numbers(text))
     check.keys((), content, HEAD)
     rate_hz = content.get("rate_hz")

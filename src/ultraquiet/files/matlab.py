@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.files.table import Table, from_arrays
+from ultraquiet.files.table import FileTable, from_arrays
 from ultraquiet.values import Record
 
 MOST_BYTES = 2**31  # of one variable in version 5, whose lengths are 32 bits with a sign
 
 
-def read_mat(name: str, data: bytes) -> Table:
+def read_mat(name: str, data: bytes) -> FileTable:
     """Return the numeric variables of a MAT file; fields of a structure are named `structure.field`.
 
     Cells of text called `u_names` and `u_units` name the columns of `u`. Objects that only MATLAB understands (transfer
@@ -22,10 +22,10 @@ def read_mat(name: str, data: bytes) -> Table:
     import scipy.io
 
     try:
-        held = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+        variables = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
     except NotImplementedError:
-        held = _version_73(data)
-    flat = _flat(held)
+        variables = _version_73(data)
+    flat = _flat(variables)
     texts = {key: words for key, value in flat.items() if (words := _words(value)) is not None}
     arrays = {key: value for key, value in flat.items() if key not in texts}
     return from_arrays(name, arrays, texts)
@@ -37,7 +37,7 @@ def write_mat(record: Record) -> bytes:
 
     if max(record.inputs.nbytes, record.outputs.nbytes) >= MOST_BYTES:
         raise InputError("export_record: a variable of a MAT file ends at 2 GiB; write .h5, which knows no such end.")
-    held = {
+    variables = {
         "fs": record.rate_hz,
         "u_names": _cells([c.name for c in record.actuators]),
         "y_names": _cells([c.name for c in record.sensors]),
@@ -48,7 +48,7 @@ def write_mat(record: Record) -> bytes:
         "y": record.outputs.T,
     }
     memory = io.BytesIO()
-    scipy.io.savemat(memory, held, do_compression=True)
+    scipy.io.savemat(memory, variables, do_compression=True)
     return memory.getvalue()
 
 
@@ -71,9 +71,9 @@ def _words(value: Any) -> list[str] | None:
     return texts if texts and len(texts) == len(words) else None
 
 
-def _flat(held: Mapping[Any, Any], before: str = "") -> dict[str, Any]:
+def _flat(variables: Mapping[Any, Any], before: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
-    for key, value in held.items():
+    for key, value in variables.items():
         # SciPy enters objects it cannot read under None.
         if not isinstance(key, str) or key.startswith(("__", "#")):
             continue
@@ -94,21 +94,21 @@ def _version_73(data: bytes) -> dict[str, Any]:
 def _group(group: Any, file: Any) -> dict[str, Any]:
     import h5py
 
-    found: dict[str, Any] = {}
-    for name, held in group.items():
-        if isinstance(held, h5py.Group):
-            found[name] = _group(held, file)
-        elif isinstance(held, h5py.Dataset):
-            found[name] = _variable(held, file)
-    return found
+    variables: dict[str, Any] = {}
+    for name, item in group.items():
+        if isinstance(item, h5py.Group):
+            variables[name] = _group(item, file)
+        elif isinstance(item, h5py.Dataset):
+            variables[name] = _variable(item, file)
+    return variables
 
 
-def _variable(held: Any, file: Any) -> Any:
-    kind = held.attrs.get("MATLAB_class", b"")
-    if held.attrs.get("MATLAB_empty", 0):
+def _variable(dataset: Any, file: Any) -> Any:
+    kind = dataset.attrs.get("MATLAB_class", b"")
+    if dataset.attrs.get("MATLAB_empty", 0):
         return "" if kind == b"char" else np.zeros(0)
     # MATLAB writes its columns as the rows of HDF5.
-    array = np.asarray(held[()]).T
+    array = np.asarray(dataset[()]).T
     if kind == b"char":
         return "".join(map(chr, array.ravel().tolist()))
     if kind == b"cell":

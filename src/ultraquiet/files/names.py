@@ -33,7 +33,7 @@ def inside(who: str, folder: Path, *names: str) -> Path:
     """
     path = folder.joinpath(*names) if names and all(map(is_plain, names)) else None
     if path is None:
-        raise StorageError(f"{who}: {told('/'.join(map(str, names)))} is no name of a file in '{folder}'.")
+        raise StorageError(f"{who}: {quoted('/'.join(map(str, names)))} is no name of a file in '{folder}'.")
     try:
         stays = path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # links that go round in a circle
@@ -43,6 +43,6 @@ def inside(who: str, folder: Path, *names: str) -> Path:
     return path
 
 
-def told(name: object) -> str:
+def quoted(name: object) -> str:
     """Return a name that may be anything, short enough for a sentence."""
     return f"{name!r:.60}"

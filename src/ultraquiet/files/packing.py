@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf
 from types import MappingProxyType
 from typing import Any
 
@@ -12,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet.files.channel_rows import channel_rows, from_rows
 from ultraquiet.values import (
-    Channel,
     FrequencyResponse,
     InnovationForm,
     PolynomialMatrix,
@@ -55,34 +54,18 @@ def unpack(kind: str, tree: Tree) -> Value:
     return KINDS[kind].unpack(tree)
 
 
-def _channels_out(channels: Sequence[Channel]) -> str:
-    # JSON knows no infinity: a limit that is absent is null.
-    held = [
-        [c.name, c.unit, None if c.low == -inf else float(c.low), None if c.high == inf else float(c.high)]
-        for c in channels
-    ]
-    return json.dumps(held, allow_nan=False)
-
-
-def _channels_in(text: str) -> list[Channel]:
-    return [
-        Channel(name, unit, -inf if low is None else low, inf if high is None else high)
-        for name, unit, low, high in json.loads(text)
-    ]
-
-
 def _named_out(value: Any) -> Tree:
     return {
-        "actuators": _channels_out(value.actuators),
-        "sensors": _channels_out(value.sensors),
+        "actuators": json.dumps(channel_rows(value.actuators), allow_nan=False),
+        "sensors": json.dumps(channel_rows(value.sensors), allow_nan=False),
         "provenance": value.provenance.to_json(),
     }
 
 
 def _named_in(tree: Tree) -> dict[str, Any]:
     return {
-        "actuators": _channels_in(tree["actuators"]),
-        "sensors": _channels_in(tree["sensors"]),
+        "actuators": from_rows(json.loads(tree["actuators"])),
+        "sensors": from_rows(json.loads(tree["sensors"])),
         "provenance": Provenance.from_json(tree["provenance"]),
     }
 

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from ultraquiet.files.extra import extra
-from ultraquiet.files.table import RATE_NAMES, Column, Table
+from ultraquiet.files.table import RATE_NAMES, Column, FileTable
 from ultraquiet.values import Record
 
 UNITS = ("unit", "units")
 
 
-def read_parquet(name: str, data: bytes) -> Table:
+def read_parquet(name: str, data: bytes) -> FileTable:
     """Return the numeric columns of a Parquet table.
 
     A column's metadata may say `unit`, the table's may say the rate (`rate_hz`, `fs`, ...); stamps of a calendar become
@@ -21,11 +21,11 @@ def read_parquet(name: str, data: bytes) -> Table:
     """
     pq, pa = extra("pyarrow.parquet", "pyarrow", "Parquet"), extra("pyarrow", "pyarrow", "Parquet")
     table = pq.read_table(pa.BufferReader(data), use_threads=False)
-    found = [_column(pa, table.schema.field(k), table.column(k)) for k in range(table.num_columns)]
-    told = _texts(table.schema.metadata)
-    rates = {key: float(told[key]) for key in RATE_NAMES if key in told}
-    unusable = tuple(f"{held} ({kind})" for held, kind in found if isinstance(kind, str))
-    return Table(name, tuple(held for _, held in found if isinstance(held, Column)), rates, unusable)
+    columns = [_column(pa, table.schema.field(k), table.column(k)) for k in range(table.num_columns)]
+    metadata = _texts(table.schema.metadata)
+    rates = {key: float(metadata[key]) for key in RATE_NAMES if key in metadata}
+    unusable = tuple(f"{label} ({kind})" for label, kind in columns if isinstance(kind, str))
+    return FileTable(name, tuple(column for _, column in columns if isinstance(column, Column)), rates, unusable)
 
 
 def write_parquet(record: Record) -> bytes:
@@ -37,10 +37,10 @@ def write_parquet(record: Record) -> bytes:
         ("output", record.sensors, record.outputs),
     ):
         for k, (c, row) in enumerate(zip(channels, rows, strict=True)):
-            told = {"name": c.name, "unit": c.unit, "role": role, "low": repr(c.low), "high": repr(c.high)}
+            metadata = {"name": c.name, "unit": c.unit, "role": role, "low": repr(c.low), "high": repr(c.high)}
             # Two columns of one name would leave other readers at a loss; the metadata keep the name as it is.
             twin = sum(c.name == other.name for other in (*record.actuators, *record.sensors)) > 1
-            fields.append(pa.field(f"{role} {k + 1} {c.name}" if twin else c.name, pa.float64(), metadata=told))
+            fields.append(pa.field(f"{role} {k + 1} {c.name}" if twin else c.name, pa.float64(), metadata=metadata))
             arrays.append(pa.array(row))
     memory = io.BytesIO()
     schema = pa.schema(fields, metadata={"rate_hz": repr(float(record.rate_hz))})
@@ -52,15 +52,15 @@ def _texts(metadata: Any) -> dict[str, str]:
     return {key.decode(): value.decode() for key, value in (metadata or {}).items()}
 
 
-def _column(pa: Any, field: Any, held: Any) -> tuple[str, Column | str]:
-    told = _texts(field.metadata)
-    name: str = told.get("name") or str(field.name)
-    unit = next((told[key] for key in UNITS if key in told), "")
+def _column(pa: Any, field: Any, column: Any) -> tuple[str, Column | str]:
+    metadata = _texts(field.metadata)
+    name: str = metadata.get("name") or str(field.name)
+    unit = next((metadata[key] for key in UNITS if key in metadata), "")
     if pa.types.is_timestamp(field.type):
-        stamps = held.cast(pa.timestamp("ns")).to_numpy()
+        stamps = column.cast(pa.timestamp("ns")).to_numpy()
         return name, Column(name, (stamps - stamps[0]) / np.timedelta64(1, "s"), "s")
     if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
         return name, str(field.type)
-    values = held.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
-    low, high = float(told.get("low", -inf)), float(told.get("high", inf))
-    return name, Column(name, values, unit, role=told.get("role", ""), low=low, high=high)
+    values = column.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
+    low, high = float(metadata.get("low", -inf)), float(metadata.get("high", inf))
+    return name, Column(name, values, unit, role=metadata.get("role", ""), low=low, high=high)

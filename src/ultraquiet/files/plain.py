@@ -11,14 +11,14 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.atomic import reason
-from ultraquiet.files.table import Column, Table, split_unit
+from ultraquiet.files.table import Column, FileTable, split_unit
 from ultraquiet.values import Channel, Record
 
 DELIMITERS = (";", "\t", ",")
 ROLES = {"u ": "input", "y ": "output"}  # how `write_text` marks its columns
 
 
-def read_text(name: str, data: bytes) -> Table:
+def read_text(name: str, data: bytes) -> FileTable:
     """Return the columns of a text file; the line before the numbers names them, with units in brackets.
 
     Cells are parted by semicolons, tabs, commas or blanks; with semicolons or tabs a comma is a decimal comma. Units
@@ -40,7 +40,7 @@ def read_text(name: str, data: bytes) -> Table:
         raise InputError(f"read_record: '{name}', after line {start}: {reason(error)}.") from None
     header = _header(lines[:start], delimiter, rows.shape[1])
     columns = [Column(called, values, unit) for (called, unit), values in zip(header, rows.T, strict=True)]
-    return Table(name, _with_roles(columns))
+    return FileTable(name, _with_roles(columns))
 
 
 def write_text(record: Record) -> bytes:
@@ -119,17 +119,17 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[tuple[str, str]]:
     """Return name and unit of each column, from the one or two lines above the numbers."""
-    said = [_cells(line.lstrip("# \t"), delimiter) for line in before if line.strip()][-2:]
-    names = said[-1] if said else []
-    if len(said) == 2 and len(said[0]) == len(said[1]) == count and all(said[0]) and _are_units(said):
-        return [(name, unit.strip("[]()")) for name, unit in zip(*said, strict=True)]
+    rows = [_cells(line.lstrip("# \t"), delimiter) for line in before if line.strip()][-2:]
+    names = rows[-1] if rows else []
+    if len(rows) == 2 and len(rows[0]) == len(rows[1]) == count and all(rows[0]) and _are_units(rows):
+        return [(name, unit.strip("[]()")) for name, unit in zip(*rows, strict=True)]
     if len(names) != count or not all(names):
         return [(f"column {k + 1}", "") for k in range(count)]
     return [split_unit(name) for name in names]
 
 
-def _are_units(said: Sequence[Sequence[str]]) -> bool:
+def _are_units(rows: Sequence[Sequence[str]]) -> bool:
     # Names differ from each other and stand bare, without units of their own; units are short or absent.
-    names, units = said
+    names, units = rows
     bare = len(set(names)) == len(names) and not any(split_unit(name)[1] for name in names)
     return bare and all(len(unit) <= 12 for unit in units)

@@ -11,7 +11,7 @@ from ultraquiet.files.formats import ARCHIVES, format_of
 from ultraquiet.files.hdf5 import is_ours
 from ultraquiet.files.mapping import Mapping, load_mapping
 from ultraquiet.files.select import Choice, chosen, inputs_and_outputs
-from ultraquiet.files.table import Column, Table
+from ultraquiet.files.table import Column, FileTable
 from ultraquiet.files.whole import understanding, whole
 from ultraquiet.values import Record
 
@@ -34,8 +34,7 @@ def read_record(
     about an even clock; more is refused. Names and units stay as the file has them.
 
     Args:
-        path: `.h5` (an archive, or datasets of another program), `.csv`, `.tsv`, `.txt`, `.dat`, `.mat` (version 5 to
-            7.3), `.npz`, `.uff` and `.unv` (58 and 58b), `.tdms`, `.parquet` or `.wav`.
+        path: a file with one of the suffixes in `formats.FORMATS`: an archive, datasets of another program, text, ...
         rate_hz: samples per second, when the file does not say; it overrides what the file says.
         inputs: columns by name (`"iq_refx"`, `"motor,load"`, a list) or counted from one (`"1-2"`, `"data:3-30"`).
         outputs: likewise.
@@ -55,7 +54,7 @@ def read_record(
     >>> record.rate_hz, record.sensors[1].name, record.sensors[1].unit, record.outputs.tolist()
     (2.0, 'strut 2', 'V', [[0.0, 2.0], [0.0, 3.0]])
     """
-    table, kept, parents = _opened(path)
+    table, archived, parents = _opened(path)
     if mapping is not None:
         if inputs is not None or outputs is not None:
             raise InputError("read_record: a mapping says what goes in and out; leave inputs and outputs to it.")
@@ -63,29 +62,31 @@ def read_record(
         rate_hz = known.rate_hz if rate_hz is None else rate_hz
     else:
         known = None
-    if kept is not None and rate_hz not in (None, kept.rate_hz):
+    if archived is not None and rate_hz not in (None, archived.rate_hz):
         raise InputError(
-            f"read_record: '{path}' was recorded at {kept.rate_hz:g} Hz; it cannot be read at {rate_hz:g} Hz."
+            f"read_record: '{path}' was recorded at {archived.rate_hz:g} Hz; it cannot be read at {rate_hz:g} Hz."
         )
     if known is not None:
         return assemble(table, known.pick(table), rate_hz, known.crop_s, parents, {"mapping": known.text})
-    if kept is not None:
-        return kept.pick(*(_places(table, role, picked) for role, picked in (("input", inputs), ("output", outputs))))
+    if archived is not None:
+        return archived.pick(
+            *(_places(table, role, picked) for role, picked in (("input", inputs), ("output", outputs)))
+        )
     return assemble(table, inputs_and_outputs(table, inputs, outputs), rate_hz, parents=parents)
 
 
-def read_table(path: _Path) -> Table:
+def read_table(path: _Path) -> FileTable:
     """Return all columns of a file as they are, before anything is chosen; errors as in `read_record`."""
     return _opened(path)[0]
 
 
-def _opened(path: _Path) -> tuple[Table, Record | None, tuple[str, ...]]:
+def _opened(path: _Path) -> tuple[FileTable, Record | None, tuple[str, ...]]:
     """Return a file's table, the record when it is an archive, and the hash of where it comes from."""
     form = format_of("read_record", Path(path))
     data = whole(path)
     if Path(path).suffix.lower() in ARCHIVES and is_ours(data):
-        kept = _archived(path)
-        return _as_table(Path(path).name, kept), kept, (kept.hash,)
+        record = _archived(path)
+        return _as_table(Path(path).name, record), record, (record.hash,)
     with understanding(Path(path).name, form.name):
         return form.read(Path(path).name, data), None, (hashlib.sha256(data).hexdigest(),)
 
@@ -93,14 +94,14 @@ def _opened(path: _Path) -> tuple[Table, Record | None, tuple[str, ...]]:
 def _archived(path: _Path) -> Record:
     records = {name: value for name, value in load_many(path).items() if isinstance(value, Record)}
     if len(records) != 1:
-        held = f"{len(records)} records ({', '.join(records)})" if records else "no record"
-        raise InputError(f"read_record: '{path}' holds {held}; it would take a file with one record.")
+        listing = f"{len(records)} records ({', '.join(records)})" if records else "no record"
+        raise InputError(f"read_record: '{path}' holds {listing}; it would take a file with one record.")
     (record,) = records.values()
     return record
 
 
-def _as_table(name: str, record: Record) -> Table:
-    return Table(
+def _as_table(name: str, record: Record) -> FileTable:
+    return FileTable(
         name,
         tuple(
             Column(c.name, row, c.unit, "", role, record.rate_hz, 0.0, c.low, c.high)
@@ -113,9 +114,9 @@ def _as_table(name: str, record: Record) -> Table:
     )
 
 
-def _places(table: Table, role: str, choice: Choice) -> list[int] | None:
+def _places(table: FileTable, role: str, choice: Choice) -> list[int] | None:
     if choice is None:
         return None
     # Numbers count the inputs, or the outputs, of a record.
-    held = Table(table.path, tuple(c for c in table.columns if c.role == role))
-    return [next(k for k, c in enumerate(held.columns) if c is column) for column in chosen(held, choice)]
+    side = FileTable(table.path, tuple(c for c in table.columns if c.role == role))
+    return [next(k for k, c in enumerate(side.columns) if c is column) for column in chosen(side, choice)]

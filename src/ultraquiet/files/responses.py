@@ -47,17 +47,17 @@ def read_frf(path: str | os.PathLike[str], conjugated: bool = False) -> Frequenc
     if suffix not in SUFFIXES:
         raise InputError(f"read_frf: '{path}' has none of the suffixes {', '.join(SUFFIXES)}.")
     if suffix in (".h5", ".hdf5"):
-        held = [value for value in load_many(path).values() if isinstance(value, FrequencyResponse)]
-        if len(held) != 1:
-            raise InputError(f"read_frf: '{path}' holds {len(held)} frequency responses; it would take one.")
-        return held[0]
+        responses = [value for value in load_many(path).values() if isinstance(value, FrequencyResponse)]
+        if len(responses) != 1:
+            raise InputError(f"read_frf: '{path}' holds {len(responses)} frequency responses; it would take one.")
+        return responses[0]
     data = whole(path)
     settings = {"file": Path(path).name, "conjugated": conjugated}
-    made = Provenance("read_frf", settings, parents=(hashlib.sha256(data).hexdigest(),), versions=versions())
+    provenance = Provenance("read_frf", settings, parents=(hashlib.sha256(data).hexdigest(),), versions=versions())
     with understanding(Path(path).name, format_of("read_frf", Path(path)).name):
         if suffix == ".npz":
-            return _of_arrays(Path(path).name, npz_arrays(data), conjugated, made)
-        return _of_sets(Path(path).name, uff_sets(Path(path).name, data), made)
+            return _of_arrays(Path(path).name, npz_arrays(data), conjugated, provenance)
+        return _of_sets(Path(path).name, uff_sets(Path(path).name, data), provenance)
 
 
 def export_frf(
@@ -85,25 +85,25 @@ def export_frf(
     parts: list[tuple[int, np.ndarray]] = [(RESPONSE_FUNCTION, response.values)]
     if response.coherence is not None:
         parts.append((COHERENCE, response.coherence))
-    if not all(np.isfinite(held).all() for _, held in parts):
+    if not all(np.isfinite(array).all() for _, array in parts):
         raise InputError("export_frf: values or coherence are not finite, which a universal file cannot say.")
     sets = [
-        _element(response, kind, held, i, j, text)
-        for kind, held in parts
+        _element(response, kind, array, i, j, text)
+        for kind, array in parts
         for i in range(len(response.sensors))
         for j in range(len(response.actuators))
     ]
     return write_bytes(path, uff_bytes(sets), overwrite)
 
 
-def _element(response: FrequencyResponse, kind: int, held: np.ndarray, i: int, j: int, text: bool) -> dict[str, Any]:
+def _element(response: FrequencyResponse, kind: int, array: np.ndarray, i: int, j: int, text: bool) -> dict[str, Any]:
     y, u = response.sensors[i], response.actuators[j]
     name = f"{y.name}{BETWEEN}{u.name}"
     if BETWEEN in y.name or BETWEEN in u.name:
         raise InputError(f"export_frf: the name '{name}' holds '{BETWEEN}', which parts response and reference.")
     f = response.f_hz
     return {
-        **common(kind, name, y.unit if kind == RESPONSE_FUNCTION else "", held[i, j], f, text),
+        **common(kind, name, y.unit if kind == RESPONSE_FUNCTION else "", array[i, j], f, text),
         "rsp_node": i + 1,
         "ref_node": j + 1,
         "id2": response.estimator[:80].strip() or "NONE",
@@ -117,57 +117,57 @@ def _is_even(f: np.ndarray) -> bool:
     return bool(step > 0 and np.abs(start + step * np.arange(f.size) - f).max() <= EVEN * step)
 
 
-def _of_sets(name: str, sets: Sequence[dict[str, Any]], made: Provenance) -> FrequencyResponse:
-    functions = [held for held in sets if held["func_type"] == RESPONSE_FUNCTION]
+def _of_sets(name: str, sets: Sequence[dict[str, Any]], provenance: Provenance) -> FrequencyResponse:
+    functions = [data_set for data_set in sets if data_set["func_type"] == RESPONSE_FUNCTION]
     if not functions:
         raise InputError(f"read_frf: '{name}' holds no response function (data set 58 of function type 4).")
     f = np.asarray(functions[0]["x"], dtype=np.float64)
     if any(
-        held["x"].shape != f.shape or not np.allclose(held["x"], f, rtol=1e-9, atol=0)
-        for held in sets
-        if held in functions
+        data_set["x"].shape != f.shape or not np.allclose(data_set["x"], f, rtol=1e-9, atol=0)
+        for data_set in sets
+        if data_set in functions
     ):
         raise InputError(f"read_frf: the response functions of '{name}' differ in their frequencies.")
-    rows, columns = (list(dict.fromkeys(_place(held, end) for held in functions)) for end in ("rsp", "ref"))
-    found = {(_place(held, "rsp"), _place(held, "ref")): held for held in functions}
-    missing = [(r, c) for r in rows for c in columns if (r, c) not in found]
+    rows, columns = (list(dict.fromkeys(_place(data_set, end) for data_set in functions)) for end in ("rsp", "ref"))
+    elements = {(_place(data_set, "rsp"), _place(data_set, "ref")): data_set for data_set in functions}
+    missing = [(r, c) for r in rows for c in columns if (r, c) not in elements]
     if missing:
         raise InputError(f"read_frf: '{name}' lacks the response of {missing[0][0]} to {missing[0][1]}.")
     quality = {
-        (_place(h, "rsp"), _place(h, "ref")): h
-        for h in sets
-        if h["func_type"] == COHERENCE and len(h["data"]) == f.size
+        (_place(data_set, "rsp"), _place(data_set, "ref")): data_set
+        for data_set in sets
+        if data_set["func_type"] == COHERENCE and len(data_set["data"]) == f.size
     }
     whole_quality = all((r, c) in quality for r in rows for c in columns)
     first = functions[0]
     return FrequencyResponse(
         f,
-        [[found[r, c]["data"] for c in columns] for r in rows],
+        [[elements[r, c]["data"] for c in columns] for r in rows],
         [[quality[r, c]["data"].real for c in columns] for r in rows] if whole_quality else None,
         "" if first["id2"] == "NONE" else first["id2"],
-        [_channel(found[rows[0], c], "ref", "orddenom") for c in columns],
-        [_channel(found[r, columns[0]], "rsp", "ordinate") for r in rows],
-        made,
+        [_channel(elements[rows[0], c], "ref", "orddenom") for c in columns],
+        [_channel(elements[r, columns[0]], "rsp", "ordinate") for r in rows],
+        provenance,
     )
 
 
-def _place(held: dict[str, Any], end: str) -> tuple[str, int, int]:
-    return held[f"{end}_ent_name"], held[f"{end}_node"], held[f"{end}_dir"]
+def _place(data_set: dict[str, Any], end: str) -> tuple[str, int, int]:
+    return data_set[f"{end}_ent_name"], data_set[f"{end}_node"], data_set[f"{end}_dir"]
 
 
-def _channel(held: dict[str, Any], end: str, axis: str) -> Channel:
-    said = held["id1"].split(BETWEEN)
-    name = said[0 if end == "rsp" else 1] if len(said) == 2 else response_name(held, end)
-    unit = held.get(f"{axis}_axis_units_lab", "")
+def _channel(data_set: dict[str, Any], end: str, axis: str) -> Channel:
+    names = data_set["id1"].split(BETWEEN)
+    name = names[0 if end == "rsp" else 1] if len(names) == 2 else response_name(data_set, end)
+    unit = data_set.get(f"{axis}_axis_units_lab", "")
     return Channel(name, "" if unit == "NONE" else unit)
 
 
-def _of_arrays(name: str, arrays: dict[str, np.ndarray], conjugated: bool, made: Provenance) -> FrequencyResponse:
+def _of_arrays(name: str, arrays: dict[str, np.ndarray], conjugated: bool, provenance: Provenance) -> FrequencyResponse:
     f, values, coherence = (_first(arrays, keys) for keys in (AXIS_NAMES, VALUE_NAMES, COHERENCE_NAMES))
     estimator = ""
     if f is None or (values is None and not {"csd", "psd_exc"} <= set(arrays)):
-        held = ", ".join(f"{key} {array.shape}" for key, array in arrays.items())
-        raise InputError(f"read_frf: '{name}' holds {held}; it would take f with values, or with csd and psd_exc.")
+        listing = ", ".join(f"{key} {array.shape}" for key, array in arrays.items())
+        raise InputError(f"read_frf: '{name}' holds {listing}; it would take f with values, or with csd and psd_exc.")
     if values is None:
         cross, power = np.atleast_2d(arrays["csd"]).astype(np.complex128), arrays["psd_exc"].astype(np.float64)
         if power.shape != f.shape or cross.shape[1:] != f.shape or not (power > 0).all():
@@ -182,7 +182,7 @@ def _of_arrays(name: str, arrays: dict[str, np.ndarray], conjugated: bool, made:
         np.atleast_1d(arrays[key]).astype(str).tolist() if key in arrays else None for key in ("exc", "channels")
     )
     try:
-        return FrequencyResponse(f, shaped, coherence, estimator, _bare(inputs), _bare(outputs), made)
+        return FrequencyResponse(f, shaped, coherence, estimator, _bare(inputs), _bare(outputs), provenance)
     except InputError as error:
         raise StorageError(f"read_frf: '{name}' is no frequency response: {error}") from error
 

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.files.table import Column, Table, is_ramp, role_of
+from ultraquiet.files.table import Column, FileTable, is_ramp, role_of
 
 Choice = str | int | Sequence[str | int] | None
 Picked = tuple[list[Column], list[Column]]
@@ -12,14 +12,14 @@ Picked = tuple[list[Column], list[Column]]
 COLUMNS = re.compile(r"(?:(?P<variable>.+):)?(?P<first>\d+)(?:-(?P<last>\d+))?")
 
 
-def inputs_and_outputs(table: Table, inputs: Choice, outputs: Choice) -> Picked:
+def inputs_and_outputs(table: FileTable, inputs: Choice, outputs: Choice) -> Picked:
     """Return the columns that go in and those that come out: as chosen, or as the file says."""
     if (inputs is None) != (outputs is None):
         raise InputError("read_record: --inputs and --outputs (inputs=, outputs=) go together; one of them is missing.")
     return _speaking(table) if inputs is None else (chosen(table, inputs), chosen(table, outputs))
 
 
-def chosen(table: Table, choice: Choice) -> list[Column]:
+def chosen(table: FileTable, choice: Choice) -> list[Column]:
     """Return the columns that a choice names: `"motor,load"`, `"1-2"`, `"data:3-30"`, `["a", "b"]`, `1`."""
     if isinstance(choice, int | str):
         whole = str(choice)
@@ -35,7 +35,7 @@ def chosen(table: Table, choice: Choice) -> list[Column]:
     return picked
 
 
-def _called(table: Table, item: str) -> list[Column]:
+def _called(table: FileTable, item: str) -> list[Column]:
     named = [c for c in table.columns if item in _names(c)]
     return named or [c for c in table.columns if item and c.variable == item]
 
@@ -46,7 +46,7 @@ def _names(c: Column) -> tuple[str, ...]:
     return c.name, f"{c.name} [{c.unit}]", f"{c.name} ({c.unit})", marked
 
 
-def _item(table: Table, item: str) -> list[Column]:
+def _item(table: FileTable, item: str) -> list[Column]:
     named = _called(table, item)
     if len(named) > 1 and len({c.name for c in named}) == 1:
         raise InputError(f"read_record: '{table.path}' has {len(named)} columns called '{item}'; choose by number.")
@@ -64,7 +64,7 @@ def _item(table: Table, item: str) -> list[Column]:
     return list(columns[first - 1 : last])
 
 
-def _numbered(table: Table, item: str, variable: str | None) -> Sequence[Column]:
+def _numbered(table: FileTable, item: str, variable: str | None) -> Sequence[Column]:
     if variable is not None:
         return [c for c in table.columns if c.variable == variable]
     matrices = {c.variable for c in table.columns if c.name != c.variable}
@@ -77,15 +77,17 @@ def _numbered(table: Table, item: str, variable: str | None) -> Sequence[Column]
     return [c for c in table.columns if c.variable == only]
 
 
-def _speaking(table: Table) -> Picked:
+def _speaking(table: FileTable) -> Picked:
     """Return inputs and outputs by what the file says, by their names, or by order when there are just two."""
     signals = table.signals
     u, y = ([c for c in signals if (c.role or role_of(c.name)) == role] for role in ("input", "output"))
     if u and y:
         return u, y
     if len(signals) < 2 and not table.unusable:
-        held = f"one signal, '{signals[0].name}'" if signals else "no signal"
-        raise InputError(f"read_record: '{table.path}' holds {held}; a record takes an input and an output at least.")
+        listing = f"one signal, '{signals[0].name}'" if signals else "no signal"
+        raise InputError(
+            f"read_record: '{table.path}' holds {listing}; a record takes an input and an output at least."
+        )
     one_table = len({c.variable for c in signals}) == 1
     if one_table and len(signals) == 2 and not is_ramp(signals[0].values):
         return [signals[0]], [signals[1]]

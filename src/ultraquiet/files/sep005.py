@@ -8,7 +8,7 @@ import numpy as np
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.assemble import assemble
 from ultraquiet.files.select import Choice, inputs_and_outputs
-from ultraquiet.files.table import Column, Table, clock_hz
+from ultraquiet.files.table import Column, FileTable, clock_hz
 from ultraquiet.values import Record
 
 
@@ -35,8 +35,10 @@ def from_sep005(
 
     Reference: SDyPy Enhancement Proposal 5, "SDyPy Unified timeseries".
     """
-    held = [signals] if isinstance(signals, Mapping) else list(signals)
-    table = Table("SEP-005", tuple(column for k, signal in enumerate(held) for column in _columns(k, signal)))
+    dictionaries = [signals] if isinstance(signals, Mapping) else list(signals)
+    table = FileTable(
+        "SEP-005", tuple(column for k, signal in enumerate(dictionaries) for column in _columns(k, signal))
+    )
     return assemble(table, inputs_and_outputs(table, inputs, outputs), rate_hz)
 
 

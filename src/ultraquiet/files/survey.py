@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.formats import format_of
 from ultraquiet.files.read import read_table
-from ultraquiet.files.table import Column, Table
+from ultraquiet.files.table import Column, FileTable
 from ultraquiet.files.whole import sized
 
 FLAT_TOP = 3  # equal samples in a row, at the highest or lowest value, that count as clipped where no limits are known
@@ -65,8 +65,8 @@ def survey(path: str | os.PathLike[str], rate_hz: float | None = None) -> Survey
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = Path(folder) / "run.csv"
     ...     size = path.write_text("time [s],force [N],speed [m/s]\n0,1,0\n0.5,-1,2\n1,1,nan\n")
-    ...     found = survey(path)
-    >>> found.rate_hz, found.duration_s, [(c.name, c.unit, c.rms, c.missing) for c in found.channels]
+    ...     result = survey(path)
+    >>> result.rate_hz, result.duration_s, [(c.name, c.unit, c.rms, c.missing) for c in result.channels]
     (2.0, 1.5, [('force', 'N', 1.0, 0), ('speed', 'm/s', 1.4142135623730951, 1)])
     """
     table = read_table(path)
@@ -79,7 +79,7 @@ def survey(path: str | os.PathLike[str], rate_hz: float | None = None) -> Survey
     if not looks:
         notes.append(f"no signal; it holds {table.describe()}.")
     notes.extend(f"'{c.name}' has {c.missing} NaN or infinite values." for c in looks if c.missing)
-    notes.extend(f"'{held}' is no signal." for held in table.unusable)
+    notes.extend(f"'{variable}' is no signal." for variable in table.unusable)
     duration_s = max(lengths) / rate if rate and lengths else None
     size = Path(path).stat().st_size
     form = format_of("survey", Path(path)).name
@@ -94,7 +94,7 @@ def _noted(notes: list[str], ask: Callable[[], float]) -> float | None:
         return None
 
 
-def _with_rate(table: Table, looks: tuple[Look, ...], rate_hz: float | None) -> tuple[Look, ...]:
+def _with_rate(table: FileTable, looks: tuple[Look, ...], rate_hz: float | None) -> tuple[Look, ...]:
     own = [c.rate_hz for c in table.signals]
     return tuple(replace(c, rate_hz=mine or rate_hz) for c, mine in zip(looks, own, strict=True))
 

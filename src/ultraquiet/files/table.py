@@ -41,7 +41,7 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class FileTable:
     """All columns of a file, its scalars by lower-case name, and which of its variables are no columns, with shapes."""
 
     path: str
@@ -64,17 +64,17 @@ class Table:
         sizes: dict[str, list[int]] = {}
         for c in self.columns:
             sizes.setdefault(c.variable or c.name, []).append(c.values.size)
-        said = [f"{name} ({n[0]}{f' x {len(n)}' if len(n) > 1 else ''})" for name, n in sizes.items()]
-        told = "the variables " + ", ".join(said) if said else "no column of numbers"
-        return told + (f" (no signals: {', '.join(self.unusable)})" if self.unusable else "")
+        listing = [f"{name} ({n[0]}{f' x {len(n)}' if len(n) > 1 else ''})" for name, n in sizes.items()]
+        sentence = "the variables " + ", ".join(listing) if listing else "no column of numbers"
+        return sentence + (f" (no signals: {', '.join(self.unusable)})" if self.unusable else "")
 
     def rate_hz(self, columns: Sequence[Column] = ()) -> float:
         """Return the rate that the given columns state, or a scalar, or the one the time column shows."""
         rates = {c.rate_hz for c in columns} - {None}
         if len(rates) > 1:
-            said = ", ".join(f"{c.name} ({c.rate_hz:g} Hz)" for c in columns if c.rate_hz is not None)
+            listing = ", ".join(f"{c.name} ({c.rate_hz:g} Hz)" for c in columns if c.rate_hz is not None)
             raise InputError(
-                f"read_record: channels of '{self.path}' differ in rate: {said}; choose those of one rate."
+                f"read_record: channels of '{self.path}' differ in rate: {listing}; choose those of one rate."
             )
         if rates and None not in {c.rate_hz for c in columns}:
             return float(next(c.rate_hz for c in columns if c.rate_hz is not None))
@@ -148,11 +148,11 @@ def split_unit(header: str) -> tuple[str, str]:
     >>> split_unit("strut 1 [V]"), split_unit("load (rad/s)"), split_unit("y")
     (('strut 1', 'V'), ('load', 'rad/s'), ('y', ''))
     """
-    found = re.fullmatch(r"(.*\S)\s*[\[(]([^\[\]()]*)[\])]", header.strip())
-    return (found[1], found[2].strip()) if found else (header.strip(), "")
+    match = re.fullmatch(r"(.*\S)\s*[\[(]([^\[\]()]*)[\])]", header.strip())
+    return (match[1], match[2].strip()) if match else (header.strip(), "")
 
 
-def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequence[str]] | None = None) -> Table:
+def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequence[str]] | None = None) -> FileTable:
     """Return a table of the numeric arrays of a file; the longer side of a matrix is time.
 
     `texts` are the lists of words beside them: `u_names` and `u_units` name the columns of `u`.
@@ -160,8 +160,8 @@ def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequen
     columns: list[Column] = []
     scalars: dict[str, float] = {}
     unusable: list[str] = []
-    for name, held in arrays.items():
-        array = np.asarray(held)
+    for name, value in arrays.items():
+        array = np.asarray(value)
         if array.dtype.kind not in "fiu":
             continue
         if array.ndim > 2 or array.size == 0:
@@ -171,7 +171,7 @@ def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequen
             scalars[_last(name)] = float(array.reshape(-1)[0])
             continue
         columns.extend(_split(name, np.atleast_2d(array.astype(np.float64)), texts or {}))
-    return Table(path, tuple(columns), scalars, tuple(unusable))
+    return FileTable(path, tuple(columns), scalars, tuple(unusable))
 
 
 def _split(variable: str, array: FloatArray, texts: Mapping[str, Sequence[str]]) -> Sequence[Column]:

@@ -11,12 +11,12 @@ import numpy as np
 
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files.extra import extra
-from ultraquiet.files.table import Column, Table, rate_of_step
+from ultraquiet.files.table import Column, FileTable, rate_of_step
 
 UNITS = ("unit_string", "NI_UnitDescription")
 
 
-def read_tdms(name: str, data: bytes) -> Table:
+def read_tdms(name: str, data: bytes) -> FileTable:
     """Return the numeric channels of all groups, scaled as the file says.
 
     The waveform properties give each channel its rate (`wf_increment`) and start (`wf_start_offset`, `wf_start_time`).
@@ -31,15 +31,15 @@ def read_tdms(name: str, data: bytes) -> Table:
     values = [np.asarray(channel[:]) for channel in channels]
     names = Counter(channel.name for channel in channels)
     origin = min((t for c in channels if (t := c.properties.get("wf_start_time")) is not None), default=None)
-    held: list[Column] = []
+    columns: list[Column] = []
     unusable: list[str] = []
     for channel, samples in zip(channels, values, strict=True):
         called = channel.name if names[channel.name] == 1 else f"{channel.group_name}/{channel.name}"
         if samples.dtype.kind in "fiu" and samples.size:
-            held.append(_column(called, samples, channel.properties, origin))
+            columns.append(_column(called, samples, channel.properties, origin))
         else:
             unusable.append(f"{called} of shape {samples.shape}")
-    return Table(name, tuple(held), {}, tuple(unusable))
+    return FileTable(name, tuple(columns), {}, tuple(unusable))
 
 
 @contextmanager
@@ -54,11 +54,11 @@ def _quiet() -> Iterator[None]:
         manager.set_level(level)
 
 
-def _column(name: str, samples: np.ndarray, told: Any, origin: Any) -> Column:
-    step_s = float(told.get("wf_increment", 0.0))
-    unit = next((str(told[key]) for key in UNITS if key in told), "")
-    start_s = float(told.get("wf_start_offset", 0.0))
-    if "wf_start_time" in told:
-        start_s += float((told["wf_start_time"] - origin) / np.timedelta64(1, "s"))
+def _column(name: str, samples: np.ndarray, properties: Any, origin: Any) -> Column:
+    step_s = float(properties.get("wf_increment", 0.0))
+    unit = next((str(properties[key]) for key in UNITS if key in properties), "")
+    start_s = float(properties.get("wf_start_offset", 0.0))
+    if "wf_start_time" in properties:
+        start_s += float((properties["wf_start_time"] - origin) / np.timedelta64(1, "s"))
     rate_hz = rate_of_step(step_s) if step_s > 0 else None
     return Column(name, samples.astype(np.float64), unit, rate_hz=rate_hz, start_s=start_s)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.files.table import Column, Table, clock_hz, rate_of_step
+from ultraquiet.files.table import Column, FileTable, clock_hz, rate_of_step
 from ultraquiet.values import Record
 
 TIME_RESPONSE, RESPONSE_FUNCTION, COHERENCE = 1, 4, 6  # record 6, field 1
@@ -31,21 +31,21 @@ DIRECTIONS = ("", "+X", "+Y", "+Z", "+RX", "+RY", "+RZ", "-RZ", "-RY", "-RX", "-
 OURS = re.compile(r"ultraquiet (input|output) (\d+) of (\d+), ([-+.\deE]+) Hz")
 
 
-def read_uff(name: str, data: bytes) -> Table:
+def read_uff(name: str, data: bytes) -> FileTable:
     """Return the time responses of a universal file.
 
     A channel's name is ID line 1 where it differs from set to set, or node and direction; its unit is the label of the
     ordinate.
     """
-    sets = [held for held in uff_sets(name, data) if held.get("func_type") in (0, TIME_RESPONSE)]
-    real = [held for held in sets if not np.iscomplexobj(held["data"])]
+    sets = [data_set for data_set in uff_sets(name, data) if data_set.get("func_type") in (0, TIME_RESPONSE)]
+    real = [data_set for data_set in sets if not np.iscomplexobj(data_set["data"])]
     names = _names(real)
-    columns = [_column(name, called, held) for called, held in zip(names, real, strict=True)]
-    counts = {found[1]: int(found[3]) for held in real if (found := OURS.fullmatch(held["id4"]))}
+    columns = [_column(name, called, data_set) for called, data_set in zip(names, real, strict=True)]
+    counts = {match[1]: int(match[3]) for data_set in real if (match := OURS.fullmatch(data_set["id4"]))}
     for role, count in counts.items():
         if sum(c.role == role for c in columns) != count:
             raise StorageError(f"read_record: '{name}' was cut short: it should hold {count} channels of {role}.")
-    return Table(name, tuple(columns))
+    return FileTable(name, tuple(columns))
 
 
 def write_uff(record: Record, text: bool = False) -> bytes:
@@ -76,11 +76,11 @@ def uff_sets(name: str, data: bytes) -> list[dict[str, Any]]:
         file = pyuff.UFF(str(path))
         numbers = [k for k, kind in enumerate(file.get_set_types()) if kind == 58]
         sets: list[dict[str, Any]] = [file.read_sets(k) for k in numbers]  # type: ignore[assignment]
-    for k, held in zip(numbers, sets, strict=True):
-        if len(held["data"]) != held["num_pts"]:
+    for k, data_set in zip(numbers, sets, strict=True):
+        if len(data_set["data"]) != data_set["num_pts"]:
             raise StorageError(
-                f"read_record: data set {k + 1} of '{name}' holds {len(held['data'])} of {held['num_pts']} values; "
-                "it is damaged or was cut short."
+                f"read_record: data set {k + 1} of '{name}' holds {len(data_set['data'])} of {data_set['num_pts']} "
+                "values; it is damaged or was cut short."
             )
     return sets
 
@@ -95,21 +95,21 @@ def uff_bytes(sets: Sequence[dict[str, Any]]) -> bytes:
         warnings.simplefilter("ignore", ResourceWarning)
         # One file a set: pyuff reads the whole file again after every set it adds, and loses the head of a binary one
         # that it writes over another.
-        for k, held in enumerate(sets):
+        for k, data_set in enumerate(sets):
             path = Path(folder) / f"{k}.uff"
-            pyuff.UFF(str(path)).write_sets(dict(held), mode="add")
-            parts.append(_sized(path.read_bytes(), held))
+            pyuff.UFF(str(path)).write_sets(dict(data_set), mode="add")
+            parts.append(_sized(path.read_bytes(), data_set))
             path.unlink()
     return b"".join(parts)
 
 
 def common(kind: int, name: str, unit: str, data: np.ndarray, x: FloatArray, text: bool) -> dict[str, Any]:
     """Return the fields that every data set has; an evenly spaced abscissa is given by its step."""
-    for what, said, most in (("name", name, MOST_NAME), ("unit", unit, MOST_UNIT)):
-        if len(said) > most or said != said.strip() or len(said.splitlines()) > 1 or (what == "name" and not said):
+    for what, label, most in (("name", name, MOST_NAME), ("unit", unit, MOST_UNIT)):
+        if len(label) > most or label != label.strip() or len(label.splitlines()) > 1 or (what == "name" and not label):
             raise InputError(
-                f"export_record: the {what} {said!r} does not fit a universal file, which holds 1 to {most} characters "
-                "without outer blanks and line breaks; rename it."
+                f"export_record: the {what} {label!r} does not fit a universal file, which holds 1 to {most} "
+                "characters without outer blanks and line breaks; rename it."
             )
     return {
         "type": 58,
@@ -128,48 +128,48 @@ def common(kind: int, name: str, unit: str, data: np.ndarray, x: FloatArray, tex
     }
 
 
-def _sized(data: bytes, held: dict[str, Any]) -> bytes:
+def _sized(data: bytes, data_set: dict[str, Any]) -> bytes:
     """Return one data set with its number of bytes set right: pyuff counts complex and uneven values once only."""
-    if not held["binary"]:
+    if not data_set["binary"]:
         return data
-    numbers = (2 if np.iscomplexobj(held["data"]) else 1) + (0 if held["abscissa_spacing"] else 1)
+    numbers = (2 if np.iscomplexobj(data_set["data"]) else 1) + (0 if data_set["abscissa_spacing"] else 1)
     at = data.index(b"\n") + BYTES_AT
-    return data[:at] + b"%12d" % (8 * numbers * len(held["data"])) + data[at + 12 :]
+    return data[:at] + b"%12d" % (8 * numbers * len(data_set["data"])) + data[at + 12 :]
 
 
-def _said(text: str) -> str:
+def _stated(text: str) -> str:
     return "" if text == NONE else text
 
 
 def _names(sets: Sequence[dict[str, Any]]) -> list[str]:
-    told = [_said(held["id1"]) for held in sets]
-    ours = [OURS.fullmatch(held["id4"]) for held in sets]
-    if all(told) and (all(ours) or len(set(told)) == len(told)):
-        return told
-    return [response_name(held) for held in sets]
+    labels = [_stated(data_set["id1"]) for data_set in sets]
+    ours = [OURS.fullmatch(data_set["id4"]) for data_set in sets]
+    if all(labels) and (all(ours) or len(set(labels)) == len(labels)):
+        return labels
+    return [response_name(data_set) for data_set in sets]
 
 
-def response_name(held: dict[str, Any], end: str = "rsp") -> str:
+def response_name(data_set: dict[str, Any], end: str = "rsp") -> str:
     """Return entity, node and direction of the response (`rsp`) or the reference (`ref`), as in `wing 12 +Z`."""
-    words = (_said(held[f"{end}_ent_name"]), str(held[f"{end}_node"]), DIRECTIONS[held[f"{end}_dir"]])
+    words = (_stated(data_set[f"{end}_ent_name"]), str(data_set[f"{end}_node"]), DIRECTIONS[data_set[f"{end}_dir"]])
     return " ".join(word for word in words if word)
 
 
-def _column(path: str, name: str, held: dict[str, Any]) -> Column:
-    unit = _said(held.get("ordinate_axis_units_lab", ""))
-    values = np.asarray(held["data"], dtype=np.float64)
-    ours = OURS.fullmatch(held["id4"])
+def _column(path: str, name: str, data_set: dict[str, Any]) -> Column:
+    unit = _stated(data_set.get("ordinate_axis_units_lab", ""))
+    values = np.asarray(data_set["data"], dtype=np.float64)
+    ours = OURS.fullmatch(data_set["id4"])
     if ours:
-        rate_hz, step_s = float(ours[4]), float(held["abscissa_inc"])
+        rate_hz, step_s = float(ours[4]), float(data_set["abscissa_inc"])
         if not math.isclose(step_s * rate_hz, 1.0, rel_tol=PRINTED):
             raise StorageError(
                 f"read_record: '{path}' says of '{name}' that it has {rate_hz:g} Hz and a step of {step_s:g} s; it "
                 "has been changed: one of them is wrong."
             )
         return Column(name, values, unit, role=ours[1], rate_hz=rate_hz)
-    if held["abscissa_spacing"] == 1:
-        step_s = float(held["abscissa_inc"])
+    if data_set["abscissa_spacing"] == 1:
+        step_s = float(data_set["abscissa_inc"])
         rate_hz = rate_of_step(step_s, ".5e") if step_s > 0 else None
-        return Column(name, values, unit, rate_hz=rate_hz, start_s=float(held["abscissa_min"]))
-    x = np.asarray(held["x"], dtype=np.float64)
+        return Column(name, values, unit, rate_hz=rate_hz, start_s=float(data_set["abscissa_min"]))
+    x = np.asarray(data_set["x"], dtype=np.float64)
     return Column(name, values, unit, rate_hz=clock_hz(path, Column("time", x, "s")), start_s=float(x[0]))

@@ -5,13 +5,13 @@ import warnings
 
 import numpy as np
 
-from ultraquiet.files.table import Column, Table
+from ultraquiet.files.table import Column, FileTable
 
 FULL_SCALE = "FS"  # the unit of samples that are parts of full scale
 SILENCE_8 = 128  # 8-bit WAV is unsigned
 
 
-def read_wav(name: str, data: bytes) -> Table:
+def read_wav(name: str, data: bytes) -> FileTable:
     """Return the channels of a WAV file, `channel 1` onwards.
 
     16, 24 and 32 bits are divided by 2^15, 2^23 and 2^31, so that full scale is 1; a mapping's `scale` makes volts of
@@ -27,7 +27,7 @@ def read_wav(name: str, data: bytes) -> Table:
     rows = np.atleast_2d(samples.T)
     unit = "" if rows.dtype.kind == "f" else FULL_SCALE
     values = _scaled(rows)
-    return Table(
+    return FileTable(
         name, tuple(Column(f"channel {k + 1}", row, unit, rate_hz=float(rate_hz)) for k, row in enumerate(values))
     )
 

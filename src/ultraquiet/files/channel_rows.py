@@ -1,0 +1,24 @@
+"""Channels as rows that JSON can hold: name, unit and limits, which may be absent."""
+
+from collections.abc import Iterable, Sequence
+from math import inf, isfinite
+from typing import Any
+
+from ultraquiet.values import Channel
+
+
+def channel_rows(channels: Iterable[Channel]) -> list[list[Any]]:
+    """Return each channel as name, unit, lower and upper limit; JSON knows no infinity, an absent limit is null.
+
+    >>> channel_rows([Channel("force", "N", -1.0)])
+    [['force', 'N', -1.0, None]]
+    """
+    return [[c.name, c.unit, *(float(v) if isfinite(v) else None for v in (c.low, c.high))] for c in channels]
+
+
+def from_rows(rows: Iterable[Sequence[Any]]) -> list[Channel]:
+    """Return the channels of which `channel_rows` made rows."""
+    return [
+        Channel(name, unit, -inf if low is None else low, inf if high is None else high)
+        for name, unit, low, high in rows
+    ]
