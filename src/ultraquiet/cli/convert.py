@@ -9,8 +9,8 @@ from ultraquiet._base.errors import InputError
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="IN", help="HDF5, CSV, MAT, NPZ, UFF, TDMS, Parquet or WAV.")],
-    target: Annotated[Path, typer.Argument(metavar="OUT", help="HDF5, CSV, MAT, UFF or Parquet, by its suffix.")],
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A record; its suffix says in which format.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="The new file; its suffix says in which format.")],
     mapping: Annotated[
         Path | None, typer.Option(help="Channels (TOML): column, name, unit, scale, offset, limits; rate and cut.")
     ] = None,

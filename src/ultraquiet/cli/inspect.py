@@ -7,7 +7,7 @@ import typer
 
 
 def inspect(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="HDF5, CSV, MAT, NPZ, UFF, TDMS, Parquet or WAV.")],
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="A file of any format; its suffix says which.")],
     rate_hz: Annotated[
         float | None, typer.Option("--rate-hz", "--rate", help="Samples per second, when the file does not say.")
     ] = None,
