@@ -49,8 +49,8 @@ def find(folder: str | os.PathLike[str], **criteria: str | float) -> tuple[Entry
     unknown = [key for key in criteria if key not in _COLUMNS]
     if unknown:
         raise InputError(f"catalogue: records are not known by '{unknown[0]}', only by {', '.join(_COLUMNS)}.")
-    asked = " AND ".join(["1", *(f'"{key}" = ?' for key in criteria)])
-    return _answer(folder, f"{asked} ORDER BY file, folder, name", tuple(criteria.values()))
+    condition = " AND ".join(["1", *(f'"{key}" = ?' for key in criteria)])
+    return _answer(folder, f"{condition} ORDER BY file, folder, name", tuple(criteria.values()))
 
 
 def search(
@@ -183,19 +183,19 @@ def _quoted() -> str:
 def _update(base: sqlite3.Connection, place: Path) -> None:
     """Enter what is new or changed, drop what is gone."""
     stamps = {path.relative_to(place).as_posix(): _stamp(path) for path in place.rglob("*.h5") if path.is_file()}
-    there = {file: stamp for file, stamp in stamps.items() if stamp}
+    present = {file: stamp for file, stamp in stamps.items() if stamp}
     known = dict(base.execute("SELECT file, stamp FROM runs WHERE stamp != '' UNION SELECT file, stamp FROM others"))
     # Files are read before the catalogue is held: another process may do the same work, and none waits for it.
-    fresh = {file: of_file(place, file) for file, stamp in there.items() if known.get(file) != stamp}
+    fresh = {file: of_file(place, file) for file, stamp in present.items() if known.get(file) != stamp}
     with _writing(base):
-        for file in (known.keys() - there.keys()) | fresh.keys():
+        for file in (known.keys() - present.keys()) | fresh.keys():
             base.execute("DELETE FROM runs WHERE file = ?", (file,))
             base.execute("DELETE FROM others WHERE file = ?", (file,))
         for file, entry in fresh.items():
             if entry is None:
-                base.execute("INSERT INTO others VALUES (?, ?)", (file, there[file]))
+                base.execute("INSERT INTO others VALUES (?, ?)", (file, present[file]))
             else:
-                _insert(base, entry, there[file])
+                _insert(base, entry, present[file])
         base.execute("DELETE FROM runs WHERE stamp = ''")
         filed = [Entry(*row) for row in base.execute(f"SELECT {_quoted()} FROM runs")]
         for path in place.rglob(journal.FILE):

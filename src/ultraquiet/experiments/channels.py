@@ -27,7 +27,7 @@ def rows(actuators: Sequence[Channel], meant: Any) -> tuple[list[int], list[str]
     """
     if meant in ("each", "all"):
         return principal(actuators), []
-    found: list[int] = []
+    selected: list[int] = []
     faults: list[str] = []
     for one in meant if isinstance(meant, list) else [meant]:
         row = _row(actuators, one)
@@ -35,11 +35,11 @@ def rows(actuators: Sequence[Channel], meant: Any) -> tuple[list[int], list[str]
             names = ", ".join(channel.name for channel in actuators)
             what = f"actuator {one}" if isinstance(one, int) else f"actuator called '{one}'"
             faults.append(f"there is no {what}; the bench has 1 to {len(actuators)} ({names}).")
-        elif row in found:
+        elif row in selected:
             faults.append(f"actuator {row + 1}, '{actuators[row].name}', is listed twice.")
         else:
-            found.append(row)
-    return found, faults
+            selected.append(row)
+    return selected, faults
 
 
 def _row(actuators: Sequence[Channel], one: Any) -> int | None:

@@ -114,8 +114,8 @@ def _late(signal: Any, samples: int, rate_hz: float) -> Iterator[tuple[str, str]
         if not isinstance(value, int | float):
             continue
         if field.name.endswith("_s") and value > end_s * (1 + RATE_TOLERANCE):
-            said = f"'{field.name}' of {value:g} s lies beyond the measurement's end at {end_s:.4g} s"
-            yield field.name, f"{said}; bring it forward or take more samples."
+            fault = f"'{field.name}' of {value:g} s lies beyond the measurement's end at {end_s:.4g} s"
+            yield field.name, f"{fault}; bring it forward or take more samples."
         if field.name.endswith("_samples") and value > samples:
             yield field.name, f"'{field.name}' of {value} is longer than the measurement of {samples} samples."
 

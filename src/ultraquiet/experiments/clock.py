@@ -24,15 +24,15 @@ def real_time(bench: Any) -> bool:
     >>> real_time(Hexapod()), real_time(object())
     (False, True)
     """
-    said = getattr(bench, "real_time", None)
-    return not isinstance(bench, _COMPUTED) if said is None else bool(said)
+    declared = getattr(bench, "real_time", None)
+    return not isinstance(bench, _COMPUTED) if declared is None else bool(declared)
 
 
 def rest(seconds: float, stop: Callable[[], bool], sleep: Callable[[float], None] = time.sleep) -> None:
     """Spend a pause, or what is left of it until `stop` says yes."""
     end = time.monotonic() + seconds
-    while not stop() and (left := end - time.monotonic()) > 0:
-        sleep(min(left, _GLANCE_S))
+    while not stop() and (remaining_s := end - time.monotonic()) > 0:
+        sleep(min(remaining_s, _GLANCE_S))
 
 
 def temperature_c(bench: Any) -> float:
@@ -41,13 +41,13 @@ def temperature_c(bench: Any) -> float:
     Raises:
         InputError: it says nothing that is a number.
     """
-    given = getattr(bench, "temperature_c", None)
+    reading = getattr(bench, "temperature_c", None)
     try:
-        value = float(given() if callable(given) else given)  # type: ignore[arg-type]
+        value = float(reading() if callable(reading) else reading)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"experiment: the thermometer of {type(bench).__name__} says {given!r}, which is no number.")
+        raise InputError(f"experiment: the thermometer of {type(bench).__name__} says {reading!r}, which is no number.")
     return value
 
 

@@ -78,9 +78,9 @@ class Compiler:
         if self._longest is None or self._bench is None:
             return
         longest_s, place = self._longest
-        taken_s = duration_s(self.steps, self._bench.rate_hz)
-        if taken_s > longest_s:
-            self._mistakes.add(place, f"the list takes {taken_s:.1f} s on the bench, more than {longest_s:g} s.")
+        total_s = duration_s(self.steps, self._bench.rate_hz)
+        if total_s > longest_s:
+            self._mistakes.add(place, f"the list takes {total_s:.1f} s on the bench, more than {longest_s:g} s.")
 
     def _look_inside(self, raw: Any, filled: Any, place: Place) -> None:
         """Check the parts of a refused command that can be checked on their own."""
@@ -96,16 +96,16 @@ class Compiler:
         signal = filled.get("signal") if isinstance(filled, Mapping) else None
         if isinstance(signal, Mapping) and isinstance(signal.get("method"), str):
             method = Method.model_validate(signal)
-            made = make("signals", method, (*place, "signal"), self._mistakes)
-            drive = Drive(method.method, made, _NOWHERE, 0)
+            excitation = make("signals", method, (*place, "signal"), self._mistakes)
+            drive = Drive(method.method, excitation, _NOWHERE, 0)
             self._checks.signals([drive], (*place, "signal"), self._samples, self._limit_v)
 
     def _fill(self, raw: Any, place: Place) -> Any:
         """Return a command with "$name" replaced; the body of a repeat is filled in its own turn."""
-        if isinstance(raw, str) and (found := _VARIABLE.fullmatch(raw)):
-            if found[1] in self._variables:
-                return self._variables[found[1]]
-            self._mistakes.add(place, f"there is no variable '{found[1]}' here; give it a value with 'set' before.")
+        if isinstance(raw, str) and (match := _VARIABLE.fullmatch(raw)):
+            if match[1] in self._variables:
+                return self._variables[match[1]]
+            self._mistakes.add(place, f"there is no variable '{match[1]}' here; give it a value with 'set' before.")
             return UNDEFINED
         if isinstance(raw, Mapping):
             return {k: v if k == "commands" else self._fill(v, (*place, k)) for k, v in raw.items()}
@@ -148,10 +148,10 @@ class Compiler:
 
     def _excite(self, command: c.Excite, place: Place) -> None:
         signal = make("signals", command.signal, (*place, "signal"), self._mistakes)
-        found = self._rows(command.actuator, (*place, "actuator"))
+        selected = self._rows(command.actuator, (*place, "actuator"))
         samples = command.samples or self._samples
         seeds = self._seeds(command.seed, self._count)
-        drives = [Drive(command.signal.method, signal, row, seeds(row)) for row in found]
+        drives = [Drive(command.signal.method, signal, row, seeds(row)) for row in selected]
         tried = drives or [Drive(command.signal.method, signal, _NOWHERE, 0)]
         self._check(tried, (*place, "signal"), samples)
         if command.actuator == "each":
@@ -214,9 +214,9 @@ class Compiler:
         if meant == "each":
             self._mistakes.add((*place, key), "'each' is for 'excite'; a disturbance takes actuators or \"all\".")
         signal = make("signals", command.signal, (*place, "signal"), self._mistakes)
-        found = self._rows("all" if meant is None else meant, (*place, key))
+        selected = self._rows("all" if meant is None else meant, (*place, key))
         seeds = self._seeds(command.seed, self._count, _DISTURBANCE)
-        drives = [Drive(command.signal.method, signal, row, seeds(row)) for row in found]
+        drives = [Drive(command.signal.method, signal, row, seeds(row)) for row in selected]
         self._disturbance = Disturbance(tuple(drives), (*place, "signal"))
         self._met = False
 
@@ -235,10 +235,10 @@ class Compiler:
         """Return the actuators counted from 0; none when the bench is not known yet."""
         if self._bench is None:
             return []
-        found, faults = rows(self._bench.actuators, actuator)
+        selected, faults = rows(self._bench.actuators, actuator)
         for fault in faults:
             self._mistakes.add(place, fault)
-        return found
+        return selected
 
     def _seeds(self, own: int | None, index: int, branch: int = _EXCITATION) -> Any:
         """Return row -> seed: independent for every actuator, and for every command without a seed of its own."""

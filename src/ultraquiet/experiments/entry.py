@@ -58,26 +58,26 @@ def of_file(place: Path, file: str) -> Entry | None:
     """Return the entry of a file, or None when it holds no single record."""
     path = place / file
     try:
-        held = list(load_many(path).values())
+        values = list(load_many(path).values())
         sha256, changed = hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_mtime
     except (StorageError, OSError):
         return None
-    if len(held) != 1 or not isinstance(held[0], Record):
+    if len(values) != 1 or not isinstance(values[0], Record):
         return None
-    record, made = held[0], held[0].provenance
-    conditions = _table(made.settings.get("conditions"))
-    bench = _table(made.settings.get("bench"))
-    measured = _table(made.settings.get("measurement"))
+    record, provenance = values[0], values[0].provenance
+    conditions = _table(provenance.settings.get("conditions"))
+    bench = _table(provenance.settings.get("bench"))
+    measured = _table(provenance.settings.get("measurement"))
     # Of a foreign record nothing but the file's own time is known.
     written = datetime.fromtimestamp(changed, UTC).isoformat(timespec="milliseconds")
     return Entry(
         file=file,
         folder=Path(file).parent.as_posix(),
-        status=ABORTED if "partial" in made.settings else DONE,
+        status=ABORTED if "partial" in provenance.settings else DONE,
         when=str(conditions.get("begun", written)),
-        made_by=made.made_by,
-        list=str(made.settings.get("list", "")),
-        list_hash=made.parents[0] if made.parents and measured else "",
+        made_by=provenance.made_by,
+        list=str(provenance.settings.get("list", "")),
+        list_hash=provenance.parents[0] if provenance.parents and measured else "",
         rate_hz=record.rate_hz,
         clipped=sum(record.clipped()),
         overruns=int(bench.get("overruns", 0)),
@@ -98,22 +98,22 @@ def of_journal(place: Path, path: Path, filed: Iterable[Entry]) -> Iterator[Entr
         return  # what a damaged journal would say is not known; the records speak for themselves
     folder = path.parent.relative_to(place).as_posix()
     filed = list(filed)
-    there = {e.name for e in filed if e.folder == folder}
+    filed_here = {e.name for e in filed if e.folder == folder}
     hashes = {e.hash for e in filed}
     announced, last = _announced(events), events[-1] if events else {}
     at_work = last.get("event") == "begun" and journal.busy(path.parent)
     for name, (status, event) in _ends(events).items():
-        planned, said = announced.get(name, ({"name": name}, {}))
+        planned, heading = announced.get(name, ({"name": name}, {}))
         running = at_work and last["name"] == name
         # A record that was moved elsewhere below the folder is found there.
-        if not running and (name in there or event.get("record") in hashes):
+        if not running and (name in filed_here or event.get("record") in hashes):
             continue
         log = f"{folder}/{name}.log".removeprefix("./") if (path.parent / f"{name}.log").exists() else ""
-        yield _without_record(RUNNING if running else status, event, planned, said, folder, log)
+        yield _without_record(RUNNING if running else status, event, planned, heading, folder, log)
 
 
 def _without_record(
-    status: str, event: Mapping[str, Any], planned: Mapping[str, Any], said: Mapping[str, Any], folder: str, log: str
+    status: str, event: Mapping[str, Any], planned: Mapping[str, Any], heading: Mapping[str, Any], folder: str, log: str
 ) -> Entry:
     return Entry(
         file=log,
@@ -121,9 +121,9 @@ def _without_record(
         status=status,
         when=str(event.get("at", "")),
         made_by="experiment",
-        list=str(said.get("list", "")),
-        list_hash=str(said.get("list_hash", "")),
-        rate_hz=float(said.get("rate_hz", 0.0)),
+        list=str(heading.get("list", "")),
+        list_hash=str(heading.get("list_hash", "")),
+        rate_hz=float(heading.get("rate_hz", 0.0)),
         clipped=0,
         overruns=int(event.get("overruns", 0)),
         temperature_c=None,
@@ -131,7 +131,7 @@ def _without_record(
         hash=str(event.get("record", "")),
         sha256="",
         **_measurement(planned),
-        **_bench(_table(said.get("bench"))),
+        **_bench(_table(heading.get("bench"))),
     )
 
 
@@ -142,35 +142,35 @@ def _announced(events: Iterable[Mapping[str, Any]]) -> dict[str, tuple[Mapping[s
 
 def _ends(events: Iterable[Mapping[str, Any]]) -> dict[str, tuple[str, Mapping[str, Any]]]:
     """Return name -> how far a measurement came, and the event that says so."""
-    found: dict[str, tuple[str, Mapping[str, Any]]] = {}
+    ends: dict[str, tuple[str, Mapping[str, Any]]] = {}
     for event in events:
         if event["event"] == "planned":
             for measurement in event["measurements"]:
-                found.setdefault(measurement["name"], (NOT_STARTED, {}))
+                ends.setdefault(measurement["name"], (NOT_STARTED, {}))
         elif event["event"] in ("begun", "aborted"):
-            found[event["name"]] = (ABORTED, event)
+            ends[event["name"]] = (ABORTED, event)
         elif event["event"] == "finished":
-            found[event["name"]] = (DONE, event)
-    return found
+            ends[event["name"]] = (DONE, event)
+    return ends
 
 
-def _measurement(told: Mapping[str, Any]) -> dict[str, Any]:
-    drives = told.get("excitation", [])
+def _measurement(description: Mapping[str, Any]) -> dict[str, Any]:
+    drives = description.get("excitation", [])
     return {
-        "name": str(told.get("name", "")),
+        "name": str(description.get("name", "")),
         "signal": ",".join(sorted({str(d["method"]) for d in drives})),
         "actuators": ",".join(str(d["actuator"]) for d in drives),
         "seeds": ",".join(str(d["seed"]) for d in drives),
-        "disturbance": ",".join(sorted({str(d["method"]) for d in told.get("disturbance", [])})),
-        "controller": str(told.get("controller", "")),
-        "samples": int(told.get("samples", 0)),
+        "disturbance": ",".join(sorted({str(d["method"]) for d in description.get("disturbance", [])})),
+        "controller": str(description.get("controller", "")),
+        "samples": int(description.get("samples", 0)),
     }
 
 
-def _bench(told: Mapping[str, Any]) -> dict[str, Any]:
-    settings = {key: value for key, value in told.items() if key != "made_by"}
+def _bench(description: Mapping[str, Any]) -> dict[str, Any]:
+    settings = {key: value for key, value in description.items() if key != "made_by"}
     return {
-        "bench": str(told.get("made_by", "")).removeprefix("bench."),
+        "bench": str(description.get("made_by", "")).removeprefix("bench."),
         "bench_settings": json.dumps(settings, sort_keys=True, default=str) if settings else "",
     }
 

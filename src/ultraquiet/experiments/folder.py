@@ -29,14 +29,14 @@ def prepared(folder: Path) -> Path:
 
 def finished_in(listed: ExperimentList, place: Path, resume: bool, overwrite: bool) -> dict[str, Record]:
     """Return the records that need not be measured; refuse when others would be written over."""
-    there = [m for m in listed.measurements if os.path.lexists(path_of(place, m.name))]
+    present = [m for m in listed.measurements if os.path.lexists(path_of(place, m.name))]
     if resume:
-        return {m.name: _same(m, path_of(place, m.name)) for m in there}
-    if there and not overwrite:
-        names = ", ".join(m.name for m in there[:5]) + (", ..." if len(there) > 5 else "")
+        return {m.name: _same(m, path_of(place, m.name)) for m in present}
+    if present and not overwrite:
+        names = ", ".join(m.name for m in present[:5]) + (", ..." if len(present) > 5 else "")
         raise StorageError(
-            f"experiment: '{place}' holds {len(there)} of the records already ({names}); resume, ask to overwrite, or "
-            "choose another folder."
+            f"experiment: '{place}' holds {len(present)} of the records already ({names}); resume, ask to overwrite, "
+            "or choose another folder."
         )
     return {}
 
@@ -45,11 +45,11 @@ def refuse_repetition(
     listed: ExperimentList, place: Path, finished: Collection[str], resume: bool, repeat: Collection[str]
 ) -> None:
     """Refuse to excite again what the journal says was begun already, unless it is named."""
-    asked = {m.name for m in listed.measurements}
-    unknown = sorted(set(repeat) - asked)
+    listed_names = {m.name for m in listed.measurements}
+    unknown = sorted(set(repeat) - listed_names)
     if unknown:
         raise InputError(f"experiment: the list has no measurement '{unknown[0]}' to repeat.")
-    again = [name for name in journal.begun(place) if name in asked - set(finished) - set(repeat)]
+    again = [name for name in journal.begun(place) if name in listed_names - set(finished) - set(repeat)]
     if again:
         how = "name them in 'repeat' (--repeat)" if resume else "resume and name them in 'repeat' (--repeat)"
         raise StorageError(
@@ -59,8 +59,8 @@ def refuse_repetition(
 
 def _same(measurement: Measurement, path: Path) -> Record:
     record = load_value(path)
-    made = record.provenance.settings.get("measurement_hash") if isinstance(record, Record) else None
-    if not isinstance(record, Record) or made != measurement.hash:
+    measurement_hash = record.provenance.settings.get("measurement_hash") if isinstance(record, Record) else None
+    if not isinstance(record, Record) or measurement_hash != measurement.hash:
         raise InputError(
             f"experiment: '{path}' was not made by '{measurement.name}' as the list has it now (line "
             f"{measurement.line}); move it away or choose another folder."

@@ -47,10 +47,10 @@ class ExperimentList:
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
         """Name given in the list -> names of its records, one per actuator and round."""
-        found: dict[str, tuple[str, ...]] = {}
+        names: dict[str, tuple[str, ...]] = {}
         for m in self.measurements:
-            found[m.group] = (*found.get(m.group, ()), m.name)
-        return found
+            names[m.group] = (*names.get(m.group, ()), m.name)
+        return names
 
     @property
     def duration_s(self) -> float:
@@ -118,18 +118,18 @@ def parse(
     content, places = read_toml(text, name, ListError)
     mistakes = Mistakes(places)
     head = _head(content, mistakes)
-    given = bench is not None
+    bench_given = bench is not None
     if bench is None and head.bench is not None:
         bench = make("bench", head.bench, ("bench",), mistakes)
-    found = content.get("commands")
-    commands: list[Any] = found if isinstance(found, list) else []
+    listed_commands = content.get("commands")
+    commands: list[Any] = listed_commands if isinstance(listed_commands, list) else []
     first = head.seed if seed is None else seed
     if isinstance(bench, STARTED_WHEN_ASKED):
         # Its channels cost the start of a program: not for a list that is wrong by itself.
         _compiled(commands, Compiler(None, folder, first, mistakes))
         mistakes.refuse(ListError, name)
     if bench is not None:
-        bench = checked_bench(bench, () if given else ("bench",), mistakes)
+        bench = checked_bench(bench, () if bench_given else ("bench",), mistakes)
     compiler = _compiled(commands, Compiler(bench, folder, first, mistakes))
     if not any(isinstance(step, Measurement) for step in compiler.steps) and not len(mistakes):
         mistakes.add((), "no command records anything; it would take an 'excite' or a 'record'.")

@@ -69,9 +69,9 @@ class Levels:
             yield f"commands met their limits: {_counted(self.actuators, self.limited)} of {self.samples} samples"
         for name, counts in self.further.items():
             if counts.any():
-                said = ", ".join(f"{k} in {n}" for k, n in enumerate(counts, start=1) if n)
+                counted = ", ".join(f"{k} in {n}" for k, n in enumerate(counts, start=1) if n)
                 what = name.removeprefix("limited_").replace("_", " ")
-                yield f"{what} met their limits: {said} of {self.samples} samples"
+                yield f"{what} met their limits: {counted} of {self.samples} samples"
         if self.overruns:
             yield f"{self.overruns} frames came too late"
         ranged = np.isfinite(self._low) & np.isfinite(self._high)
@@ -107,10 +107,10 @@ class Course:
     @property
     def left_s(self) -> float:
         """Seconds on the wall until the end; a simulated bench goes on at the pace it has shown so far."""
-        left = max(self.total_s - self.done_s, 0.0)
+        bench_s = max(self.total_s - self.done_s, 0.0)
         if self._real or not self.done_s:
-            return left
-        return left * (time.monotonic() - self._began) / self.done_s
+            return bench_s
+        return bench_s * (time.monotonic() - self._began) / self.done_s
 
 
 class Onlooker:

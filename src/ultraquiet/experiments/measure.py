@@ -93,11 +93,11 @@ def measure(
         InputError: the bench handed over nothing, or what is no number.
     """
     try:
-        return _Run(listed, step, index, watch).kept(place, overwrite)
+        return _Run(listed, step, index, watch).to_record(place, overwrite)
     except StorageError as error:
-        said = str(error).rstrip(".").removeprefix("files: ")
+        cause = str(error).rstrip(".").removeprefix("files: ")
         raise StorageError(
-            f"experiment stopped at '{step.name}', {index} records are finished and safe: {said}."
+            f"experiment stopped at '{step.name}', {index} records are finished and safe: {cause}."
         ) from error
 
 
@@ -111,7 +111,7 @@ def recover(place: Path) -> dict[str, Path]:
         StorageError: the header of a log is damaged, a name or link leads out of the folder, or the disk refuses; the
             log is still there then.
     """
-    found: dict[str, Path] = {}
+    records: dict[str, Path] = {}
     # Only logs of measurements that were begun here: others' files may have that suffix too.
     for path in (log_path_of(place, name) for name in journal.begun(place)):
         if not path.exists():
@@ -119,28 +119,28 @@ def recover(place: Path) -> dict[str, Path]:
         try:
             log = read_log(path)
         except StorageError as error:
-            said = str(error).rstrip(".")
-            raise StorageError(f"{said}; move it out of the folder to go on, nothing was executed.") from error
+            cause = str(error).rstrip(".")
+            raise StorageError(f"{cause}; move it out of the folder to go on, nothing was executed.") from error
         if log.complete:
-            found[path.stem] = path_of(place, path.stem)
-            finalise(path, found[path.stem], bool(log.header.get("overwrite")))
+            records[path.stem] = path_of(place, path.stem)
+            finalise(path, records[path.stem], bool(log.header.get("overwrite")))
         elif log.samples.shape[1]:
-            found[path.stem] = _partial(path, place)[1]
+            records[path.stem] = _partial(path, place)[1]
         else:
             path.unlink()
-    return found
+    return records
 
 
 def _partial(log: Path, place: Path) -> tuple[Record, Path]:
     """Make a partial record of a log, beside those of earlier attempts."""
     for attempt in count(1):
         path = partial_path_of(place, log.stem, attempt)
-        taken = os.path.lexists(path)
+        occupied = os.path.lexists(path)
         try:
             return finalise(log, path), path
         except StorageError:
             # Taken by an earlier attempt; what is taken by this very record is accepted by `finalise`.
-            if not taken:
+            if not occupied:
                 raise
     raise AssertionError
 
@@ -153,7 +153,7 @@ class _Run:
         assert bench is not None
         self._bench, self._step, self._watch = bench, step, watch
         self._stopped = False
-        self._met = Tally()
+        self._tally = Tally()
         streams = isinstance(bench, Streaming)
         # A bench that numbers its draws gets the place in the list, so that a resumed list repeats none of them.
         numbered = {"run_index": index} if streams or "run_index" in inspect.signature(bench.run).parameters else {}
@@ -162,29 +162,29 @@ class _Run:
             self._blocks: Iterable[Block] = bench.stream(
                 actuation, disturbance, step.controller, run_index=index, stop=self._stop
             )
-            made = bench.provenance
+            source = bench.provenance
         else:
             record: Record = bench.run(actuation, disturbance=disturbance, controller=step.controller, **numbered)
             self._blocks = (_block(record),)
-            made = record.provenance
+            source = record.provenance
         settings: dict[str, Any] = {
             "list": listed.title or listed.name,
             "measurement": step.describe(),
             "measurement_hash": step.hash,
-            "bench": {"made_by": made.made_by, **made.settings, **numbered},
+            "bench": {"made_by": source.made_by, **source.settings, **numbered},
         }
         settings |= {"conditions": dict(watch.conditions)} if watch.conditions else {}
-        self._made = Provenance("experiment", settings, made.seed, (listed.hash,), versions())
+        self._provenance = Provenance("experiment", settings, source.seed, (listed.hash,), versions())
 
-    def kept(self, place: Path, overwrite: bool) -> Measured:
+    def to_record(self, place: Path, overwrite: bool) -> Measured:
         """Write the blocks down as they come, and make the record when the last one has come."""
         bench, step, path = self._bench, self._step, log_path_of(place, self._step.name)
-        header = log_header(bench.actuators, bench.sensors, bench.rate_hz, step.samples, self._made)
+        header = log_header(bench.actuators, bench.sensors, bench.rate_hz, step.samples, self._provenance)
         with LogWriter(path, {**header, "overwrite": overwrite}) as log:
             try:
                 for block in self._blocks:
                     log.append(np.vstack([block.command, self._readings(block, log.samples)]))
-                    self._met.take(block)
+                    self._tally.take(block)
                     self._watch.block(block)
             finally:
                 # Whatever went wrong, the actuators come to zero first; a generator does so when it is closed.
@@ -196,10 +196,10 @@ class _Run:
             path.unlink()
             raise InputError(f"experiment: the bench handed over no samples of '{step.name}'.")
         if why:
-            record, kept = _partial(path, place)
-            return Measured(record, kept, True, self._met.overruns)
+            record, partial_path = _partial(path, place)
+            return Measured(record, partial_path, True, self._tally.overruns)
         record = finalise(path, path_of(place, step.name), overwrite)
-        return Measured(record, path_of(place, step.name), False, self._met.overruns)
+        return Measured(record, path_of(place, step.name), False, self._tally.overruns)
 
     def _stop(self) -> bool:
         self._stopped = self._stopped or self._watch.stop()
@@ -214,7 +214,7 @@ class _Run:
         return block.readings
 
     def _notes(self) -> dict[str, Any]:
-        return {"bench": self._met.counts()} if isinstance(self._bench, Streaming) else {}
+        return {"bench": self._tally.counts()} if isinstance(self._bench, Streaming) else {}
 
     def _incomplete(self, samples: int) -> str:
         if self._stopped:

@@ -125,12 +125,15 @@ class _Walk:
     def _announce(self) -> None:
         """Write down what is going to be done, so that what never began can be told from what nobody asked for."""
         listed = self._listed
-        made = getattr(listed.bench, "provenance", None)
-        bench = {"made_by": getattr(made, "made_by", type(listed.bench).__name__), **getattr(made, "settings", {})}
+        provenance = getattr(listed.bench, "provenance", None)
+        bench = {
+            "made_by": getattr(provenance, "made_by", type(listed.bench).__name__),
+            **getattr(provenance, "settings", {}),
+        }
         planned = [{**m.describe(), "hash": m.hash, "comment": m.comment} for m in self._todo]
         rate_hz = getattr(listed.bench, "rate_hz", 0.0)
-        said = {"list": listed.title or listed.name, "list_hash": listed.hash, "bench": bench, "rate_hz": rate_hz}
-        self._log.write("planned", at=clock.now(), measurements=planned, **said)
+        heading = {"list": listed.title or listed.name, "list_hash": listed.hash, "bench": bench, "rate_hz": rate_hz}
+        self._log.write("planned", at=clock.now(), measurements=planned, **heading)
 
     def _ahead_s(self) -> float:
         rate_hz = self._listed.bench.rate_hz if self._listed.bench is not None else 1.0
@@ -154,19 +157,19 @@ class _Walk:
         self._onlooker.measures(step, levels)
         self._log.write("begun", at=begun, name=step.name, hash=step.hash)
 
-        def seen(block: Any) -> None:
+        def on_block(block: Any) -> None:
             levels.take(block)
             self._course.advance(block.readings.shape[1] / bench.rate_hz)
             self._onlooker.advances(step, levels)
 
-        watch = Watch(self._stop, seen, self._conditions(step, begun))
-        left = measure(self._listed, step, len(self._records), self._place, self._overwrite, watch)
-        self._tell(step, left, levels)
-        if left.aborted:
-            of = f"'{step.name}' after {left.record.samples} of {step.samples} samples"
-            asked = self._stop()
-            self._end(f"stopped as asked in {of}" if asked else f"the bench ended {of}", asked)
-        return left.record
+        watch = Watch(self._stop, on_block, self._conditions(step, begun))
+        measured = measure(self._listed, step, len(self._records), self._place, self._overwrite, watch)
+        self._report(step, measured, levels)
+        if measured.aborted:
+            of = f"'{step.name}' after {measured.record.samples} of {step.samples} samples"
+            on_request = self._stop()
+            self._end(f"stopped as asked in {of}" if on_request else f"the bench ended {of}", on_request)
+        return measured.record
 
     def _conditions(self, step: Measurement, begun: str) -> dict[str, Any]:
         known: dict[str, Any] = {"begun": begun}
@@ -175,15 +178,15 @@ class _Walk:
             known |= {"temperature_c": latest, "temperatures_c": dict(self._temperatures)}
         return known | ({"comment": step.comment} if step.comment else {})
 
-    def _tell(self, step: Measurement, left: Measured, levels: Levels) -> None:
+    def _report(self, step: Measurement, measured: Measured, levels: Levels) -> None:
         warnings = list(levels.warnings(excited=bool(step.drives)))
-        told = {"warnings": warnings, "overruns": left.overruns}
-        event = "aborted" if left.aborted else "finished"
-        self._log.write(event, at=clock.now(), name=step.name, hash=step.hash, record=left.record.hash, **told)
-        self._onlooker.ends(step, levels, ABORTED if left.aborted else DONE, warnings)
+        notes = {"warnings": warnings, "overruns": measured.overruns}
+        event = "aborted" if measured.aborted else "finished"
+        self._log.write(event, at=clock.now(), name=step.name, hash=step.hash, record=measured.record.hash, **notes)
+        self._onlooker.ends(step, levels, ABORTED if measured.aborted else DONE, warnings)
 
-    def _end(self, sentence: str, asked: bool) -> None:
-        raise StoppedError(sentence, states(self._listed.measurements, self._place), asked)
+    def _end(self, sentence: str, on_request: bool) -> None:
+        raise StoppedError(sentence, states(self._listed.measurements, self._place), on_request)
 
     def _wait(self, step: Pause, sleep: Callable[[float], None] | None) -> None:
         self._onlooker.waits(step.seconds, skipped=sleep is None and not self._real)

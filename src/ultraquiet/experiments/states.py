@@ -11,7 +11,7 @@ from ultraquiet.experiments.measure import path_of
 from ultraquiet.experiments.plan import Measurement
 
 DONE, ABORTED, NOT_STARTED = "DONE", "ABORTED", "NOT STARTED"
-Status = Literal["DONE", "ABORTED", "NOT STARTED"]
+Standing = Literal["DONE", "ABORTED", "NOT STARTED"]
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class State:
     """Where one measurement stands, and what is left of it: the newest file's name, empty when there is none."""
 
     name: str
-    status: Status
+    status: Standing
     file: str
 
 
@@ -32,11 +32,11 @@ class StoppedError(UltraquietError):
     def __init__(self, sentence: str, states: Sequence[State], asked: bool) -> None:
         self.states = tuple(states)
         self.asked = asked
-        told = ", ".join(f"{sum(s.status == kind for s in states)} {kind.lower()}" for kind in _KINDS)
-        super().__init__(f"experiment: {sentence}; {told}.")
+        counts = ", ".join(f"{sum(s.status == kind for s in states)} {kind.lower()}" for kind in _KINDS)
+        super().__init__(f"experiment: {sentence}; {counts}.")
 
 
-_KINDS: tuple[Status, ...] = (DONE, ABORTED, NOT_STARTED)
+_KINDS: tuple[Standing, ...] = (DONE, ABORTED, NOT_STARTED)
 
 
 def states(measurements: Sequence[Measurement], folder: Path) -> tuple[State, ...]:
