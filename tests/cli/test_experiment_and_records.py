@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.text import Text
 
 from ultraquiet import experiments, files
-from ultraquiet.cli.experiment.watch import Board, Lines, Steady, watching
+from ultraquiet.cli.experiment.watch import Board, PlainLines, Steady, watching
 from ultraquiet.experiments import journal
 
 EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "campaign.toml"
@@ -121,10 +121,10 @@ def test_a_reader_that_has_gone_stops_nothing(tmp_path):
         def write(self, text):
             raise BrokenPipeError
 
-    onlooker = Lines(Steady(file=Gone()), lambda: False)
+    onlooker = PlainLines(Steady(file=Gone()), lambda: False)
     assert len(experiments.run(experiments.parse(LIST), tmp_path, onlooker=onlooker)) == 3
     with contextlib.redirect_stderr(io.StringIO()), watching(lambda: False) as chosen:
-        assert type(chosen) is Lines
+        assert type(chosen) is PlainLines
 
 
 PLANT = """\

@@ -38,33 +38,33 @@ def experiment(
     from ultraquiet.cli.experiment.watch import watching
 
     listed = experiments.load(commands)
-    told = Console(highlight=False)
+    console = Console(highlight=False)
     if dry_run:
-        _tell(told, experiments.dry_run(listed))
+        _show(console, experiments.dry_run(listed))
         return
     folder = out or Path(commands.stem)
     try:
-        with halting() as halt, watching(halt.asked) as onlooker:
+        with halting() as halt, watching(halt.requested) as onlooker:
             records = experiments.run(
                 listed,
                 folder,
                 resume=resume,
                 repeat=repeat or (),
                 overwrite=overwrite,
-                stop=halt.asked,
+                stop=halt.requested,
                 onlooker=onlooker,
             )
     except UltraquietError as error:
-        left: Sequence[State] = ()
+        states: Sequence[State] = ()
         with suppress(UltraquietError):  # a folder that cannot be looked into is what the error is about
-            left = experiments.states(listed.measurements, folder)
-        if any(state.status != "NOT STARTED" for state in left):
-            told.print(_states(left))
+            states = experiments.states(listed.measurements, folder)
+        if any(state.status != "NOT STARTED" for state in states):
+            console.print(_states(states))
         if isinstance(error, experiments.StoppedError) and error.asked:
             raise typer.Exit(INTERRUPTED) from error
         raise
     warned = f", {_counted(onlooker.warned, 'warning')}" if onlooker.warned else ""
-    told.print(f"{_counted(len(records), 'record')} in {folder}{warned}", soft_wrap=True)
+    console.print(f"{_counted(len(records), 'record')} in {folder}{warned}", soft_wrap=True)
 
 
 def _counted(count: int, what: str) -> str:
@@ -81,7 +81,7 @@ def _states(states: Sequence["State"]) -> "Table":
     return table
 
 
-def _tell(console: object, planned: "DryRun") -> None:
+def _show(console: object, planned: "DryRun") -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -116,6 +116,6 @@ def _sent(signals: Sequence["Sent"]) -> str:
     lines: dict[str, list[str]] = {}
     for s in signals:
         low, high = s.band_hz
-        said = f"{s.what}, peak {s.peak:.3g} {s.unit}, RMS {s.rms:.2g} {s.unit}, {low:.4g}-{high:.4g} Hz"
-        lines.setdefault(said, []).append(s.actuator)
-    return "\n".join(f"{', '.join(channels)}: {said}" for said, channels in lines.items())
+        description = f"{s.what}, peak {s.peak:.3g} {s.unit}, RMS {s.rms:.2g} {s.unit}, {low:.4g}-{high:.4g} Hz"
+        lines.setdefault(description, []).append(s.actuator)
+    return "\n".join(f"{', '.join(channels)}: {description}" for description, channels in lines.items())

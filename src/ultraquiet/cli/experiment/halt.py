@@ -16,16 +16,16 @@ class Halt:
     """Whether somebody wants the run to end."""
 
     def __init__(self) -> None:
-        self._asked = False
+        self._requested = False
 
-    def asked(self) -> bool:
+    def requested(self) -> bool:
         """Return whether one of the signals has come."""
-        return self._asked
+        return self._requested
 
     def ask(self, number: int, frame: FrameType | None) -> None:
         """Note the wish; the same wish again changes nothing, so that the ramp under way is not cut short."""
         del number, frame
-        self._asked = True
+        self._requested = True
 
 
 @contextmanager
@@ -38,8 +38,8 @@ def halting() -> Iterator[Halt]:
     if threading.current_thread() is not threading.main_thread():
         yield halt  # signals reach the main thread alone; whoever runs this elsewhere stops it otherwise
         return
-    held = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS)}
-    before = {n: handler for n, handler in held.items() if n in _MEANT or handler is not signal.SIG_IGN}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, *ENDINGS)}
+    before = {n: handler for n, handler in handlers.items() if n in _MEANT or handler is not signal.SIG_IGN}
     try:
         for number in before:
             signal.signal(number, halt.ask)

@@ -29,8 +29,8 @@ class Steady(Console):
 class Watcher(Onlooker):
     """Keeps what every display shows: which measurement, how many of how many, how long still."""
 
-    def __init__(self, console: Console, asked: Callable[[], bool]) -> None:
-        self.console, self.asked = console, asked
+    def __init__(self, console: Console, stopping: Callable[[], bool]) -> None:
+        self.console, self.stopping = console, stopping
         self.warned = 0
         self._total = self._number = 0
         self._course = Course(0.0, False)
@@ -76,7 +76,7 @@ class Watcher(Onlooker):
         return f"{seconds // 60}:{seconds % 60:02d} left"
 
 
-class Lines(Watcher):
+class PlainLines(Watcher):
     """For pipes, files and dull terminals."""
 
     _spoke = 0.0
@@ -98,8 +98,8 @@ class Lines(Watcher):
 class Board(Watcher):
     """For terminals: a row for each sensor, renewed while it is being measured."""
 
-    def __init__(self, console: Console, asked: Callable[[], bool], live: Live) -> None:
-        super().__init__(console, asked)
+    def __init__(self, console: Console, stopping: Callable[[], bool], live: Live) -> None:
+        super().__init__(console, stopping)
         self._live = live
         self._drawn = 0.0
 
@@ -121,7 +121,7 @@ class Board(Watcher):
     def _drawing(self, step: Measurement, levels: Levels) -> RenderableType:
         percent = 100 * levels.samples // step.samples
         head = f"{self._place} {step.name}: {percent} %, {self._left}, frames too late: {levels.overruns}"
-        if self.asked():
+        if self.stopping():
             head += "; stopping, the bench goes to zero"
         return Group(Text(head, "bold"), board(levels))
 
@@ -150,11 +150,11 @@ def loudness(levels: Levels) -> str:
 
 
 @contextmanager
-def watching(asked: Callable[[], bool]) -> Iterator[Watcher]:
+def watching(stopping: Callable[[], bool]) -> Iterator[Watcher]:
     """Show a running list on stderr for the length of a block."""
     console = Steady(stderr=True, highlight=False)
     if not console.is_terminal:
-        yield Lines(console, asked)
+        yield PlainLines(console, stopping)
         return
     with Live(Text(""), console=console, auto_refresh=False, transient=True) as live:
-        yield Board(console, asked, live)
+        yield Board(console, stopping, live)
