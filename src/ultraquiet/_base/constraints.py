@@ -15,10 +15,10 @@ ComplexArray = NDArray[np.complex128]
 def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
     """Return `value` as a fresh finite float64 array of `ndim` dimensions, or say what is wrong with it."""
     try:
-        given = np.array(value)
-        if np.iscomplexobj(given):
+        candidate = np.array(value)
+        if np.iscomplexobj(candidate):
             raise TypeError("complex values")
-        array = given.astype(np.float64)
+        array = candidate.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"{who}: '{name}' must be a real array, got {type(value).__name__} ({error}).") from None
     if array.ndim != ndim:

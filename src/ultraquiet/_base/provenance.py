@@ -36,9 +36,9 @@ class Provenance:
     @classmethod
     def from_json(cls, text: str) -> "Provenance":
         """Read what `to_json` wrote."""
-        held: dict[str, Any] = json.loads(text)
-        held["parents"] = tuple(held["parents"])
-        return cls(**held)
+        content: dict[str, Any] = json.loads(text)
+        content["parents"] = tuple(content["parents"])
+        return cls(**content)
 
 
 def versions() -> dict[str, str]:

@@ -88,9 +88,9 @@ class Averaging:
 
 def segments(who: str, samples: int, segment_samples: int | None, overlap: float) -> tuple[int, int, int]:
     """Return length, shared samples and number of segments."""
-    given = segment_samples is not None
+    chosen = segment_samples is not None
     length = (
-        whole(who, "segment_samples", segment_samples, SHORTEST) if given else max(SHORTEST, samples // DEFAULT_PARTS)
+        whole(who, "segment_samples", segment_samples, SHORTEST) if chosen else max(SHORTEST, samples // DEFAULT_PARTS)
     )
     if length > samples:
         raise InputError(f"{who}: a segment of {length} samples does not fit into {samples} samples; shorten it.")

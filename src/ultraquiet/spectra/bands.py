@@ -117,8 +117,8 @@ def band_levels(
 
     >>> from ultraquiet.spectra import psd
     >>> noise = psd(np.random.default_rng(0).standard_normal(2**16), rate_hz=1000.0)
-    >>> found = band_levels(noise, start_hz=100.0, stop_hz=100.0)
-    >>> bool(abs(found.rms[0, 0] / np.sqrt(2e-3 * 23.08) - 1.0) < 0.1)
+    >>> result = band_levels(noise, start_hz=100.0, stop_hz=100.0)
+    >>> bool(abs(result.rms[0, 0] / np.sqrt(2e-3 * 23.08) - 1.0) < 0.1)
     True
 
     Reference: IEC 61260-1:2014; statistics Bendat and Piersol 2010, section 8.5, doi:10.1002/9781118032428.
@@ -165,8 +165,8 @@ def filtered_levels(
 
     >>> t = np.arange(20000) / 1000.0
     >>> tone = np.sqrt(2) * np.sin(2 * np.pi * 50.0 * t)
-    >>> found = filtered_levels(tone, rate_hz=1000.0, start_hz=40.0, stop_hz=63.0)
-    >>> found.bands.nominal_hz.tolist(), found.rms.round(2).tolist()[0][1]
+    >>> result = filtered_levels(tone, rate_hz=1000.0, start_hz=40.0, stop_hz=63.0)
+    >>> result.bands.nominal_hz.tolist(), result.rms.round(2).tolist()[0][1]
     ([40.0, 50.0, 63.0], 1.0)
 
     Reference: IEC 61260-1:2014.

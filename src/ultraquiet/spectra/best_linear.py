@@ -80,8 +80,8 @@ def best_linear(
     >>> import ultraquiet as uq
     >>> signal = uq.signals.Multisine(start_hz=5, stop_hz=40, period_samples=100)
     >>> u = [signal.generate(500, rate_hz=100.0, seed=k) for k in range(3)]
-    >>> found = best_linear([uq.Record(v, v + 1e-3 * v**3, 100.0) for v in u], period_samples=100)
-    >>> bool((found.noise < 1e-20).all()), bool((found.distortion > 1e-6).any()), found.realisations
+    >>> result = best_linear([uq.Record(v, v + 1e-3 * v**3, 100.0) for v in u], period_samples=100)
+    >>> bool((result.noise < 1e-20).all()), bool((result.distortion > 1e-6).any()), result.realisations
     (True, True, 3)
 
     Reference: R. Pintelon, J. Schoukens, System Identification (2012), sections 4.3 and 7.3,
@@ -97,14 +97,14 @@ def best_linear(
     G = np.array([g for g, _ in singles])
     noise = np.mean([v for _, v in singles], axis=0)
     M, P = len(groups), min(U.shape[1] for group in spectra for U, _ in group)
-    found = detection([pair for group in spectra for pair in group], lines, first.rate_hz / period)
+    unexcited = detection([pair for group in spectra for pair in group], lines, first.rate_hz / period)
     if M > 1:
         total = np.var(G, axis=0, ddof=1)
         distortion = np.maximum(total - noise, 0.0)
         # The scatter of few realisations may by chance fall below what noise alone brings.
         variance = np.maximum(total, noise) / M
     else:
-        distortion = _of_one(found, spectra[0], inputs, lines, noise)
+        distortion = _of_one(unexcited, spectra[0], inputs, lines, noise)
         variance = noise + np.nan_to_num(distortion)
     text = f"best linear approximation, {M} realisations, {P} periods of {period} samples, {settle_periods} left out"
     response = FrequencyResponse(
@@ -118,16 +118,16 @@ def best_linear(
         ),
         variance=variance,
     )
-    status = _advice(noise, distortion, found, M, P)
-    return BestLinear(response, frozen(noise), frozen(distortion), frozen(noise / M), found, M, P, status)
+    status = _advice(noise, distortion, unexcited, M, P)
+    return BestLinear(response, frozen(noise), frozen(distortion), frozen(noise / M), unexcited, M, P, status)
 
 
 def _realisations(
     records: Record | Sequence[Record] | Sequence[Sequence[Record]],
 ) -> tuple[list[list[Record]], list[int]]:
     """Return the records grouped by realisation, and which inputs move."""
-    given = [records] if isinstance(records, Record) else list(records)
-    groups = [[r] if isinstance(r, Record) else list(r) for r in given]
+    nested = [records] if isinstance(records, Record) else list(records)
+    groups = [[r] if isinstance(r, Record) else list(r) for r in nested]
     flat = [r for g in groups for r in g]
     if not flat:
         raise InputError(f"{WHO}: no records were given; it needs one per moving input and realisation.")
@@ -138,7 +138,7 @@ def _realisations(
     inputs = [j for j in range(len(flat[0].actuators)) if any(np.ptp(r.inputs[j]) > 0 for r in flat)]
     if not inputs:
         raise InputError(f"{WHO}: no input moves in any record; a constant (0 Hz) excites nothing.")
-    if all(isinstance(r, Record) for r in given):
+    if all(isinstance(r, Record) for r in nested):
         groups = [flat[k : k + len(inputs)] for k in range(0, len(flat), len(inputs))]
     if any(len(g) < len(inputs) for g in groups):
         raise InputError(
@@ -170,13 +170,13 @@ def _lines(
         return lines[lines < period / 2]
     alive = np.ones(period // 2 + 1, dtype=bool)
     for group in spectra:
-        seen = np.zeros_like(alive)
+        excited = np.zeros_like(alive)
         for U, _ in group:
             mean = U[inputs].mean(axis=1)
             noise = U[inputs].var(axis=1, ddof=1) / U.shape[1]
             clear = np.abs(mean) > ABOVE_NOISE * np.sqrt(noise)
-            seen |= excited_lines(np.abs(mean) * clear)
-        alive &= seen
+            excited |= excited_lines(np.abs(mean) * clear)
+        alive &= excited
     lines = np.flatnonzero(alive)
     lines = lines[lines < period / 2]
     if not lines.size:
@@ -210,7 +210,7 @@ def _realisation(
 
 
 def _of_one(
-    found: Detection | None,
+    unexcited: Detection | None,
     group: list[tuple[ComplexArray, ComplexArray]],
     inputs: list[int],
     lines: np.ndarray,
@@ -221,10 +221,10 @@ def _of_one(
     Detection lines show it; without them, what neighbouring lines scatter about a smooth response shows it. Where a
     resonance is narrower than a few lines its curvature is counted in.
     """
-    if found is not None and found.odd_hz.size:
+    if unexcited is not None and unexcited.odd_hz.size:
         u = np.moveaxis(np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group], axis=1), 2, 0)
         share = np.sum(np.abs(np.linalg.pinv(u)) ** 2, axis=1).T  # (nu, nf)
-        return found.carried_to(lines)[:, np.newaxis] * share[np.newaxis]
+        return unexcited.carried_to(lines)[:, np.newaxis] * share[np.newaxis]
     U = np.stack([U[inputs].mean(axis=1)[:, lines] for U, _ in group])
     Y = np.stack([Y.mean(axis=1)[:, lines] for _, Y in group])
     scatter = scatter_about_smooth(U, Y)
@@ -233,7 +233,7 @@ def _of_one(
     return np.maximum(scatter - noise, 0.0)
 
 
-def _advice(noise: FloatArray, distortion: FloatArray, found: Detection | None, M: int, P: int) -> Status:
+def _advice(noise: FloatArray, distortion: FloatArray, unexcited: Detection | None, M: int, P: int) -> Status:
     quiet, loud = np.median(noise, axis=2), np.median(np.nan_to_num(distortion), axis=2)
     ratio = float(np.max(loud / np.maximum(quiet, np.finfo(float).tiny)))
     if M == 1 and np.isnan(distortion).all():
@@ -242,17 +242,17 @@ def _advice(noise: FloatArray, distortion: FloatArray, found: Detection | None, 
             "One realisation of so few lines tells noise alone; for distortion add realisations or take "
             "Multisine(odd=True, detection_group=4).",
         )
-    kind = "" if found is None else f" {found.sentence}"
+    kind = "" if unexcited is None else f" {unexcited.sentence}"
     if ratio > VISIBLE:
-        told = (
+        advice = (
             f"Distortion stands {10 * np.log10(ratio):.0f} dB above noise where it is worst: more periods will not "
             f"help; average more realisations or lower the excitation.{kind}"
         )
     else:
-        told = f"Noise stands above distortion: longer records or a larger excitation sharpen the response.{kind}"
+        advice = f"Noise stands above distortion: longer records or a larger excitation sharpen the response.{kind}"
     if M > 1 and M < ENOUGH:
         few = f"{M} realisations give a variance good within a factor of {1 + np.sqrt(2 / (M - 1)):.1f}, take {ENOUGH}."
-        return Status(StatusWord.FEW_DATA, f"{few} {told}")
+        return Status(StatusWord.FEW_DATA, f"{few} {advice}")
     if M == 1 and P < ENOUGH:
-        return Status(StatusWord.FEW_DATA, f"{P} periods make a rough weight for a fit, take {ENOUGH}. {told}")
-    return Status(StatusWord.OK, told)
+        return Status(StatusWord.FEW_DATA, f"{P} periods make a rough weight for a fit, take {ENOUGH}. {advice}")
+    return Status(StatusWord.OK, advice)

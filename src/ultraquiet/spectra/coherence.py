@@ -59,8 +59,8 @@ def coherence(
         InputError: as `frf`.
 
     >>> u = np.random.default_rng(0).standard_normal((2, 4096))
-    >>> found = coherence(Record(u, u.sum(axis=0), rate_hz=1000.0))
-    >>> bool(found.multiple.min() > 0.999), bool(found.ordinary.mean() < 0.6)
+    >>> result = coherence(Record(u, u.sum(axis=0), rate_hz=1000.0))
+    >>> bool(result.multiple.min() > 0.999), bool(result.ordinary.mean() < 0.6)
     (True, True)
 
     Reference: Bendat and Piersol 2010, chapter 7, doi:10.1002/9781118032428.

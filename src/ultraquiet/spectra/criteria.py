@@ -102,8 +102,8 @@ class Classification:
             )
         j = self.judged.index(met)
         band = int(np.nanargmin(self.margin_db[k, j]))
-        said = f"{name} meets {met.name} with {self.worst_db[k, j]:.1f} dB to spare at "
-        return f"{said}{self.levels.bands.nominal_hz[band]:g} Hz, {met.start_hz:g} to {STOP_HZ:g} Hz."
+        opening = f"{name} meets {met.name} with {self.worst_db[k, j]:.1f} dB to spare at "
+        return f"{opening}{self.levels.bands.nominal_hz[band]:g} Hz, {met.start_hz:g} to {STOP_HZ:g} Hz."
 
 
 def criterion(name: str) -> Criterion:

@@ -142,9 +142,9 @@ class Accumulator:
     def mean(self) -> ComplexArray:
         """Return the one-sided densities of everything added."""
         if self._sum is None:
-            held = 0 if self._tail is None else self._tail.shape[1]
+            samples = 0 if self._tail is None else self._tail.shape[1]
             raise InputError(
-                f"cross_spectra: a segment of {self.plan.segment_samples} samples does not fit into {held} samples; "
+                f"cross_spectra: a segment of {self.plan.segment_samples} samples does not fit into {samples} samples; "
                 f"shorten it."
             )
         plan = self.plan

@@ -37,18 +37,18 @@ class Detection:
     @property
     def sentence(self) -> str:
         """Which kind stands above noise, against the response, for the output where it is worst."""
-        told = []
+        findings = []
         for name, level, noise in (("odd", self.odd, self.odd_noise), ("even", self.even, self.even_noise)):
             if not level.size:
                 continue
             mean, floor = level.mean(axis=1), noise.mean(axis=1)
-            seen = mean > VISIBLE * floor
-            if seen.any():
-                worst = 10 * np.log10(np.max(np.where(seen, mean / self.signal, 0.0)))
-                told.append(f"{name} distortion {worst:.0f} dB of the response")
+            audible = mean > VISIBLE * floor
+            if audible.any():
+                worst = 10 * np.log10(np.max(np.where(audible, mean / self.signal, 0.0)))
+                findings.append(f"{name} distortion {worst:.0f} dB of the response")
             else:
-                told.append(f"no {name} distortion above noise")
-        return f"At unexcited lines: {', '.join(told)}."
+                findings.append(f"no {name} distortion above noise")
+        return f"At unexcited lines: {', '.join(findings)}."
 
     def carried_to(self, lines: np.ndarray) -> FloatArray:
         """Return the odd distortion at excited lines, `(ny, lines)`, as squared modulus of one period's DFT."""

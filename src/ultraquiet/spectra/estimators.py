@@ -96,10 +96,10 @@ def instrumental(
     As many references as inputs make it S_yr S_ur^-1, without bias; more of them leave one of (references / segments).
     """
     S_ru = np.conj(np.swapaxes(S_ur, 1, 2))
-    seen = S_ur @ np.linalg.solve(S_rr, S_ru)
-    G = right_divide(S_yr @ np.linalg.solve(S_rr, S_ru), seen)
+    projected = S_ur @ np.linalg.solve(S_rr, S_ru)
+    G = right_divide(S_yr @ np.linalg.solve(S_rr, S_ru), projected)
     degrees = max(s.independent - S_rr.shape[1], 0.0)
-    return G, _scaled(_misfit(s, G), np.linalg.inv(seen), degrees)
+    return G, _scaled(_misfit(s, G), np.linalg.inv(projected), degrees)
 
 
 def multiple(s: Spectra) -> FloatArray:
@@ -134,8 +134,8 @@ def right_divide(B: NDArray[Any], A: NDArray[Any]) -> ComplexArray:
 
 
 def _h2_single(s: Spectra) -> tuple[ComplexArray, FloatArray]:
-    power, seen = s.output_power, s.S_yu[:, :, 0].conj()
-    G = np.divide(power, seen, out=np.zeros_like(seen), where=np.abs(seen) > 0)
+    power, cross = s.output_power, s.S_yu[:, :, 0].conj()
+    G = np.divide(power, cross, out=np.zeros_like(cross), where=np.abs(cross) > 0)
     # |H2|^2 (1 - gamma^2) / (gamma^2 K): the same relative error as H1 (Bendat and Piersol, table 9.6).
     ratio = ordinary(s)[:, :, 0]
     share = np.divide(1.0 - ratio, ratio, out=np.full_like(ratio, np.inf), where=ratio > 0)

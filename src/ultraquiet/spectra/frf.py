@@ -101,10 +101,10 @@ def _channels(many: Sequence[Record | CrossSpectra]) -> tuple[int, int]:
 
 
 def _noise(noise: Sequence[float], nu: int, ny: int) -> FloatArray:
-    given = real_array("frf", "noise", noise, 1)
-    if given.size != nu + ny or (given <= 0).any():
-        raise InputError(f"frf: 'noise' must be {nu + ny} densities above zero, inputs then outputs, got {given}.")
-    return given
+    densities = real_array("frf", "noise", noise, 1)
+    if densities.size != nu + ny or (densities <= 0).any():
+        raise InputError(f"frf: 'noise' must be {nu + ny} densities above zero, inputs then outputs, got {densities}.")
+    return densities
 
 
 def _side_by_side(groups: Sequence[Group], choice: _Choice) -> FrequencyResponse:
@@ -139,7 +139,7 @@ def _columns(group: Group, alive: np.ndarray, choice: _Choice) -> tuple[np.ndarr
     elif choice.estimator == "H2":
         G, variance = estimators.h2(s)
     else:
-        kept = [*group.inputs, *range(nu, nu + ny)]
-        G, variance = estimators.hv(s, None if choice.noise is None else choice.noise[kept])
+        rows = [*group.inputs, *range(nu, nu + ny)]
+        G, variance = estimators.hv(s, None if choice.noise is None else choice.noise[rows])
     coherence = np.broadcast_to(estimators.multiple(s)[:, :, np.newaxis], G.shape)
     return np.moveaxis(G, 0, -1), np.moveaxis(coherence, 0, -1), np.moveaxis(variance, 0, -1)

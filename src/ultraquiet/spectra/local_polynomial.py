@@ -64,8 +64,8 @@ def local_polynomial(
     >>> import ultraquiet as uq
     >>> u = np.random.default_rng(0).standard_normal(1000)
     >>> y = np.convolve(u, [0.0, 1.0, 0.5])[:1000]
-    >>> found = local_polynomial(uq.Record(u, y, 100.0))
-    >>> g, f = found.response.values[0, 0], found.response.f_hz
+    >>> result = local_polynomial(uq.Record(u, y, 100.0))
+    >>> g, f = result.response.values[0, 0], result.response.f_hz
     >>> bool(np.abs(g - np.exp(-2j * np.pi * f / 100) - 0.5 * np.exp(-4j * np.pi * f / 100)).max() < 1e-3)
     True
 
@@ -142,18 +142,18 @@ def _arbitrary(
     unknowns = (order + 1) * (nu + M)
     n = _half_width(unknowns, dof, M, nf)
     width = 2 * n + 1
-    left = np.clip(np.arange(nf) - n, 0, nf - width)
+    first_line = np.clip(np.arange(nf) - n, 0, nf - width)
     G, variance = np.empty((nf, ny, nu), dtype=np.complex128), np.empty((nf, ny, nu))
     noise, T = np.empty((nf, ny, ny), dtype=np.complex128), np.empty((nf, M, ny), dtype=np.complex128)
     step = max(1, BATCH // (M * width * unknowns))
     for start in range(0, nf, step):
         part = slice(start, min(start + step, nf))
-        at = left[part, None] + np.arange(width)
+        at = first_line[part, None] + np.arange(width)
         r = (at - np.arange(nf)[part, None]) / max(n, 1)
         powers = r[:, :, None] ** np.arange(order + 1)
         K = _regressors(U[:, :, lines[at]], powers)
-        wanted = np.moveaxis(Y[:, :, lines[at]], 2, 0).swapaxes(2, 3).reshape(len(at), M * width, ny)
-        x, spread, residual = _solved(K, wanted)
+        outputs = np.moveaxis(Y[:, :, lines[at]], 2, 0).swapaxes(2, 3).reshape(len(at), M * width, ny)
+        x, spread, residual = _solved(K, outputs)
         G[part] = np.swapaxes(x[:, :nu], 1, 2)
         T[part] = x[:, nu : nu + M]
         free = M * width - unknowns
@@ -179,8 +179,8 @@ def scatter_about_smooth(U: ComplexArray, Y: ComplexArray, order: int = 2, dof: 
     powers = ((at - np.arange(nf)[:, None]) / n)[:, :, None] ** np.arange(order + 1)
     K = np.moveaxis(U[:, :, at], (2, 0), (0, 1)).swapaxes(2, 3)  # (nf, M, width, nu)
     K = (K[:, :, :, None, :] * powers[:, None, :, :, None]).reshape(nf, M * width, unknowns)
-    wanted = np.moveaxis(Y[:, :, at], (2, 0), (0, 1)).swapaxes(2, 3).reshape(nf, M * width, -1)
-    _, _, residual = _solved(K, wanted)
+    outputs = np.moveaxis(Y[:, :, at], (2, 0), (0, 1)).swapaxes(2, 3).reshape(nf, M * width, -1)
+    _, _, residual = _solved(K, outputs)
     power = np.sum(np.abs(residual) ** 2, axis=1) / (M * width - unknowns)  # (nf, ny)
     share = np.sum(np.abs(np.linalg.pinv(np.moveaxis(U, 2, 0).swapaxes(1, 2))) ** 2, axis=1)  # (nf, nu)
     return np.moveaxis(power[:, :, None] * share[:, None, :], 0, 2)
@@ -200,7 +200,7 @@ def _regressors(U: ComplexArray, powers: FloatArray) -> ComplexArray:
     return K.reshape(nf, M * width, (order + 1) * (nu + M))
 
 
-def _solved(K: ComplexArray, wanted: ComplexArray) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+def _solved(K: ComplexArray, outputs: ComplexArray) -> tuple[ComplexArray, FloatArray, ComplexArray]:
     """Return the least-squares solutions, the diagonals of (K^H K)^-1, and the residuals."""
     size = np.linalg.norm(K, axis=1)
     Q, S = np.linalg.qr(K / np.where(size > 0, size, 1.0)[:, None, :])
@@ -208,11 +208,11 @@ def _solved(K: ComplexArray, wanted: ComplexArray) -> tuple[ComplexArray, FloatA
     if diagonal.min(axis=1).max() < APART:
         raise InputError(f"{WHO}: the inputs move alike and cannot be told apart; excite them by independent signals.")
     inner = np.linalg.pinv(S, rcond=APART) if diagonal.min() < APART else np.linalg.inv(S)
-    seen = np.conj(np.swapaxes(Q, 1, 2)) @ wanted
+    projected = np.conj(np.swapaxes(Q, 1, 2)) @ outputs
     scale = np.where(size > 0, 1.0 / np.where(size > 0, size, 1.0), 0.0)
-    x = (inner @ seen) * scale[:, :, None]
+    x = (inner @ projected) * scale[:, :, None]
     spread = np.sum(np.abs(inner) ** 2, axis=2) * scale**2
-    return x, spread, wanted - Q @ seen
+    return x, spread, outputs - Q @ projected
 
 
 def _periodic(

@@ -43,10 +43,10 @@ def convert_spectrum(spectrum: PowerSpectrum, given: str, wanted: str) -> PowerS
     1.0
     """
     steps, factors, channels = _plan("convert_spectrum", spectrum.channels, given, wanted)
-    kept = spectrum.f_hz > 0 if steps < 0 else np.ones(spectrum.f_hz.size, dtype=bool)
-    weight = (2.0 * np.pi * spectrum.f_hz[kept]) ** (2.0 * steps)
-    values = spectrum.values[:, kept] * weight * (factors**2)[:, np.newaxis]
-    return replace(spectrum, f_hz=frozen(spectrum.f_hz[kept]), values=frozen(values), channels=channels)
+    lines = spectrum.f_hz > 0 if steps < 0 else np.ones(spectrum.f_hz.size, dtype=bool)
+    weight = (2.0 * np.pi * spectrum.f_hz[lines]) ** (2.0 * steps)
+    values = spectrum.values[:, lines] * weight * (factors**2)[:, np.newaxis]
+    return replace(spectrum, f_hz=frozen(spectrum.f_hz[lines]), values=frozen(values), channels=channels)
 
 
 def convert_response(response: FrequencyResponse, given: str, wanted: str) -> FrequencyResponse:
@@ -67,18 +67,18 @@ def convert_response(response: FrequencyResponse, given: str, wanted: str) -> Fr
     [-39.5, -157.9]
     """
     steps, factors, channels = _plan("convert_response", response.sensors, given, wanted)
-    kept = response.f_hz > 0 if steps < 0 else np.ones(response.f_hz.size, dtype=bool)
-    weight = (2j * np.pi * response.f_hz[kept]) ** steps * factors[:, np.newaxis, np.newaxis]
+    lines = response.f_hz > 0 if steps < 0 else np.ones(response.f_hz.size, dtype=bool)
+    weight = (2j * np.pi * response.f_hz[lines]) ** steps * factors[:, np.newaxis, np.newaxis]
     coherence, variance = response.coherence, response.variance
     return FrequencyResponse(
-        response.f_hz[kept],
-        response.values[:, :, kept] * weight,
-        None if coherence is None else coherence[:, :, kept],
+        response.f_hz[lines],
+        response.values[:, :, lines] * weight,
+        None if coherence is None else coherence[:, :, lines],
         response.estimator,
         response.actuators,
         channels,
         response.provenance,
-        None if variance is None else variance[:, :, kept] * np.abs(weight) ** 2,
+        None if variance is None else variance[:, :, lines] * np.abs(weight) ** 2,
     )
 
 
@@ -90,8 +90,10 @@ def _plan(
     one_of(who, "wanted", wanted, tuple(QUANTITIES))
     pairs = [_unit(who, c, QUANTITIES[given], QUANTITIES[wanted]) for c in channels]
     # Limits belong to the quantity that was read, so they are not carried over.
-    made = tuple(c if given == wanted else Channel(c.name, unit) for c, (_, unit) in zip(channels, pairs, strict=True))
-    return QUANTITIES[wanted] - QUANTITIES[given], np.array([factor for factor, _ in pairs]), made
+    converted = tuple(
+        c if given == wanted else Channel(c.name, unit) for c, (_, unit) in zip(channels, pairs, strict=True)
+    )
+    return QUANTITIES[wanted] - QUANTITIES[given], np.array([factor for factor, _ in pairs]), converted
 
 
 def _unit(who: str, channel: Channel, given: int, wanted: int) -> tuple[float, str]:

@@ -84,9 +84,9 @@ def steady_periods(who: str, name: str, record: Record, period: int, settle: int
             f"{who}: {name} leaves {periods} whole periods of {period} samples; "
             f"two are needed to tell noise from response."
         )
-    kept = slice(settle * period, (settle + periods) * period)
-    U = np.fft.rfft(record.inputs[:, kept].reshape(-1, periods, period), axis=2)
-    Y = np.fft.rfft(record.outputs[:, kept].reshape(-1, periods, period), axis=2)
+    steady = slice(settle * period, (settle + periods) * period)
+    U = np.fft.rfft(record.inputs[:, steady].reshape(-1, periods, period), axis=2)
+    Y = np.fft.rfft(record.outputs[:, steady].reshape(-1, periods, period), axis=2)
     for u, wire in zip(U[:, :, 1:], record.actuators, strict=True):
         mean = u.mean(axis=0)
         apart = np.sqrt(np.mean(np.abs(u - mean) ** 2, axis=0).sum())

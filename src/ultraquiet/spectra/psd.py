@@ -101,8 +101,8 @@ def psd(
     Reference: P. D. Welch, IEEE Trans. Audio Electroacoust. 15 (1967) 70-73, doi:10.1109/TAU.1967.1161901.
     """
     if isinstance(signals, CrossSpectra):
-        held = slice(len(signals.actuators), None)
-        return PowerSpectrum(frozen(signals.f_hz), frozen(signals.power[held]), signals.averaging, signals.sensors)
+        outputs = slice(len(signals.actuators), None)
+        return PowerSpectrum(frozen(signals.f_hz), frozen(signals.power[outputs]), signals.averaging, signals.sensors)
     if isinstance(signals, Record):
         x, rate, names = signals.outputs, signals.rate_hz, signals.sensors
     elif rate_hz is None:

@@ -106,8 +106,8 @@ def transmissibility(
 
     >>> b = np.random.default_rng(0).standard_normal(8192)
     >>> record = Record(np.zeros(8192), [b, 0.1 * b], rate_hz=1000.0, sensors=["base z", "payload z"])
-    >>> found = transmissibility(record, ["base z"], ["payload z"])
-    >>> float(found.db.mean().round(6)), float(found.overall_db.mean().round(6))
+    >>> result = transmissibility(record, ["base z"], ["payload z"])
+    >>> float(result.db.mean().round(6)), float(result.overall_db.mean().round(6))
     (-20.0, -20.0)
 
     Reference: A. M. R. Ribeiro, J. M. M. Silva, N. M. M. Maia, Mech. Syst. Signal Process. 14 (2000) 29-35,

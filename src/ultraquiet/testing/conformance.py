@@ -40,10 +40,10 @@ def check(family: str, name: str, seed: int = 0, **settings: Any) -> None:
     _CHECKS[family](name, kind(**settings), seed)
 
 
-def _is_a_settings_object(kind: type[Any], name: str, given: Mapping[str, Any]) -> None:
+def _is_a_settings_object(kind: type[Any], name: str, required: Mapping[str, Any]) -> None:
     assert is_dataclass(kind), f"{name}: must be a dataclass"
     assert (kind.__doc__ or "").strip(), f"{name}: must say what it does"
-    settings = kind(**given)
+    settings = kind(**required)
     for field in fields(kind):
         try:
             setattr(settings, field.name, None)

@@ -34,11 +34,11 @@ def at_limits(samples: FloatArray, wires: Sequence[Channel]) -> NDArray[np.int64
     return np.count_nonzero((samples <= low) | (samples >= high), axis=1)
 
 
-def channels(who: str, given: Sequence[Channel | str] | None, count: int, prefix: str) -> tuple[Channel, ...]:
+def channels(who: str, wires: Sequence[Channel | str] | None, count: int, prefix: str) -> tuple[Channel, ...]:
     """Return `count` channels from channels, bare names, or nothing (numbered from one)."""
-    if given is None:
+    if wires is None:
         return tuple(Channel(f"{prefix} {i + 1}") for i in range(count))
-    made = tuple(c if isinstance(c, Channel) else Channel(str(c)) for c in given)
-    if len(made) != count:
-        raise InputError(f"{who}: {len(made)} {prefix} names were given for {count} channels.")
-    return made
+    named = tuple(c if isinstance(c, Channel) else Channel(str(c)) for c in wires)
+    if len(named) != count:
+        raise InputError(f"{who}: {len(named)} {prefix} names were given for {count} channels.")
+    return named

@@ -75,8 +75,8 @@ def four_block(
     n = plant.states
     B = np.hstack([plant.B @ Vd, np.zeros((n, ny)), plant.B])
     C = np.vstack([plant.C, np.zeros((nu, n)), plant.C])
-    seen = np.hstack([plant.D @ Vd, Vn, plant.D])
-    D = np.vstack([seen, np.hstack([np.zeros((nu, nu + ny)), np.eye(nu)]), seen])
+    measured = np.hstack([plant.D @ Vd, Vn, plant.D])
+    D = np.vstack([measured, np.hstack([np.zeros((nu, nu + ny)), np.eye(nu)]), measured])
     inner = StateSpace(plant.A, B, C, D, plant.rate_hz)
     return series(inner, append(on_output, on_control, gain(np.eye(ny), plant.rate_hz)))
 
@@ -105,22 +105,22 @@ def uncertain(
     one, still = np.eye(ny), np.zeros((ny, nu))
     # columns: x, d1, d2, w, u
     command = np.hstack([np.zeros((nu, n + nu + 2 * ny)), np.eye(nu)])
-    moved = np.hstack([plant.C, G, np.zeros((ny, 2 * ny)), G])
-    seen = moved + np.hstack([np.zeros((ny, n)), still, one, one, still])
-    taken: list[tuple[FloatArray, StateSpace | None, int, str]] = [
+    output = np.hstack([plant.C, G, np.zeros((ny, 2 * ny)), G])
+    measured = output + np.hstack([np.zeros((ny, n)), still, one, one, still])
+    weighted: list[tuple[FloatArray, StateSpace | None, int, str]] = [
         (command, on_inputs, nu, "on_inputs"),
-        (moved, on_outputs, ny, "on_outputs"),
-        (seen, performance, ny, "performance"),
+        (output, on_outputs, ny, "on_outputs"),
+        (measured, performance, ny, "performance"),
         (command, control, nu, "control"),
     ]
     rows: list[FloatArray] = []
     weights: list[StateSpace] = []
-    for row, weight, size, name in taken:
+    for row, weight, size, name in weighted:
         if weight is not None:
             _fits(plant, weight, size, name)
             rows.append(row)
             weights.append(weight)
-    out = np.vstack([*rows, seen])
+    out = np.vstack([*rows, measured])
     keep = np.ones(out.shape[1], dtype=bool)
     if on_outputs is None:
         keep[n + nu : n + nu + ny] = False
