@@ -11,8 +11,8 @@ from matlab import matlab_73
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError, StorageError, ToolError, UltraquietError
-from ultraquiet.files import extra as extra_module
 from ultraquiet.files.formats import FORMATS
+from ultraquiet.files.readers import extra as extra_module
 from ultraquiet.values import Channel, Record
 
 read = files.read_record

@@ -8,7 +8,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.files.archive import save
 from ultraquiet.files.atomic import write_bytes
 from ultraquiet.files.formats import ARCHIVES, FORMATS, format_of
-from ultraquiet.files.uff import write_uff
+from ultraquiet.files.readers.uff import write_uff
 from ultraquiet.values import Record
 
 

@@ -1,19 +1,19 @@
-"""The formats: which suffix is read and written by whom. A new format is one file with a reader and a line here."""
+"""The formats: which suffix is read and written by whom. A new format is one file in `readers` and a line here."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.files.hdf5 import read_hdf5
-from ultraquiet.files.matlab import read_mat, write_mat
-from ultraquiet.files.npz import read_npz
-from ultraquiet.files.parquet import read_parquet, write_parquet
-from ultraquiet.files.plain import read_text, write_text
+from ultraquiet.files.readers.hdf5 import read_hdf5
+from ultraquiet.files.readers.matlab import read_mat, write_mat
+from ultraquiet.files.readers.npz import read_npz
+from ultraquiet.files.readers.parquet import read_parquet, write_parquet
+from ultraquiet.files.readers.plain import read_text, write_text
+from ultraquiet.files.readers.tdms import read_tdms
+from ultraquiet.files.readers.uff import read_uff, write_uff
+from ultraquiet.files.readers.wav import read_wav
 from ultraquiet.files.table import FileTable
-from ultraquiet.files.tdms import read_tdms
-from ultraquiet.files.uff import read_uff, write_uff
-from ultraquiet.files.wav import read_wav
 from ultraquiet.values import Record
 
 

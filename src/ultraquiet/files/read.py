@@ -8,8 +8,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.files.archive import load_many
 from ultraquiet.files.assemble import assemble
 from ultraquiet.files.formats import ARCHIVES, format_of
-from ultraquiet.files.hdf5 import is_ours
 from ultraquiet.files.mapping import Mapping, load_mapping
+from ultraquiet.files.readers.hdf5 import is_ours
 from ultraquiet.files.select import Choice, chosen, inputs_and_outputs
 from ultraquiet.files.table import Column, FileTable
 from ultraquiet.files.whole import understanding, whole

@@ -13,8 +13,8 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files.archive import load_many, save
 from ultraquiet.files.atomic import write_bytes
 from ultraquiet.files.formats import format_of
-from ultraquiet.files.npz import npz_arrays
-from ultraquiet.files.uff import COHERENCE, RESPONSE_FUNCTION, common, response_name, uff_bytes, uff_sets
+from ultraquiet.files.readers.npz import npz_arrays
+from ultraquiet.files.readers.uff import COHERENCE, RESPONSE_FUNCTION, common, response_name, uff_bytes, uff_sets
 from ultraquiet.files.whole import understanding, whole
 from ultraquiet.values import Channel, FrequencyResponse
 

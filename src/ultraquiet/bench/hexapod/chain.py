@@ -27,9 +27,9 @@ class Chain:
     def sampled(self, rate_hz: float = RATE_HZ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return A, B, C of the exact zero-order-hold equivalent."""
         n, nu = self.B.shape
-        exponential = np.zeros((n + nu, n + nu))
-        exponential[:n, :n], exponential[:n, n:] = self.A / rate_hz, self.B / rate_hz
-        exponential = np.asarray(expm(exponential), dtype=np.float64)
+        augmented = np.zeros((n + nu, n + nu))
+        augmented[:n, :n], augmented[:n, n:] = self.A / rate_hz, self.B / rate_hz
+        exponential = np.asarray(expm(augmented), dtype=np.float64)
         return exponential[:n, :n], exponential[:n, n:], self.C
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet.files.extra import extra
+from ultraquiet.files.readers.extra import extra
 from ultraquiet.files.table import RATE_NAMES, Column, FileTable
 from ultraquiet.values import Record
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import StorageError
-from ultraquiet.files.extra import extra
+from ultraquiet.files.readers.extra import extra
 from ultraquiet.files.table import Column, FileTable, rate_of_step
 
 UNITS = ("unit_string", "NI_UnitDescription")
