@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ultraquiet.identify.subspace import hankel, modal_least_squares, state_sequence
+from ultraquiet.identify.subspace import hankel, modal_least_squares
 
 SLICOT = Path(__file__).parents[1] / "data" / "slicot"
 PRINTED = 5e-5  # half of the last digit
@@ -36,7 +36,7 @@ def found():
     """Our model in SLICOT's coordinates: it does not scale the directions, whose signs are free."""
     held = hankel.factor(*record("IB01BD", 3), ROWS)
     basis, values = hankel.directions(held)
-    made = state_sequence.realised(held, basis, values, ORDER)
+    made = hankel.realised(held, basis, values, ORDER)
     sign = np.sign(made.C * printed("IB01BD")["The system output matrix C is"])[0]
     return made, np.diag(sign * np.sqrt(values[:ORDER]))
 

@@ -5,7 +5,8 @@ Importing the room registers its methods; the compiled kernels are loaded by the
 
 from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.identify.grey_box.modal_result import ModalFit
-from ultraquiet.identify.grey_box.strut import Structured, StructuredFit
+from ultraquiet.identify.grey_box.strut import Structured
+from ultraquiet.identify.grey_box.strut_result import StructuredFit
 from ultraquiet.identify.grey_box.threefold import Folded, Threefold, ThreefoldFit, fold
 from ultraquiet.identify.joint.identify import identify_joint
 from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
@@ -19,7 +20,9 @@ from ultraquiet.identify.recursive.methods import (
     RecursiveOutputError,
 )
 from ultraquiet.identify.recursive.trajectory import Trajectory
-from ultraquiet.identify.regularised.methods import ImpulseResponse, RegularisedArx, ResponseResult
+from ultraquiet.identify.regularised.arx import RegularisedArx
+from ultraquiet.identify.regularised.impulse_response import ImpulseResponse
+from ultraquiet.identify.regularised.posterior import ResponseResult
 from ultraquiet.identify.response.model import Band, WeightedFit
 from ultraquiet.identify.response.rational import Rational, ResponseFit
 from ultraquiet.identify.response.weighted_rational import WeightedRational

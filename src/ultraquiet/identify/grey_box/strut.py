@@ -15,7 +15,6 @@ from ultraquiet.identify.grey_box import strut_equation as strut
 from ultraquiet.identify.grey_box.data import SpectralLines, of_record, of_response, parents
 from ultraquiet.identify.grey_box.least_squares import (
     SHARE,
-    Combination,
     Identifiability,
     Minimum,
     chi_squared,
@@ -24,9 +23,10 @@ from ultraquiet.identify.grey_box.least_squares import (
 )
 from ultraquiet.identify.grey_box.realisation import realised
 from ultraquiet.identify.grey_box.record import fitted_to_record
+from ultraquiet.identify.grey_box.strut_result import StructuredFit, physical, verdict
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result
-from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
+from ultraquiet.values import FrequencyResponse, Record
 
 WHO = "Structured"
 BOUND_FACTOR = 1e3  # a free symbol is sought this factor below and above its guess when no bounds are given
@@ -35,44 +35,6 @@ TRIAL_STEPS = 12
 DELAYS = range(1, 5)  # tried when the delay is to be estimated
 LINES_PER_PARAMETER = 2
 DERIVED_STEP = 1e-6
-# Relative misfit beyond which a fit without known noise is called poor.
-POOR = 0.2
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StructuredFit:
-    """Eq. (10) as the data tell it.
-
-    Attributes:
-        model: from command to reading, hold, filter and delay included.
-        status: `ok`, `not white` (more is left than noise; deviations are then widened by what is left), `poor fit` or
-            `not converged`.
-        parameters: value of every symbol, SI units; the known ones as given.
-        deviations: standard deviation of each; zero for known ones, infinite for those the data cannot tell alone.
-        free: the symbols that were sought, in the order of the covariance.
-        covariance: `(p, p)` of the free symbols; infinite on the diagonal, NaN beside it, where nothing is told.
-        combinations: products of powers of the free symbols that are told, with their relative standard deviation.
-        quantities: value and standard deviation of what any data tell: frequencies in Hz, damping, gain.
-        polarity: +1, or -1 as eq. (10) is printed.
-        delay: samples from command to first effect.
-        error: RMS misfit as a share of the data.
-        p_value: that the misfit is noise alone; NaN when the noise is not known.
-        iterations: accepted steps.
-    """
-
-    model: StateSpace
-    status: Status
-    parameters: Mapping[str, float]
-    deviations: Mapping[str, float]
-    free: tuple[str, ...]
-    covariance: FloatArray
-    combinations: tuple[Combination, ...]
-    quantities: Mapping[str, tuple[float, float]]
-    polarity: int
-    delay: int
-    error: float
-    p_value: float
-    iterations: int
 
 
 @register("identify", "structured")
@@ -296,10 +258,11 @@ class Structured:
         determined = identifiability(minimum.jacobian, self.free, loose)
         values = self._values(minimum.x)
         sizes = np.array([values[s] for s in self.free])
-        covariance = _physical(determined, sizes)
+        covariance = physical(determined, sizes)
         G = lines.u * self._response(minimum.x, polarity, delay, lines)
         error = float(np.linalg.norm(minimum.residual) / np.linalg.norm(lines.scaled(G)))
-        status = _verdict(self, minimum, p_value, error, determined, noise_known)
+        bounds = {s: self.bounds_of(s) for s in self.free}
+        status = verdict(bounds, minimum, p_value, error, determined, noise_known)
         spread = dict(zip(self.free, np.sqrt(np.diag(covariance)).tolist(), strict=True))
         deviations = {str(s): float(spread.get(s, 0.0)) for s in strut.SYMBOLS}
         provenance = Provenance(self.name, asdict(self), parents=parents(source), versions=versions())
@@ -338,41 +301,3 @@ class Structured:
         undetermined = np.linalg.norm(slopes @ determined.silent, axis=1) > SHARE * np.linalg.norm(slopes, axis=1)
         deviation = np.where(undetermined | (variance > size**2), np.inf, np.sqrt(variance))
         return {q: (v, float(d)) for (q, v), d in zip(centre.items(), deviation, strict=True)}
-
-
-def _physical(determined: Identifiability, sizes: FloatArray) -> FloatArray:
-    covariance = determined.covariance * np.outer(sizes, sizes)
-    covariance[determined.unbounded, :] = covariance[:, determined.unbounded] = np.nan
-    covariance[np.diag_indices(sizes.size)] = np.where(determined.unbounded, np.inf, np.diag(covariance))
-    return covariance
-
-
-def _verdict(
-    method: Structured, minimum: Minimum, p_value: float, error: float, determined: Identifiability, noise_known: bool
-) -> Status:
-    undetermined = [s for s, u in zip(method.free, determined.unbounded, strict=True) if u]
-    aside = (
-        f" The data cannot tell {', '.join(undetermined)} one by one (infinite deviations, kept near their guess), "
-        f"only {len(determined.combinations)} combinations."
-        if undetermined
-        else ""
-    )
-    bounds = np.log([method.bounds_of(s) for s in method.free])
-    at_bound = [s for s, x, (low, high) in zip(method.free, minimum.x, bounds, strict=True) if not low < x < high]
-    if at_bound:
-        aside += f" {', '.join(at_bound)} ended at a bound, where deviations do not hold."
-    if not minimum.converged:
-        return Status(
-            StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {minimum.iterations} steps.{aside}"
-        )
-    if noise_known and p_value < SIGNIFICANCE:
-        return Status(
-            StatusWord.NOT_WHITE,
-            f"The response is missed by {100 * error:.2g} % (RMS), more than its noise (p = {p_value:.1e}): eq. (10) "
-            f"leaves part of it unexplained; deviations are widened by what is left.{aside}",
-        )
-    if not noise_known and error > POOR:
-        return Status(
-            StatusWord.POOR_FIT, f"The data are missed by {100 * error:.0f} % (RMS): eq. (10) does not hold.{aside}"
-        )
-    return Status(StatusWord.OK, f"Converged; the data are met within {100 * error:.2g} % (RMS).{aside}")

@@ -1,13 +1,12 @@
 """Models that follow a plant while it drifts: recursive ARX, ARMAX and Box-Jenkins with forgetting."""
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
+from ultraquiet._base.constraints import one_of, positive, whole
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
@@ -17,14 +16,19 @@ from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.long_record import simulated_fit
 from ultraquiet.identify.recursive.estimator import Recursion
+from ultraquiet.identify.recursive.followed import (
+    Followed,
+    blocks_of,
+    constant_at_output,
+    starting_piece,
+    with_evidence,
+)
 from ultraquiet.identify.recursive.settings import FORGETTING, RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.result import Result, worst
-from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg import prediction
 from ultraquiet.linalg.lagged import Lagged
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status, StatusWord
-
-CUT_SHORT_SHARE = 0.01  # of steps cut short at the edge of stability, beyond which the verdict says so
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ class RecursiveMethod:
         Raises:
             InputError: too few samples for the order, a constant input or output.
         """
-        piece = _piece(record, record.samples // 2 if record.samples // 2 < self.start_samples else self.start_samples)
+        piece = starting_piece(record, min(record.samples // 2, self.start_samples))
         self.batch().check(record if isinstance(record, Record) else piece)
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         followed = [self._follow(record, i, piece) for i in range(len(record.sensors))]
@@ -141,14 +145,14 @@ class RecursiveMethod:
         start, constant, start_samples = None, 0.0, 0
         if self.start_samples:
             start = self.batch().fit(Channel.of(piece, output), record.rate_hz).model
-            constant, start_samples = _constant(start, piece, output) if self.offset else 0.0, piece.samples
+            constant, start_samples = constant_at_output(start, piece, output) if self.offset else 0.0, piece.samples
         sizes = piece.inputs.std(axis=1), float(piece.outputs[output].std())
         running = Recursion(self.recursion_settings(), record.rate_hz, *sizes, start, start_samples, constant)
         lags = min(one_fit.TEST_LAGS, (record.samples - running.judged_from) // 10)
         sums, points = Lagged(1 + len(record.actuators), lags), []
         title = f"{self.name} of {record.sensors[output].name}"
         with task(title, record.samples) as progress:
-            for u, y in _blocks(record, output, self.every):
+            for u, y in blocks_of(record, output, self.every):
                 before = running.samples
                 e = running.update(u, y)
                 judged = max(0, running.judged_from - before)
@@ -158,7 +162,7 @@ class RecursiveMethod:
         time_s, coefficients, deviation = (np.array(x) for x in zip(*points, strict=True))
         inputs = len(record.actuators)
         trajectory = Trajectory(time_s, coefficients, deviation, running.structure, inputs, record.rate_hz)
-        return _followed(running, trajectory, sums, _fit_percent(self, record, output, running.model))
+        return with_evidence(running, trajectory, sums, _fit_percent(self, record, output, running.model))
 
 
 @register("identify", "recursive-arx")
@@ -235,75 +239,6 @@ class RecursiveOutputError(RecursiveMethod):
 
     name: ClassVar[str] = "recursive-output-error"
     batch_type: ClassVar[type[PolynomialMethod]] = OutputError
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """One output followed to its end."""
-
-    model: PolynomialModel
-    status: Status
-    fit_percent: float
-    covariance: FloatArray
-    whiteness_p: float
-    correlation_p: float
-    trajectory: Trajectory
-    steps_cut_short: int
-
-
-def _followed(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_percent: float) -> Followed:
-    """Judge the errors of the predictions as they were made."""
-    n, s = sums.samples, running.structure
-    r = sums.products(centred=True) / n
-    white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, s.a + s.c + s.d).p_value
-    free = portmanteau.sidak(
-        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
-    )
-    evidence = white, free
-    status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
-    if running.held > CUT_SHORT_SHARE * n:
-        status = Status(
-            StatusWord.NOT_CONVERGED,
-            f"{running.held} of {n} steps were cut short at the edge of stability: start from a batch fit, or use a "
-            f"longer memory.",
-        )
-    elif not fit_percent >= 0:
-        status = Status(
-            StatusWord.POOR_FIT,
-            "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
-        )
-    m = running.model
-    loss = float(sums.products()[0, 0, 0]) / n
-    model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)
-    return Followed(model, status, fit_percent, running.covariance, *evidence, trajectory, running.held)
-
-
-def _constant(model: PolynomialModel, piece: Record, output: int) -> float:
-    """Return the constant at the output that goes with a model: least squares on the whitened residual of its end."""
-    v = prediction.filtered(piece.outputs[output], model.a, np.ones(1))
-    for x, b, f in zip(piece.inputs, model.b, model.f, strict=True):
-        v = v - prediction.filtered(x, b, f)
-    settled = piece.samples // 4
-    e, one = (prediction.filtered(x, model.d, model.c)[settled:] for x in (v, np.ones(v.size)))
-    return float(e @ one / (one @ one))
-
-
-def _piece(record: Record | LongRecord, samples: int) -> Record:
-    """Return the record's beginning; all of a record in memory that needs no start, for its checks."""
-    if isinstance(record, LongRecord):
-        return record.part(0, samples or min(record.samples, 1 << 16))
-    return record.part(0, samples) if samples else record
-
-
-def _blocks(record: Record | LongRecord, output: int, every: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    if isinstance(record, LongRecord):
-        large = every * max(1, (1 << 16) // every)
-        for u, y in record.pick(outputs=[output]).blocks(large):
-            for at in range(0, u.shape[1], every):
-                yield u[:, at : at + every], y[:, at : at + every]
-        return
-    for at in range(0, record.samples, every):
-        yield record.inputs[:, at : at + every], record.outputs[output : output + 1, at : at + every]
 
 
 def _fit_percent(method: RecursiveMethod, record: Record | LongRecord, output: int, model: PolynomialModel) -> float:

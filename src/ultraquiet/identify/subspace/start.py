@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.subspace import fit, hankel, modal_least_squares, order_selection, state_sequence
+from ultraquiet.identify.subspace import fit, hankel, modal_least_squares, order_selection
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 
 ROUNDS = 60  # of alternating least squares
@@ -51,7 +51,7 @@ class SubspaceStart:
 
     def innovations(self, data: fit.Scaled) -> FloatArray:
         """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""
-        sequence = state_sequence.realised(self.factor, self.basis, self.values, self.order)
+        sequence = hankel.realised(self.factor, self.basis, self.values, self.order)
         at_rest = np.zeros(self.order), np.zeros(len(data.y))
         kalman = fit.System(sequence.A, sequence.B, sequence.C, sequence.D, sequence.K, *at_rest)
         if kalman.predicts():

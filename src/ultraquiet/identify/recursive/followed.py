@@ -1,0 +1,87 @@
+"""One output followed through a record: where it starts, how it is read, and what its predictions are worth."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.files import LongRecord
+from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.recursive.estimator import Recursion
+from ultraquiet.identify.recursive.trajectory import Trajectory
+from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg.lagged import Lagged
+from ultraquiet.values import PolynomialModel, Record, Status, StatusWord
+
+CUT_SHORT_SHARE = 0.01  # of steps cut short at the edge of stability, beyond which the verdict says so
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """One output followed to its end."""
+
+    model: PolynomialModel
+    status: Status
+    fit_percent: float
+    covariance: FloatArray
+    whiteness_p: float
+    correlation_p: float
+    trajectory: Trajectory
+    steps_cut_short: int
+
+
+def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_percent: float) -> Followed:
+    """Return the output followed, its verdict drawn from the errors of the predictions as they were made."""
+    n, s = sums.samples, running.structure
+    r = sums.products(centred=True) / n
+    white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, s.a + s.c + s.d).p_value
+    free = portmanteau.sidak(
+        portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
+    )
+    evidence = white, free
+    status = one_fit.verdict(one_fit.CONVERGED, 0, evidence)
+    if running.held > CUT_SHORT_SHARE * n:
+        status = Status(
+            StatusWord.NOT_CONVERGED,
+            f"{running.held} of {n} steps were cut short at the edge of stability: start from a batch fit, or use a "
+            f"longer memory.",
+        )
+    elif not fit_percent >= 0:
+        status = Status(
+            StatusWord.POOR_FIT,
+            "The last model's simulated output is farther from the record than the mean: it is unstable or lost.",
+        )
+    m = running.model
+    loss = float(sums.products()[0, 0, 0]) / n
+    model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)
+    return Followed(model, status, fit_percent, running.covariance, *evidence, trajectory, running.held)
+
+
+def constant_at_output(model: PolynomialModel, piece: Record, output: int) -> float:
+    """Return the constant at the output that goes with a model: least squares on the whitened residual of its end."""
+    v = prediction.filtered(piece.outputs[output], model.a, np.ones(1))
+    for x, b, f in zip(piece.inputs, model.b, model.f, strict=True):
+        v = v - prediction.filtered(x, b, f)
+    settled = piece.samples // 4
+    e, one = (prediction.filtered(x, model.d, model.c)[settled:] for x in (v, np.ones(v.size)))
+    return float(e @ one / (one @ one))
+
+
+def starting_piece(record: Record | LongRecord, samples: int) -> Record:
+    """Return the record's beginning; all of a record in memory that needs no start, for its checks."""
+    if isinstance(record, LongRecord):
+        return record.part(0, samples or min(record.samples, 1 << 16))
+    return record.part(0, samples) if samples else record
+
+
+def blocks_of(record: Record | LongRecord, output: int, every: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield inputs and one output, `every` samples at a time."""
+    if isinstance(record, LongRecord):
+        large = every * max(1, (1 << 16) // every)
+        for u, y in record.pick(outputs=[output]).blocks(large):
+            for at in range(0, u.shape[1], every):
+                yield u[:, at : at + every], y[:, at : at + every]
+        return
+    for at in range(0, record.samples, every):
+        yield record.inputs[:, at : at + every], record.outputs[output : output + 1, at : at + every]
