@@ -50,12 +50,12 @@ def _one(law: Law, limit: int | None) -> Iterator[tuple[str, str, str, bool]]:
         yield "its kernel", f"{kernel} cycles", f"at most {limit}", kernel <= limit
     least = 14 * law.states + 36
     yield "over 14 n + 36 multiply-adds", f"{kernel / least:.3f}", "told", True
-    share = f"{100 * cycles.cycles(law) / FRAME:.1f} % ({whole} counted)"
+    share = f"{100 * cycles.frame_cycles(law) / FRAME:.1f} % ({whole} counted)"
     yield (
         f"with a skeleton of {cycles.SKELETON_CYCLES}: share of {FRAME}",
         share,
         "at most 100 %",
-        max(whole, cycles.cycles(law)) <= FRAME,
+        max(whole, cycles.frame_cycles(law)) <= FRAME,
     )
     place = "internal" if code.coefficients_internal else "external"
     words = f"{code.program_words} + {code.data_words} + {code.coefficient_words} {place}"

@@ -6,7 +6,7 @@ from deploy_laws import RATE_HZ
 
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy import Twin, conditioning_gain, generate
-from ultraquiet.deploy.law.anti_windup import wish
+from ultraquiet.deploy.law.anti_windup import decide_anti_windup
 from ultraquiet.values import StateSpace
 
 
@@ -74,9 +74,9 @@ LIMITS = np.array([[-10.0, 10.0]])
 
 
 def test_slow_and_unstable_laws_want_it():
-    assert not wish("auto", mode(20.0, 0.1), LIMITS).on
-    slow = wish("auto", mode(0.3, 0.5), LIMITS)
-    unstable = wish("auto", mode(20.0, -0.01), LIMITS)
+    assert not decide_anti_windup("auto", mode(20.0, 0.1), LIMITS).on
+    slow = decide_anti_windup("auto", mode(0.3, 0.5), LIMITS)
+    unstable = decide_anti_windup("auto", mode(20.0, -0.01), LIMITS)
     print(slow.why, "|", unstable.why)
     assert slow.on
     assert "0.3 Hz is slower than 1 Hz" in slow.why
@@ -88,7 +88,7 @@ def test_design_disturbance_decides(rng):
     law = mode(20.0, 0.1)
     d = rng.standard_normal((1, 5000))
     peak = np.abs(law.simulate(d)).max()
-    below, above = (wish("auto", law, LIMITS, None, d * factor * 10.0 / peak) for factor in (0.9, 1.1))
+    below, above = (decide_anti_windup("auto", law, LIMITS, None, d * factor * 10.0 / peak) for factor in (0.9, 1.1))
     print(below.why, "|", above.why)
     assert (below.on, above.on) == (False, True)
 
@@ -105,7 +105,9 @@ def test_a_plant_closes_the_loop_before_commands_are_judged(rng):
         y = d[:, k] + G.C @ xg + G.D @ u[:, k]
         xg, xk = G.A @ xg + G.B @ u[:, k], K.A @ xk + K.B @ y
     peak = np.abs(u).max()
-    below, above = (wish("auto", law, LIMITS, plant, d * factor * 10.0 / peak) for factor in (0.999, 1.001))
+    below, above = (
+        decide_anti_windup("auto", law, LIMITS, plant, d * factor * 10.0 / peak) for factor in (0.999, 1.001)
+    )
     assert (below.on, above.on) == (False, True)
 
 

@@ -105,7 +105,7 @@ def test_other_sizes_take_the_cycles_of_the_model(rng):
             kernel, rest, _ = one_frame(law, rng)
             assert kernel == modelled(law), (inputs, outputs)
             counted = budget.FRAME_WITH_CORRECTION + outputs if law.L is not None else budget.FRAME
-            assert rest == counted + budget.READ * inputs + budget.WRITE * outputs <= budget.cycles(law) - kernel
+            assert rest == counted + budget.READ * inputs + budget.WRITE * outputs <= budget.frame_cycles(law) - kernel
 
 
 BANKS = [(5, 5, 5, 5, 5, 5), (1, 1, 1, 1, 1, 1), (4, 0, 2, 1, 0, 3), (2, 3, 0), (0, 4), (7,)]

@@ -10,7 +10,7 @@ from rich.console import Console
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.deploy.frame import asked, show_frames
+from ultraquiet.cli.deploy.frame import requested_frame, show_frames
 from ultraquiet.deploy import Frame, FrameTimes, Overload, generate
 from ultraquiet.deploy.frame.settings import BURST_EVERY, BURST_FRAMES
 from ultraquiet.deploy.law.twin import FAULT, FAULT_OVERRUN, ON
@@ -286,7 +286,7 @@ def test_runs_that_cannot_be(made):
 @pytest.mark.usefixtures("cc")
 def test_command_line_prints_time_line_and_table(made, tmp_path):
     console = Console(record=True, width=120)
-    frame = asked(RATE_HZ, "c31", 20_000, 0.5, 5.0, "1000:300:500")
+    frame = requested_frame(RATE_HZ, "c31", 20_000, 0.5, 5.0, "1000:300:500")
     show_frames(console, made, frame, 20_000, "c31", tmp_path / "frame.svg")
     said = console.export_text()
     found = frame.simulate(made, 20_000)
@@ -311,7 +311,7 @@ def test_command_line_prints_time_line_and_table(made, tmp_path):
 def test_command_line_refuses_before_it_writes(settings, sentence):
     usual = {"processor": "c31", "frames": 1000, "load": 0.5, "jitter_us": 0.0, "overload": None}
     with pytest.raises(InputError, match=sentence):
-        asked(RATE_HZ, **(usual | settings))
+        requested_frame(RATE_HZ, **(usual | settings))
 
 
 @pytest.mark.usefixtures("cc")

@@ -5,7 +5,7 @@ import inspect
 import pytest
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy import C31Budget, CodeOptions, generate
+from ultraquiet.deploy import C31Budget, CodeOptions, FixedOptions, generate, generate_fixed
 
 SETTINGS = {
     "form": "modal",
@@ -43,8 +43,19 @@ def test_every_setting_of_old_is_taken(law_of, tmp_path):
     assert "controller_c31.asm" in texts(made)
 
 
-def test_generate_has_ten_parameters_at_most():
-    assert len(inspect.signature(generate).parameters) <= 10
+@pytest.mark.parametrize("call", [generate, generate_fixed])
+def test_no_more_than_ten_parameters(call):
+    assert len(inspect.signature(call).parameters) <= 10
+
+
+def test_whole_numbers_take_options_or_single_settings_too(law_of, tmp_path):
+    law = law_of(4)
+    settings = {"form": "delta", "scaling": "l2", "input_v": 9.0, "output_v": 20.0, "ramp_s": 0.01, "tolerance": 1.0}
+    one = generate_fixed(law, tmp_path / "one", "q15", plant=None, **settings)
+    other = generate_fixed(law, tmp_path / "other", "q15", options=FixedOptions(**settings))
+    assert texts(one) == texts(other)
+    with pytest.raises(InputError, match="generate_fixed: there is no setting 'ramp'; there are form, scaling"):
+        generate_fixed(law, tmp_path / "none", ramp=1.0)
 
 
 @pytest.mark.parametrize(

@@ -24,9 +24,10 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.exchange.foton import foton_text as foton_text
     from ultraquiet.deploy.exchange.foton import read_foton as read_foton
     from ultraquiet.deploy.fixed_point.deployment import FixedDeployment as FixedDeployment
-    from ultraquiet.deploy.fixed_point.deployment import generate_fixed as generate_fixed
+    from ultraquiet.deploy.fixed_point.generation import FixedOptions as FixedOptions
+    from ultraquiet.deploy.fixed_point.generation import generate_fixed as generate_fixed
     from ultraquiet.deploy.fixed_point.law import FixedLaw as FixedLaw
-    from ultraquiet.deploy.fixed_point.law import fixed_law as fixed_law
+    from ultraquiet.deploy.fixed_point.scaling import fixed_law as fixed_law
     from ultraquiet.deploy.fixed_point.twin import FixedTwin as FixedTwin
     from ultraquiet.deploy.fixed_point.word_lengths import WordLength as WordLength
     from ultraquiet.deploy.fixed_point.word_lengths import word_lengths as word_lengths
@@ -59,6 +60,7 @@ _HOME = {
     "CompiledController": "c_code.compiled",
     "Deployment": "deployment",
     "FixedDeployment": "fixed_point.deployment",
+    "FixedOptions": "fixed_point.generation",
     "FixedLaw": "fixed_point.law",
     "FixedTwin": "fixed_point.twin",
     "FmuController": "exchange.fmu_controller",
@@ -80,10 +82,10 @@ _HOME = {
     "c31_code": "c31.assembly",
     "conditioning_gain": "law.anti_windup",
     "export_law": "exchange.exchange",
-    "fixed_law": "fixed_point.law",
+    "fixed_law": "fixed_point.scaling",
     "foton_text": "exchange.foton",
     "generate": "generation",
-    "generate_fixed": "fixed_point.deployment",
+    "generate_fixed": "fixed_point.generation",
     "kernel_cycles": "c31.cycles",
     "largest_order": "c31.cycles",
     "read_foton": "exchange.foton",

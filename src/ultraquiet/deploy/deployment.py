@@ -102,15 +102,15 @@ class Deployment(GeneratedCode):
         require_plant(plant)
         plant = self.plant if plant is None else plant
         names = tuple(TARGETS) if targets is None else tuple(targets)
-        found = verify_code(self, compiler.compiler(), steps, seed, names, fuzz_steps)
+        proof = verify_code(self, compiler.compiler(), steps, seed, names, fuzz_steps)
         law = self.quantised if self.designed is None else self.designed
         loop = None if plant is None else reanalysis(law, self.quantised, plant)
-        runs = found.status.word != StatusWord.NOT_COMPILED
+        runs = proof.status.word != StatusWord.NOT_COMPILED
         measured = on_bench(bench, law, self.instance()) if bench is not None and runs else None
-        found = found.with_loop(loop, measured)
-        self.tables |= found.figures()
-        rewrite(self.folder, self.documents(found.status))
-        return found
+        proof = proof.with_loop(loop, measured)
+        self.tables |= proof.figures()
+        rewrite(self.folder, self.documents(proof.status))
+        return proof
 
     def bank(self, controller: StateSpace) -> CoefficientBank:
         """Return another controller's coefficients as words and CRC-32, to be loaded while this code runs.
@@ -122,14 +122,14 @@ class Deployment(GeneratedCode):
 
     def documents(self, verified: Status | None = None) -> dict[str, str]:
         """Return the texts of README and manifest as things stand."""
-        said = "Not verified yet." if verified is None else str(verified)
+        verdict = "Not verified yet." if verified is None else str(verified)
         manifest = {
             "name": self.law.name,
             "model_sha256": self.model_hash,
             "coefficients_sha256": self.law.hash,
             "tables": self.tables,
             "status": asdict(self.status),
-            "verified": said,
+            "verified": verdict,
         }
-        text = render.readme(self.law, self.model_hash, self.tables, [str(self.status), said], cycles.ASSUMPTIONS)
+        text = render.readme(self.law, self.model_hash, self.tables, [str(self.status), verdict], cycles.ASSUMPTIONS)
         return {"README.md": text, MANIFEST: manifest_text(manifest)}

@@ -17,12 +17,12 @@ from ultraquiet.deploy.c_code.footprint import footprint
 from ultraquiet.deploy.c_code.output_folder import require_ours, write_folder
 from ultraquiet.deploy.c_code.plan import plan_code
 from ultraquiet.deploy.deployment import Deployment
-from ultraquiet.deploy.law.anti_windup import wish
+from ultraquiet.deploy.law.anti_windup import decide_anti_windup
 from ultraquiet.deploy.law.coefficients import anti_windup_gain
-from ultraquiet.deploy.law.form_choice import Choice, choose, error_of, loop_radius
+from ultraquiet.deploy.law.form_choice import FormChoice, choose, error_of, loop_radius
 from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, require_discrete, require_plant, rounded
 from ultraquiet.deploy.law.realisation import realisation
-from ultraquiet.deploy.options import C31Budget, CodeOptions, collected
+from ultraquiet.deploy.options import C31Budget, CodeOptions, options_and_budget
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -71,7 +71,7 @@ def generate(
     'delta'
     """
     folder = Path(folder).absolute()
-    options, c31 = collected(options, c31, settings)
+    options, c31 = options_and_budget(options, c31, settings)
     require_discrete(controller, name)
     require_plant(plant)
     maker = _maker(controller, precision, name, limits_v, plant, options)
@@ -85,9 +85,9 @@ def generate(
     files["vectors.csv"] = render.vectors(plan.law)
     if "c31" in options.targets:
         files |= c31_files(plan)
-    made = Deployment(plan, folder, tables, maker.status(choice), controller, plant)
-    write_folder(folder, files | made.documents())
-    return made
+    deployment = Deployment(plan, folder, tables, maker.status(choice), controller, plant)
+    write_folder(folder, files | deployment.documents())
+    return deployment
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,35 +120,35 @@ class _LawMaker:
         )
         return law, parts.condition
 
-    def choice(self, c31: C31Budget) -> tuple[Choice, str]:
+    def choice(self, c31: C31Budget) -> tuple[FormChoice, str]:
         """Return the law to generate and why it has anti-windup or not: not where `auto` finds no room for it."""
-        asked = self.options.anti_windup
-        wanted = wish(asked, self.controller, self.limits, self.plant, self.options.disturbance_v)
-        if not wanted.on:
-            return self._of_form(anti_windup=False), f"off: {wanted.why}"
-        room = c31.allowed if asked == "auto" else np.inf
+        setting = self.options.anti_windup
+        decision = decide_anti_windup(setting, self.controller, self.limits, self.plant, self.options.disturbance_v)
+        if not decision.on:
+            return self._of_form(anti_windup=False), f"off: {decision.why}"
+        room = c31.allowed if setting == "auto" else np.inf
         try:
             choice = self._of_form(anti_windup=True)
         except NumericalError as refusal:
             if np.isinf(room):
                 raise
-            return self._of_form(anti_windup=False), f"off: {wanted.why}, but {refusal}"
-        need = cycles.cycles(choice.law)
+            return self._of_form(anti_windup=False), f"off: {decision.why}, but {refusal}"
+        need = cycles.frame_cycles(choice.law)
         if need > room:
-            off = f"off: {wanted.why}, but {need} C31 instructions do not fit the {room:g} allowed"
+            off = f"off: {decision.why}, but {need} C31 instructions do not fit the {room:g} allowed"
             return self._of_form(anti_windup=False), off
-        return choice, f"on: {wanted.why}"
+        return choice, f"on: {decision.why}"
 
-    def _of_form(self, anti_windup: bool) -> Choice:
+    def _of_form(self, anti_windup: bool) -> FormChoice:
         controller, plant, form = self.controller, self.plant, self.options.form
         make = partial(self.law, anti_windup=anti_windup)
         if form == "auto":
-            return choose(controller, make, cycles.cycles, plant, self.options.tolerance)
+            return choose(controller, make, cycles.frame_cycles, plant, self.options.tolerance)
         law, condition = make(form)
         error = error_of(law.state_space(), controller, plant)
-        return Choice(law, error, {form: error}, condition)
+        return FormChoice(law, error, {form: error}, condition)
 
-    def status(self, choice: Choice) -> Status:
+    def status(self, choice: FormChoice) -> Status:
         """Return a sentence on the law: a loop or a law that is not stable, a large rounding error."""
         controller, plant, law = self.controller, self.plant, choice.law
         if plant is not None and (radius := loop_radius(plant, controller)) >= 1.0:
@@ -189,15 +189,15 @@ def _maker(
 ) -> _LawMaker:
     one_of("deploy", "precision", precision, tuple(DTYPES))
     limits = actuator_limits(limits_v, controller.D.shape[0])
-    given = options.excitation_v
-    excitation = None if given is None else actuator_limits(given, len(limits), "excitation_v")
+    excitation_v = options.excitation_v
+    excitation = None if excitation_v is None else actuator_limits(excitation_v, len(limits), "excitation_v")
     steps = options.ramp_steps(float(controller.rate_hz or 0))
     return _LawMaker(controller, plant, options, precision, name, limits, excitation, steps)
 
 
-def _tables(choice: Choice, c31: C31Budget) -> dict[str, Any]:
+def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
     law = choice.law
-    used = cycles.cycles(law)
+    used = cycles.frame_cycles(law)
     kernel = cycles.kernel_of(law)
     anti_windup = law.L is not None
     return {
@@ -213,7 +213,9 @@ def _tables(choice: Choice, c31: C31Budget) -> dict[str, Any]:
         "c31_fits_the_model": used <= c31.cycles,
         "c31_words": cycles.words(law),
         "c31_internal_words": cycles.INTERNAL_WORDS,
-        "c31_largest_order": cycles.largest_order(law.form, c31.cycles, law.inputs, law.outputs, **cycles.shape(law)),
+        "c31_largest_order": cycles.largest_order(
+            law.form, c31.cycles, law.inputs, law.outputs, **cycles.count_settings(law)
+        ),
         "cortex_m7_instructions": None,
         "coefficients": law.coefficients,
         "response_error": _finite(choice.error),

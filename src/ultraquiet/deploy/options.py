@@ -1,7 +1,7 @@
 """What `generate` may be asked for: how the code is made, and how much of a TMS320C31's frame it may take."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from ultraquiet.deploy.c31.cycles import BUDGET_CYCLES
 from ultraquiet.deploy.law.form_choice import TOLERANCE
 from ultraquiet.deploy.law.law import OVERRUN_LIMIT
 from ultraquiet.deploy.law.realisation import FORMS
+from ultraquiet.deploy.settings import collected
 
 RAMP_S = 0.5  # ten periods of the slowest isolated tone pass in 2 s; a quarter of that keeps the start below it
 MAX_STEPS = 2**24  # beyond it float32 no longer counts every step
@@ -111,7 +112,7 @@ class C31Budget:
 BUDGET_NAMES = {"budget_cycles": "cycles", "enforce_budget": "enforce", "budget_share": "share"}
 
 
-def collected(
+def options_and_budget(
     options: CodeOptions | None, c31: C31Budget | None, settings: Mapping[str, Any]
 ) -> tuple[CodeOptions, C31Budget]:
     """Return options and budget, either as they are or made of single settings.
@@ -119,22 +120,7 @@ def collected(
     Raises:
         InputError: a setting that is none, or one given beside the object that holds it.
     """
-    own = [field.name for field in fields(CodeOptions)]
-    unknown = sorted(set(settings) - {*own, *BUDGET_NAMES})
-    if unknown:
-        names = ", ".join(map(repr, unknown))
-        raise InputError(f"deploy: there is no setting {names}; there are {', '.join([*own, *BUDGET_NAMES])}.")
-    of_code = {name: settings[name] for name in own if name in settings}
     of_budget = {name: settings[name] for name in BUDGET_NAMES if name in settings}
-    _alone("options", options, CodeOptions, of_code)
-    _alone("c31", c31, C31Budget, of_budget)
-    budget = {BUDGET_NAMES[name]: value for name, value in of_budget.items()}
-    return options or CodeOptions(**of_code), c31 or C31Budget(**budget)
-
-
-def _alone(name: str, value: object, kind: type[Any], settings: Mapping[str, Any]) -> None:
-    """Refuse an object of another kind, and one that stands beside single settings."""
-    if value is not None and not isinstance(value, kind):
-        raise InputError(f"deploy: '{name}' must be {kind.__name__}, got {type(value).__name__}.")
-    if value is not None and settings:
-        raise InputError(f"deploy: give '{name}' or single settings ({', '.join(settings)}), not both.")
+    of_code = {name: value for name, value in settings.items() if name not in of_budget}
+    code = collected("deploy", "options", options, CodeOptions, of_code, also=tuple(BUDGET_NAMES))
+    return code, collected("deploy", "c31", c31, C31Budget, of_budget, names=BUDGET_NAMES)

@@ -123,10 +123,10 @@ class Processor:
 
     def run(self, y: ArrayLike) -> Rounded:
         """Return the commands `(nu, n)` in the code's precision for measurements `(ny, n)`, one exchange a sample."""
-        given = np.asarray(y, self.law.dtype)
-        if given.ndim != 2 or given.shape[0] != self.law.inputs:
-            raise InputError(f"Processor: measurements must be ({self.law.inputs}, n), got {given.shape}.")
-        return np.stack([self.step(sample) for sample in given.T], axis=1).astype(self.law.dtype)
+        measurements = np.asarray(y, self.law.dtype)
+        if measurements.ndim != 2 or measurements.shape[0] != self.law.inputs:
+            raise InputError(f"Processor: measurements must be ({self.law.inputs}, n), got {measurements.shape}.")
+        return np.stack([self.step(sample) for sample in measurements.T], axis=1).astype(self.law.dtype)
 
     def close(self) -> None:
         """End the emulator; may be called again."""
@@ -185,11 +185,11 @@ class Processor:
                 raise ToolError(f"Processor: the emulated {self.target.title} did not answer for {self.timeout_s:g} s.")
 
     def _dead(self) -> ToolError:
-        said = b""
+        output = b""
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                said, _ = self._process.communicate(timeout=LAST_WORDS_S)
-        words = " ".join(said.decode(errors="replace").split())[:200]
+                output, _ = self._process.communicate(timeout=LAST_WORDS_S)
+        words = " ".join(output.decode(errors="replace").split())[:200]
         return ToolError(
             f"Processor: the emulated {self.target.title} ended after {len(self._ticks)} steps, saying {words!r}."
         )

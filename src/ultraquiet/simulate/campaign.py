@@ -78,9 +78,9 @@ def campaign(
 def _measured(bench: Bench, controller: StateSpace | Controller, band_hz: tuple[float, float]) -> dict[str, float]:
     if not check_stability(bench, controller).status.ok:
         return {**UNSTABLE, BROADBAND: -np.inf}
-    seen = measure_sensitivity(bench, controller)
+    sensitivity = measure_sensitivity(bench, controller)
     return {
-        PEAK: seen.peak_amplification_db(),
-        ATTENUATION: seen.worst_in_band_db(*band_hz),
-        BROADBAND: seen.broadband_db(*band_hz),
+        PEAK: sensitivity.peak_amplification_db(),
+        ATTENUATION: sensitivity.worst_in_band_db(*band_hz),
+        BROADBAND: sensitivity.broadband_db(*band_hz),
     }

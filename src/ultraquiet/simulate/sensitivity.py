@@ -120,14 +120,14 @@ def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed:
                 progress.advance(note=f"actuator {j + 1}")
     opened, closed = responses
     S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0).astype(np.complex128)
-    kept = _trusted(S, opened, scatter)
-    if not kept.any():
+    trusted = _trusted(S, opened, scatter)
+    if not trusted.any():
         raise NumericalError(
             "measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise."
         )
     text = f"disturbance to sensors, multisine, {MEASURED_PERIODS} periods of {PERIOD_S} s"
-    response = FrequencyResponse(lines[kept], S[:, :, kept], estimator=text)
-    return MeasuredSensitivity(response, opened[:, :, kept], closed[:, :, kept])
+    response = FrequencyResponse(lines[trusted], S[:, :, trusted], estimator=text)
+    return MeasuredSensitivity(response, opened[:, :, trusted], closed[:, :, trusted])
 
 
 def _trusted(S: ComplexArray, opened: ComplexArray, scatter: FloatArray) -> np.ndarray:

@@ -8,8 +8,8 @@ import typer
 from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.deploy.exports import require_writable, show_exports
-from ultraquiet.cli.deploy.frame import asked, show_frames
-from ultraquiet.cli.deploy.table import loaded_plant, rows, wanted
+from ultraquiet.cli.deploy.frame import requested_frame, show_frames
+from ultraquiet.cli.deploy.table import loaded_plant, requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
 
 
@@ -24,7 +24,8 @@ def deploy(
     plant: Annotated[Path | None, typer.Option(help="A plant (HDF5): analyse the loop with the rounded law.")] = None,
     budget: Annotated[int | None, typer.Option(help="C31 cycles of a frame; refuse a law that needs more.")] = None,
     target: Annotated[
-        list[str] | None, typer.Option(help="cortex-m4f, cortex-m7 or none; may be repeated; default: both.")
+        list[str] | None,
+        typer.Option(help="An emulated processor (cortex-m7) or none; may be repeated; default: all."),
     ] = None,
     word_lengths: Annotated[
         bool, typer.Option("--word-lengths", help="Only print what each precision and form would lose.")
@@ -42,7 +43,7 @@ def deploy(
     frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
     load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
     jitter_us: Annotated[float, typer.Option(help="With --frame: largest delay of the interrupt.")] = 0.0,
-    frame_on: Annotated[str, typer.Option(help="With --frame: c31, cortex-m4f or cortex-m7.")] = "c31",
+    frame_on: Annotated[str, typer.Option(help="With --frame: c31, or an emulated processor, cortex-m7 say.")] = "c31",
     overload: Annotated[str | None, typer.Option(help="With --frame: extra work, FIRST:FRAMES:MICROSECONDS.")] = None,
 ) -> None:
     """Generate C99, compile it here and for emulated processors, and compare it bit by bit with Python."""
@@ -56,7 +57,7 @@ def deploy(
     law = files.load(controller)
     if not isinstance(law, StateSpace):
         raise InputError(f"deploy: '{controller}' holds a {type(law).__name__}, not a controller in state space.")
-    real_time = asked(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
+    real_time = requested_frame(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
     folder = out or controller.with_suffix("")
     whole("deploy", "steps", steps, 1)
     if word_lengths or precision in FIXED:
@@ -68,17 +69,17 @@ def deploy(
             deploy_fixed(Console(), law, folder, precision, form, system, steps)
         return
     require_writable(law, fmu, fmi, export)
-    targets = wanted(target)
+    targets = requested_targets(target)
     system = None if plant is None else loaded_plant(plant)
     limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}
-    made = room.generate(law, folder, precision, form=form, anti_windup=anti_windup, plant=system, **limit)
-    verified = made.verify(steps, targets=targets)
+    deployment = room.generate(law, folder, precision, form=form, anti_windup=anti_windup, plant=system, **limit)
+    verified = deployment.verify(steps, targets=targets)
     table = Table("what", "value", title=f"{folder}")
-    for row in rows(made, verified):
+    for row in rows(deployment, verified):
         table.add_row(*row)
     console = Console()
     console.print(table)
     console.print(str(verified.status), highlight=False, soft_wrap=True)
-    show_exports(console, law, made, fmu=fmu, fmi=fmi, export=export, project=project)
+    show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
     if real_time is not None:
-        show_frames(console, made, real_time, frames, frame_on, folder.with_name(f"{folder.name}-frame.svg"))
+        show_frames(console, deployment, real_time, frames, frame_on, folder.with_name(f"{folder.name}-frame.svg"))

@@ -32,7 +32,7 @@ def require_writable(law: "StateSpace", fmu: Path | None, fmi: str, export: list
 def show_exports(
     console: "Console",
     law: "StateSpace",
-    made: "Deployment",
+    deployment: "Deployment",
     *,
     fmu: Path | None,
     fmi: str,
@@ -46,9 +46,9 @@ def show_exports(
         console.print(*words, highlight=False, soft_wrap=True)
 
     if fmu is not None:
-        unit = write_fmu(made, fmu, fmi)
+        unit = write_fmu(deployment, fmu, fmi)
         say(f"{unit.path}: FMI {unit.version}.", unit.status.sentence)
     for path in export or []:
         say(f"{export_law(law, path)}: the law's coefficients, in float64.")
     if project is not None:
-        say(f"{write_project(made, project)}: a project for CMake.")
+        say(f"{write_project(deployment, project)}: a project for CMake.")

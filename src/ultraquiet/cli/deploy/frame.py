@@ -11,17 +11,18 @@ if TYPE_CHECKING:
 
     from ultraquiet.deploy import Deployment, Frame, FrameTimes, Overload
 
-PROCESSORS = ("c31", "cortex-m4f", "cortex-m7")
+C31 = "c31"
 RESTART_S = 1.0  # without overruns; long beside a ramp, short for who waits
 
 
-def asked(
+def requested_frame(
     rate_hz: float | None, processor: str, frames: int, load: float, jitter_us: float, overload: str | None
 ) -> "Frame":
     """Return the frame that was asked for, or refuse it before anything is written."""
     from ultraquiet.deploy import Frame
+    from ultraquiet.deploy.toolchain.targets import TARGETS
 
-    one_of("deploy", "frame_on", processor, PROCESSORS)
+    one_of("deploy", "frame_on", processor, (C31, *TARGETS))
     injected = () if overload is None else (parse_overload(overload),)
     frame = Frame(load=load, jitter_s=1e-6 * jitter_us, overloads=injected, restart_s=RESTART_S)
     if rate_hz is not None:
@@ -30,7 +31,7 @@ def asked(
 
 
 def show_frames(
-    console: "Console", made: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path
+    console: "Console", deployment: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path
 ) -> None:
     """Simulate frames of a deployment, print time line, table and verdict, and draw `figure` (SVG)."""
     from rich.table import Table
@@ -38,25 +39,25 @@ def show_frames(
     from ultraquiet.plot import draw_svg
     from ultraquiet.plot.frame import frame_figure
 
-    found = frame.simulate(made, frames, times=times_on(made, processor))
+    simulation = frame.simulate(deployment, frames, times=times_on(deployment, processor))
     table = Table("what", "value", title="the real-time frame")
-    for key, value in found.table.items():
+    for key, value in simulation.table.items():
         table.add_row(key.replace("_", " "), str(value))
-    console.print(found.timeline(), highlight=False, soft_wrap=True, markup=False)
+    console.print(simulation.timeline(), highlight=False, soft_wrap=True, markup=False)
     console.print(table)
-    console.print(str(found.status), highlight=False, soft_wrap=True)
+    console.print(str(simulation.status), highlight=False, soft_wrap=True)
     try:
-        figure.write_text(draw_svg(frame_figure(found)), encoding="utf-8")
+        figure.write_text(draw_svg(frame_figure(simulation)), encoding="utf-8")
     except OSError as error:
         raise StorageError(f"deploy: cannot write '{figure}' ({error.strerror}).") from None
     console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
 
 
-def times_on(made: "Deployment", processor: str) -> "FrameTimes":
-    """Return the frame's times on a processor: the C31's model, or instructions counted by an emulated Cortex-M."""
+def times_on(deployment: "Deployment", processor: str) -> "FrameTimes":
+    """Return the frame's times on a processor: the C31's model, or instructions counted by an emulated processor."""
     from ultraquiet.deploy import FrameTimes
 
-    return FrameTimes.c31(made.law) if processor == "c31" else FrameTimes.on_target(made, processor)
+    return FrameTimes.c31(deployment.law) if processor == C31 else FrameTimes.on_target(deployment, processor)
 
 
 def parse_overload(text: str) -> "Overload":

@@ -25,7 +25,7 @@ def loaded_plant(path: Path) -> "StateSpace":
     return system
 
 
-def wanted(names: list[str] | None) -> tuple[str, ...]:
+def requested_targets(names: list[str] | None) -> tuple[str, ...]:
     """Return the targets that were asked for, known ones; all of them by default."""
     from ultraquiet.deploy.toolchain.targets import TARGETS, target_named
 
@@ -34,26 +34,26 @@ def wanted(names: list[str] | None) -> tuple[str, ...]:
     return tuple(target_named(name).name for name in names if name != NONE)
 
 
-def rows(made: "Deployment", found: "Verification") -> list[tuple[str, str]]:
+def rows(deployment: "Deployment", proof: "Verification") -> list[tuple[str, str]]:
     """Return what and value of every line."""
-    listed = [(key.replace("_", " "), plain(value)) for key, value in made.tables.items()]
-    if found.compiler is not None:
-        listed.append(("compared here", f"{found.steps} steps, compiled by {found.compiler}, {found.seconds:.1f} s"))
-    listed.extend(on_targets(found))
-    if found.fuzz is not None:
+    listed = [(key.replace("_", " "), plain(value)) for key, value in deployment.tables.items()]
+    if proof.compiler is not None:
+        listed.append(("compared here", f"{proof.steps} steps, compiled by {proof.compiler}, {proof.seconds:.1f} s"))
+    listed.extend(on_targets(proof))
+    if proof.fuzz is not None:
         listed.append(
-            ("random bits", f"{found.fuzz.steps} steps under sanitizers: {found.fuzz.finding or 'nothing found'}")
+            ("random bits", f"{proof.fuzz.steps} steps under sanitizers: {proof.fuzz.finding or 'nothing found'}")
         )
-    listed.extend(("did not run", sentence) for sentence in found.missing)
-    if found.loop is not None:
-        listed.extend((f"loop: {what}", f"{one} as designed, {two} rounded") for what, one, two in found.loop.rows())
+    listed.extend(("did not run", sentence) for sentence in proof.missing)
+    if proof.loop is not None:
+        listed.extend((f"loop: {what}", f"{one} as designed, {two} rounded") for what, one, two in proof.loop.rows())
     return listed
 
 
-def on_targets(found: "Verification") -> list[tuple[str, str]]:
+def on_targets(proof: "Verification") -> list[tuple[str, str]]:
     """Return the lines of the emulated processors."""
     listed = []
-    for each in found.targets:
+    for each in proof.targets:
         calm = "" if each.calm is None else f"; at full command inside the limits {each.calm[0]} to {each.calm[1]}"
         size = f"; {each.flash_bytes} bytes of flash, {each.stack_bytes} of stack"
         listed.append((f"on {each.target.title}", f"{each}{calm}{size}"))

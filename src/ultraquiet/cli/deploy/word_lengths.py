@@ -31,8 +31,10 @@ def show_word_lengths(console: "Console", law: "StateSpace", plant: "StateSpace 
 
     table = Table(*HEADS, title="word lengths")
     for row in deploy.word_lengths(law, plant):
-        told = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
-        cells = ["-" if value is None else f"{value:.2g}" if isinstance(value, float) else str(value) for value in told]
+        figures = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
+        cells = [
+            "-" if value is None else f"{value:.2g}" if isinstance(value, float) else str(value) for value in figures
+        ]
         table.add_row(row.precision, row.form, row.status.word, *cells)
     console.print(table)
 
@@ -45,11 +47,11 @@ def deploy_fixed(
 
     from ultraquiet import deploy
 
-    made = deploy.generate_fixed(law, folder, word, form=form, plant=plant)
-    verified = made.verify(steps)
+    deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant)
+    verified = deployment.verify(steps)
     table = Table("what", "value", title=f"{folder}")
-    for key, value in made.tables.items():
+    for key, value in deployment.tables.items():
         table.add_row(key.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else str(value))
     console.print(table)
-    for status in (made.status, verified.status):
+    for status in (deployment.status, verified.status):
         console.print(str(status), highlight=False, soft_wrap=True)

@@ -44,14 +44,14 @@ class C31Code:
 def c31_code(law: Law, model_hash: str = "") -> C31Code:
     """Return one frame of the law as C31 assembly: converters, output, limits, converters, update.
 
-    The kernel takes `budget.kernel_of` cycles, the rest at most `budget.skeleton_cycles`. Every command
+    The kernel takes `cycles.kernel_of` cycles, the rest at most `cycles.skeleton_cycles`. Every command
     is held within the actuator's limits and the converter's range before it becomes a code; the C31 has
     no NaN or infinity, a sum beyond its numbers stays at their end. Ramps, faults and overruns are left
     to the background; the C99 code holds them.
 
     Args:
         law: in modal, delta or bank form, a bank without transforms.
-        model_hash: told in the header.
+        model_hash: named in the header.
 
     Raises:
         InputError: another form, a coefficient beyond the C31's numbers, or a law beyond its internal memory.

@@ -15,7 +15,7 @@ BUDGET_CYCLES = 2800
 # more than the allowance, it counts instead.
 SKELETON_CYCLES = 142
 FRAME, FRAME_WITH_CORRECTION, READ, WRITE = 71, 74, 2, 8
-# Of the emitted modal and delta kernels, c31_emit: per row of commands LDF, RPTS (1 + 3), ADDF3, RND, STF; per state
+# Of the emitted modal and delta kernels: per row of commands LDF, RPTS (1 + 3), ADDF3, RND, STF; per state
 # two products of its block and one RND; in delta form one ADDF3 more; once eight pointers and settings before the rows,
 # LDI and RPTB (1 + 3) before the update, four to drain it.
 KERNEL_ROW, STATE, DELTA, SET_UP, UPDATE = 8, 3, 1, 8, 9
@@ -89,14 +89,14 @@ def kernel_cycles(
     return advance + outputs * (states + inputs + ROW) + more
 
 
-def cycles(law: Law) -> int:
+def frame_cycles(law: Law) -> int:
     """Return the instructions of one frame: kernel and skeleton."""
     return kernel_of(law) + skeleton_cycles(law.inputs, law.outputs, anti_windup=law.L is not None)
 
 
 def kernel_of(law: Law) -> int:
     """Return the instructions of one step of this law, without the frame's skeleton."""
-    kernel = kernel_cycles(law.form, law.states, law.inputs, law.outputs, **shape(law))
+    kernel = kernel_cycles(law.form, law.states, law.inputs, law.outputs, **count_settings(law))
     return kernel - GAIN * law.channels.count(0) - _rows_of_gains(law)
 
 
@@ -115,7 +115,7 @@ def _rows_of_gains(law: Law) -> int:
     return GAIN * law.channels.count(0) - int(law.channels[-1:] == (0,))
 
 
-def shape(law: Law) -> dict[str, Any]:
+def count_settings(law: Law) -> dict[str, Any]:
     """Return what beside form and size decides the count."""
     width = -(-sum(b.size for b in law.blocks) // law.states)
     return {
@@ -176,9 +176,9 @@ def largest_order(
     [40, 170, 158, 120]
     """
     stride = 2 if form in ("modal", "delta", "bank", "bank-delta") else 1
-    given = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
+    law_shape = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
     n, frame = 0, skeleton_cycles(inputs, outputs, anti_windup=anti_windup)
-    while frame + kernel_cycles(form, n + stride, inputs, outputs, **given) <= budget:
+    while frame + kernel_cycles(form, n + stride, inputs, outputs, **law_shape) <= budget:
         n += stride
     return n
 
@@ -190,15 +190,15 @@ def require_fit(law: Law, budget: int, share: float = 1.0) -> None:
         InputError: with the law's count, the budget and the largest orders that fit; an impossible budget or share.
     """
     between("deploy", "budget_share", share, 0.0, 1.0)
-    need, allowed = cycles(law), math.floor(share * budget)
+    need, allowed = frame_cycles(law), math.floor(share * budget)
     if need <= allowed:
         return
-    given = shape(law)
-    fits = largest_order(law.form, allowed, law.inputs, law.outputs, **given)
+    law_shape = count_settings(law)
+    fits = largest_order(law.form, allowed, law.inputs, law.outputs, **law_shape)
     modal = largest_order("modal", allowed, law.inputs, law.outputs)
     of = f"{budget}" if share == 1.0 else f"{allowed} ({100 * share:g} % of {budget})"
     raise InputError(
-        f"deploy: {law.order} states in {law.form} form{' with anti-windup' if given['anti_windup'] else ''} need"
+        f"deploy: {law.order} states in {law.form} form{' with anti-windup' if law_shape['anti_windup'] else ''} need"
         f" {need} of {of} C31 instructions; the largest order that would fit is {fits} in this form and {modal} in"
         " plain modal form, so reduce the controller or allow it more of the budget (budget_share, enforce_budget)."
     )

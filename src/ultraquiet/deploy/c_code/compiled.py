@@ -20,11 +20,11 @@ class Library:
     def __init__(self, law: Law, folder: Path, cc: str, flags: tuple[str, ...] = FLAGS) -> None:
         self.law, self.folder, self.cc, self.flags = law, folder, cc, flags
         with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
-            made = Path(work) / f"{law.name}.so"
+            library_file = Path(work) / f"{law.name}.so"
             sources = [folder / f"{law.name}.c", folder / f"{law.name}_host.c"]
-            compile_c([cc, *flags, "-fPIC", "-shared", *sources, "-o", made], folder)
+            compile_c([cc, *flags, "-fPIC", "-shared", *sources, "-o", library_file], folder)
             try:
-                self._library = ctypes.CDLL(str(made))
+                self._library = ctypes.CDLL(str(library_file))
             except OSError as error:
                 raise ToolError(f"deploy: the compiled controller cannot be loaded ({error}).") from None
 
@@ -81,12 +81,12 @@ class CompiledController:
     def run(self, y: ArrayLike) -> Rounded:
         """Return the commands `(nu, n)` in the code's precision for measurements `(ny, n)`."""
         law = self.library.law
-        given = np.ascontiguousarray(np.asarray(y, law.dtype).T)
-        if given.ndim != 2 or given.shape[1] != law.inputs:
-            raise InputError(f"CompiledController: measurements must be ({law.inputs}, n), got {given.T.shape}.")
-        u = np.empty((given.shape[0], law.outputs), law.dtype)
-        pointers = [ctypes.c_void_p(a.ctypes.data) for a in (given, u)]
-        self.library.function("host_run")(self._state, *pointers, ctypes.c_uint32(given.shape[0]))
+        samples = np.ascontiguousarray(np.asarray(y, law.dtype).T)
+        if samples.ndim != 2 or samples.shape[1] != law.inputs:
+            raise InputError(f"CompiledController: measurements must be ({law.inputs}, n), got {samples.T.shape}.")
+        u = np.empty((samples.shape[0], law.outputs), law.dtype)
+        pointers = [ctypes.c_void_p(a.ctypes.data) for a in (samples, u)]
+        self.library.function("host_run")(self._state, *pointers, ctypes.c_uint32(samples.shape[0]))
         return u.T
 
     def disable(self) -> None:

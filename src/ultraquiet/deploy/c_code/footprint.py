@@ -41,12 +41,12 @@ def footprint(law: Law, files: Mapping[str, str]) -> dict[str, Any]:
     RAM is one state struct on a 32-bit target; flash is code and constants without the self-test; stack is that of the
     reference target, None without its compiler.
     """
-    held, source = _measured(law, files)
-    flash = held.flash_bytes
+    measured, source = _measured(law, files)
+    flash = measured.flash_bytes
     if flash is None:
         flash, source = law.coefficients * np.dtype(law.dtype).itemsize, "constants alone, no compiler"
     ram = state_bytes(files[f"{law.name}.h"], law.name)
-    return {"flash_bytes": flash, "ram_bytes": ram, "stack_bytes": held.stack_bytes, "flash_from": source}
+    return {"flash_bytes": flash, "ram_bytes": ram, "stack_bytes": measured.stack_bytes, "flash_from": source}
 
 
 def footprint_on(law: Law, folder: Path, target: Target) -> Footprint:
@@ -56,14 +56,15 @@ def footprint_on(law: Law, folder: Path, target: Target) -> Footprint:
         ToolError: the target's compiler is missing or refuses.
     """
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
-        made, program = Path(work) / "controller.o", Path(work) / "controller.elf"
+        object_file, program = Path(work) / "controller.o", Path(work) / "controller.elf"
         compile_c(
-            [target.family.compiler, *FLAGS, *target.flags, GRAPH, "-c", folder / f"{law.name}.c", "-o", made], folder
+            [target.family.compiler, *FLAGS, *target.flags, GRAPH, "-c", folder / f"{law.name}.c", "-o", object_file],
+            folder,
         )
-        stack = _stack(made, law)
+        stack = _stack(object_file, law)
         # memset and memcpy are the program's own, whatever its library
         link = ("-nostdlib", "-nostartfiles", "-Wl,-e,0", "-Wl,--unresolved-symbols=ignore-all")
-        compile_c([target.family.compiler, *target.flags, *link, made, "-lgcc", "-o", program], Path(work))
+        compile_c([target.family.compiler, *target.flags, *link, object_file, "-lgcc", "-o", program], Path(work))
         return Footprint(flash_of(target.family.size_tool, program), stack)
 
 
@@ -87,17 +88,17 @@ def _measured(law: Law, files: Mapping[str, str]) -> tuple[Footprint, str]:
 
 
 def _object(law: Law, folder: Path, command: Sequence[str], size_tool: str) -> Footprint | None:
-    made = folder / "controller.o"
+    object_file = folder / "controller.o"
     try:
-        compile_c([*command, "-c", f"{law.name}.c", "-o", made], folder)
-        flash = flash_of(size_tool, made)
+        compile_c([*command, "-c", f"{law.name}.c", "-o", object_file], folder)
+        flash = flash_of(size_tool, object_file)
     except ToolError:
         return None
-    return None if flash is None else Footprint(flash, _stack(made, law))
+    return None if flash is None else Footprint(flash, _stack(object_file, law))
 
 
-def _stack(made: Path, law: Law) -> int | None:
-    graph = made.with_suffix(".ci")
+def _stack(object_file: Path, law: Law) -> int | None:
+    graph = object_file.with_suffix(".ci")
     return stack_bytes(graph.read_text(encoding="utf-8"), law.name) if graph.exists() else None
 
 
@@ -152,8 +153,8 @@ def state_bytes(header: str, name: str) -> int | None:
     for kind, alias in re.findall(r"typedef (\w+) (\w+);", plain):
         if kind in sizes:
             sizes[alias] = sizes[kind]
-    held = re.search(rf"struct {name}_state \{{(.*?)\n?\}};", plain, flags=re.DOTALL)
-    return _total(held[1], sizes, macros) if held else None
+    struct = re.search(rf"struct {name}_state \{{(.*?)\n?\}};", plain, flags=re.DOTALL)
+    return _total(struct[1], sizes, macros) if struct else None
 
 
 def _total(body: str, sizes: dict[str, int], macros: dict[str, str]) -> int | None:

@@ -70,8 +70,8 @@ def require_ours(folder: Path) -> None:
     try:
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return
-        held = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        ours = isinstance(held, dict) and held.get("writer") == WRITER
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        ours = isinstance(manifest, dict) and manifest.get("writer") == WRITER
     except (OSError, ValueError):
         ours = False
     if not ours:

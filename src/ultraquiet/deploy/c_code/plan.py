@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from ultraquiet.deploy.c_code.self_test import Row, generator_scales, self_test
-from ultraquiet.deploy.law.coefficients import Section, numbers, sections
+from ultraquiet.deploy.c_code.self_test import ScriptRow, generator_scales, self_test
+from ultraquiet.deploy.law.coefficients import CoefficientSection, numbers, sections
 from ultraquiet.deploy.law.law import Law, Rounded
 
 
@@ -20,11 +20,11 @@ class CodePlan:
 
     law: Law
     model_hash: str
-    sections: tuple[Section, ...]
+    sections: tuple[CoefficientSection, ...]
     coefficients: Rounded
     quiet: float
     loud: float
-    script: tuple[Row, ...]
+    script: tuple[ScriptRow, ...]
 
 
 def plan_code(law: Law, model_hash: str = "") -> CodePlan:

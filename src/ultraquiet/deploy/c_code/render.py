@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ultraquiet.deploy.c_code.plan import CodePlan
-from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, Row, planted
+from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, ScriptRow, planted
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain.compiler import FLAGS
@@ -59,15 +59,12 @@ def _around_the_code(name: str, context: dict[str, Any]) -> dict[str, str]:
     return files
 
 
-def readme(law: Law, model_hash: str, tables: dict[str, Any], said: list[str], assumptions: str) -> str:
-    """Return the text of README.md; `said` are the sentences on the law and on its verification."""
+def readme(law: Law, model_hash: str, tables: dict[str, Any], sentences: list[str], assumptions: str) -> str:
+    """Return the text of README.md; `sentences` are the sentences on the law and on its verification."""
     context = {
-        "law": law,
-        "name": law.name,
-        "rate": f"{law.rate_hz:g}",
+        **heading(law, model_hash),
         "rows": [(key.replace("_", " "), _plain(value)) for key, value in tables.items()],
-        "model_hash": model_hash,
-        "said": said,
+        "said": sentences,
         "assumptions": assumptions,
         "flags": " ".join(FLAGS),
         "targets": list(TARGETS.values()),
@@ -147,15 +144,10 @@ def _context(plan: CodePlan) -> dict[str, Any]:
     ends = np.cumsum([0, *law.channels]).tolist()
     return {
         "channel_ends": list(pairwise(ends)),
-        "law": law,
-        "name": law.name,
-        "NAME": law.name.upper(),
-        "rate": f"{law.rate_hz:g}",
-        "version": metadata.version("ultraquiet"),
+        **heading(law, plan.model_hash),
         "real": "float" if bits == 32 else "double",
         "word": f"uint{bits}_t",
         "ramp_step": constant(law.dtype(1.0) / law.dtype(law.ramp_steps), law.precision),
-        "model_hash": plan.model_hash,
         "pairs": law.form in ("modal", "delta"),
         "sizes": [len(b) for b in law.blocks],
         "bank": plan.coefficients,
@@ -176,6 +168,18 @@ def _context(plan: CodePlan) -> dict[str, Any]:
     }
 
 
+def heading(law: Any, model_hash: str) -> dict[str, Any]:
+    """Return what every file of a law says of it, whatever its numbers are."""
+    return {
+        "law": law,
+        "name": law.name,
+        "NAME": law.name.upper(),
+        "rate": f"{law.rate_hz:g}",
+        "version": metadata.version("ultraquiet"),
+        "model_hash": model_hash,
+    }
+
+
 def _turn(states: int, step: int) -> int:
     """Return how many states a turn of an unrolled loop takes: few turns, few states left over."""
     sizes = range(step, LARGEST_TURN + 1, step)
@@ -183,15 +187,15 @@ def _turn(states: int, step: int) -> int:
 
 
 def _sections(plan: CodePlan) -> list[dict[str, Any]]:
-    made, at = [], 0
+    texts, at = [], 0
     for section in plan.sections:
         rows = [[constant(v, plan.law.precision) for v in row] for row in section.rows]
-        made.append({"label": section.label, "says": section.says, "rows": rows, "at": at})
+        texts.append({"label": section.label, "says": section.says, "rows": rows, "at": at})
         at += sum(len(row) for row in rows)
-    return made
+    return texts
 
 
-def _call(row: Row, precision: str) -> dict[str, Any]:
+def _call(row: ScriptRow, precision: str) -> dict[str, Any]:
     return {
         "op": row.op,
         "count": row.count,

@@ -59,7 +59,7 @@ SOUND, WRONG_CRC, NAN_FIRST, INFINITE_LAST, WRONG_BIT = range(LOADS)
 
 
 @dataclass(frozen=True)
-class Row:
+class ScriptRow:
     """One call (or `count` steps) with measurements of size `scale`, and the digest expected after it."""
 
     op: str
@@ -87,11 +87,11 @@ def planted(coefficients: Rounded, kind: int) -> CoefficientBank:
     return bank
 
 
-def self_test(law: Law, quiet: float, loud: float) -> list[Row]:
+def self_test(law: Law, quiet: float, loud: float) -> list[ScriptRow]:
     """Return the script for a law, its digests computed by the twin; the scales are those of `generator_scales`."""
-    player = Player(law)
+    player = ScriptPlayer(law)
     calls = script_calls(law, quiet, loud)
-    return [Row(op, count, scale, player.play(op, count, scale)) for op, count, scale in calls]
+    return [ScriptRow(op, count, scale, player.play(op, count, scale)) for op, count, scale in calls]
 
 
 def script_calls(law: Law, quiet: float, loud: float) -> list[tuple[str, int, float]]:
@@ -144,7 +144,7 @@ def _taps(law: Law) -> dict[str, int]:
     }
 
 
-class Player:
+class ScriptPlayer:
     """Plays a script on the twin, as the C program does on the code."""
 
     def __init__(self, law: Law) -> None:
@@ -219,11 +219,11 @@ class Player:
     def measure(self, scale: float) -> NDArray[np.floating]:
         """Return the next measurements of the generator."""
         law = self.twin.law
-        drawn = []
+        whole_numbers = []
         for _ in range(law.inputs):
             self._random = (self._random * LCG_FACTOR + LCG_STEP) & MASK
-            drawn.append((self._random >> 8) - HALF_RANGE)
-        return np.array(drawn, law.dtype) * law.dtype(scale)
+            whole_numbers.append((self._random >> 8) - HALF_RANGE)
+        return np.array(whole_numbers, law.dtype) * law.dtype(scale)
 
     def _step(self, y: NDArray[np.floating]) -> None:
         u = self.twin.output(y)
@@ -245,13 +245,13 @@ class Player:
         """Return 32-bit words, low half first; one word for any NaN."""
         words = np.ascontiguousarray(values).view(self._words).tolist()
         wide = self._words.itemsize == 8
-        made: list[int] = []
+        folded: list[int] = []
         for word, number in zip(words, values.tolist(), strict=True):
             if np.isnan(number):
-                made.append(CANONICAL_NAN)
+                folded.append(CANONICAL_NAN)
             else:
-                made.extend((word & MASK, word >> 32) if wide else (word,))
-        return made
+                folded.extend((word & MASK, word >> 32) if wide else (word,))
+        return folded
 
     def _fold(self, words: Iterable[int]) -> None:
         digest = self.digest
@@ -262,7 +262,7 @@ class Player:
 
 def generator_scales(law: Law) -> tuple[float, float]:
     """Return generator scales, powers of two, that keep all commands inside their limits, and that meet most limits."""
-    player = Player(law)
+    player = ScriptPlayer(law)
     player.twin.reset()
     with np.errstate(all="ignore"):
         y = np.stack([player.measure(1.0) for _ in range(200)], axis=1)

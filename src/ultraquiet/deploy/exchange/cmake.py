@@ -1,6 +1,5 @@
 """Generated code as a project of its own: CMake, ctest, toolchain files, a workflow for every commit."""
 
-from importlib import metadata
 from pathlib import Path
 
 from ultraquiet._base.errors import InputError, StorageError
@@ -57,12 +56,7 @@ def write_project(made: GeneratedCode, folder: str | Path, owner: str = NOBODY) 
     if folder == made.folder.absolute():
         raise InputError("write_project: the project needs a folder of its own, not that of the generated code.")
     context = {
-        "law": law,
-        "name": law.name,
-        "NAME": law.name.upper(),
-        "rate": f"{law.rate_hz:g}",
-        "version": metadata.version("ultraquiet"),
-        "model_hash": made.model_hash,
+        **render.heading(law, made.model_hash),
         "owner": owner,
         "flags": " ".join(FLAGS[1:]),  # the standard is CMake's to ask for
         "targets": tuple(TARGETS.values()),
@@ -84,9 +78,9 @@ def _generated(folder: Path, name: str) -> dict[str, str]:
         code = [path for path in sorted(folder.glob(f"{name}*")) if path.suffix in (".c", ".h", ".ld")]
         if not code:
             raise FileNotFoundError(2, "no code in it")
-        held = {f"src/{path.name}": path.read_text(encoding="utf-8") for path in code}
-        held |= {name: (folder / name).read_text(encoding="utf-8") for name in COPIED}
-        return held | {"CONTROLLER.md": (folder / "README.md").read_text(encoding="utf-8")}
+        files = {f"src/{path.name}": path.read_text(encoding="utf-8") for path in code}
+        files |= {name: (folder / name).read_text(encoding="utf-8") for name in COPIED}
+        return files | {"CONTROLLER.md": (folder / "README.md").read_text(encoding="utf-8")}
     except OSError as error:
         raise StorageError(
             f"write_project: '{folder}' cannot be read ({error.strerror}); generate the code again."

@@ -95,16 +95,16 @@ def _mat(law: StateSpace) -> bytes:
     import scipy.io
 
     def cells(texts: list[str]) -> np.ndarray:
-        held = np.empty(len(texts), dtype=object)
-        held[:] = texts
-        return held
+        array = np.empty(len(texts), dtype=object)
+        array[:] = texts
+        return array
 
     memory, rate_hz = io.BytesIO(), float(law.rate_hz or 0)
-    held: dict[str, Any] = {name: getattr(law, name) for name in MATRICES}
-    held |= {"rate_hz": rate_hz, "Ts": 1.0 / rate_hz}
+    variables: dict[str, Any] = {name: getattr(law, name) for name in MATRICES}
+    variables |= {"rate_hz": rate_hz, "Ts": 1.0 / rate_hz}
     for side, wires in (("input", law.actuators), ("output", law.sensors)):
-        held |= {f"{side}_names": cells([c.name for c in wires]), f"{side}_units": cells([c.unit for c in wires])}
-    scipy.io.savemat(memory, held)
+        variables |= {f"{side}_names": cells([c.name for c in wires]), f"{side}_units": cells([c.unit for c in wires])}
+    scipy.io.savemat(memory, variables)
     return memory.getvalue()
 
 
@@ -112,18 +112,18 @@ def _from_mat(data: bytes) -> StateSpace:
     import scipy.io
 
     try:
-        held = scipy.io.loadmat(io.BytesIO(data))
+        variables = scipy.io.loadmat(io.BytesIO(data))
     except Exception as error:  # SciPy raises whatever its parser meets
         raise ValueError(str(error)) from None
 
     def wires(side: str) -> list[Channel]:
-        texts = [["".join(cell.ravel()) for cell in held[f"{side}_{kind}"].ravel()] for kind in ("names", "units")]
+        texts = [["".join(cell.ravel()) for cell in variables[f"{side}_{kind}"].ravel()] for kind in ("names", "units")]
         return [Channel(name, unit) for name, unit in zip(*texts, strict=True)]
 
-    rate_hz = float(held["rate_hz"][0, 0])
-    D = np.asarray(held["D"], dtype=np.float64)
-    n = held["A"].shape[0]
-    A, B, C = (np.asarray(held[m], float).reshape(s) for m, s in zip("ABC", _shapes(n, *D.shape), strict=True))
+    rate_hz = float(variables["rate_hz"][0, 0])
+    D = np.asarray(variables["D"], dtype=np.float64)
+    n = variables["A"].shape[0]
+    A, B, C = (np.asarray(variables[m], float).reshape(s) for m, s in zip("ABC", _shapes(n, *D.shape), strict=True))
     return StateSpace(A, B, C, D, rate_hz, wires("input"), wires("output"))
 
 
@@ -147,11 +147,11 @@ def _from_csv(data: bytes) -> StateSpace:
     wires = {side: [Channel(r[3], r[2]) for r in rows if r[0] == side] for side in ("input", "output")}
     ny, nu, n = len(wires["input"]), len(wires["output"]), int(single["states"])
     shapes = dict(zip(MATRICES, (*_shapes(n, nu, ny), (nu, ny)), strict=True))
-    held = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
+    matrices = {name: np.full(shape, np.nan) for name, shape in shapes.items()}
     for what, row, column, value in rows:
-        if what in held:
-            held[what][int(row) - 1, int(column) - 1] = float(value)
-    A, B, C, D = held.values()
+        if what in matrices:
+            matrices[what][int(row) - 1, int(column) - 1] = float(value)
+    A, B, C, D = matrices.values()
     return StateSpace(A, B, C, D, float(single["rate_hz"]), wires["input"], wires["output"])
 
 

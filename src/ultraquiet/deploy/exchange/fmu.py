@@ -102,10 +102,10 @@ def write_fmu(
     if Path(path).suffix != ".fmu":
         raise InputError(f"write_fmu: an FMU is a file that ends in '.fmu', got '{path}'.")
     wires = _wires(law, inputs, outputs)
-    held = _generated(made.folder, law.name)
-    context = _context(law, wires, version, list(held))
-    held |= _interface(context, version)
-    entries: dict[str, bytes] = {f"sources/{name}": text.encode() for name, text in held.items()}
+    files = _generated(made.folder, law.name)
+    context = _context(law, wires, version, list(files))
+    files |= _interface(context, version)
+    entries: dict[str, bytes] = {f"sources/{name}": text.encode() for name, text in files.items()}
     entries["modelDescription.xml"] = render.render(f"fmu_{version[0]}.xml.j2", context).encode()
     entries["documentation/README.md"] = (made.folder / "README.md").read_bytes()
     if version == "3.0":
@@ -114,7 +114,7 @@ def write_fmu(
     cc = compiler.compiler() if binary else None
     if cc is not None:
         place = binary_folder(version)
-        entries[f"binaries/{place}/{law.name}{_extension()}"] = _compiled(cc, held, context["sources"])
+        entries[f"binaries/{place}/{law.name}{_extension()}"] = _compiled(cc, files, context["sources"])
         status = Status(StatusWord.OK, f"The unit holds sources and a binary for {place}, compiled by {cc}.")
     elif binary:
         status = Status(
@@ -143,19 +143,19 @@ def _extension() -> str:
 def _wires(
     law: Law, inputs: Sequence[Channel | str] | None, outputs: Sequence[Channel | str] | None
 ) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    given = [f"y{j + 1}" for j in range(law.inputs)] if inputs is None else inputs
-    asked = [f"u{i + 1}" for i in range(law.outputs)] if outputs is None else outputs
-    y, u = channels("write_fmu", given, law.inputs, "input"), channels("write_fmu", asked, law.outputs, "output")
-    taken = [TIME, RAMP, *COUNTERS]
+    y_names = [f"y{j + 1}" for j in range(law.inputs)] if inputs is None else inputs
+    u_names = [f"u{i + 1}" for i in range(law.outputs)] if outputs is None else outputs
+    y, u = channels("write_fmu", y_names, law.inputs, "input"), channels("write_fmu", u_names, law.outputs, "output")
+    names = [TIME, RAMP, *COUNTERS]
     for wire in (*y, *u):
         if not wire.name.strip() or not wire.name.isprintable():
             raise InputError(f"write_fmu: {wire.name!r} cannot name a variable; use printable characters.")
-        if wire.name in taken:
+        if wire.name in names:
             raise InputError(
                 f"write_fmu: the name '{wire.name}' is taken twice; {TIME}, {RAMP}, {', '.join(COUNTERS)}"
                 " belong to the unit itself."
             )
-        taken.append(wire.name)
+        names.append(wire.name)
     return y, u
 
 
@@ -218,15 +218,15 @@ def _context(
 def _variable(wire: Channel, reference: int, causality: str, low: float, high: float) -> dict[str, Any]:
     from html import escape
 
-    said = f' unit="{escape(wire.unit)}"' if wire.unit else ""
+    attributes = f' unit="{escape(wire.unit)}"' if wire.unit else ""
     for end, value in (("min", low), ("max", high)):
-        said += f' {end}="{value!r}"' if np.isfinite(value) else ""
-    return {"name": wire.name, "reference": reference, "causality": causality, "attributes": said}
+        attributes += f' {end}="{value!r}"' if np.isfinite(value) else ""
+    return {"name": wire.name, "reference": reference, "causality": causality, "attributes": attributes}
 
 
-def _compiled(cc: str, held: dict[str, str], sources: list[str]) -> bytes:
+def _compiled(cc: str, files: dict[str, str], sources: list[str]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
-        for name, text in held.items():
+        for name, text in files.items():
             (Path(work) / name).write_text(text)
         library = Path(work) / f"unit{_extension()}"
         hidden = "-fvisibility=hidden"
@@ -236,7 +236,7 @@ def _compiled(cc: str, held: dict[str, str], sources: list[str]) -> bytes:
 
 def _zipped(entries: dict[str, bytes]) -> bytes:
     memory = io.BytesIO()
-    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as held:
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, data in entries.items():
-            held.writestr(zipfile.ZipInfo(name, EPOCH), data, zipfile.ZIP_DEFLATED)
+            archive.writestr(zipfile.ZipInfo(name, EPOCH), data, zipfile.ZIP_DEFLATED)
     return memory.getvalue()

@@ -87,11 +87,11 @@ class FmuController:
     def step(self, y: FloatArray) -> FloatArray:
         """Return the commands `(nu,)` for measurements `(ny,)` and advance by one sample."""
         slave, period = self._slave, 1.0 / self._rate_hz
-        given = np.asarray(y, dtype=np.float64)
-        if given.shape != (len(self._y),):
-            raise InputError(f"FmuController: measurements must be ({len(self._y)},), got {given.shape}.")
+        measurements = np.asarray(y, dtype=np.float64)
+        if measurements.shape != (len(self._y),):
+            raise InputError(f"FmuController: measurements must be ({len(self._y)},), got {measurements.shape}.")
         try:
-            (slave.setReal if self._old else slave.setFloat64)(self._y, given.tolist())
+            (slave.setReal if self._old else slave.setFloat64)(self._y, measurements.tolist())
             slave.doStep(self._k / self._rate_hz, period)
             u = (slave.getReal if self._old else slave.getFloat64)(self._u)
         except Exception as error:
@@ -102,7 +102,7 @@ class FmuController:
     def _instance(self, model: Any, folder: str) -> Any:
         from fmpy import fmi2, fmi3
 
-        said = self._said
+        log = self._said
         kind = fmi2.FMU2Slave if self._old else fmi3.FMU3Slave
         slave = kind(
             guid=model.guid if self._old else model.instantiationToken,
@@ -112,10 +112,10 @@ class FmuController:
         )
         try:
             if isinstance(slave, fmi3.FMU3Slave):
-                slave.instantiate(logMessage=lambda _env, _status, _category, text: said.append(_text(text)))
+                slave.instantiate(logMessage=lambda _env, _status, _category, text: log.append(_text(text)))
             else:
                 callbacks = fmi2.fmi2CallbackFunctions()
-                callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _c, _n, _s, _k, text: said.append(_text(text)))
+                callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(lambda _c, _n, _s, _k, text: log.append(_text(text)))
                 callbacks.allocateMemory = fmi2.defaultCallbacks.allocateMemory
                 callbacks.freeMemory = fmi2.defaultCallbacks.freeMemory
                 slave.instantiate(callbacks=callbacks)

@@ -9,12 +9,12 @@ _STRINGS = "const char *const *"
 
 def _typed(kinds: dict[str, str], verbs: str) -> list[tuple[str, list[str], bool]]:
     """Return getters and setters of FMI 3.0 for variables of types that the unit does not have."""
-    made: list[tuple[str, list[str], bool]] = []
+    functions: list[tuple[str, list[str], bool]] = []
     for kind, c_type in kinds.items():
         for verb in verbs.split():
             to = f"{c_type}*" if verb == "Get" else f"const {c_type}*"
-            made.append((f"fmi3{verb}{kind}", [_R3, "size_t ", to, "size_t "], True))
-    return made
+            functions.append((f"fmi3{verb}{kind}", [_R3, "size_t ", to, "size_t "], True))
+    return functions
 
 
 _SIZES = {"Int8": "int8_t ", "UInt8": "uint8_t ", "Int16": "int16_t ", "UInt16": "uint16_t ", "Int32": "int32_t "}

@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, one_of
 from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet.deploy.exchange.foton_sections import Sections, cascade, modal_sum
-from ultraquiet.deploy.law.biquad import Channel, channels
+from ultraquiet.deploy.exchange.foton_sections import FotonSections, cascade, modal_sum
+from ultraquiet.deploy.law.biquad import BankChannel, channels
 from ultraquiet.values.state_space import StateSpace
 
 ARRANGEMENTS = {"cascade": cascade, "sum": modal_sum}
@@ -25,7 +25,7 @@ class Module:
     """One module: `u += sink * k(source' y)`, its sections as one chain."""
 
     name: str
-    sections: Sections
+    sections: FotonSections
     source: FloatArray
     sink: FloatArray
 
@@ -40,11 +40,11 @@ class FotonFile:
     def frequency_response(self, f_hz: ArrayLike) -> ComplexArray:
         """Return the response `(nu, ny, nf)` at frequencies in Hz, from the sections themselves."""
         f = np.asarray(f_hz, dtype=np.float64)
-        made = [
+        responses = [
             np.einsum("i,j,f->ijf", m.sink, m.source, m.sections.frequency_response(f, self.rate_hz))
             for m in self.modules
         ]
-        return np.sum(made, axis=0)
+        return np.sum(responses, axis=0)
 
     def state_space(self) -> StateSpace:
         """Return the law, with two states for each section."""
@@ -104,12 +104,12 @@ def foton_text(
         raise InputError(f"foton: 'name' must be letters, digits and _, got {name!r}.")
     modules: list[Module] = []
     for k, channel in enumerate(_channels(law, coupled)):
-        held = ARRANGEMENTS[arrangement](channel.law)
+        parts = ARRANGEMENTS[arrangement](channel.law)
         label = f"{prefix}_{_label(channel, k)}"
-        several = len(held) > 1
+        several = len(parts) > 1
         modules += [
             Module(f"{label}_M{i + 1}" if several else label, one, channel.source, channel.sink)
-            for i, one in enumerate(held)
+            for i, one in enumerate(parts)
         ]
     text = _text(float(law.rate_hz), modules)
     _require_same(law, read_foton(text), arrangement, tolerance)
@@ -121,10 +121,10 @@ def response_error(law: StateSpace, other: FotonFile) -> float:
     rate_hz = float(law.rate_hz or 0)
     at_poles = np.abs(np.angle(law.poles())) * rate_hz / (2 * np.pi) if law.states else np.zeros(0)
     f_hz = np.concatenate([np.geomspace(1e-4, 0.5, 400) * rate_hz, at_poles])
-    wanted, found = law.frequency_response(f_hz), other.frequency_response(f_hz)
-    size = np.linalg.norm(wanted, axis=(0, 1))
+    expected, actual = law.frequency_response(f_hz), other.frequency_response(f_hz)
+    size = np.linalg.norm(expected, axis=(0, 1))
     floor = max(float(size.max()), np.finfo(float).tiny) * np.finfo(float).eps
-    return float(np.max(np.linalg.norm(found - wanted, axis=(0, 1)) / np.maximum(size, floor)))
+    return float(np.max(np.linalg.norm(actual - expected, axis=(0, 1)) / np.maximum(size, floor)))
 
 
 def read_foton(text: str) -> FotonFile:
@@ -162,16 +162,16 @@ def read_foton(text: str) -> FotonFile:
     modules = [
         Module(
             name,
-            Sections(gains[name], np.array(held)),
+            FotonSections(gains[name], np.array(numbers)),
             turns[("INPUT", name)] if ("INPUT", name) in turns else units[k],
             turns[("OUTPUT", name)] if ("OUTPUT", name) in turns else units[k],
         )
-        for k, (name, held) in enumerate(rows.items())
+        for k, (name, numbers) in enumerate(rows.items())
     ]
     return FotonFile(rate_hz, tuple(modules))
 
 
-def _channels(law: StateSpace, coupled: bool) -> list[Channel]:
+def _channels(law: StateSpace, coupled: bool) -> list[BankChannel]:
     if not coupled:
         try:
             return channels(law)
@@ -184,7 +184,7 @@ def _channels(law: StateSpace, coupled: bool) -> list[Channel]:
                 f" MAT, HDF5 or CSV, or ask for them with coupled=True ({why})."
             ) from None
     return [
-        Channel(
+        BankChannel(
             StateSpace(law.A, law.B[:, [j]], law.C[[i]], law.D[[i]][:, [j]], rate_hz=law.rate_hz),
             np.eye(law.D.shape[1])[j],
             np.eye(law.D.shape[0])[i],
@@ -194,7 +194,7 @@ def _channels(law: StateSpace, coupled: bool) -> list[Channel]:
     ]
 
 
-def _label(channel: Channel, k: int) -> str:
+def _label(channel: BankChannel, k: int) -> str:
     one, other = np.flatnonzero(channel.sink), np.flatnonzero(channel.source)
     return f"U{one[0] + 1}_Y{other[0] + 1}" if one.size == 1 and other.size == 1 else f"C{k + 1}"
 

@@ -16,7 +16,7 @@ DELAY = 2.0**-44
 
 
 @dataclass(frozen=True, eq=False)
-class Sections:
+class FotonSections:
     """A gain and rows a1, a2, b1, b2, `(sections, 4)`, run one after the other."""
 
     gain: float
@@ -25,10 +25,10 @@ class Sections:
     def frequency_response(self, f_hz: FloatArray, rate_hz: float) -> ComplexArray:
         """Return the response at frequencies in Hz, `(nf,)`."""
         z = np.exp(-2j * np.pi * np.asarray(f_hz) / rate_hz)  # z^-1
-        made = np.full(z.shape, complex(self.gain))
+        response = np.full(z.shape, complex(self.gain))
         for a1, a2, b1, b2 in self.rows:
-            made = made * ((1.0 + (b1 + b2 * z) * z) / (1.0 + (a1 + a2 * z) * z))
-        return made
+            response = response * ((1.0 + (b1 + b2 * z) * z) / (1.0 + (a1 + a2 * z) * z))
+        return response
 
     def state_space(self, rate_hz: float) -> StateSpace:
         """Return the same filter as a system of one input and one output."""
@@ -59,7 +59,7 @@ def _block(a1: float, a2: float, c1: float, c2: float) -> tuple[FloatArray, Floa
     return np.array([[half, turn], [-turn, half]]), np.array([c1, -(c2 + c1 * half) / turn])
 
 
-def cascade(law: StateSpace) -> list[Sections]:
+def cascade(law: StateSpace) -> list[FotonSections]:
     """Return a scalar law as one chain of sections: zeros beside the poles they are nearest to.
 
     Raises:
@@ -78,39 +78,39 @@ def cascade(law: StateSpace) -> list[Sections]:
     for coefficients, root in below:
         near = min(range(len(above)), key=lambda k: abs(above[k][1] - root))
         rows.append([*coefficients, *above.pop(near)[0]])
-    chain = Sections(1.0, frozen(np.array(rows)))
+    chain = FotonSections(1.0, frozen(np.array(rows)))
     # The gain that fits best where the law is large.
     f_hz, rate_hz = _grid(law), float(law.rate_hz or 0)
-    wanted, found = _response(law), chain.frequency_response(f_hz, rate_hz)
-    gain = float(np.real(np.vdot(found, wanted)) / np.real(np.vdot(found, found)))
-    return [Sections(gain, chain.rows)]
+    expected, actual = _response(law), chain.frequency_response(f_hz, rate_hz)
+    gain = float(np.real(np.vdot(actual, expected)) / np.real(np.vdot(actual, actual)))
+    return [FotonSections(gain, chain.rows)]
 
 
-def modal_sum(law: StateSpace) -> list[Sections]:
+def modal_sum(law: StateSpace) -> list[FotonSections]:
     """Return a scalar law as sections whose outputs are added: one for each mode, one for the direct gain.
 
     Raises:
         InputError: several inputs or outputs, or poles that coincide.
     """
     _scalar(law)
-    made = [_gain(float(law.D[0, 0]))] if law.D[0, 0] else []
+    terms = [_gain(float(law.D[0, 0]))] if law.D[0, 0] else []
     if law.states:
         parts = realisation(law, "modal")
         for k, A in enumerate(parts.blocks):
             B, C = parts.B[2 * k : 2 * k + 2, 0], parts.C[0, 2 * k : 2 * k + 2]
             if A[0, 1] == 0 and A[1, 0] == 0:
-                made += [_first(A[i, i], B[i] * C[i]) for i in range(2)]
+                terms += [_first(A[i, i], B[i] * C[i]) for i in range(2)]
             else:
-                made.append(_second(A, B, C))
-    held = [one for one in made if one.gain]
-    return held or [_gain(0.0)]
+                terms.append(_second(A, B, C))
+    driven = [one for one in terms if one.gain]
+    return driven or [_gain(0.0)]
 
 
-def _first(pole: float, residue: float) -> Sections:
-    return Sections(residue * DELAY, frozen(np.array([[-pole, 0.0, 1.0 / DELAY, 0.0]])))
+def _first(pole: float, residue: float) -> FotonSections:
+    return FotonSections(residue * DELAY, frozen(np.array([[-pole, 0.0, 1.0 / DELAY, 0.0]])))
 
 
-def _second(A: FloatArray, B: FloatArray, C: FloatArray) -> Sections:
+def _second(A: FloatArray, B: FloatArray, C: FloatArray) -> FotonSections:
     """Return C (z I - A)^-1 B; the numerator is beta1 z^-1 + beta2 z^-2 by Cramer's rule."""
     trace = A[0, 0] + A[1, 1]
     beta1, beta2 = float(C @ B), float(C @ (A - trace * np.eye(2)) @ B)
@@ -118,22 +118,22 @@ def _second(A: FloatArray, B: FloatArray, C: FloatArray) -> Sections:
     if gain == 0:
         return _gain(0.0)
     determinant = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
-    return Sections(gain, frozen(np.array([[-trace, determinant, beta1 / gain, beta2 / gain]])))
+    return FotonSections(gain, frozen(np.array([[-trace, determinant, beta1 / gain, beta2 / gain]])))
 
 
-def _gain(value: float) -> Sections:
-    return Sections(value, frozen(np.zeros((1, 4))))
+def _gain(value: float) -> FotonSections:
+    return FotonSections(value, frozen(np.zeros((1, 4))))
 
 
 def _quadratics(roots: ComplexArray) -> list[tuple[tuple[float, float], complex]]:
     """Return 1 + c1 z^-1 + c2 z^-2 for pairs of roots with the root that stands for each; reals go in pairs, sorted."""
     upper = roots[roots.imag > 0]
-    made = [((float(-2 * r.real), float(abs(r) ** 2)), complex(r)) for r in upper]
+    factors = [((float(-2 * r.real), float(abs(r) ** 2)), complex(r)) for r in upper]
     reals = np.sort(roots[roots.imag == 0].real)[::-1].tolist()
     if len(reals) % 2:
         reals.append(0.0)
-    made += [((-(p + q), p * q), complex(p)) for p, q in zip(reals[::2], reals[1::2], strict=True)]
-    return made
+    factors += [((-(p + q), p * q), complex(p)) for p, q in zip(reals[::2], reals[1::2], strict=True)]
+    return factors
 
 
 def _grid(law: StateSpace) -> FloatArray:

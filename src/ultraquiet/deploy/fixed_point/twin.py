@@ -69,16 +69,16 @@ class FixedTwin:
         acc = own + _round(law.B @ self.y, law.shift_b + 2)
         x = _round(acc, law.bits - 4) + (self.x if law.delta else 0)
         if law.saturates:
-            held = np.clip(x, -self._top, self._top)
-            self.limited += bool(np.any(held != x))
-            x = held
+            limited = np.clip(x, -self._top, self._top)
+            self.limited += bool(np.any(limited != x))
+            x = limited
         self.x = x if self.level or self.on else 0 * x
 
     def run(self, y: ArrayLike) -> Whole:
         """Return the commands `(nu, n)` for measurements `(ny, n)`, both words."""
-        given = np.ascontiguousarray(np.asarray(y, np.int64).T)
-        u = np.empty((len(given), self.law.outputs), np.int64)
-        for k, sample in enumerate(given):
+        samples = np.ascontiguousarray(np.asarray(y, np.int64).T)
+        u = np.empty((len(samples), self.law.outputs), np.int64)
+        for k, sample in enumerate(samples):
             u[k] = self.output(sample)
             self.update()
         return u.T

@@ -8,7 +8,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw, fixed_law
+from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw
+from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, sensitivities
 from ultraquiet.deploy.law.law import DTYPES, Law, require_plant, rounded
 from ultraquiet.deploy.law.realisation import FORMS, realisation
@@ -43,8 +44,8 @@ class WordLength:
     coefficient_bytes: int | None = None
 
     def __str__(self) -> str:
-        told = [self.error, self.degradation_db, self.overflow, self.noise_v, self.multiply_adds]
-        cells = ["-" if value is None else f"{value:.3g}" for value in told]
+        figures = [self.error, self.degradation_db, self.overflow, self.noise_v, self.multiply_adds]
+        cells = ["-" if value is None else f"{value:.3g}" for value in figures]
         return f"{self.precision:8} {self.form:11} {self.status.word:9} " + " ".join(f"{c:>10}" for c in cells)
 
 
@@ -109,17 +110,17 @@ class _Judge:
         self.controller, self.plant, self.tolerance = controller, plant, tolerance
         self.rate_hz = float(controller.rate_hz or 0.0)
 
-    def row(self, precision: str, form: str, held: StateSpace, noise: float, **known: Any) -> WordLength:
+    def row(self, precision: str, form: str, rounded: StateSpace, noise: float, **figures: Any) -> WordLength:
         """Return the row of a rounded law; `noise` is its share of the range."""
-        error = error_of(held, self.controller, self.plant)
+        error = error_of(rounded, self.controller, self.plant)
         loss = radius = None
         if self.plant is not None:
-            radius = loop_radius(self.plant, held)
-            loss = np.inf if radius >= 1.0 else degradation_db(held, self.controller, self.plant)
-        return WordLength(precision, form, self._status(held, error, noise, loss), error, loss, radius, **known)
+            radius = loop_radius(self.plant, rounded)
+            loss = np.inf if radius >= 1.0 else degradation_db(rounded, self.controller, self.plant)
+        return WordLength(precision, form, self._status(rounded, error, noise, loss), error, loss, radius, **figures)
 
-    def _status(self, held: StateSpace, error: float, noise: float, loss: float | None) -> Status:
-        if not np.isfinite(error) or (self.controller.is_stable() and not held.is_stable()):
+    def _status(self, rounded: StateSpace, error: float, noise: float, loss: float | None) -> Status:
+        if not np.isfinite(error) or (self.controller.is_stable() and not rounded.is_stable()):
             return Status(StatusWord.UNSTABLE, f"The {'law' if loss is None else 'loop'} is no longer stable.")
         what = "response" if loss is None else "sensitivity"
         more = "" if loss is None else f", the loop by at most {loss:.1e} dB"
@@ -127,9 +128,9 @@ class _Judge:
         return Status(StatusWord.OK if max(error, noise) <= self.tolerance else StatusWord.INEXACT, sentence)
 
 
-def degradation_db(held: StateSpace, controller: StateSpace, plant: StateSpace) -> float:
+def degradation_db(rounded: StateSpace, controller: StateSpace, plant: StateSpace) -> float:
     """Return max over frequency of 20 log10 (||S_r|| / ||S||), spectral norms, S = (I - G K)^-1."""
-    before, after = sensitivities(controller, held, plant)
+    before, after = sensitivities(controller, rounded, plant)
     return float(20.0 * np.log10(np.linalg.norm(after, 2, axis=(1, 2)) / np.linalg.norm(before, 2, axis=(1, 2))).max())
 
 

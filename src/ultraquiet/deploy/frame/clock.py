@@ -100,27 +100,27 @@ def empty_arrays(frames: int) -> dict[str, NDArray[Any]]:
 
 def run_clock(clock: FrameClock, frames: int, y: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """Return the arrays of `frames` frames, y being `(samples, inputs)` and repeated."""
-    held, code = empty_arrays(frames), clock.code
+    arrays, code = empty_arrays(frames), clock.code
     for k in range(frames):
         before, end = clock.open_at, clock.finish
         skipped, _, done = clock.tick(k, y[k % len(y)])
-        held["skipped"][k] = skipped
-        held["written"][clock.open_at] = clock.written
+        arrays["skipped"][k] = skipped
+        arrays["written"][clock.open_at] = clock.written
         if not skipped:
-            held["start"][k] = clock.start
+            arrays["start"][k] = clock.start
             if k:
-                held["finish"][before] = end
+                arrays["finish"][before] = end
             if done >= 0.0:
-                held["done"][before] = done
+                arrays["done"][before] = done
         if k:
-            held["late"][k - 1] = clock.late
+            arrays["late"][k - 1] = clock.late
         for name in ("mode", "faults", "level", "overruns"):
-            held[name][k] = getattr(code, name)
-        held["largest"][k] = np.abs(clock.command).max()
+            arrays[name][k] = getattr(code, name)
+        arrays["largest"][k] = np.abs(clock.command).max()
     end = clock.finish
     done = clock.close(frames * clock.t["period_s"])
-    held["finish"][clock.open_at] = end
+    arrays["finish"][clock.open_at] = end
     if done >= 0.0:
-        held["done"][clock.open_at] = done
-    held["late"][frames - 1] = clock.backlog > 0.0
-    return held
+        arrays["done"][clock.open_at] = done
+    arrays["late"][frames - 1] = clock.backlog > 0.0
+    return arrays

@@ -22,18 +22,20 @@ class FrameController:
     it cannot show is the shift of a sampling instant inside its period.
     """
 
-    def __init__(self, frame: FrameSettings, made: GeneratedCode, times: FrameTimes, seed: int, ramp: bool) -> None:
-        self.made, self.ramp = made, ramp
-        self._settings = frame_settings(frame, times, made.law.rate_hz)
+    def __init__(
+        self, frame: FrameSettings, generated: GeneratedCode, times: FrameTimes, seed: int, ramp: bool
+    ) -> None:
+        self.law, self.ramp = generated.law, ramp
+        self._settings = frame_settings(frame, times, generated.law.rate_hz)
         self._draws = frame.draw(MOST_SAMPLES, self._settings["period_s"], seed)
         cc = compiler.compiler()
-        self._harness = None if cc is None else FrameHarness(made.law, made.folder, cc)
+        self._harness = None if cc is None else FrameHarness(generated.law, generated.folder, cc)
         self.reset()
 
     @property
     def rate_hz(self) -> float | None:
         """Sampling rate in Hz."""
-        return self.made.law.rate_hz
+        return self.law.rate_hz
 
     @property
     def overruns(self) -> int:
@@ -46,11 +48,11 @@ class FrameController:
             self._harness.start(engage=not self.ramp)
             code = self._harness
         else:
-            code = Twin(self.made.law)
+            code = Twin(self.law)
             code.reset()
             code.level = 0 if self.ramp else code.level
         self._clock, self._k = FrameClock(code, self._settings, self._draws), 0
-        self._held = self._next = np.zeros(self.made.law.outputs)
+        self._on_converters = self._following = np.zeros(self.law.outputs)
 
     def step(self, y: FloatArray) -> FloatArray:
         """Return the commands `(nu,)` that the converters hold when this sample's frame ends."""
@@ -58,10 +60,10 @@ class FrameController:
             raise InputError(f"FrameController: its {MOST_SAMPLES} frames are over; call reset().")
         clock = self._clock
         with np.errstate(all="ignore"):
-            clock.tick(self._k, np.asarray(y, self.made.law.dtype))
+            clock.tick(self._k, np.asarray(y, self.law.dtype))
         self._k += 1
         if clock.open_at == self._k - 1:
-            self._held, self._next = self._next, clock.command.astype(np.float64)
+            self._on_converters, self._following = self._following, clock.command.astype(np.float64)
         if clock.written <= self._k * self._settings["period_s"]:
-            self._held = self._next
-        return self._held
+            self._on_converters = self._following
+        return self._on_converters

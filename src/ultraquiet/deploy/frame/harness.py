@@ -59,15 +59,15 @@ class FrameHarness:
     def __init__(self, law: Law, folder: Path, cc: str) -> None:
         self.law = law
         with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
-            source, made = Path(work) / "frame.c", Path(work) / "frame.so"
+            source, library_file = Path(work) / "frame.c", Path(work) / "frame.so"
             text = render.render("frame_harness.c.j2", {"name": law.name, "NAME": law.name.upper()})
             source.write_text(text, encoding="utf-8")
             own = folder / f"{law.name}.c"
             compiler.compile_c(
-                [cc, *compiler.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", made], folder
+                [cc, *compiler.FLAGS, f"-I{folder}", "-fPIC", "-shared", own, source, "-o", library_file], folder
             )
             try:
-                self._library = ctypes.CDLL(str(made))
+                self._library = ctypes.CDLL(str(library_file))
             except OSError as error:
                 raise ToolError(f"deploy: the compiled controller cannot be loaded ({error}).") from None
         size = int(self._function("frame_size")())
@@ -119,8 +119,8 @@ class FrameHarness:
 
     def run(self, settings: dict[str, Any], draws: Draws, frames: int, y: NDArray[Any]) -> dict[str, Any]:
         """Return the arrays of so many frames, from a fresh start."""
-        held = empty_arrays(frames)
-        given = {
+        filled = empty_arrays(frames)
+        drawn = {
             "delay": draws.delay_s,
             "stretch": draws.stretch,
             "extra": draws.extra_s,
@@ -128,25 +128,25 @@ class FrameHarness:
             "y": np.ascontiguousarray(y, self.law.dtype),
         }
         counts = {"frames": frames, "samples": len(y), "arrivals": draws.arrival_s.size}
-        pointers = {name: array.ctypes.data for name, array in (given | held).items()}
+        pointers = {name: array.ctypes.data for name, array in (drawn | filled).items()}
         job = Job(**settings, **counts, **pointers)
         self._function("frame_run")(self._state, ctypes.byref(job))
-        return held | {"hooked": int(job.hooked), "refused": int(job.refused)}
+        return filled | {"hooked": int(job.hooked), "refused": int(job.refused)}
 
 
 def run_frames(
-    frame: FrameSettings, made: GeneratedCode, frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
+    frame: FrameSettings, code: GeneratedCode, frames: int, times: FrameTimes, measurements: ArrayLike | None, seed: int
 ) -> FrameSimulation:
     """Return what `Frame.simulate` promises."""
-    settings = frame_settings(frame, times, made.law.rate_hz)
+    settings = frame_settings(frame, times, code.law.rate_hz)
     draws = frame.draw(frames, settings["period_s"], seed)
-    y = _measurements(made.plan, measurements, seed)
+    y = _measurements(code.plan, measurements, seed)
     cc = compiler.compiler()
     if cc is not None:
-        held = FrameHarness(made.law, made.folder, cc).run(settings, draws, frames, y)
+        arrays = FrameHarness(code.law, code.folder, cc).run(settings, draws, frames, y)
     else:
-        held = run_twin(made.law, settings, draws, frames, y)
-    return judge(frame, times, made.law, held, "twin" if cc is None else "compiled code")
+        arrays = run_twin(code.law, settings, draws, frames, y)
+    return judge(frame, times, code.law, arrays, "twin" if cc is None else "compiled code")
 
 
 def run_twin(law: Law, settings: dict[str, Any], draws: Draws, frames: int, y: NDArray[Any]) -> dict[str, Any]:
@@ -155,17 +155,17 @@ def run_twin(law: Law, settings: dict[str, Any], draws: Draws, frames: int, y: N
     twin.enable()
     clock = FrameClock(twin, settings, draws)
     with np.errstate(all="ignore"):
-        held = run_clock(clock, frames, y)
-    return held | {"hooked": None, "refused": clock.refused}
+        arrays = run_clock(clock, frames, y)
+    return arrays | {"hooked": None, "refused": clock.refused}
 
 
-def _measurements(plan: CodePlan, given: ArrayLike | None, seed: int) -> NDArray[Any]:
+def _measurements(plan: CodePlan, measurements: ArrayLike | None, seed: int) -> NDArray[Any]:
     """Return measurements as `(samples, inputs)` in the code's precision."""
     law = plan.law
-    if given is None:
+    if measurements is None:
         noise = np.random.default_rng(seed).standard_normal((NOISE_SAMPLES, law.inputs))
         return np.ascontiguousarray(noise * plan.quiet * HALF_RANGE, law.dtype)
-    y = signal_array("Frame", "measurements", given)
+    y = signal_array("Frame", "measurements", measurements)
     if y.shape[0] != law.inputs or y.shape[1] == 0:
         raise InputError(f"Frame: measurements must be ({law.inputs}, n), got {y.shape}.")
     return np.ascontiguousarray(y.T, law.dtype)

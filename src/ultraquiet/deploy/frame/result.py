@@ -132,35 +132,35 @@ class FrameSimulation:
         return int(np.nanargmax(self.finish_s))
 
 
-def judge(frame: FrameSettings, times: FrameTimes, law: Law, held: dict[str, Any], ran: str) -> FrameSimulation:
+def judge(frame: FrameSettings, times: FrameTimes, law: Law, arrays: dict[str, Any], ran: str) -> FrameSimulation:
     """Return the arrays of a run as a result with its verdict."""
     period = 1.0 / law.rate_hz
-    ticks = np.arange(held["skipped"].size) * period
-    arrays = {f"{name}_s": frozen(held[name] - ticks) for name in ("start", "written", "finish", "done")}
-    flags = {name: frozen(held[name].astype(bool)) for name in ("skipped", "late")}
-    counts = {name: frozen(held[name]) for name in ("mode", "faults", "level", "overruns")}
-    status = _verdict(held, times, period, frame)
+    ticks = np.arange(arrays["skipped"].size) * period
+    instants = {f"{name}_s": frozen(arrays[name] - ticks) for name in ("start", "written", "finish", "done")}
+    flags = {name: frozen(arrays[name].astype(bool)) for name in ("skipped", "late")}
+    counts = {name: frozen(arrays[name]) for name in ("mode", "faults", "level", "overruns")}
+    status = _verdict(arrays, times, period, frame)
     return FrameSimulation(
         status,
         frame,
         times,
         period,
-        **arrays,
+        **instants,
         **flags,
         **counts,
-        largest_v=frozen(held["largest"]),
-        hooked=held["hooked"],
-        refused=held["refused"],
+        largest_v=frozen(arrays["largest"]),
+        hooked=arrays["hooked"],
+        refused=arrays["refused"],
         ran=ran,
     )
 
 
-def _verdict(held: dict[str, Any], times: FrameTimes, period: float, frame: FrameSettings) -> Status:
-    frames, over = held["skipped"].size, int(held["overruns"][-1])
-    late = int(np.count_nonzero(held["late"]))
+def _verdict(arrays: dict[str, Any], times: FrameTimes, period: float, frame: FrameSettings) -> Status:
+    frames, over = arrays["skipped"].size, int(arrays["overruns"][-1])
+    late = int(np.count_nonzero(arrays["late"]))
     if over:
-        first = int(np.argmax(held["skipped"]))
-        mode = int(held["mode"][-1])
+        first = int(np.argmax(arrays["skipped"]))
+        mode = int(arrays["mode"][-1])
         after = "in control" if mode == ON else "in fault" if mode == FAULT else "out of control"
         sentence = f"{over} of {frames} frames overran, the first at frame {first}; the law ends {after}"
         if times.step_s >= period:
@@ -176,11 +176,13 @@ def _verdict(held: dict[str, Any], times: FrameTimes, period: float, frame: Fram
     return Status(StatusWord.OK, f"No overrun in {frames} frames, and background work was never late.")
 
 
-def _spans(found: FrameSimulation, k: int) -> list[tuple[str, float, float]]:
+def _spans(simulation: FrameSimulation, k: int) -> list[tuple[str, float, float]]:
     """Return the parts of frame k with begin and end in seconds after its tick."""
-    start, written, finish, done = (float(a[k]) for a in (found.start_s, found.written_s, found.finish_s, found.done_s))
-    times = found.times
-    idle = found.mode[k] == FAULT or (found.level[k] == 0 and found.mode[k] != ON)
+    start, written, finish, done = (
+        float(a[k]) for a in (simulation.start_s, simulation.written_s, simulation.finish_s, simulation.done_s)
+    )
+    times = simulation.times
+    idle = simulation.mode[k] == FAULT or (simulation.level[k] == 0 and simulation.mode[k] != ON)
     # What chance added between start and write is shared by the parts in proportion to their own times.
     parts = np.array([times.entry_s, times.read_s, times.idle_output_s if idle else times.output_s, times.write_s])
     ends = start + np.cumsum(parts) * ((written - start) / parts.sum() if parts.sum() else 0.0)
@@ -190,34 +192,34 @@ def _spans(found: FrameSimulation, k: int) -> list[tuple[str, float, float]]:
         rows.insert(0, ("interrupt late", 0.0, start))
     rows.append(("update", written, finish))
     begins = finish + times.leave_s
-    if np.isfinite(done) and found.frame.load > 0.0:
+    if np.isfinite(done) and simulation.frame.load > 0.0:
         rows.append(("background", begins, done))
-    elif found.frame.load > 0.0:
-        rows.append(("background, late", begins, max(begins, _next_start(found, k))))
+    elif simulation.frame.load > 0.0:
+        rows.append(("background, late", begins, max(begins, _next_start(simulation, k))))
     return rows
 
 
-def _next_start(found: FrameSimulation, k: int) -> float:
+def _next_start(simulation: FrameSimulation, k: int) -> float:
     """Return when the next step begins, in seconds after the tick of frame k."""
-    ran = np.flatnonzero(~found.skipped[k + 1 :])
+    ran = np.flatnonzero(~simulation.skipped[k + 1 :])
     if not ran.size:
-        return (found.frames - k) * found.period_s
+        return (simulation.frames - k) * simulation.period_s
     ahead = 1 + int(ran[0])
-    return ahead * found.period_s + float(found.start_s[k + ahead])
+    return ahead * simulation.period_s + float(simulation.start_s[k + ahead])
 
 
-def _drawn(found: FrameSimulation, k: int) -> list[str]:
+def _drawn(simulation: FrameSimulation, k: int) -> list[str]:
     """Return the lines of the time line of frame k."""
-    if found.skipped[k]:
+    if simulation.skipped[k]:
         return [f"frame {k} was skipped: its interrupt met an unfinished step."]
-    rows, period = found.spans_us(k), 1e6 * found.period_s
+    rows, period = simulation.spans_us(k), 1e6 * simulation.period_s
     span = max(period, *(end for _, _, end in rows))
     scale = WIDTH / span
-    said = [f"frame {k}: microseconds after its interrupt was due, one character is {1 / scale:.2f} us"]
+    lines = [f"frame {k}: microseconds after its interrupt was due, one character is {1 / scale:.2f} us"]
     for name, a, b in rows:
         left = min(WIDTH - 1, round(a * scale))
         bar = " " * left + "#" * max(1, round(b * scale) - left)
-        said.append(f"{name:<17}|{bar[:WIDTH]:<{WIDTH}}| {a:8.2f} .. {b:8.2f}")
+        lines.append(f"{name:<17}|{bar[:WIDTH]:<{WIDTH}}| {a:8.2f} .. {b:8.2f}")
     mark = min(WIDTH - 1, round(period * scale))
-    said.append(f"{'next interrupt':<17} {' ' * mark}^ {period:.2f}")
-    return said
+    lines.append(f"{'next interrupt':<17} {' ' * mark}^ {period:.2f}")
+    return lines

@@ -43,27 +43,27 @@ def conditioning_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
 
 
 @dataclass(frozen=True)
-class Wish:
+class AntiWindupDecision:
     """Whether to correct the state by what the limits took away, and the sentence that says why."""
 
     on: bool
     why: str
 
 
-def wish(
-    asked: bool | str,
+def decide_anti_windup(
+    setting: bool | str,
     controller: StateSpace,
     limits: FloatArray,
     plant: StateSpace | None = None,
     disturbance_v: ArrayLike | None = None,
-) -> Wish:
+) -> AntiWindupDecision:
     """Return whether a law wants anti-windup; `auto` decides by the law's poles and by the commands it would give.
 
     `auto` says yes when a pole is unstable or slower than 1 Hz, or when the command meets a limit under the design
     disturbance: u = K (I - G K)^-1 d with a plant, u = K d without.
 
     Args:
-        asked: True, False or `auto`.
+        setting: True, False or `auto`.
         controller: K, discrete.
         limits: `(nu, 2)`, low and high, volts.
         plant: G of y = G u + d.
@@ -72,26 +72,30 @@ def wish(
     Raises:
         InputError: a disturbance of another number of channels.
     """
-    if isinstance(asked, bool):
-        return Wish(asked, "asked for" if asked else "not asked for")
+    if isinstance(setting, bool):
+        return AntiWindupDecision(setting, "asked for" if setting else "not asked for")
     rate_hz = float(controller.rate_hz or 0)
     poles = controller.poles()
     size = np.abs(poles)
     if np.any(size >= 1):
-        return Wish(True, f"a pole of the law lies at {size.max():.6f}, on or outside the unit circle")
-    kept = poles[size > 0]
-    slowest = float(np.abs(np.log(kept)).min(initial=np.inf)) * rate_hz / (2 * np.pi)
+        return AntiWindupDecision(True, f"a pole of the law lies at {size.max():.6f}, on or outside the unit circle")
+    moving = poles[size > 0]
+    slowest = float(np.abs(np.log(moving)).min(initial=np.inf)) * rate_hz / (2 * np.pi)
     if slowest < SLOW_HZ:
-        return Wish(True, f"a pole of the law at {slowest:.2g} Hz is slower than {SLOW_HZ:g} Hz")
+        return AntiWindupDecision(True, f"a pole of the law at {slowest:.2g} Hz is slower than {SLOW_HZ:g} Hz")
     if disturbance_v is None:
-        return Wish(False, f"no pole is unstable or slower than {SLOW_HZ:g} Hz, and no design disturbance was given")
+        return AntiWindupDecision(
+            False, f"no pole is unstable or slower than {SLOW_HZ:g} Hz, and no design disturbance was given"
+        )
     u = _commands(controller, plant, disturbance_v)
     low, high = limits.T
     over = (u < low[:, None]) | (u > high[:, None])
     share = float(over.any(axis=0).mean())
     if share > 0:
-        return Wish(True, f"the design disturbance drives a command to its limit in {100 * share:.2g} % of its samples")
-    return Wish(
+        return AntiWindupDecision(
+            True, f"the design disturbance drives a command to its limit in {100 * share:.2g} % of its samples"
+        )
+    return AntiWindupDecision(
         False, f"under the design disturbance commands peak at {np.abs(u).max(initial=0.0):.3g} V, inside all limits"
     )
 

@@ -16,7 +16,7 @@ SAME = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class BankChannel:
     """A scalar law k with u += s k(t' y): `source` is t `(ny,)`, `sink` is s `(nu,)`, both of unit length."""
 
     law: StateSpace
@@ -24,7 +24,7 @@ class Channel:
     sink: FloatArray
 
 
-def channels(law: StateSpace) -> list[Channel]:
+def channels(law: StateSpace) -> list[BankChannel]:
     """Return the scalar laws whose sum, each between its own directions, is the law: K = sum_c s_c k_c t_c'.
 
     States that exchange nothing belong to different parts; each part must take in one combination of the measurements
@@ -39,20 +39,20 @@ def channels(law: StateSpace) -> list[Channel]:
     >>> [(c.law.states, c.source.tolist()) for c in channels(law)]
     [(1, [1.0, 0.0]), (1, [0.0, 1.0])]
     """
-    found: list[tuple[FloatArray, FloatArray, list[NDArray[np.intp]]]] = []
+    groups: list[tuple[FloatArray, FloatArray, list[NDArray[np.intp]]]] = []
     for part in parts_of(law.A):
         t, s = _direction(law.B[part]), _direction(law.C[:, part].T)
         if t is None or s is None:
             continue  # neither driven nor seen: it never leaves zero, or nobody knows
-        for source, sink, held in found:
+        for source, sink, members in groups:
             if abs(source @ t) > 1 - SAME and abs(sink @ s) > 1 - SAME:
-                held.append(part)
+                members.append(part)
                 break
         else:
-            found.append((t, s, [part]))
-    gains = _gains(law.D, found)
-    order = sorted(range(len(found)), key=lambda c: int(np.argmax(np.abs(found[c][1]))))
-    return [_channel(law, *found[c], gains[c]) for c in order]
+            groups.append((t, s, [part]))
+    gains = _gains(law.D, groups)
+    order = sorted(range(len(groups)), key=lambda c: int(np.argmax(np.abs(groups[c][1]))))
+    return [_channel(law, *groups[c], gains[c]) for c in order]
 
 
 def parts_of(A: FloatArray) -> list[NDArray[np.intp]]:
@@ -81,17 +81,17 @@ def _direction(matrix: FloatArray) -> FloatArray | None:
     return rows[0] * np.sign(rows[0, np.argmax(np.abs(rows[0]))])
 
 
-def _gains(D: FloatArray, found: list[Any]) -> FloatArray:
+def _gains(D: FloatArray, groups: list[Any]) -> FloatArray:
     """Return g with D = sum_c g_c s_c t_c'; channels without states are added for direct gains of their own."""
     for i, j in zip(*np.nonzero(D), strict=True):
         t, s = np.eye(D.shape[1])[j], np.eye(D.shape[0])[i]
-        units = all(np.count_nonzero(v) == 1 for one in found for v in one[:2])
-        if units and not any(one[0] @ t == 1 and one[1] @ s == 1 for one in found):
-            found.append((t, s, []))
-    basis = np.stack([np.outer(s, t).ravel() for t, s, _ in found], axis=1) if found else np.zeros((D.size, 0))
-    gains = np.linalg.lstsq(basis, D.ravel())[0] if found else np.zeros(0)
+        units = all(np.count_nonzero(v) == 1 for one in groups for v in one[:2])
+        if units and not any(one[0] @ t == 1 and one[1] @ s == 1 for one in groups):
+            groups.append((t, s, []))
+    basis = np.stack([np.outer(s, t).ravel() for t, s, _ in groups], axis=1) if groups else np.zeros((D.size, 0))
+    gains = np.linalg.lstsq(basis, D.ravel())[0] if groups else np.zeros(0)
     left = np.abs(D.ravel() - basis @ gains).max(initial=0.0)
-    if left > SAME * np.abs(D).max(initial=0.0) or not found:
+    if left > SAME * np.abs(D).max(initial=0.0) or not groups:
         raise InputError(
             f"deploy: a bank needs a direct gain within its channels, but {left:.1e} V/V of this law's lie between"
             " them; take form='modal' or 'auto'."
@@ -99,13 +99,13 @@ def _gains(D: FloatArray, found: list[Any]) -> FloatArray:
     return np.asarray(gains, dtype=np.float64)
 
 
-def _channel(law: StateSpace, t: FloatArray, s: FloatArray, parts: list[NDArray[np.intp]], gain: float) -> Channel:
+def _channel(law: StateSpace, t: FloatArray, s: FloatArray, parts: list[NDArray[np.intp]], gain: float) -> BankChannel:
     own = np.concatenate([*parts, np.zeros(0, dtype=np.intp)]).astype(np.intp)
     B, C = law.B[own] @ t[:, None], s[None, :] @ law.C[:, own]
-    return Channel(StateSpace(law.A[np.ix_(own, own)], B, C, [[gain]], rate_hz=law.rate_hz), t, s)
+    return BankChannel(StateSpace(law.A[np.ix_(own, own)], B, C, [[gain]], rate_hz=law.rate_hz), t, s)
 
 
-class Bank:
+class BankArithmetic:
     """The arithmetic of a bank, sums from left to right as in the code; arrays in the code's precision.
 
     z = T y; v_c = D_c z_c + sum of C_k x_k over the states of channel c; u = v or S v.

@@ -18,7 +18,7 @@ from ultraquiet.values.state_space import StateSpace
 
 
 @dataclass(frozen=True, eq=False)
-class Section:
+class CoefficientSection:
     """A run of rows with one meaning; rows differ in length where blocks do."""
 
     label: str
@@ -34,27 +34,27 @@ class CoefficientBank:
     crc: int
 
 
-def sections(law: Law) -> list[Section]:
+def sections(law: Law) -> list[CoefficientSection]:
     """Return the coefficients in the order of the code: those of `evaluate`, then a row of A, B, L for each state."""
     own = [row for block in law.blocks for row in block]
     more = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
-    made = [
-        Section("D", "a row for each measurement", list(law.D.T)),
-        Section("C", "a row for each state", list(law.C.T)),
+    listed = [
+        CoefficientSection("D", "a row for each measurement", list(law.D.T)),
+        CoefficientSection("C", "a row for each state", list(law.C.T)),
     ]
     if law.channels:
         B, C, D = biquad.sections(law)
-        made = [
-            Section("D", "a number for each channel", [D]),
-            Section("C", "a row for each block", list(C.reshape(-1, 2))),
+        listed = [
+            CoefficientSection("D", "a number for each channel", [D]),
+            CoefficientSection("C", "a row for each block", list(C.reshape(-1, 2))),
         ]
         if law.turn_in is not None and law.turn_out is not None:
-            made.append(Section("TURN_IN", "a row for each channel, from measurements", list(law.turn_in)))
-            made.append(Section("TURN_OUT", "a row for each command, from channels", list(law.turn_out)))
+            listed.append(CoefficientSection("TURN_IN", "a row for each channel, from measurements", list(law.turn_in)))
+            listed.append(CoefficientSection("TURN_OUT", "a row for each command, from channels", list(law.turn_out)))
         more = B[:, None] if law.L is None else np.concatenate([B[:, None], _own_gain(law, law.L)], axis=1)
     drive = [np.concatenate([row, rest]) for row, rest in zip(own, more, strict=True)]
     parts = f"its row of A{' - I' if law.delta else ''} within the block, of B{'' if law.L is None else ', of L'}"
-    return [*made, Section("DRIVE", f"for each state {parts}", drive)]
+    return [*listed, CoefficientSection("DRIVE", f"for each state {parts}", drive)]
 
 
 def numbers(law: Law) -> Rounded:
@@ -91,33 +91,33 @@ def fitting_bank(running: Law, law: Law) -> CoefficientBank:
 
 def with_numbers(law: Law, row: Rounded) -> Law:
     """Return the law whose bank is `row`; a bank of channels takes its numbers into the same places."""
-    at, taken = 0, {}
+    at, rows_of = 0, {}
     for section in sections(law):
         rows = []
         for old in section.rows:
             rows.append(row[at : at + old.size])
             at += old.size
-        taken[section.label] = rows
+        rows_of[section.label] = rows
     widths = [len(block) for block in law.blocks for _ in block]
-    A = [part[:n] for part, n in zip(taken["DRIVE"], widths, strict=True)]
-    rest = np.stack([part[n:] for part, n in zip(taken["DRIVE"], widths, strict=True)])
+    A = [part[:n] for part, n in zip(rows_of["DRIVE"], widths, strict=True)]
+    rest = np.stack([part[n:] for part, n in zip(rows_of["DRIVE"], widths, strict=True)])
     starts = np.cumsum([0, *(len(b) for b in law.blocks)])
     blocks = tuple(np.stack(A[i:j]) for i, j in pairwise(starts))
     if not law.channels:
         B, L = rest[:, : law.inputs], rest[:, law.inputs :]
-        C, D = np.stack(taken["C"]).T, np.stack(taken["D"]).T
+        C, D = np.stack(rows_of["C"]).T, np.stack(rows_of["D"]).T
         return replace(law, blocks=blocks, B=B, C=C, D=D, L=None if law.L is None else L)
     of = np.repeat(np.arange(len(law.channels)), 2 * np.array(law.channels))
     states = np.arange(law.states)
     B, C, L = np.zeros_like(law.B), np.zeros_like(law.C), None
-    B[states, of], C[of, states] = rest[:, 0], np.concatenate(taken["C"])
+    B[states, of], C[of, states] = rest[:, 0], np.concatenate(rows_of["C"])
     if law.L is not None:
         L = rest[:, 1:]
         if not law.turned:
             L = np.zeros_like(law.L)
             L[states, of] = rest[:, 1]
-    turns = [np.stack(taken[k]) if k in taken else None for k in ("TURN_IN", "TURN_OUT")]
-    D = np.diag(taken["D"][0])
+    turns = [np.stack(rows_of[k]) if k in rows_of else None for k in ("TURN_IN", "TURN_OUT")]
+    D = np.diag(rows_of["D"][0])
     return replace(law, blocks=blocks, B=B, C=C, D=D, L=L, turn_in=turns[0], turn_out=turns[1])
 
 

@@ -20,7 +20,7 @@ DECADES = 4.0  # below half the sampling rate
 
 
 @dataclass(frozen=True)
-class Choice:
+class FormChoice:
     """A rounded law, its error against the original, and what was measured for every form tried."""
 
     law: Law
@@ -35,7 +35,7 @@ def choose(
     cost: Callable[[Law], int],
     plant: StateSpace | None = None,
     tolerance: float = TOLERANCE,
-) -> Choice:
+) -> FormChoice:
     """Return the cheapest form whose error stays within `tolerance`, else the most exact one.
 
     Args:
@@ -62,10 +62,10 @@ def choose(
     good = [form for form, (_, error, _) in laws.items() if error <= tolerance]
     best = min(good, key=lambda f: cost(laws[f][0])) if good else min(laws, key=lambda f: laws[f][1])
     law, error, condition = laws[best]
-    return Choice(law, error, {form: held[1] for form, held in laws.items()}, condition)
+    return FormChoice(law, error, {form: attempt[1] for form, attempt in laws.items()}, condition)
 
 
-def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None = None) -> float:
+def error_of(rounded: StateSpace, controller: StateSpace, plant: StateSpace | None = None) -> float:
     """Return the largest relative change over frequency from the controller to what rounding left of it.
 
     Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
@@ -73,23 +73,23 @@ def error_of(held: StateSpace, controller: StateSpace, plant: StateSpace | None 
     """
     if plant is None:
         f_hz = _grid(controller.poles(), controller.rate_hz or 0.0)
-        exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
-    elif loop_radius(plant, controller) < 1.0 <= loop_radius(plant, held):
+        exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, rounded))
+    elif loop_radius(plant, controller) < 1.0 <= loop_radius(plant, rounded):
         return float("inf")
     else:
-        exact, coarse = sensitivities(controller, held, plant)
+        exact, coarse = sensitivities(controller, rounded, plant)
     size = np.linalg.norm(exact, 2, axis=(1, 2))
     change = np.linalg.norm(coarse - exact, 2, axis=(1, 2))
     floor = max(FLOOR * float(size.max()), np.finfo(float).tiny)
     return float((change / np.maximum(size, floor)).max())
 
 
-def sensitivities(controller: StateSpace, held: StateSpace, plant: StateSpace) -> tuple[ComplexArray, ComplexArray]:
+def sensitivities(controller: StateSpace, rounded: StateSpace, plant: StateSpace) -> tuple[ComplexArray, ComplexArray]:
     """Return S = (I - G K)^-1 `(nf, ny, ny)` with either law, on a grid that misses no pole of the loop or the law."""
     poles = np.concatenate([controller.poles(), _loop_poles(plant, controller)])
     f_hz = _grid(poles, controller.rate_hz or 0.0)
     G = _points_first(plant.frequency_response(f_hz))
-    laws = (_points_first(k.frequency_response(f_hz)) for k in (controller, held))
+    laws = (_points_first(k.frequency_response(f_hz)) for k in (controller, rounded))
     before, after = (np.asarray(np.linalg.inv(np.eye(G.shape[1]) - G @ K), dtype=np.complex128) for K in laws)
     return before, after
 

@@ -145,13 +145,13 @@ def rounded(
 
     def cast(matrix: FloatArray) -> Rounded:
         with np.errstate(over="ignore"):
-            held = np.ascontiguousarray(matrix, dtype=dtype)
-        if not np.all(np.isfinite(held)):
+            numbers = np.ascontiguousarray(matrix, dtype=dtype)
+        if not np.all(np.isfinite(numbers)):
             raise InputError(
                 f"deploy: a coefficient of {np.abs(matrix).max():.1e} is beyond {precision}; scale the controller"
                 " or take precision='float64'."
             )
-        return frozen(held)
+        return frozen(numbers)
 
     if not np.all(cast(limits)[:, 0] < cast(limits)[:, 1]):
         raise InputError(f"deploy: in {precision} an actuator's range in 'limits_v' is empty, got {limits.tolist()}.")
@@ -183,20 +183,20 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
     [[-25.0, 25.0], [-25.0, 25.0]]
     """
     try:
-        given = np.asarray(limits_v, dtype=np.float64)
+        values = np.asarray(limits_v, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError(f"deploy: '{what}' must be numbers in volts, got {limits_v!r} ({error}).") from None
-    if given.ndim < 2:
-        size = real_array("deploy", what, np.broadcast_to(given, (outputs,)) if given.size == 1 else given, 1)
-        given = np.stack([-size, size], axis=1)
-    held = real_array("deploy", what, given, 2)
-    if held.shape != (outputs, 2):
-        raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {held.shape}.")
-    if np.any(held[:, 0] > 0) or np.any(held[:, 1] < 0) or np.any(held[:, 0] >= held[:, 1]):
+    if values.ndim < 2:
+        size = real_array("deploy", what, np.broadcast_to(values, (outputs,)) if values.size == 1 else values, 1)
+        values = np.stack([-size, size], axis=1)
+    limits = real_array("deploy", what, values, 2)
+    if limits.shape != (outputs, 2):
+        raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {limits.shape}.")
+    if np.any(limits[:, 0] > 0) or np.any(limits[:, 1] < 0) or np.any(limits[:, 0] >= limits[:, 1]):
         raise InputError(
-            f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {held.tolist()}."
+            f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {limits.tolist()}."
         )
-    return held
+    return limits
 
 
 def require_discrete(controller: StateSpace, name: str) -> None:

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.deploy.law.biquad import Channel, channels, parts_of
+from ultraquiet.deploy.law.biquad import BankChannel, channels, parts_of
 from ultraquiet.deploy.law.blocks import block_diagonal
 from ultraquiet.deploy.law.decoupling import separated
 from ultraquiet.values.state_space import StateSpace
@@ -83,7 +83,7 @@ def realisation(law: StateSpace, form: str) -> Realisation:
     `modal`: 2x2 blocks [[re, im], [-im, re]] (two reals share a block), ||B_k|| = ||C_k|| in each block.
     `delta`: the same with A - I stored, x+ = x + (A - I) x + B y, which keeps poles near z = 1 apart.
     `schur`: blocks as small as a well-conditioned change of coordinates allows. `dense`: the law as it is.
-    `bank`, `bank-delta`: a law that falls apart into channels (`deploy.biquad.channels`) as modal or delta blocks for
+    `bank`, `bank-delta`: a law that falls apart into channels (`law.biquad.channels`) as modal or delta blocks for
     each channel, driven by and seen by that channel alone; equal poles of different channels do not meet.
 
     Args:
@@ -131,35 +131,35 @@ def _dense(law: StateSpace) -> Realisation:
 
 
 def _bank(law: StateSpace) -> Realisation:
-    found = _channels(law)
-    parts = [_modal(channel.law) if channel.law.states else None for channel in found]
-    held = [p for p in parts if p is not None]
-    blocks = tuple(block for p in held for block in p.blocks)
+    own_channels = _channels(law)
+    parts = [_modal(channel.law) if channel.law.states else None for channel in own_channels]
+    modal_parts = [p for p in parts if p is not None]
+    blocks = tuple(block for p in modal_parts for block in p.blocks)
     if not blocks:
         raise InputError("deploy: a bank needs states, and this law is a gain; take form='modal' or 'auto'.")
-    B, C = np.zeros((2 * len(blocks), len(found))), np.zeros((len(found), 2 * len(blocks)))
+    B, C = np.zeros((2 * len(blocks), len(own_channels))), np.zeros((len(own_channels), 2 * len(blocks)))
     at = 0
     for c, p in enumerate(parts):
         size = 0 if p is None else p.states
         if p is not None:
             B[at : at + size, c], C[c, at : at + size] = p.B[:, 0], p.C[0]
         at += size
-    T, S = np.stack([c.source for c in found]), np.stack([c.sink for c in found], axis=1)
+    T, S = np.stack([c.source for c in own_channels]), np.stack([c.sink for c in own_channels], axis=1)
     plain = all(M.shape == (len(M), len(M)) and np.array_equal(M, np.eye(len(M))) for M in (T, S))
     return Realisation(
         "bank",
         blocks,
         B,
         C,
-        np.diag([float(c.law.D[0, 0]) for c in found]),
-        max(p.condition for p in held),
+        np.diag([float(c.law.D[0, 0]) for c in own_channels]),
+        max(p.condition for p in modal_parts),
         tuple(0 if p is None else len(p.blocks) for p in parts),
         None if plain else T,
         None if plain else S,
     )
 
 
-def _channels(law: StateSpace) -> list[Channel]:
+def _channels(law: StateSpace) -> list[BankChannel]:
     """Return the channels of a law as it stands, else those that its response shows."""
     try:
         return channels(law)
@@ -233,15 +233,15 @@ def _pairs(
     twos = [(k, [int(starts[k]), int(starts[k]) + 1]) for k, b in enumerate(blocks) if len(b) == 2]
     ones = sorted((k for k, b in enumerate(blocks) if len(b) == 1), key=lambda k: float(blocks[k][0, 0]))
     order = [i for _, pair in twos for i in pair] + [int(starts[k]) for k in ones]
-    made = [blocks[k] for k, _ in twos]
+    paired = [blocks[k] for k, _ in twos]
     reals = [float(blocks[k][0, 0]) for k in ones]
     B, C = B[order], C[:, order]
     if len(reals) % 2 or not order:
         pad = 1 if order else 2
         reals += [0.0] * pad
         B, C = _zeros_below(B, pad), _zeros_below(C.T, pad).T
-    made += [np.diag(reals[i : i + 2]) for i in range(0, len(reals), 2)]
-    return tuple(made), B, C
+    paired += [np.diag(reals[i : i + 2]) for i in range(0, len(reals), 2)]
+    return tuple(paired), B, C
 
 
 def _pad(blocks: list[FloatArray], B: FloatArray, C: FloatArray) -> tuple[list[FloatArray], FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.deploy.law.biquad import Bank
+from ultraquiet.deploy.law.biquad import BankArithmetic
 from ultraquiet.deploy.law.coefficients import numbers, with_numbers
 from ultraquiet.deploy.law.law import Law, Rounded
 
@@ -34,7 +34,7 @@ class Twin:
     def _take(self, law: Law, bank: int) -> None:
         """Put the coefficients of a law into use; `bank` is 0 for the built-in ones, else 1 or 2."""
         self.bank = bank
-        self._bank = Bank(law) if law.channels else None
+        self._bank = BankArithmetic(law) if law.channels else None
         self._gain = np.concatenate([law.D, law.C], axis=1)
         self._groups = _groups(law)
         self._drive = law.B if law.L is None else np.concatenate([law.B, law.L], axis=1)
@@ -78,10 +78,10 @@ class Twin:
 
     def run(self, y: ArrayLike) -> Rounded:
         """Return the commands `(nu, n)` in the code's precision for measurements `(ny, n)`."""
-        given = np.ascontiguousarray(np.asarray(y, self.law.dtype).T)
-        commands = np.empty((given.shape[0], self.law.outputs), self.law.dtype)
+        samples = np.ascontiguousarray(np.asarray(y, self.law.dtype).T)
+        commands = np.empty((samples.shape[0], self.law.outputs), self.law.dtype)
         with np.errstate(all="ignore"):
-            for k, sample in enumerate(given):
+            for k, sample in enumerate(samples):
                 commands[k] = self.output(sample)
                 self.update()
         return commands.T
@@ -125,12 +125,12 @@ class Twin:
 
     def excite(self, volts: ArrayLike) -> bool:
         """Set what is added to the commands before the limits `(nu,)`; none, and False, for NaN or infinity."""
-        given = np.asarray(volts, self.law.dtype)
-        if not np.isfinite(given).all():
-            self.excitation = np.zeros_like(given)
+        asked_v = np.asarray(volts, self.law.dtype)
+        if not np.isfinite(asked_v).all():
+            self.excitation = np.zeros_like(asked_v)
             return False
         low, high = self.law.excitation.T
-        above = np.where(given < low, low, given)
+        above = np.where(asked_v < low, low, asked_v)
         self.excitation = np.where(above > high, high, above)
         return True
 
@@ -161,11 +161,11 @@ class Twin:
 
     def select(self, tap: int, signal: int, channel: int) -> bool:
         """Choose what a tap shows."""
-        held = getattr(self, SIGNALS[signal]) if 0 < signal < len(SIGNALS) else None
-        if tap >= TAPS or (held is not None and channel >= held.size):
+        values = getattr(self, SIGNALS[signal]) if 0 < signal < len(SIGNALS) else None
+        if tap >= TAPS or (values is not None and channel >= values.size):
             return False
-        self.taps[tap] = (0, 0) if held is None else (signal, channel)
-        return held is not None or signal == 0
+        self.taps[tap] = (0, 0) if values is None else (signal, channel)
+        return values is not None or signal == 0
 
     def monitor(self) -> Rounded:
         """Return the present values of the chosen signals `(4,)`."""
@@ -212,11 +212,11 @@ class Twin:
             self._latch(FAULT_OUTPUT)
             return
         self.raw, self.live = raw, True
-        wanted = raw + self.excitation
-        above = np.where(wanted < self._low, self._low, wanted)
+        asked_v = raw + self.excitation
+        above = np.where(asked_v < self._low, self._low, asked_v)
         self.limited = np.where(above > self._high, self._high, above)
-        self.cut = self.limited - wanted
-        self.clipped += int((self.limited != wanted).any())
+        self.cut = self.limited - asked_v
+        self.clipped += int((self.limited != asked_v).any())
 
     def _linear(self) -> NDArray[Any]:
         self._seen[: self.y.size] = self.y
@@ -255,9 +255,9 @@ class Twin:
 def _groups(law: Law) -> list[tuple[NDArray[np.intp], Rounded]]:
     """Return for each size of block the states `(blocks, size)` and the stacked blocks `(blocks, size, size)`."""
     starts = np.cumsum([0, *(len(b) for b in law.blocks)])
-    made = []
+    groups = []
     for size in sorted({len(b) for b in law.blocks}):
         chosen = [k for k, b in enumerate(law.blocks) if len(b) == size]
         rows = np.array([np.arange(starts[k], starts[k] + size) for k in chosen], dtype=np.intp)
-        made.append((rows, np.stack([law.blocks[k] for k in chosen])))
-    return made
+        groups.append((rows, np.stack([law.blocks[k] for k in chosen])))
+    return groups

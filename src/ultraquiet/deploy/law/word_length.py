@@ -40,15 +40,15 @@ def rounding_errors(
     """
     if controller.rate_hz is None:
         raise InputError("rounding_errors: the controller is in continuous time; discretise it first.")
-    asked = [whole("rounding_errors", "bits", b, 1, 53) for b in bits]
+    widths = [whole("rounding_errors", "bits", b, 1, 53) for b in bits]
     errors: dict[str, FloatArray] = {}
     for form in FORMS:
         try:
             parts = realisation(controller, form)
         except InputError:
             continue
-        rounded = [_state_space(parts, b, controller.rate_hz) for b in asked]
-        errors[form] = np.array([error_of(held, controller, plant) for held in rounded])
+        rounded = [_state_space(parts, b, controller.rate_hz) for b in widths]
+        errors[form] = np.array([error_of(law, controller, plant) for law in rounded])
     return errors
 
 
@@ -56,8 +56,8 @@ def _state_space(parts: Realisation, bits: int, rate_hz: float) -> StateSpace:
     blocks = tuple(_round(block, bits) for block in parts.blocks)
     B, C, D = (_round(matrix, bits) for matrix in (parts.B, parts.C, parts.D))
     turns = (None if T is None else _round(T, bits) for T in (parts.turn_in, parts.turn_out))
-    held = replace(parts, blocks=blocks, B=B, C=C, D=D, **dict(zip(("turn_in", "turn_out"), turns, strict=True)))
-    return held.state_space(rate_hz)
+    rounded = replace(parts, blocks=blocks, B=B, C=C, D=D, **dict(zip(("turn_in", "turn_out"), turns, strict=True)))
+    return rounded.state_space(rate_hz)
 
 
 def _round(matrix: FloatArray, bits: int) -> FloatArray:

@@ -17,9 +17,9 @@ SECONDS = 120.0  # a generated controller compiles in under one
 def compiler() -> str | None:
     """Return the path of a C compiler: that of the environment's CC, else the first of cc, gcc, clang."""
     for name in (os.environ.get("CC", ""), *COMPILERS):
-        found = shutil.which(name) if name else None
-        if found:
-            return found
+        path = shutil.which(name) if name else None
+        if path:
+            return path
     return None
 
 
@@ -43,9 +43,9 @@ def compile_c(command: Sequence[str | Path], folder: Path) -> None:
     Raises:
         ToolError: it refused the code, with its first words.
     """
-    told = call(command, folder)
-    if told.returncode != 0:
-        words = " ".join(told.stderr.split())[:400]
+    completed = call(command, folder)
+    if completed.returncode != 0:
+        words = " ".join(completed.stderr.split())[:400]
         raise ToolError(f"deploy: '{command[0]}' refused the generated code: {words}")
 
 
@@ -54,9 +54,9 @@ def flash_of(size_tool: str, object_file: Path) -> int | None:
     tool = shutil.which(size_tool)
     if tool is None:
         return None
-    told = call([tool, object_file], object_file.parent)
-    lines = told.stdout.splitlines()
-    if told.returncode != 0 or len(lines) < 2:
+    completed = call([tool, object_file], object_file.parent)
+    lines = completed.stdout.splitlines()
+    if completed.returncode != 0 or len(lines) < 2:
         return None
     text, data = lines[1].split()[:2]
     return int(text) + int(data)

@@ -22,7 +22,7 @@ CALIBRATION = 1000  # single instructions between two readings of the clock
 
 
 @dataclass(frozen=True)
-class Count:
+class InstructionCount:
     """Instructions of the two halves of a step, guards included, and whether the self-test passed on the target."""
 
     output: int
@@ -36,7 +36,7 @@ class Count:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class TargetRun:
     """Commands `(nu, n)` in the code's precision, instructions of each half of each step `(n,)`."""
 
     u: Rounded
@@ -63,7 +63,7 @@ def build(law: Law, folder: Path, work: Path, target: Target) -> Path:
     return program
 
 
-def count_instructions(law: Law, folder: Path, target: Target | None = None) -> Count:
+def count_instructions(law: Law, folder: Path, target: Target | None = None) -> InstructionCount:
     """Build the folder's code for the target, run its self-test there and count a step (the longest of 64).
 
     Raises:
@@ -72,11 +72,11 @@ def count_instructions(law: Law, folder: Path, target: Target | None = None) -> 
     target = target or reference_target()
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
         program = build(law, folder, Path(work), target)
-        told = call(target.command(program), Path(work), SECONDS)
-    return _read(told.stdout + told.stderr, target.ticks)
+        completed = call(target.command(program), Path(work), SECONDS)
+    return _read(completed.stdout + completed.stderr, target.ticks)
 
 
-def run_on_target(law: Law, folder: Path, y: ArrayLike, target: Target | None = None, ramp: bool = True) -> Run:
+def run_on_target(law: Law, folder: Path, y: ArrayLike, target: Target | None = None, ramp: bool = True) -> TargetRun:
     """Return what the target commands for measurements `(ny, n)` from rest, and what each step costs it.
 
     Args:
@@ -89,22 +89,24 @@ def run_on_target(law: Law, folder: Path, y: ArrayLike, target: Target | None = 
     Raises:
         ToolError: a program is missing, refuses, or ends early.
     """
-    target, given = target or reference_target(), np.asarray(y, law.dtype)
-    frames = np.zeros(given.shape[1] + 1, frame_type(law))
+    target, measurements = target or reference_target(), np.asarray(y, law.dtype)
+    frames = np.zeros(measurements.shape[1] + 1, frame_type(law))
     frames["ask"][0] = ASK_START if ramp else ASK_ENGAGE
-    frames["y"][1:] = given.T
+    frames["y"][1:] = measurements.T
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
         program = build(law, folder, Path(work), target)
         frames.tofile(Path(work) / FRAMES)
-        told = call(target.command(program), Path(work), SECONDS)
+        completed = call(target.command(program), Path(work), SECONDS)
         path = Path(work) / REPLIES
-        held = path.read_bytes() if path.exists() else b""
-    replies = np.frombuffer(held[: len(held) // reply_type(law).itemsize * reply_type(law).itemsize], reply_type(law))
+        answers = path.read_bytes() if path.exists() else b""
+    replies = np.frombuffer(
+        answers[: len(answers) // reply_type(law).itemsize * reply_type(law).itemsize], reply_type(law)
+    )
     if replies.size != frames.size:
-        words = " ".join((told.stdout + told.stderr).split())[:200]
-        asked = frames.size - 1
-        raise ToolError(f"deploy: the emulated {target.title} ended after {replies.size} of {asked} steps: {words!r}.")
-    return Run(replies["u"][1:].T, *instructions(replies[0], replies[1:], target.ticks))
+        words = " ".join((completed.stdout + completed.stderr).split())[:200]
+        steps = frames.size - 1
+        raise ToolError(f"deploy: the emulated {target.title} ended after {replies.size} of {steps} steps: {words!r}.")
+    return TargetRun(replies["u"][1:].T, *instructions(replies[0], replies[1:], target.ticks))
 
 
 def frame_type(law: Law) -> np.dtype[Any]:
@@ -125,14 +127,14 @@ def instructions(calibration: Any, replies: Any, ticks: float) -> tuple[NDArray[
     return output.astype(np.int64), update.astype(np.int64)
 
 
-def _read(words: str, ticks: float) -> Count:
+def _read(words: str, ticks: float) -> InstructionCount:
     pairs = [line.split() for line in words.splitlines()]
-    held = {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2 and pair[1].isdigit()}
-    if not {"empty", "thousand", "output", "update", "self-test"} <= held.keys():
+    ticks_of = {pair[0]: int(pair[1]) for pair in pairs if len(pair) == 2 and pair[1].isdigit()}
+    if not {"empty", "thousand", "output", "update", "self-test"} <= ticks_of.keys():
         raise ToolError(f"deploy: the emulator's words make no sense: {' '.join(words.split())[:200]!r}.")
-    _require_clock(held["empty"], held["thousand"], ticks)
-    output, update = (round((held[key] - held["empty"]) / ticks) for key in ("output", "update"))
-    return Count(output, update, held["self-test"] == 0)
+    _require_clock(ticks_of["empty"], ticks_of["thousand"], ticks)
+    output, update = (round((ticks_of[key] - ticks_of["empty"]) / ticks) for key in ("output", "update"))
+    return InstructionCount(output, update, ticks_of["self-test"] == 0)
 
 
 def _require_clock(empty: float, thousand: float, ticks: float) -> None:

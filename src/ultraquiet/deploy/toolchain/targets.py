@@ -14,8 +14,8 @@ REFERENCE = "cortex-m7"
 
 def targets_in(folders: Iterable[str]) -> tuple[Target, ...]:
     """Return the processors of every family in these folders, in the order of the families' names."""
-    found = sorted(module.name for module in pkgutil.iter_modules(folders) if module.ispkg)
-    tables = [import_module(f"{toolchain.__name__}.{name}.processors").TARGETS for name in found]
+    names = sorted(module.name for module in pkgutil.iter_modules(folders) if module.ispkg)
+    tables = [import_module(f"{toolchain.__name__}.{name}.processors").TARGETS for name in names]
     return tuple(target for table in tables for target in table)
 
 

@@ -90,13 +90,15 @@ def on_bench(
     for tone_hz in tones_hz:
         sizes = []
         for controller in (None, law, code):
-            made = fresh()
-            f = between("on_bench", "tones_hz", tone_hz, 1.0 / (MEASURED_SHARE * duration_s), made.rate_hz / 2, "Hz")
-            phase = 2 * np.pi * f * np.arange(int(duration_s * made.rate_hz)) / made.rate_hz
-            d = np.tile(amplitude_v * np.sin(phase), (len(made.actuators), 1))
+            fresh_bench = fresh()
+            f = between(
+                "on_bench", "tones_hz", tone_hz, 1.0 / (MEASURED_SHARE * duration_s), fresh_bench.rate_hz / 2, "Hz"
+            )
+            phase = 2 * np.pi * f * np.arange(int(duration_s * fresh_bench.rate_hz)) / fresh_bench.rate_hz
+            d = np.tile(amplitude_v * np.sin(phase), (len(fresh_bench.actuators), 1))
             if controller is code:
                 code.reset()
-            sizes.append(_amplitude(made.run(np.zeros_like(d), disturbance=d, controller=controller), f))
+            sizes.append(_amplitude(fresh_bench.run(np.zeros_like(d), disturbance=d, controller=controller), f))
         rows.append(sizes)
     opened, by_law, by_code = (np.array(column) for column in zip(*rows, strict=True))
     tones = tuple(float(f) for f in tones_hz)

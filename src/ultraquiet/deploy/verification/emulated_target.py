@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ultraquiet.deploy.c_code.footprint import footprint_on
 from ultraquiet.deploy.law.law import Law, Rounded
-from ultraquiet.deploy.toolchain.emulator import Run, count_instructions, run_on_target
+from ultraquiet.deploy.toolchain.emulator import TargetRun, count_instructions, run_on_target
 from ultraquiet.deploy.toolchain.target import Target
 
 # Emulated sums by a library take some hundred times as long as a unit's.
@@ -91,10 +91,10 @@ def differing(one: Rounded, other: Rounded) -> tuple[int, tuple[int, int] | None
     return int(np.count_nonzero(differs)), (int(step), int(output))
 
 
-def _calm(law: Law, y: Rounded, run: Run) -> tuple[int, int] | None:
+def _calm(law: Law, y: Rounded, run: TargetRun) -> tuple[int, int] | None:
     """Return the fewest and the most instructions of steps after the ramp, inside the limits, before a fault."""
-    held: NDArray[np.bool_] = np.cumprod(np.isfinite(y).all(axis=0)).astype(bool)
-    held[: law.ramp_steps] = False
-    held &= ((run.u > law.limits[:, :1]) & (run.u < law.limits[:, 1:])).all(axis=0)
-    took = run.step[held]
+    calm: NDArray[np.bool_] = np.cumprod(np.isfinite(y).all(axis=0)).astype(bool)
+    calm[: law.ramp_steps] = False
+    calm &= ((run.u > law.limits[:, :1]) & (run.u < law.limits[:, 1:])).all(axis=0)
+    took = run.step[calm]
     return (int(took.min()), int(took.max())) if took.size else None

@@ -29,8 +29,8 @@ def fuzz_code(code: GeneratedCode, cc: str, steps: int = STEPS, seed: int = 0) -
         ToolError: the compiler has no sanitizers.
     """
     law, folder = code.law, code.folder
-    with tempfile.TemporaryDirectory(prefix="ultraquiet-") as held:
-        work = Path(held)
+    with tempfile.TemporaryDirectory(prefix="ultraquiet-") as scratch:
+        work = Path(scratch)
         (work / "probe.c").write_text("int main(void) { return 0; }\n", encoding="utf-8")
         try:
             compile_c([cc, *SANITIZERS, "probe.c", "-o", "probe"], work)
@@ -48,6 +48,6 @@ def fuzz_code(code: GeneratedCode, cc: str, steps: int = STEPS, seed: int = 0) -
         (work / "fuzz.c").write_text(render("fuzz.c.j2", context), encoding="utf-8")
         sources = ["fuzz.c", folder / f"{law.name}.c"]
         compile_c([cc, *FLAGS, "-I", folder, *SANITIZERS, *sources, "-o", "fuzz"], work)
-        told = call([work / "fuzz", str(seed), str(steps)], work)
-    words = " ".join((told.stdout + told.stderr).split())[:300]
-    return Fuzz(steps, "" if told.returncode == 0 else words or f"exit code {told.returncode}")
+        completed = call([work / "fuzz", str(seed), str(steps)], work)
+    words = " ".join((completed.stdout + completed.stderr).split())[:300]
+    return Fuzz(steps, "" if completed.returncode == 0 else words or f"exit code {completed.returncode}")

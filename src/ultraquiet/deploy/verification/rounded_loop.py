@@ -98,8 +98,8 @@ def reanalysis(
     same_rate("reanalysis", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
     f = frequency_array("reanalysis", tones_hz)
     figures = [_figures(law, plant, f) for law in (controller, rounded)]
-    made = Reanalysis(Status(StatusWord.OK, ""), f, *figures)
-    return Reanalysis(_status(made), f, *figures)
+    comparison = Reanalysis(Status(StatusWord.OK, ""), f, *figures)
+    return Reanalysis(_status(comparison), f, *figures)
 
 
 def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
@@ -120,15 +120,15 @@ def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
     )
 
 
-def _status(made: Reanalysis) -> Status:
-    if not made.designed.stable:
+def _status(comparison: Reanalysis) -> Status:
+    if not comparison.designed.stable:
         return Status(StatusWord.UNSTABLE, "The loop with this plant is unstable already as designed.")
-    if not made.rounded.stable:
+    if not comparison.rounded.stable:
         return Status(
             StatusWord.UNSTABLE, "The loop is stable as designed, not with the rounded law; take another form."
         )
-    worst = float(made.loss_db.max(initial=0.0))
-    tones = ", ".join(f"{f:g}" for f in made.tones_hz)
+    worst = float(comparison.loss_db.max(initial=0.0))
+    tones = ", ".join(f"{f:g}" for f in comparison.tones_hz)
     if worst >= LOSS_DB:
         return Status(StatusWord.DEGRADED, f"The rounded law loses up to {worst:.2f} dB of attenuation at {tones} Hz.")
     return Status(

@@ -71,29 +71,29 @@ class Verification:
 
     def figures(self) -> dict[str, Any]:
         """Return what was found for the deployment's tables."""
-        held: dict[str, Any] = {"bit_exact": self.bit_exact}
+        figures: dict[str, Any] = {"bit_exact": self.bit_exact}
         for each in self.targets:
-            held[f"{each.target.key}_instructions"] = each.step
-            held[f"{each.target.key}_output_instructions"] = each.output
+            figures[f"{each.target.key}_instructions"] = each.step
+            figures[f"{each.target.key}_output_instructions"] = each.output
         if self.targets:
-            held["bit_exact_on"] = {each.target.name: each.bit_exact for each in self.targets}
-            held["latency_us"] = {each.target.name: each.latency_us for each in self.targets}
+            figures["bit_exact_on"] = {each.target.name: each.bit_exact for each in self.targets}
+            figures["latency_us"] = {each.target.name: each.latency_us for each in self.targets}
         if self.bench is not None:
-            held["bench_loss_db"] = float(self.bench.loss_db.max())
-        return held
+            figures["bench_loss_db"] = float(self.bench.loss_db.max())
+        return figures
 
     def with_loop(self, loop: Reanalysis | None, bench: OnBench | None) -> "Verification":
         """Return the proof with what became of the loop."""
         status = self.status
-        for found in (loop, bench):
-            if found is None:
+        for proof in (loop, bench):
+            if proof is None:
                 continue
             # A loop that the design itself cannot hold says nothing against the code.
-            fault = found.status.word in (StatusWord.UNSTABLE, StatusWord.DEGRADED) and (
-                bench is found or _designed_stable(loop)
+            fault = proof.status.word in (StatusWord.UNSTABLE, StatusWord.DEGRADED) and (
+                bench is proof or _designed_stable(loop)
             )
-            word = found.status.word if status.ok and fault else status.word
-            status = Status(word, f"{status.sentence} {found.status.sentence}")
+            word = proof.status.word if status.ok and fault else status.word
+            status = Status(word, f"{status.sentence} {proof.status.sentence}")
         return replace(self, loop=loop, bench=bench, status=status)
 
 
@@ -133,11 +133,11 @@ def verify_code(
     except ToolError as refusal:
         missing.append(str(refusal))
     exact = mismatches == 0 and self_test and all(each.bit_exact for each in ran)
-    given, seconds = Status(StatusWord.OK, ""), time.perf_counter() - began
-    found = Verification(
-        given, exact, steps, mismatches, first, self_test, cc, seconds, ran, tuple(dict.fromkeys(missing)), fuzz
+    pending, seconds = Status(StatusWord.OK, ""), time.perf_counter() - began
+    proof = Verification(
+        pending, exact, steps, mismatches, first, self_test, cc, seconds, ran, tuple(dict.fromkeys(missing)), fuzz
     )
-    return replace(found, status=_verdict(found))
+    return replace(proof, status=_verdict(proof))
 
 
 def _on_targets(
@@ -188,16 +188,16 @@ def _designed_stable(loop: Reanalysis | None) -> bool:
     return loop is not None and loop.designed.stable
 
 
-def _verdict(found: Verification) -> Status:
-    if found.first is not None:
-        step, output = found.first
-        sentence = f"{found.mismatches} commands of {found.steps} steps differ from the twin, the first at step {step}"
+def _verdict(proof: Verification) -> Status:
+    if proof.first is not None:
+        step, output = proof.first
+        sentence = f"{proof.mismatches} commands of {proof.steps} steps differ from the twin, the first at step {step}"
         return Status(StatusWord.DIFFERS, f"{sentence}, output {output}.")
-    if not found.self_test:
+    if not proof.self_test:
         return Status(
-            StatusWord.SELF_TEST_FAILED, f"{found.steps} steps agree but the shipped self-test does not pass here."
+            StatusWord.SELF_TEST_FAILED, f"{proof.steps} steps agree but the shipped self-test does not pass here."
         )
-    for each in found.targets:
+    for each in proof.targets:
         title = each.target.title
         if each.mismatches:
             sentence = (
@@ -208,14 +208,14 @@ def _verdict(found: Verification) -> Status:
             return Status(
                 StatusWord.SELF_TEST_FAILED, f"The code agrees here but its self-test does not pass on the {title}."
             )
-    if found.fuzz is not None and found.fuzz.finding:
+    if proof.fuzz is not None and proof.fuzz.finding:
         return Status(
-            StatusWord.UNSAFE, f"The bits agree, but with random bits at its entrances: {found.fuzz.finding}."
+            StatusWord.UNSAFE, f"The bits agree, but with random bits at its entrances: {proof.fuzz.finding}."
         )
-    where = "".join(f", of {each.steps} on an emulated {each.target.title}" for each in found.targets)
-    sentence = f"All bits of {found.steps} steps and of the self-test are the twin's, compiled by {found.compiler}"
-    random = "" if found.fuzz is None else f" {found.fuzz.steps} random steps under the sanitizers found nothing."
-    return Status(StatusWord.OK, " ".join([f"{sentence}{where}.{random}", *found.missing]))
+    where = "".join(f", of {each.steps} on an emulated {each.target.title}" for each in proof.targets)
+    sentence = f"All bits of {proof.steps} steps and of the self-test are the twin's, compiled by {proof.compiler}"
+    random = "" if proof.fuzz is None else f" {proof.fuzz.steps} random steps under the sanitizers found nothing."
+    return Status(StatusWord.OK, " ".join([f"{sentence}{where}.{random}", *proof.missing]))
 
 
 _NO_COMPILER = (
