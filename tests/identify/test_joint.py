@@ -10,8 +10,7 @@ from truths import draw
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
-from ultraquiet.identify.joint import search
-from ultraquiet.identify.joint.search import Part, posed
+from ultraquiet.identify.joint.search import Part, Sets, posed
 from ultraquiet.identify.joint.ties import Share
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.parameterisation import Layout
@@ -293,10 +292,10 @@ def test_gradient_of_the_joint_criterion(rng):
         layout.with_poles(table, 4, np.array([0.5, -0.3 + 0j]))
         layout.with_poles(table, 6, np.array([0.5, 0.6 + 0.3j, 0.6 - 0.3j]))
         tables.append(table)
-    start = search._moved(problem, tables, 0.01 * rng.standard_normal(problem.size))
+    start = Sets(problem, map).at(tables).moved(0.01 * rng.standard_normal(problem.size))
     step = rng.standard_normal(problem.size)
-    W = [search._criterion(problem, search._moved(problem, start, h * step), map) for h in (1e-6, -1e-6)]
-    S = search._summed(problem, start, map)[3]
+    W = [start.moved(h * step).criterion for h in (1e-6, -1e-6)]
+    S = start.normal()
     slope, promised = (W[0] - W[1]) / 2e-6, 2 * S[:-1, -1] @ step
     print(f"\n{problem.size} unknowns of three sets: slope {promised:.6g} by filters, {slope:.6g} by differences")
     assert promised == pytest.approx(slope, rel=1e-3, abs=1e-2)

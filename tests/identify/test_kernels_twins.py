@@ -1,10 +1,15 @@
 """The compiled kernels beside plain NumPy, written from the formulas."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.identify.prediction_error import filter_kernels, kernels, normal_kernels
+from ultraquiet.identify.prediction_error.in_memory import Accumulator
+from ultraquiet.identify.prediction_error.kernels import filters, normal_equations
+from ultraquiet.identify.prediction_error.kernels import table as table_kernels
+from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import Structure, free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
 from ultraquiet.values import PolynomialModel
@@ -69,21 +74,14 @@ def case(request, rng):
     return structure, u, y, table_of(structure, rng), structure.states(INPUTS, True, True)
 
 
+def signals(structure, states):
+    free = free_rows(INPUTS, range(3 + 2 * INPUTS))
+    return signals_of(structure.degree(INPUTS), structure.lag(INPUTS), free, states)
+
+
 def evaluate(structure, u, y, table, states):
-    signals = np.zeros((INPUTS + 2 + len(table) + 1, SAMPLES))
-    q = states.sum()
-    work = [
-        np.zeros((INPUTS, SAMPLES)),
-        np.zeros((INPUTS, SAMPLES)),
-        np.zeros(SAMPLES),
-        np.zeros(SAMPLES),
-        np.zeros((q, q)),
-    ]
-    args = (table, structure.degree(INPUTS), structure.lag(INPUTS))
-    loss = kernels.evaluate(u, y, *args, states, signals, *work)
-    free = free_rows(INPUTS, range(len(table)))
-    G, q = kernels.normal_matrix(y, *args, free, states, signals, *work)
-    return loss, work[3], normal_kernels.reduced(G, q)
+    data = Accumulator(u, y, signals(structure, states))
+    return data.loss(table), data.residual(table), data.normal(table)
 
 
 def test_residual_is_the_formula(case):
@@ -100,76 +98,108 @@ def test_gradient_is_the_slope_of_the_residual(case, rng):
     structure, u, y, table, states = case
     _, e, S = evaluate(structure, u, y, table, states)
     p = S.shape[0] - 1
-    degree, free = structure.degree(INPUTS), free_rows(INPUTS, range(len(table)))
     step, h = rng.standard_normal(p), 1e-6
     losses = []
     for sign in (1, -1):
-        moved = kernels.stepped(table, degree, free, sign * h * step)
+        moved = table.copy()
+        table_kernels.add_expanded(sign * h * step, 1.0, signals(structure, states).moves, moved)
         losses.append(np.sum(plain_residual(u, y, moved, structure, states) ** 2))
     slope = (losses[0] - losses[1]) / (2 * h)
     print(f"\nslope of e'e by filters {2 * S[:p, p] @ step:.8g}, by differences {slope:.8g}")
     assert 2 * S[:p, p] @ step == pytest.approx(slope, rel=1e-4, abs=1e-6 * np.sum(e**2))
 
 
+HEAD = 40
+
+
+def behind_head(x):
+    return np.hstack([np.zeros((*x.shape[:-1], HEAD)), x])
+
+
 @pytest.mark.parametrize("order", [0, 1, 2, 5, 8, 9, 13])
 def test_filters_are_the_plain_ones(order, rng):
-    """Up to eight taps stand in registers, more are looped over; blocks of samples end anywhere."""
+    """Up to eight taps stand in registers, more are looped over; pieces of a record end anywhere."""
     x, p = rng.standard_normal(int(rng.integers(20, 1000))), stable(rng, order)
-    out = np.empty(x.size)
-    filter_kernels.all_pole(x, p, order, out)
+    z, out = behind_head(x), np.zeros(HEAD + x.size)
+    cut = HEAD + int(rng.integers(1, x.size))
+    for first, stop in ((HEAD, cut), (cut, z.size)):
+        filters.all_pole(z, p, order, out, first, stop)
     plain = lfilter([1.0], p, x)
-    assert out == pytest.approx(plain, rel=1e-9, abs=1e-9 * np.abs(plain).max())
-    for lag in (0, 1, 7, x.size + 1):
-        filter_kernels.moving(x, p, order + 1, lag, out)
+    assert out[HEAD:] == pytest.approx(plain, rel=1e-9, abs=1e-9 * np.abs(plain).max())
+    for lag in (0, 1, 7, 25):
+        for first, stop in ((HEAD, cut), (cut, z.size)):
+            filters.moving(z, p, order + 1, lag, 0, out, first, stop)
         plain = lfilter(np.concatenate([np.zeros(lag), p]), [1.0], x)
-        assert out == pytest.approx(plain, rel=1e-9, abs=1e-12)
+        assert out[HEAD:] == pytest.approx(plain, rel=1e-9, abs=1e-12)
+        filters.moving(z, -p, order + 1, lag, filters.ADDED, out, HEAD, z.size)
+        assert np.abs(out).max() <= 1e-12 * np.abs(plain).max()
+
+
+def test_steps_are_filters_one_after_the_other(rng):
+    """Moving sum, what is added to it and the division, of rows and coefficients by their numbers."""
+    z, c, d = behind_head(rng.standard_normal((4, 300))), stable(rng, 3), stable(rng, 2)
+    coefficients = np.zeros((3, 4))
+    coefficients[1, :4], coefficients[2, :3] = c, d
+    both = filters.MOVING | filters.ALL_POLE
+    steps = np.array([[both, 0, 2, 2, 3, 5, 1, 3], [filters.ADDED, 1, 2, 2, 1, 0, 0, 0]])
+    filters.filtered(steps, coefficients, z, HEAD, z.shape[1])
+    plain = lfilter(np.r_[np.zeros(5), d], c, z[0]) + d[0] * z[1]
+    assert z[2] == pytest.approx(plain, rel=1e-9, abs=1e-9)
 
 
 def test_decayed_responses_leave_no_denormal_tail(rng):
     """Numbers below the smallest normal one cost twenty times the work; those kept in registers end in zeros."""
-    pulse, out = np.eye(1, 20_000)[0], np.empty(20_000)
+    pulse = behind_head(np.eye(1, 20_000)[0])
     for order in (1, 5, 8, 9):
-        filter_kernels.all_pole(pulse, stable(rng, order), order, out)
+        out = np.zeros(pulse.size)
+        filters.all_pole(pulse, stable(rng, order), order, out, HEAD, pulse.size)
         assert not np.any((out != 0.0) & (np.abs(out) < np.finfo(float).tiny))
-        assert np.abs(out[-100:]).max() < (1e-300 if order <= filter_kernels.REGISTERS else 1e-130)
+        assert np.abs(out[-100:]).max() < (1e-300 if order <= filters.REGISTERS else 1e-130)
 
 
 def test_delta_weights_expanded(rng):
-    weights, x = rng.standard_normal(5), rng.standard_normal(300)
-    out, plain, column = np.zeros(300), np.zeros(300), np.concatenate([np.zeros(2), x[:-2]])
-    filter_kernels.combine(x, 2, weights, out)
+    weights, x, taps = rng.standard_normal(5), rng.standard_normal(300), np.zeros((2, 7))
+    table_kernels.add_expanded(weights, -2.0, np.array([[1, 2, 5]]), taps)
+    plain, column = np.zeros(300), np.concatenate([np.zeros(2), x[:-2]])
     for w in weights:
-        plain += w * column
+        plain -= 2.0 * w * column
         column = column - np.concatenate([[0.0], column[:-1]])
-    assert out == pytest.approx(plain, rel=1e-10, abs=1e-10)
+    assert lfilter(taps[1], [1.0], x) == pytest.approx(plain, rel=1e-10, abs=1e-10)
+    assert not taps[0].any()
 
 
-def test_known_products_are_taken_over(rng):
-    x = rng.standard_normal((3, 2000))
-    lags, counts = np.array([0, 1, 2]), np.array([4, 3, 2])
-    whole = normal_kernels.gram(x, lags, counts, np.zeros((0, 0)))
-    rest = normal_kernels.gram(x, lags, counts, np.ascontiguousarray(whole[:4, :4]))
-    assert rest == pytest.approx(whole, rel=1e-12, abs=1e-9)
-
-
-def test_gram_of_shifted_differences(rng):
-    x = rng.standard_normal((2, 5000))
-    G = normal_kernels.gram(x, np.array([1, 3]), np.array([3, 2]), np.zeros((0, 0)))
+def plain_columns(x, columns):
     rows = []
-    for signal, lag, count in zip(x, (1, 3), (3, 2), strict=True):
-        column = np.concatenate([np.zeros(lag), signal[:-lag]])
+    for row, lag, count, sign in columns:
+        column = sign * np.concatenate([np.zeros(lag), x[row, : x.shape[1] - lag]])
         for _ in range(count):
             rows.append(column)
             column = column - np.concatenate([[0.0], column[:-1]])
-    assert pytest.approx(np.array(rows) @ np.array(rows).T, rel=1e-10, abs=1e-8) == G
+    return np.array(rows)
+
+
+def test_products_of_shifted_differences(rng):
+    """Over a record in one piece and in two, with the products of the first columns known and not."""
+    x, columns = rng.standard_normal((3, 5000)), np.array([[0, 1, 4, 1], [1, 3, 0, 1], [2, 3, 3, -1], [1, 0, 2, 1]])
+    rows = plain_columns(x, columns)
+    wanted, z = rows @ rows.T, behind_head(x)
+    for pieces in ((HEAD, z.shape[1]), (HEAD, HEAD + 1777, z.shape[1])):
+        G = np.zeros((9, 9))
+        for first, stop in pairwise(pieces):
+            normal_equations.add_products(z, columns, 0, first, stop, G)
+        assert pytest.approx(wanted, rel=1e-10, abs=1e-8) == G
+    known = np.zeros((9, 9))
+    known[:4, :4] = G[:4, :4]
+    normal_equations.add_products(z, columns, 4, HEAD, z.shape[1], known)
+    assert known == pytest.approx(wanted, rel=1e-10, abs=1e-8)
 
 
 def test_roots_inside(rng):
     for _ in range(300):
         p = np.concatenate([[1.0], rng.standard_normal(rng.integers(1, 6)) * rng.uniform(0.1, 1.2)])
         radius = np.abs(np.roots(p)).max()
-        if abs(radius - kernels.WITHIN) > 1e-7:
-            assert kernels.inside(p, p.size - 1) == (radius < kernels.WITHIN)
+        if abs(radius - table_kernels.WITHIN) > 1e-7:
+            assert table_kernels.inside(p, p.size - 1) == (radius < table_kernels.WITHIN)
 
 
 def test_no_model_leaves_with_a_root_outside_however_crowded(rng):

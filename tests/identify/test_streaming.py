@@ -11,7 +11,9 @@ from truths import draw, modal_truth
 import ultraquiet as uq
 from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.long_record_statistics import survey
-from ultraquiet.identify.prediction_error import kernels, long_record, long_record_kernels
+from ultraquiet.identify.prediction_error import long_record
+from ultraquiet.identify.prediction_error.in_memory import Accumulator
+from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
 from ultraquiet.identify.subspace import modal_least_squares
@@ -45,7 +47,7 @@ def two_inputs(rng, n):
 
 @pytest.mark.parametrize("name", METHODS)
 def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path):
-    """Loss, gradient and normal matrix of a pass beside `kernels` on the same table, its past taken out."""
+    """Loss, gradient and normal matrix of a pass beside those in memory of the same table, its past taken out."""
     record, method = two_inputs(rng, 5000), METHODS[name]
     structure, nu = method.structure(), 2
     table = structure.empty(nu)
@@ -55,20 +57,16 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
         elif order:
             table[row, : order + 1] = np.poly(0.7 * np.exp(2j * np.pi * np.array([0.13, -0.13, 0.0])[:order])).real
     data = long_record.Stream(stored(tmp_path, record, block=1234), 0, survey(stored(tmp_path, record)))
-    shape = long_record.Shape.of(structure, nu, True, True)
-    q = int(shape.states.sum())
+    free = free_rows(nu, range(len(table)))
+    signals = signals_of(structure.degree(nu), structure.lag(nu), free, structure.states(nu, True, True))
     u, y = record.inputs / data.input_size[:, None], record.outputs[0] / data.output_size
-    work = [np.zeros((nu, y.size)), np.zeros((nu, y.size)), np.zeros(y.size), np.zeros(y.size)]
-    signals = np.zeros((nu + 2 + len(table) + 1, y.size))
-    args = (table, shape.degree, shape.lag)
-    loss = kernels.evaluate(u, y, *args, shape.states, signals, *work)
-    G, _ = kernels.normal_matrix(y, *args, free_rows(nu, range(len(table))), shape.states, signals, *work)
-    wanted = kernels.reduced(G, q)
-    x = np.zeros(q)
+    held = Accumulator(u, y, signals)
+    loss, wanted = held.loss(table), held.normal(table)
+    x = np.zeros(signals.unknown_past)
     for _ in range(3):  # the gradient is taken at the past given: a few rounds find it
-        found, _ = data.gram(table, x, shape, "test")
-        x = x + long_record_kernels.past(found, q, np.zeros(len(wanted) - 1))
-    S = kernels.reduced(found, q)
+        point = long_record.LongRecordPoint.of(data, signals, "test", table, x)
+        x = point.past()
+    S = point.normal()
     size = np.sqrt(np.diag(wanted))
     miss = np.abs(S - wanted) / np.outer(size, size)
     print(f"\n{name}: loss differs by {abs(S[-1, -1] / y.size / loss - 1):.1e}, products by {miss.max():.1e}")

@@ -23,6 +23,8 @@ class Listener(Protocol):
 
 
 _listener: ContextVar[Listener | None] = ContextVar("ultraquiet_progress", default=None)
+# Every task that is shown, the latest last: what happens in threads, which see no listener, is noted there.
+_open: list[tuple[Listener, int]] = []
 
 
 class Task:
@@ -46,11 +48,31 @@ def task(title: str, total: int) -> Generator[Task]:
     """
     listener = _listener.get()
     key = listener.start(title, total) if listener else 0
+    if listener:
+        _open.append((listener, key))
     try:
         yield Task(listener, key)
     finally:
         if listener:
+            _open.remove((listener, key))
             listener.finish(key)
+
+
+@contextmanager
+def noted(note: str) -> Generator[None]:
+    """Say for the length of a block what is in hand: beside the latest task, or as a task of its own without any."""
+    latest = _open[-1:]
+    if not latest:
+        with task(note, 1):
+            yield
+        return
+    ((listener, key),) = latest
+    listener.advance(key, 0, note)
+    try:
+        yield
+    finally:
+        if (listener, key) in _open:
+            listener.advance(key, 0, "")
 
 
 @contextmanager

@@ -1,29 +1,31 @@
 """The sampled loop, compiled. Import where it is used: numba costs half a second."""
 
 import numpy as np
-from numba import njit
+
+from ultraquiet._base.compiled import compiled
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def add_product(At, x, out):
     """Add A x to out; At is A transposed, so that the inner loop runs along memory."""
     for j in range(x.size):
-        value = x[j]
+        value, row = x[j], At[j]
         for i in range(out.size):
-            out[i] += At[j, i] * value
+            out[i] += row[i] * value
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def read(Ct, x, noise, limits, step, y):
     """Fill y with the readings C x + noise, clipped to +-limits and rounded to multiples of step (0: not rounded)."""
-    y[:] = noise
+    for i in range(y.size):
+        y[i] = noise[i]
     add_product(Ct, x, y)
     for i in range(y.size):
         value = min(max(y[i], -limits[i]), limits[i])
         y[i] = step * np.rint(value / step) if step > 0.0 else value
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def clip(values, limits, into, counts):
     """Put values limited to +-limits into `into`, counting those limited."""
     for i in range(values.size):
@@ -32,7 +34,7 @@ def clip(values, limits, into, counts):
         into[i] = min(max(values[i], -limits[i]), limits[i])
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def slip(thresholds, weights, anchors, values):
     """Send the leading values through plays: each anchor is dragged along once its value is a threshold away.
 
@@ -48,7 +50,7 @@ def slip(thresholds, weights, anchors, values):
         values[i] = total
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def move(plant, state, disturbance, limits, driven, work, counts):
     """Advance the plant one sample under the held command plus the disturbance, limited to +-limits."""
     At, Bt, _, thresholds, weights = plant
@@ -57,13 +59,15 @@ def move(plant, state, disturbance, limits, driven, work, counts):
         driven[i] = held[i] + disturbance[i]
     clip(driven, limits, driven, counts)
     slip(thresholds, weights, anchors, driven)
-    work[:] = 0.0
+    for i in range(work.size):
+        work[i] = 0.0
     add_product(At, x, work)
     add_product(Bt, driven, work)
-    x[:] = work
+    for i in range(work.size):
+        x[i] = work[i]
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def loop(plant, law, signals, limits, state, xk, results):
     """Run on from `state` and the law's state `xk`, both left where the samples end.
 
@@ -77,20 +81,24 @@ def loop(plant, law, signals, limits, state, xk, results):
     command, outputs, limited = results
     nu = actuation.shape[1]
     x, held, _ = state
-    work, workk = np.empty_like(x), np.empty_like(xk)
+    work, workk = np.empty(x.size), np.empty(xk.size)
     asked, driven, pushed = np.empty(nu), np.empty(nu), np.empty(nu)
     for k in range(actuation.shape[0]):
         read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
-        asked[:] = actuation[k]
+        for i in range(nu):
+            asked[i] = actuation[k, i]
         add_product(Kct, xk, asked)
         add_product(Kdt, outputs[k], asked)
-        workk[:] = 0.0
+        for i in range(xk.size):
+            workk[i] = 0.0
         add_product(Kat, xk, workk)
         add_product(Kbt, outputs[k], workk)
-        xk[:] = workk
+        for i in range(xk.size):
+            xk[i] = workk[i]
         for i in range(nu):
             asked[i] *= gain[k]
             pushed[i] = gain[k] * disturbance[k, i]
         move(plant, state, pushed, limits[1], driven, work, limited[1])
         clip(asked, limits[0], held, limited[0])
-        command[k] = held
+        for i in range(nu):
+            command[k, i] = held[i]

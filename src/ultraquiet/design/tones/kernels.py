@@ -4,10 +4,11 @@ All arrays are C-contiguous and changed in place where a docstring says so; `wor
 """
 
 import numpy as np
-from numba import njit
+
+from ultraquiet._base.compiled import compiled
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def product(M, x, out):
     """Add M x to out."""
     for i in range(M.shape[0]):
@@ -17,7 +18,7 @@ def product(M, x, out):
         out[i] += total
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def linear_step(system, x, work, u, y):
     """Fill y with C x + D u and move x on to A x + B u."""
     A, B, C, D = system
@@ -30,7 +31,7 @@ def linear_step(system, x, work, u, y):
     x[:] = work
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def limit(v, most):
     """Hold v within +-most; return how many entries were beyond. What is not a number stays so, to be seen."""
     met = 0
@@ -44,7 +45,7 @@ def limit(v, most):
 # ---- adaptive feedforward: a bank that finds tones, loops that follow them, amplitudes that cancel them ----
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def search(signal, bins_w, rates, i, bank, looked):
     """Move tone i's bank of two-stage demodulators on by one sample of `signal` `(ny,)`; fill powers when `looked`."""
     phasors, first, second, powers = bank
@@ -63,7 +64,7 @@ def search(signal, bins_w, rates, i, bank, looked):
                 powers[i, b] += second[i, b, c].real ** 2 + second[i, b, c].imag ** 2
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def judge(bins_w, searched, i, powers, thresholds, follow):
     """Decide whether tone i is there, and set its frequency where the bank knows better than the loop that follows it.
 
@@ -94,7 +95,7 @@ def judge(bins_w, searched, i, powers, thresholds, follow):
         slope[i] = 0.0
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def pull(error, tones, i, gains, edges, follow):
     """Let tone i's copy `(ny,)` and its frequency follow: a frequency-locked loop of second order, common to channels.
 
@@ -116,7 +117,7 @@ def pull(error, tones, i, gains, edges, follow):
         tones[i, c] = np.exp(1j * w[i]) * (tones[i, c] + gains[0] * error[c])
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def cancel(y, i, w, on, speeds, table, amplitudes):
     """Move tone i's command on: zeta+ = e^jw (rho zeta - 2 a G(w)^-1 y), G^-1 interpolated; off, it fades."""
     inverses, start, step = table
@@ -133,7 +134,7 @@ def cancel(y, i, w, on, speeds, table, amplitudes):
         amplitudes[i, r] = turn * ((rho if on == 1 else fading) * amplitudes[i, r] - 2.0 * a * drive)
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def feedforward_step(y, system, design, state, v, y0):
     """One sample of adaptive feedforward: fills v (commands) and y0 (readings without them); returns limits met."""
     bins_w, searched, rates, thresholds, gains, edges, speeds, table, most, every = design
@@ -164,7 +165,7 @@ def feedforward_step(y, system, design, state, v, y0):
     return met + confine(amplitudes, most)
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def confine(amplitudes, most):
     """Shrink all amplitudes together until no actuator can be asked for more than `most`; return whether it had to."""
     share = 1.0
@@ -183,7 +184,7 @@ def confine(amplitudes, most):
 # ---- Youla-Kucera: innovations, a stable Q on them, its parameters by recursive least squares ----
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def youla_step(y, models, most, rls, state, v, y0):
     """One sample of the law: fills v (what state feedback and Q add) and y0 (readings with Q = 0); returns limits met.
 
@@ -219,7 +220,7 @@ def youla_step(y, models, most, rls, state, v, y0):
     return met
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def advance(A, b, value, x, spare):
     """Move x on to A x + b value."""
     for i in range(b.size):
@@ -228,7 +229,7 @@ def advance(A, b, value, x, spare):
     x[:] = spare
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def drive_regressors(regress, XT, XT_new, innovation, added, filtered, y, y0):
     """Fill filtered[:, :, 0] with T[:, i] innovation_j, a column for each pair (i, j), and y0 with y - T added."""
     A, B, C, D = regress
@@ -250,7 +251,7 @@ def drive_regressors(regress, XT, XT_new, innovation, added, filtered, y, y0):
     XT[:] = XT_new
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def recursive_least_squares(phi, y0, theta, rls):
     """Every few samples: theta minimises the forgotten sum of |y0 + phi theta|^2 + leak |theta|^2.
 
@@ -294,7 +295,7 @@ def recursive_least_squares(phi, y0, theta, rls):
 # ---- filtered-x LMS ----
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def filtered_x_step(y, system, channels, design, state, v, y0):
     """One sample of multi-error filtered-x LMS: fills v and y0 (errors without v); returns limits met.
 
@@ -341,7 +342,7 @@ def filtered_x_step(y, system, channels, design, state, v, y0):
     return met
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def slide(windows, gram, out, D, heard, p, lead):
     """Put this sample's filtered references into their windows, and the windows' products into the Gram matrix."""
     ne, columns, taps = windows.shape[0], windows.shape[1], windows.shape[2] // 2
@@ -369,7 +370,7 @@ def slide(windows, gram, out, D, heard, p, lead):
                         gram[a, b] += windows[a, column, k] * windows[b, column, k]
 
 
-@njit(cache=True, nogil=True, fastmath=False)
+@compiled
 def descend(windows, gram, weights, y0, p, lead, tuning, met):
     """Move the weights: w+ = (1 - leak) w - step F' (F F' + floor)^-1 (y0 + F w); at a limit they only leak."""
     step, leak, floor = tuning

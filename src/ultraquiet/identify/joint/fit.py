@@ -11,7 +11,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.joint.initial_models import starts
-from ultraquiet.identify.joint.search import Ended, Part, Problem, covariance_root, posed, search
+from ultraquiet.identify.joint.search import Part, Problem, Solution, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.fit import (
     CONVERGED,
     PROMISING,
@@ -80,7 +80,7 @@ def _fit_cluster(parts: list[Part], how: Search, rate_hz: float, workers: int) -
     }
 
 
-def _best(problem: Problem, how: Search, workers: int) -> tuple[Ended, int]:
+def _best(problem: Problem, how: Search, workers: int) -> tuple[Solution, int]:
     """Search from the first start to its end, from the others while they promise more; see `fit_channel`.
 
     A minimum that starts of two horizons lead to is taken for the lowest one, whether its residual passes or not.
@@ -113,7 +113,7 @@ def _groups(problem: Problem) -> list[list[int]]:
     return [[k for k, part in enumerate(problem.parts) if part.group == g] for g in groups]
 
 
-def _passes(problem: Problem, found: Ended) -> bool:
+def _passes(problem: Problem, found: Solution) -> bool:
     groups = _groups(problem)
     least = min(p for members in groups for p in residual_tests(problem, found.residuals, members))
     return 1.0 - (1.0 - least) ** len(groups) >= SIGNIFICANCE
@@ -140,7 +140,7 @@ def residual_tests(problem: Problem, residuals: Sequence[FloatArray], members: S
 
 
 def _group_fit(
-    problem: Problem, best: Ended, members: list[int], root: FloatArray, how: Search, rate_hz: float, tried: int
+    problem: Problem, best: Solution, members: list[int], root: FloatArray, how: Search, rate_hz: float, tried: int
 ) -> Fit:
     first = members[0]
     part = problem.parts[first]
@@ -226,7 +226,7 @@ def _fit_percent(sets: Sequence[Channel], model: PolynomialModel, how: Search) -
     return prediction.fit_percent(y, y - np.concatenate(misses))
 
 
-def _mended(problem: Problem, best: Ended, how: Search, rate_hz: float) -> tuple[float, Problem]:
+def _mended(problem: Problem, best: Solution, how: Search, rate_hz: float) -> tuple[float, Problem]:
     """Return how far clipped readings moved, relative to the record, and the problem with them replaced."""
     moved, parts = 0.0, []
     for part, table, variance in zip(problem.parts, best.tables, best.variance, strict=True):

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.joint.search import LEAST_DAMPING, Ended, Part, posed, search
+from ultraquiet.identify.joint.search import Part, Solution, posed, search
 from ultraquiet.identify.prediction_error.fit import Search
 from ultraquiet.identify.prediction_error.initial_models import NOISE_RADIUS, RADIUS, noise_start
+from ultraquiet.identify.prediction_error.levenberg_marquardt import LEAST_DAMPING
 from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows
 from ultraquiet.linalg.polynomial_roots import mirrored_inside, stabilised
@@ -42,7 +43,7 @@ def starts(parts: Sequence[Part], how: Search, workers: int) -> Iterator[tuple[i
 
 def _from_poles(
     parts: Sequence[Part], source: Part, rows: int, how: Search, workers: int
-) -> tuple[Ended, list[FloatArray]] | None:
+) -> tuple[Solution, list[FloatArray]] | None:
     outputs = [_output_error(part, how) for part in parts]
     tables: list[FloatArray] = []
     for part in outputs:
@@ -60,7 +61,7 @@ def _from_poles(
 
 def _completed(
     parts: Sequence[Part], outputs: Sequence[Part], tables: list[FloatArray], workers: int
-) -> tuple[Ended, list[FloatArray]]:
+) -> tuple[Solution, list[FloatArray]]:
     """Return B by least squares over all sets for poles that are given, C and D from what remains."""
     plant = posed(outputs, lambda letter: letter == "b")
     ended = search(plant, tables, LINEAR_STEPS, LINEAR_TOLERANCE, workers, LEAST_DAMPING)

@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.prediction_error.in_memory import Accumulator, moved
 from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, minimise
 from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray
 
-FIRST_DAMPING = 1e-3
-LEAST_DAMPING = 1e-12
+MOST_BYTES = 1 << 28  # of workspaces kept at once; beyond it each is made again for the normal matrix
 SMALLEST_VARIANCE = 1e-28  # of the output's own: below it lies only rounding
 
 
@@ -65,11 +67,11 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Ended:
+class Solution:
     """Where a joint search ended.
 
     `normal` is the weighted [J e]'[J e] of all unknowns, `variance` the innovations' of each set's group in output
-    units, `state` as in `kernels.search`.
+    units, `state` as in `levenberg_marquardt.Ended`.
     """
 
     tables: list[FloatArray]
@@ -122,6 +124,84 @@ def _place(
     return Place(index, T, free)
 
 
+@dataclass(frozen=True, eq=False)
+class TiedPoint:
+    """One table per set, the losses of the sets and what follows from them; see `levenberg_marquardt.Point`."""
+
+    sets: "Sets"
+    tables: list[FloatArray]
+    criterion: float
+    variance: FloatArray
+
+    @property
+    def unit(self) -> float:
+        """Of a likelihood: the innovations are in units of their deviation."""
+        return 1.0
+
+    def normal(self) -> FloatArray:
+        """Return the weighted [J e]'[J e] of all unknowns."""
+        return self.sets.normal(self.tables, self.variance)
+
+    def moved(self, step: FloatArray) -> "TiedPoint | None":
+        """Return the point a step of all unknowns leads to; None when one of its tables is not admissible."""
+        return self.sets.moved(self.tables, step)
+
+    def gained(self, other: "TiedPoint") -> float:
+        """Return how much less the criterion is there."""
+        return self.criterion - other.criterion
+
+
+class Sets:
+    """The sets of a problem with a workspace each, kept from loss to normal matrix where memory allows."""
+
+    def __init__(self, problem: Problem, run: Any) -> None:
+        self.problem, self._run = problem, run
+        self.accumulators = [
+            Accumulator(p.data.u, p.data.y, signals_of(p.layout.degree(), p.layout.lag(), place.free, p.states))
+            for p, place in zip(problem.parts, problem.places, strict=True)
+        ]
+        self._kept = sum(a.bytes for a in self.accumulators) <= MOST_BYTES
+
+    def each(self, work: Callable[[Accumulator, FloatArray], Any], tables: Sequence[FloatArray]) -> list[Any]:
+        """Return what `work` makes of every set and its table, in threads."""
+
+        def one(item: tuple[Accumulator, FloatArray]) -> Any:
+            out = work(*item)
+            if not self._kept:
+                item[0].release()
+            return out
+
+        return list(self._run(one, zip(self.accumulators, tables, strict=True)))
+
+    def at(self, tables: Sequence[FloatArray]) -> TiedPoint:
+        """Return the point of the tables."""
+        losses = self.each(lambda a, table: a.loss(table), tables)
+        return TiedPoint(self, list(tables), *_judged(self.problem.parts, losses))
+
+    def normal(self, tables: Sequence[FloatArray], variance: FloatArray) -> FloatArray:
+        """Return the sum of the sets' normal matrices, each in the unknowns of all and weighted by its variance."""
+        size = self.problem.size
+        S = np.zeros((size + 1, size + 1))
+        local = self.each(lambda a, table: a.normal(table), tables)
+        for part, place, weight, own in zip(self.problem.parts, self.problem.places, variance, local, strict=True):
+            m = place.index.size
+            T = np.zeros((own.shape[0], m + 1))
+            T[:-1, :m], T[-1, m] = place.map, 1.0
+            at = np.append(place.index, size)
+            S[np.ix_(at, at)] += part.data.output_size**2 / weight * (T.T @ own @ T)
+        return S
+
+    def moved(self, tables: Sequence[FloatArray], step: FloatArray) -> TiedPoint | None:
+        """Return the point after a step of all unknowns."""
+        out: list[FloatArray] = []
+        for own, place, table in zip(self.accumulators, self.problem.places, tables, strict=True):
+            there = moved(own.signals, table, place.map @ step[place.index])
+            if there is None:
+                return None
+            out.append(there)
+        return self.at(out)
+
+
 def search(
     problem: Problem,
     tables: Sequence[FloatArray],
@@ -129,73 +209,16 @@ def search(
     tolerance: float,
     workers: int = 1,
     damping: float = FIRST_DAMPING,
-) -> Ended:
+) -> Solution:
     """Minimise the criterion from the given tables, one per set; every table stays admissible at every step."""
-    from ultraquiet.identify.prediction_error import kernels
-
     with ThreadPoolExecutor(workers) as pool:
-        run: Any = map if workers == 1 else pool.map
-        now: list[FloatArray] = list(tables)
-        state, small, iterations = 0, 0, 0
-        while True:
-            W, variance, residuals, S = _summed(problem, now, run)
-            _, promised = kernels.damped_step(S, 0.0)
-            if promised <= tolerance or small >= kernels.STALLED_STEPS:
-                state = 1
-            if state != 0 or iterations >= steps or not np.isfinite(W):
-                return Ended(now, W, variance, residuals, S, iterations, state)
-            state = -1
-            for _ in range(kernels.INNER_TRIES):
-                step, promised = kernels.damped_step(S, damping)
-                trial = _moved(problem, now, step)
-                gain = W - _criterion(problem, trial, run)
-                if trial is not None and gain > 0:
-                    damping *= 0.1 if gain > 0.75 * promised else (0.5 if gain > 0.25 * promised else 2.0)
-                    damping = max(LEAST_DAMPING, damping)
-                    small = small + 1 if gain <= tolerance else 0
-                    now, state = trial, 0
-                    break
-                damping = max(damping, 1e-9) * 6.0
-            iterations += 1
-
-
-def _summed(
-    problem: Problem, tables: Sequence[FloatArray], run: Any
-) -> tuple[float, FloatArray, list[FloatArray], FloatArray]:
-    """Return criterion, variance of each set's group, residuals, and the weighted normal matrix of all unknowns."""
-    from ultraquiet.identify import joint_kernels
-
-    def one(work: tuple[Part, Place, FloatArray]) -> Any:
-        part, place, table = work
-        layout = part.layout
-        return joint_kernels.normal(
-            part.data.u, part.data.y, table, layout.degree(), layout.lag(), place.free, part.states
-        )
-
-    found = list(run(one, zip(problem.parts, problem.places, tables, strict=True)))
-    W, variance = _judged(problem.parts, [f[0] for f in found])
-    S = np.zeros((problem.size + 1, problem.size + 1))
-    for part, place, weight, (_, _, local) in zip(problem.parts, problem.places, variance, found, strict=True):
-        m = place.index.size
-        T = np.zeros((local.shape[0], m + 1))
-        T[:-1, :m], T[-1, m] = place.map, 1.0
-        at = np.append(place.index, problem.size)
-        S[np.ix_(at, at)] += part.data.output_size**2 / weight * (T.T @ local @ T)
-    return W, variance, [f[1] for f in found], S
-
-
-def _criterion(problem: Problem, tables: Sequence[FloatArray] | None, run: Any) -> float:
-    from ultraquiet.identify import joint_kernels
-
-    if tables is None:
-        return np.inf
-
-    def one(work: tuple[Part, FloatArray]) -> float:
-        part, table = work
-        layout = part.layout
-        return joint_kernels.residual(part.data.u, part.data.y, table, layout.degree(), layout.lag(), part.states)[0]
-
-    return _judged(problem.parts, list(run(one, zip(problem.parts, tables, strict=True))))[0]
+        sets = Sets(problem, map if workers == 1 else pool.map)
+        ended = minimise(sets.at(tables), steps, tolerance, damping)
+        point = ended.point
+        residuals = sets.each(lambda a, table: a.residual(table), point.tables)
+    return Solution(
+        point.tables, point.criterion, point.variance, residuals, ended.normal, ended.iterations, ended.state
+    )
 
 
 def _judged(parts: Sequence[Part], losses: Sequence[float]) -> tuple[float, FloatArray]:
@@ -211,20 +234,6 @@ def _judged(parts: Sequence[Part], losses: Sequence[float]) -> tuple[float, Floa
         W += float(np.sum(count[own])) * np.log(value)
         variance[own] = value
     return float(W), variance
-
-
-def _moved(problem: Problem, tables: Sequence[FloatArray], step: FloatArray) -> list[FloatArray] | None:
-    """Return the tables after a step of all unknowns; None when one of them is not admissible."""
-    from ultraquiet.identify.prediction_error import kernels
-
-    out: list[FloatArray] = []
-    for part, place, table in zip(problem.parts, problem.places, tables, strict=True):
-        degree = part.layout.degree()
-        moved = kernels.stepped(table, degree, place.free, place.map @ step[place.index])
-        if not kernels.admissible(moved, degree):
-            return None
-        out.append(moved)
-    return out
 
 
 def covariance_root(problem: Problem, normal: FloatArray) -> FloatArray:

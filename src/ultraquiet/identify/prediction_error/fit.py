@@ -5,7 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.prediction_error import in_memory
+from ultraquiet.identify.prediction_error.in_memory import Accumulator
 from ultraquiet.identify.prediction_error.initial_models import Channel, starting_tables, table_of
+from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, RUNNING, STUCK
+from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
     ROW_C,
@@ -24,7 +28,6 @@ from ultraquiet.values import PolynomialModel, Status, StatusWord
 # then stands within 3 % of its own standard deviation of the minimum.
 TOLERANCE = 1e-3
 TEST_LAGS = 40  # at 3.5 kHz 11 ms, over which a wrong 12 Hz pole leaves a visible residual correlation
-CONVERGED, RUNNING, STUCK = 1, 0, -1
 # The race of the starts: each runs so many steps in all, then so many of them go on, if within this ratio of the best
 # loss. On 126 searches of records of the bench it ended within 1 % of the best of all starts in 122.
 TRIAL_STEPS = 10
@@ -54,7 +57,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Where a search ended: see `kernels.search`."""
+    """Where a search ended: see `levenberg_marquardt.Ended`."""
 
     table: FloatArray
     loss: float
@@ -190,22 +193,19 @@ def run_search(
     data: Channel, structure: Structure, search: Search, table: FloatArray, steps: int, *, noise_only: bool = False
 ) -> "Found":
     """Search from a table; with `noise_only` the plant is held and C and D alone move."""
-    from ultraquiet.identify.prediction_error import kernels
-
     nu = data.u.shape[0]
     plant = [] if noise_only else [ROW_A, *b_rows(nu), *f_rows(nu)]
+    signals = signals_of(
+        structure.degree(nu),
+        structure.lag(nu),
+        free_rows(nu, [*plant, ROW_C, ROW_D]),
+        structure.states(nu, search.estimate, search.offset),
+    )
+    accumulator = Accumulator(data.u, data.y, signals)
+    ended = in_memory.search(accumulator, table, steps, TOLERANCE)
+    point = ended.point
     return Found(
-        *kernels.search(
-            data.u,
-            data.y,
-            table,
-            structure.degree(nu),
-            structure.lag(nu),
-            free_rows(nu, [*plant, ROW_C, ROW_D]),
-            structure.states(nu, search.estimate, search.offset),
-            steps,
-            TOLERANCE,
-        )
+        point.table, point.criterion, accumulator.residual(point.table), ended.normal, ended.iterations, ended.state
     )
 
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet.identify.prediction_error import in_memory
+from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
 from ultraquiet.linalg.polynomial_roots import mirrored_inside, monic_from_roots, stabilised
@@ -22,7 +24,6 @@ START_RADIUS = 1.0 - 1e-5  # for a model that is given: the search itself comes 
 LONG_MEMORY = 30  # order of the autoregression that stands in for the noise filter's inverse
 LONG_RIDGE = 1e-12  # share of v's size: below it normal equations of shifts hold no digit
 HANNAN_ROUNDS = 2
-NOTHING = np.zeros((0, 0))
 
 
 class Channel:
@@ -174,22 +175,11 @@ def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ..
 
 def _least_squares(data: Channel, structure: Structure) -> FloatArray:
     """Return A and B of the equation-error model: linear, so one undamped step is the whole search."""
-    from ultraquiet.identify.prediction_error import kernels
-
     nu = data.u.shape[0]
-    found = kernels.search(
-        data.u,
-        data.y,
-        structure.empty(nu),
-        structure.degree(nu),
-        structure.lag(nu),
-        free_rows(nu, [ROW_A, *b_rows(nu)]),
-        structure.states(nu, True, True),
-        LINEAR_STEPS,
-        LINEAR_TOLERANCE,
-        UNDAMPED,
-    )
-    return found[0]
+    rows = free_rows(nu, [ROW_A, *b_rows(nu)])
+    signals = signals_of(structure.degree(nu), structure.lag(nu), rows, structure.states(nu, True, True))
+    accumulator = in_memory.Accumulator(data.u, data.y, signals)
+    return in_memory.search(accumulator, structure.empty(nu), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
 
 
 LINEAR_STEPS = 8  # a linear problem is solved by one undamped step; others only clear what rounding left of it
@@ -199,27 +189,15 @@ UNDAMPED = 0.0
 
 def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArray:
     """Return a table with the given F: B by least squares on the simulated output, C and D from what remains."""
-    from ultraquiet.identify.prediction_error import kernels
-
     nu = data.u.shape[0]
     table = structure.empty(nu)
     table[f_rows(nu), : f.size] = f
     plant = Structure(0, structure.b, 0, 0, structure.f, structure.delay)
-    found = kernels.search(
-        data.u,
-        data.y,
-        table,
-        plant.degree(nu),
-        structure.lag(nu),
-        free_rows(nu, b_rows(nu)),
-        plant.states(nu, True, True),
-        LINEAR_STEPS,
-        LINEAR_TOLERANCE,
-        UNDAMPED,
-    )
-    table, rest = found[0], found[2]
+    signals = signals_of(plant.degree(nu), structure.lag(nu), free_rows(nu, b_rows(nu)), plant.states(nu, True, True))
+    accumulator = in_memory.Accumulator(data.u, data.y, signals)
+    table = in_memory.search(accumulator, table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
     if structure.c or structure.d:
-        c, d = noise_start(rest, structure.c, structure.d)
+        c, d = noise_start(accumulator.residual(table), structure.c, structure.d)
         table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
     return table
 
@@ -229,22 +207,31 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
 
     Hannan and Rissanen 1982, doi:10.1093/biomet/69.1.81.
     """
-    from ultraquiet.identify.prediction_error import kernels
+    from ultraquiet.identify.prediction_error.kernels import normal_equations
+    from ultraquiet.identify.prediction_error.kernels import table as table_kernels
     from ultraquiet.linalg.prediction import filtered
 
     before = max(c_order, d_order)
     memory = max(before, min(LONG_MEMORY, v.size // 8))
     e = _innovations(v, memory)
     c, d = np.ones(1), np.ones(1)
-    lags, counts = np.array([0, 1, 1, 0]), np.array([before, d_order, c_order, 1])
+    columns = np.array([[0, 0, before, 1], [1, 1, d_order, 1], [2, 1, c_order, -1], [1, 0, 1, 1]])
+    width = before + d_order + c_order + 1
+    places = np.array([[0, 1, d_order], [1, 1, c_order]])
     for _ in range(HANNAN_ROUNDS):
         # v + sum_k d_k v(t-k) - sum_k c_k e(t-k) is to be small from sample `memory` on; a pulse takes out what is
         # there only to stand in the past of others.
-        known = np.stack([np.zeros(v.size), v, -e, v])[:, memory - before :]
-        known[0, 0] = 1.0
-        found, _ = kernels.damped_step(kernels.reduced(kernels.gram(known, lags, counts, NOTHING), before), 0.0)
-        d = stabilised(np.concatenate([[1.0], kernels.expanded(found[:d_order])]), NOISE_RADIUS)
-        c = stabilised(np.concatenate([[1.0], kernels.expanded(found[d_order:])]), NOISE_RADIUS)
+        work = np.stack([np.zeros(v.size), v, e])[:, memory - before :]
+        work = np.hstack([np.zeros((3, before + 1)), work])
+        work[0, before + 1] = 1.0
+        G = np.zeros((width, width))
+        normal_equations.add_products(work, columns, 0, before + 1, work.shape[1], G)
+        found, _ = normal_equations.damped_step(normal_equations.reduced(G, before), 0.0)
+        polynomials = np.zeros((2, max(c_order, d_order) + 1))
+        polynomials[:, 0] = 1.0
+        table_kernels.add_expanded(found, 1.0, places, polynomials)
+        d = stabilised(polynomials[0, : d_order + 1], NOISE_RADIUS)
+        c = stabilised(polynomials[1, : c_order + 1], NOISE_RADIUS)
         e = filtered(v, d, c)
     return c, d
 

@@ -1,6 +1,6 @@
 """Prediction-error models of records longer than memory: one pass over the file an iteration."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,15 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error.in_memory import moved
 from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
+from ultraquiet.identify.prediction_error.signals import Signals, signals_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
     ROW_C,
     ROW_D,
     ROW_FIRST,
-    IntArray,
     Structure,
     b_rows,
     f_rows,
@@ -39,6 +41,10 @@ if TYPE_CHECKING:
 START_SAMPLES = 32_768
 START_PIECES = 2
 
+# Samples filtered at once: what all their signals take stays within the cache.
+CELL = 4096
+GONE = 1e-18  # a free response that has decayed to this share of its peak adds nothing more to any sum
+
 Watch = Callable[[FloatArray, FloatArray, FloatArray], None]
 
 
@@ -52,69 +58,154 @@ class Stream:
         self.gain = self.output_size / self.input_size
         self.passes = 0
 
-    def gram(
-        self, table: FloatArray, x: FloatArray, shape: "Shape", title: str, watch: Watch | None = None
-    ) -> tuple[FloatArray, int]:
-        """Return the products of nuisance, gradient and residual columns at (table, x), and the count of the first.
+    def products(
+        self, table: FloatArray, x: FloatArray, signals: Signals, title: str, watch: Watch | None = None
+    ) -> FloatArray:
+        """Return the products of nuisance, gradient and residual columns at (table, x).
 
         `watch` is handed inputs, output and residual of every block.
         """
-        from ultraquiet.identify.prediction_error import long_record_kernels as kernels
-
-        _, lags, counts = kernels.plan(shape.degree, shape.lag, shape.free, shape.states)
-        q, width = int(shape.states.sum()), int(counts.sum())
-        head = int(lags.max() + counts.max() + shape.degree.max()) + 1
-        nu = self.input_size.size
-        work = np.zeros((kernels.rows_needed(len(table)), head + kernels.cell_length(width)))
-        alive = shape.states[[*f_rows(nu), ROW_C]] > 0
-        peak, done, G = np.zeros(nu + 1), np.zeros(2, np.int64), np.zeros((width, width))
+        run = Pass(signals, table, x)
         scale_u, scale_y = 1.0 / self.input_size[:, None], 1.0 / self.output_size
         self.passes += 1
         with task(f"{title}, pass {self.passes}", self.record.samples) as progress:
             for inputs, outputs in self.record.blocks():
                 u, y = inputs * scale_u, outputs[0] * scale_y
-                e = np.empty(y.size)
-                kernels.advance(
-                    u, y, table, shape.degree, shape.lag, shape.free, shape.states, x, head, work, alive, peak, done,
-                    G, e,
-                )  # fmt: skip
+                e = run.add(u, y)
                 if watch is not None:
                     watch(u, y, e)
                 progress.advance(y.size)
-        return G, q
+        return run.products()
+
+
+class Pass:
+    """One pass over a record in pieces: every signal keeps the end of the piece before in front of it.
+
+    The past before the record is not projected out of each signal, which would need the record twice: it is a vector x
+    of unknowns, given, whose columns enter the products beside the gradient's.
+    """
+
+    def __init__(self, signals: Signals, table: FloatArray, x: FloatArray) -> None:
+        from ultraquiet.identify.prediction_error.kernels.table import add_expanded
+
+        self._signals = signals
+        self._coefficients = signals.with_table(table)
+        add_expanded(x, -1.0, signals.states, self._coefficients)
+        self._work = np.zeros((signals.rows, signals.head + CELL))
+        self._used = 0
+        self._begun = False
+        nuisance = len(signals.nuisance) - 1
+        self._peak = np.zeros(nuisance)
+        self._alive = signals.nuisance[:-1, 2] > 0
+        width = int(signals.columns[:, 2].sum())
+        self._sum = np.zeros((width, width))
+        self._choose()
+
+    def _choose(self) -> None:
+        """Take up the steps and columns that still matter."""
+        s, dead = self._signals, np.flatnonzero(~self._alive)
+        self._steps = np.ascontiguousarray(s.through[~np.isin(s.owners, dead)])
+        self._columns = s.columns.copy()
+        self._columns[dead, 2] = 0
+        self._index = np.flatnonzero(~np.isin(np.repeat(np.arange(len(s.columns)), s.columns[:, 2]), dead))
+        self._live = np.zeros((self._index.size, self._index.size))
+
+    def add(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Filter the next piece, add its products and return its residual."""
+        from ultraquiet.identify.prediction_error.kernels import filters, normal_equations
+
+        s, work, e = self._signals, self._work, np.empty(y.size)
+        for start in range(0, y.size, CELL):
+            stop = min(y.size, start + CELL)
+            work[:, : s.head] = work[:, self._used : self._used + s.head]
+            self._used = stop - start
+            end = s.head + self._used
+            work[: len(u), s.head : end], work[s.y, s.head : end] = u[:, start:stop], y[start:stop]
+            work[s.pulse, s.head : end], work[s.ones, s.head : end] = 0.0, 1.0
+            work[s.pulse, s.head] = 0.0 if self._begun else 1.0
+            self._begun = True
+            filters.filtered(self._steps, self._coefficients, work, s.head, end)
+            normal_equations.add_products(work, self._columns, 0, s.head, end, self._live)
+            e[start:stop] = work[s.e, s.head : end]
+            self._fade(end)
+        return e
+
+    def _fade(self, end: int) -> None:
+        """Drop free responses once all that filters and columns still reach of them has decayed."""
+        s, before = self._signals, self._alive.copy()
+        for owner in np.flatnonzero(self._alive[:-1]):
+            rows = s.responses[owner]
+            self._peak[owner] = max(self._peak[owner], np.abs(self._work[rows, s.head : end]).max())
+            self._alive[owner] = np.abs(self._work[rows, end - s.head : end]).max() >= GONE * self._peak[owner]
+        if not np.array_equal(before, self._alive):
+            self._keep()
+            self._choose()
+
+    def _keep(self) -> None:
+        self._sum[np.ix_(self._index, self._index)] += self._live
+
+    def products(self) -> FloatArray:
+        """Return the products of all pieces, and begin anew."""
+        self._keep()
+        self._live[:] = 0.0
+        return self._sum
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """What of a structure the kernels need: see `structure.Structure`."""
+class LongRecordPoint:
+    """A table and the unknown past, their products, and the loss with the best past."""
 
-    degree: IntArray
-    lag: IntArray
-    free: np.ndarray
-    states: IntArray
-
-    @classmethod
-    def of(cls, structure: Structure, nu: int, estimate: bool, offset: bool) -> "Shape":
-        """Return the shape with every row free."""
-        free = free_rows(nu, [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D])
-        return cls(structure.degree(nu), structure.lag(nu), free, structure.states(nu, estimate, offset))
-
-    @property
-    def fixed(self) -> "Shape":
-        """The same with no row free: a pass that only measures."""
-        return replace(self, free=np.zeros_like(self.free))
-
-
-@dataclass(frozen=True, eq=False)
-class Place:
-    """A point of the search: the table, the unknown past, their products, and the loss with the best past."""
-
+    data: Stream
+    signals: Signals
+    title: str
     table: FloatArray
     x: FloatArray
     G: FloatArray
-    q: int
-    normal: FloatArray
-    loss: float
+    reduced: FloatArray
+    criterion: float
+
+    @classmethod
+    def of(cls, data: Stream, signals: Signals, title: str, table: FloatArray, x: FloatArray) -> "LongRecordPoint":
+        """Return the point of a table and a past, from one pass."""
+        from ultraquiet.identify.prediction_error.kernels.normal_equations import reduced
+
+        G = data.products(table, x, signals, title)
+        S = reduced(G, x.size)
+        return cls(data, signals, title, table, x, G, S, float(S[-1, -1]) / data.record.samples)
+
+    @property
+    def unit(self) -> float:
+        """The innovation's variance."""
+        return self.criterion
+
+    def normal(self) -> FloatArray:
+        """Return [J e]'[J e]."""
+        return self.reduced
+
+    def moved(self, step: FloatArray) -> "LongRecordPoint | None":
+        """Return the point a step leads to, the past moved along."""
+        table = moved(self.signals, self.table, step)
+        return None if table is None else self.of(self.data, self.signals, self.title, table, self.past(step))
+
+    def gained(self, other: "LongRecordPoint") -> float:
+        """Return how much smaller the sum of squares is there."""
+        return self.data.record.samples * (self.criterion - other.criterion)
+
+    def past(self, step: FloatArray | None = None) -> FloatArray:
+        """Return the past that goes best with the table after a step of the parameters."""
+        from ultraquiet.identify.prediction_error.kernels.normal_equations import RIDGE
+
+        G, q = self.G, self.x.size
+        scale = np.where(np.diag(G) > 0.0, 1.0 / np.sqrt(np.maximum(np.diag(G), np.finfo(float).tiny)), 1.0)
+        M = G * np.outer(scale, scale)
+        right = M[:q, -1] if step is None else M[:q, -1] + M[:q, q:-1] @ (step * scale[-1] / scale[q:-1])
+        return self.x + np.linalg.solve(M[:q, :q] + np.sqrt(RIDGE) * np.eye(q), right) * scale[:q] / scale[-1]
+
+
+def _signals(structure: Structure, nu: int, fitted: tuple[bool, bool], free: Sequence[int] | None = None) -> Signals:
+    """Return the signals of a structure, by default with every row free."""
+    rows = [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D] if free is None else free
+    return signals_of(structure.degree(nu), structure.lag(nu), free_rows(nu, rows), structure.states(nu, *fitted))
 
 
 def identify_long(method: "PolynomialMethod", record: LongRecord) -> Result:
@@ -149,91 +240,49 @@ def _fit_output(
 ) -> tuple[one_fit.Fit, int]:
     data = Stream(record, output, seen)
     structure, nu = method.structure(), len(record.actuators)
-    shape = Shape.of(structure, nu, method.initial == "estimate", method.offset)
+    fitted = (method.initial == "estimate", method.offset)
+    signals = _signals(structure, nu, fitted)
     title = f"identify {method.name} of {record.sensors[output].name}"
-    best: tuple[Place, int, int] | None = None
+    best: Ended[LongRecordPoint] | None = None
     evidence, tried = (0.0, 0.0), 0
     for piece in pieces:
         tried += 1
         start = method.fit(Channel.of(piece, output), record.rate_hz).model
-        place, iterations, state = _search(data, shape, _table(start, structure, data.gain), method, title)
-        if best is None or place.loss < best[0].loss:
-            best = (place, iterations, state)
-            evidence = _evidence(data, place, shape, structure, title)
-        if best[2] == one_fit.CONVERGED and min(evidence) >= SIGNIFICANCE:
+        begin = LongRecordPoint.of(
+            data, signals, title, _table(start, structure, data.gain), np.zeros(signals.unknown_past)
+        )
+        found = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
+        if best is None or found.point.criterion < best.point.criterion:
+            best = found
+            evidence = _evidence(found.point, structure, fitted)
+        if best.state == CONVERGED and min(evidence) >= SIGNIFICANCE:
             break
     assert best is not None
-    place, iterations, state = best
-    model = _model(place, structure, data, record.rate_hz)
+    point = best.point
+    model = _model(point, structure, record.rate_hz)
     fit = one_fit.Fit(
         model,
-        _clipping(one_fit.verdict(state, iterations, evidence), seen, output, record),
-        _simulated_fit(data, model, seen, output, (method.initial == "estimate", method.offset), title),
+        _clipping(one_fit.verdict(best.state, best.iterations, evidence), seen, output, record),
+        _simulated_fit(data, model, seen, output, fitted, title),
         model.noise_variance,
-        one_fit.covariance(place.normal, place.loss, structure, data.gain),
+        one_fit.covariance(best.normal, point.criterion, structure, data.gain),
         whiteness_p=evidence[0],
         correlation_p=evidence[1],
-        iterations=iterations,
+        iterations=best.iterations,
         starts=tried,
         repaired=0,
     )
     return fit, data.passes
 
 
-def _search(
-    data: Stream, shape: Shape, start: FloatArray, method: "PolynomialMethod", title: str
-) -> tuple[Place, int, int]:
-    """Minimise as `kernels.search`, one pass a trial; return the place, the iterations and the state reached."""
-    from ultraquiet.identify.prediction_error import kernels
-    from ultraquiet.identify.prediction_error.long_record_kernels import past
-
-    n = data.record.samples
-    place = _place(data, shape, start, np.zeros(int(shape.states.sum())), title)
-    damping, small, iterations = 1e-3, 0, 0
-    while True:
-        if not np.isfinite(place.loss):
-            return place, iterations, one_fit.STUCK
-        if kernels.damped_step(place.normal, 0.0)[1] <= one_fit.TOLERANCE * place.loss:
-            return place, iterations, one_fit.CONVERGED
-        if small >= kernels.STALLED_STEPS:
-            return place, iterations, one_fit.CONVERGED
-        if iterations >= method.max_iterations:
-            return place, iterations, 0
-        for _ in range(kernels.INNER_TRIES):
-            step, promised = kernels.damped_step(place.normal, damping)
-            trial = kernels.stepped(place.table, shape.degree, shape.free, step)
-            if kernels.admissible(trial, shape.degree):
-                there = _place(data, shape, trial, place.x + past(place.G, place.q, step), title)
-                if there.loss < place.loss:
-                    gain = n * (place.loss - there.loss)
-                    damping *= 0.1 if gain > 0.75 * promised else (0.5 if gain > 0.25 * promised else 2.0)
-                    damping = max(1e-12, damping)
-                    small = small + 1 if gain <= one_fit.TOLERANCE * place.loss else 0
-                    place = there
-                    break
-            damping = max(damping, 1e-9) * 6.0
-        else:
-            return place, iterations, one_fit.STUCK
-        iterations += 1
-
-
-def _place(data: Stream, shape: Shape, table: FloatArray, x: FloatArray, title: str) -> Place:
-    from ultraquiet.identify.prediction_error import kernels
-
-    G, q = data.gram(table, x, shape, title)
-    S = kernels.reduced(G, q)
-    return Place(table, x, G, q, S, float(S[-1, -1]) / data.record.samples)
-
-
-def _evidence(data: Stream, place: Place, shape: Shape, structure: Structure, title: str) -> tuple[float, float]:
+def _evidence(point: LongRecordPoint, structure: Structure, fitted: tuple[bool, bool]) -> tuple[float, float]:
     """Return the p-values of `fit.residual_tests` from one more pass."""
-    from ultraquiet.identify.prediction_error.long_record_kernels import past
-
+    data, nu = point.data, point.data.input_size.size
     n = data.record.samples
     lags = min(one_fit.TEST_LAGS, n // 10)
-    sums = Lagged(1 + data.input_size.size, lags)
-    x = place.x + past(place.G, place.q, np.zeros(len(place.normal) - 1))
-    data.gram(place.table, x, shape.fixed, title, lambda u, _, e: sums.add(np.vstack([e[None], u])))
+    sums = Lagged(1 + nu, lags)
+    still = _signals(structure, nu, fitted, ())
+    data.products(point.table, point.past(), still, point.title, lambda u, _, e: sums.add(np.vstack([e[None], u])))
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, structure.a + structure.c + structure.d).p_value
     least = min(
@@ -252,7 +301,7 @@ def _simulated_fit(
     data: Stream, model: PolynomialModel, seen: LongRecordStatistics, output: int, fitted: tuple[bool, bool], title: str
 ) -> float:
     """Return the simulated fit in percent: the output-error loss of the model, its past and a constant fitted."""
-    from ultraquiet.identify.prediction_error import kernels
+    from ultraquiet.identify.prediction_error.kernels.normal_equations import reduced as without_past
 
     nu = data.input_size.size
     lag = min(int(np.flatnonzero(b)[0]) if np.any(b) else 0 for b in model.b)
@@ -261,10 +310,9 @@ def _simulated_fit(
     bare = PolynomialModel(model.b, [model.denominator(j) for j in range(nu)], model.rate_hz)
     if not bare.is_stable():
         return -np.inf
-    shape = Shape.of(plant, nu, *fitted).fixed
-    table = _table(bare, plant, data.gain)
-    G, q = data.gram(table, np.zeros(int(shape.states.sum())), shape, title)
-    loss = float(kernels.reduced(G, q)[-1, -1]) / data.record.samples * data.output_size**2
+    signals = _signals(plant, nu, fitted, ())
+    G = data.products(_table(bare, plant, data.gain), np.zeros(signals.unknown_past), signals, title)
+    loss = float(without_past(G, signals.unknown_past)[-1, -1]) / data.record.samples * data.output_size**2
     return 100.0 * (1.0 - np.sqrt(max(loss, 0.0)) / float(seen.output_size[output]))
 
 
@@ -283,9 +331,9 @@ def _table(model: PolynomialModel, structure: Structure, gain: FloatArray) -> Fl
     return table
 
 
-def _model(place: Place, structure: Structure, data: Stream, rate_hz: float) -> PolynomialModel:
+def _model(point: LongRecordPoint, structure: Structure, rate_hz: float) -> PolynomialModel:
     """Return the table's model in the units of the record."""
-    table, nu = place.table, data.input_size.size
+    table, data, nu = point.table, point.data, point.data.input_size.size
     degree, lag = structure.degree(nu), structure.lag(nu)
     return PolynomialModel(
         [np.concatenate([np.zeros(lag[r]), data.gain[j] * table[r, : degree[r]]]) for j, r in enumerate(b_rows(nu))],
@@ -294,7 +342,7 @@ def _model(place: Place, structure: Structure, data: Stream, rate_hz: float) -> 
         reduced(table[ROW_A], degree[ROW_A]),
         one_fit.settled(reduced(table[ROW_C], degree[ROW_C])),
         one_fit.settled(reduced(table[ROW_D], degree[ROW_D])),
-        noise_variance=place.loss * data.output_size**2,
+        noise_variance=point.criterion * data.output_size**2,
     )
 
 

@@ -7,8 +7,8 @@ no covariance is ever subtracted from, so that none can turn indefinite.
 
 import numpy as np
 
-from ultraquiet.identify.compiled import compiled
-from ultraquiet.identify.prediction_error.kernels import ROW_A, ROW_C, ROW_D, ROW_FIRST, admissible, gradient_rows
+from ultraquiet._base.compiled import compiled
+from ultraquiet.identify.prediction_error.kernels.table import ROW_A, ROW_C, ROW_D, ROW_FIRST, admissible, gradient_rows
 
 EXPONENTIAL, DIRECTIONAL = 0, 1
 HALVINGS = 6  # of a step that would leave the stable region, before it is dropped

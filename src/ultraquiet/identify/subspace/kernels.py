@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet.identify.compiled import FLUSH, compiled
+from ultraquiet._base.compiled import FLUSH, compiled
 
 MODAL_BLOCK = 2048  # samples of a filter bank held at once
 

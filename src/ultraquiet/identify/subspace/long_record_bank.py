@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ultraquiet._base.compiled import FLUSH, compiled
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.compiled import FLUSH, compiled
 from ultraquiet.identify.subspace import modal_least_squares
 
 CELL = 512  # samples whose states are held at once
