@@ -12,11 +12,11 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.identify.joint.fit import fit_parts
 from ultraquiet.identify.joint.search import Part
 from ultraquiet.identify.joint.ties import Share
-from ultraquiet.identify.polynomial import matrix
-from ultraquiet.identify.polynomial.methods import PolynomialMethod, gather
 from ultraquiet.identify.prediction_error.fit import Fit, Search
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns, excited, gather
+from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result
 from ultraquiet.values import PolynomialMatrix, Record
 
@@ -24,7 +24,7 @@ Sharing = str | Sequence[str] | ArrayLike | None
 
 
 def identify_joint(
-    method: PolynomialMethod, records: Sequence[Record], share: Sharing = None, workers: int | None = None
+    method: PolynomialSettings, records: Sequence[Record], share: Sharing = None, workers: int | None = None
 ) -> Result:
     """Fit one model to several experiments, each with its own past and constant, channels tied as `share` says.
 
@@ -82,11 +82,11 @@ def identify_joint(
 
 
 def identify_tied_matrix(
-    method: PolynomialMethod,
+    method: PolynomialSettings,
     records: Sequence[Record | Sequence[Record]],
     share: Sharing = None,
     workers: int | None = None,
-) -> matrix.MatrixResult:
+) -> MatrixResult:
     """Return what `identify_matrix` does when channels are tied, or an actuator has several records."""
     runs = _runs(method, records)
     ny, nu = len(runs[0][0].sensors), len(runs)
@@ -101,10 +101,10 @@ def identify_tied_matrix(
             parts += [_part(Channel.of(record, i), layout, how, i * nu + k, keys) for record in column]
     fits = fit_parts(parts, how, runs[0][0].rate_hz, workers)
     made = _provenance(method, [r for column in runs for r in column], share)
-    return matrix.assemble([[fits[i * nu + k] for k in range(nu)] for i in range(ny)], [c[0] for c in runs], made)
+    return assemble([[fits[i * nu + k] for k in range(nu)] for i in range(ny)], [c[0] for c in runs], made)
 
 
-def fit_alone(method: PolynomialMethod, data: Channel, rate_hz: float) -> Fit:
+def fit_alone(method: PolynomialSettings, data: Channel, rate_hz: float) -> Fit:
     """Return the model of one output whose polynomials are partly known."""
     nu = data.u.shape[0]
     layout, how = method.layout(nu), _search(method)
@@ -112,7 +112,7 @@ def fit_alone(method: PolynomialMethod, data: Channel, rate_hz: float) -> Fit:
     return fit_parts([_part(data, layout, how, 0, keys)], how, rate_hz, 1)[0]
 
 
-def _search(method: PolynomialMethod) -> Search:
+def _search(method: PolynomialSettings) -> Search:
     if getattr(method, "focus", None) == "simulation":
         raise InputError(
             f"{type(method).__name__}: records in one fit, ties and known parts go with the one-step error alone; set "
@@ -125,29 +125,29 @@ def _part(data: Channel, layout: Layout, how: Search, group: int, keys: tuple[Ha
     return Part(data, layout, group, keys, layout.states(how.estimate, how.offset))
 
 
-def _provenance(method: PolynomialMethod, records: Sequence[Record], share: Sharing) -> Provenance:
+def _provenance(method: PolynomialSettings, records: Sequence[Record], share: Sharing) -> Provenance:
     told = None if share is None else np.asarray(share).tolist()
     return Provenance(
         method.name, {**asdict(method), "share": told}, parents=tuple(r.hash for r in records), versions=versions()
     )
 
 
-def _runs(method: PolynomialMethod, records: Sequence[Record | Sequence[Record]]) -> list[list[Record]]:
+def _runs(method: PolynomialSettings, records: Sequence[Record | Sequence[Record]]) -> list[list[Record]]:
     """Return the records of each actuator, its input alone, after checking that they form one matrix."""
-    columns = [[r] if isinstance(r, Record) else list(r) for r in records]
-    for k, column in enumerate(columns):
+    grouped = [[r] if isinstance(r, Record) else list(r) for r in records]
+    for k, column in enumerate(grouped):
         if not column:
             raise InputError(f"identify_matrix: actuator {k + 1} has no records; give at least one.")
-    heads = matrix.columns(method, [column[0] for column in columns])
+    heads = columns(method, [column[0] for column in grouped])
     out: list[list[Record]] = []
-    for k, column in enumerate(columns):
-        picked = [heads[k], *(matrix.excited(k, r, len(columns)) for r in column[1:])]
+    for k, column in enumerate(grouped):
+        picked = [heads[k], *(excited(k, r, len(grouped)) for r in column[1:])]
         _alike(method, picked)
         out.append(picked)
     return out
 
 
-def _alike(method: PolynomialMethod, records: Sequence[Record]) -> None:
+def _alike(method: PolynomialSettings, records: Sequence[Record]) -> None:
     """Refuse records that are not experiments on one plant, or that cannot carry the structure."""
     who = type(method).__name__
     if not records:

@@ -11,10 +11,10 @@ from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.threads import in_threads
-from ultraquiet.identify.polynomial.matrix import columns
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.result import columns
 from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record, StatusWord
 

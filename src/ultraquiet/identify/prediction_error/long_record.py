@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +15,8 @@ from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.in_memory import moved
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
+from ultraquiet.identify.prediction_error.result import gather
+from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.prediction_error.signals import Signals, signals_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
@@ -32,9 +33,6 @@ from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status, StatusWord
-
-if TYPE_CHECKING:
-    from ultraquiet.identify.polynomial.methods import PolynomialMethod
 
 # Samples of the piece in memory that the search starts from: its estimate is off by some hundred standard deviations of
 # an hour's, which a few passes mend. Two pieces are tried before a residual that is not white is blamed on the model.
@@ -208,7 +206,7 @@ def _signals(structure: Structure, nu: int, fitted: tuple[bool, bool], free: Seq
     return signals_of(structure.degree(nu), structure.lag(nu), free_rows(nu, rows), structure.states(nu, *fitted))
 
 
-def identify_long(method: "PolynomialMethod", record: LongRecord) -> Result:
+def identify_long(method: PolynomialSettings, record: LongRecord) -> Result:
     """Return one model per output of a record of any length, driven by all its inputs.
 
     The same minimum as `method.identify` finds on the record in memory, with one pass over the file an iteration: the
@@ -236,7 +234,7 @@ def identify_long(method: "PolynomialMethod", record: LongRecord) -> Result:
 
 
 def _fit_output(
-    method: "PolynomialMethod", record: LongRecord, output: int, seen: LongRecordStatistics, pieces: list
+    method: PolynomialSettings, record: LongRecord, output: int, seen: LongRecordStatistics, pieces: list
 ) -> tuple[one_fit.Fit, int]:
     data = Stream(record, output, seen)
     structure, nu = method.structure(), len(record.actuators)
@@ -361,7 +359,5 @@ def _clipping(status: Status, seen: LongRecordStatistics, output: int, record: L
 def _gathered(
     model: PolynomialMatrix, fits: list[one_fit.Fit], passes: list[int], seen: LongRecordStatistics, made: Provenance
 ) -> Result:
-    from ultraquiet.identify.polynomial.methods import gather
-
     held = gather(model, fits, made)
     return replace(held, details={**held.details, "passes": tuple(passes), "samples": seen.samples})
