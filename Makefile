@@ -1,22 +1,45 @@
-# make demo   set everything up, then run the embedded SUITE study
-# make test   set everything up, then pass the tests
-# Both need only Python >= 3.11 and make; after the first run they work offline.
+# make demo          set everything up, then run the embedded SUITE study
+# make test          set everything up, then pass the tests: fixed seeds, two workers, the same cases every time
+# make test-long     every test, slow campaigns and documentation examples too
+# make test-fresh    the tests that draw, on DRAWS fresh seeds; every failure with the seed that repeats it
+# make test-kernels  the numerical rooms under each of OpenBLAS's kernel families that this processor can run
+# make test-docs     the examples of README, docs and docstrings
+# make test-web      the pages: what a browser is given
+# `demo` and `test` need only Python >= 3.11 and make; after the first run they work offline.
 PYTHON ?= python3
 OUT ?= demo
 ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
+WORKERS ?= 2
+DRAWS ?= 5
+# Each worker takes tests in order and, when it has none left, half of the other's: what a file sets up is shared.
+SIDE_BY_SIDE := -n $(WORKERS) --dist worksteal
+KERNELS := $(shell grep -rlE "njit|^@compiled" src --include=*.py)
 
-.PHONY: demo test test-long lint bench format lock clean
+.PHONY: demo test test-long test-fresh test-kernels test-docs test-web lint bench format lock clean
 
 demo: $(VENV)/run.stamp
 	$(BIN)/ultraquiet demo --out $(OUT) $(ARGS)
 
-test: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -m "not slow" $(ARGS)
+test: $(VENV)/kernels.stamp
+	$(BIN)/python -m pytest -m "not slow" $(SIDE_BY_SIDE) $(ARGS)
 
-test-long: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -s $(ARGS)
+test-long: $(VENV)/kernels.stamp
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
+
+test-fresh: $(VENV)/kernels.stamp
+	$(BIN)/python tests/fresh_draws.py --draws $(DRAWS) $(SIDE_BY_SIDE) $(ARGS)
+
+test-kernels: $(VENV)/kernels.stamp
+	$(BIN)/python tests/kernel_families.py $(SIDE_BY_SIDE) $(ARGS)
+
+test-docs: $(VENV)/kernels.stamp
+	$(BIN)/python -m pytest src $(SIDE_BY_SIDE) $(ARGS)
+	$(BIN)/python -m pytest -m docs $(SIDE_BY_SIDE) $(ARGS)
+
+test-web: $(VENV)/kernels.stamp
+	$(BIN)/python -m pytest -m web $(ARGS)
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
@@ -38,6 +61,10 @@ $(VENV)/run.stamp: requirements/run.lock pyproject.toml
 $(VENV)/dev.stamp: requirements/dev.lock pyproject.toml
 	$(PYTHON) requirements/setup.py $(VENV) requirements/dev.lock
 	@touch $@ $(VENV)/run.stamp
+
+$(VENV)/kernels.stamp: $(VENV)/dev.stamp tests/compile_kernels.py $(KERNELS)
+	$(BIN)/python tests/compile_kernels.py
+	@touch $@
 
 clean:
 	rm -rf $(VENV) demo dist .pytest_cache .ruff_cache .hypothesis

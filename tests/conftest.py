@@ -1,39 +1,120 @@
-"""One fixture seeds every random draw; a failure prints the seed, `--seed N` repeats it."""
+"""Fixed draws for the gate and fresh ones on request, one thread a process, and what many tests share."""
 
 import os
+import signal
 import sys
 
 # Many small problems side by side: threads inside each cost more than they give. Set before NumPy loads its BLAS.
-for _library in ("OPENBLAS", "MKL", "OMP"):
+for _library in ("OPENBLAS", "MKL", "OMP", "NUMBA"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+# A shell's background job ignores Ctrl-C and so would every program that a test starts and interrupts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
+import hypothesis  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 
+GATE_SEEDS = (1, 2, 3)
+# Folders whose set-up is the longest: their tests come first, so that no worker is left alone with them at the end.
+FIRST = ("tests/pipeline/", "tests/report/")
+
+hypothesis.settings.register_profile("gate", derandomize=True, database=None, deadline=None)
+hypothesis.settings.register_profile("fresh", derandomize=False, database=None, deadline=None, print_blob=True)
+
 
 def pytest_addoption(parser):
-    parser.addoption("--seed", type=int, default=None, help="seed of all random draws; drawn fresh when absent")
+    parser.addoption("--seed", type=int, default=None, help="seed of every random draw instead of the gate's 1, 2, 3")
+    parser.addoption("--drawing", action="store_true", help="only the tests that draw")
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_configure(config):
-    if config.getoption("--seed") is None:
-        config.option.seed = int(np.random.SeedSequence().entropy % 2**32)
+    seed = config.getoption("--seed")
+    hypothesis.settings.load_profile("gate" if seed is None else "fresh")
+    if seed is not None:
+        config.option.hypothesis_seed = seed
 
 
 def pytest_report_header(config):
-    return f"seed: {config.getoption('--seed')}"
+    seed = config.getoption("--seed")
+    return f"seeds: {', '.join(map(str, GATE_SEEDS))}" if seed is None else f"seed: {seed}"
+
+
+def pytest_generate_tests(metafunc):
+    """A test that draws runs on seeds 1, 2 and 3; on 1 alone where it is marked `one_draw`; on N with `--seed N`."""
+    if "seed" not in metafunc.fixturenames:
+        return
+    asked = metafunc.config.getoption("--seed")
+    if asked is not None:
+        metafunc.parametrize("seed", [asked], ids=["drawn"])
+        return
+    marks = metafunc.definition.get_closest_marker
+    seeds = GATE_SEEDS[:1] if marks("one_draw") or marks("slow") else GATE_SEEDS
+    metafunc.parametrize("seed", seeds, ids=[f"seed{seed}" for seed in seeds])
+
+
+def draws(item) -> bool:
+    """Whether what the test does depends on the seed."""
+    drawn = {"seed", "first_seed"} & set(getattr(item, "fixturenames", ()))
+    return bool(drawn) or getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what does not draw when asked to, say in the results what repeats a test, put long set-up first."""
+    if config.getoption("--drawing"):
+        config.hook.pytest_deselected(items=[item for item in items if not draws(item)])
+        items[:] = [item for item in items if draws(item)]
+    for item in items:
+        item.user_properties.append(("nodeid", item.nodeid))
+        if mark := item.get_closest_marker("draws"):
+            item.user_properties.append(("false_alarm", mark.kwargs["false_alarm"]))
+    items.sort(key=lambda item: not item.nodeid.startswith(FIRST))
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """After draws that were asked for, one command for each failure that repeats it."""
+    seed = config.getoption("--seed")
+    failed = [r.nodeid for kind in ("failed", "error") for r in terminalreporter.getreports(kind)]
+    if seed is not None and failed:
+        terminalreporter.section("to repeat a failure")
+        for name in dict.fromkeys(failed):
+            terminalreporter.write_line(f"python -m pytest '{name}' --seed {seed}")
 
 
 @pytest.fixture
-def seed(request):
-    """A whole number that differs from run to run."""
-    return request.config.getoption("--seed")
+def seed():
+    """A whole number from which the test draws; `pytest_generate_tests` gives it."""
+    raise AssertionError("'seed' is asked for by name in the test or in a fixture of one test")
 
 
 @pytest.fixture
 def rng(seed):
-    """A generator started from the run's seed."""
+    """A generator started from the seed."""
     return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="session")
+def first_seed(request):
+    """The seed of what many tests share: the gate's first, or the one that was asked for."""
+    asked = request.config.getoption("--seed")
+    return GATE_SEEDS[0] if asked is None else asked
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory, first_seed):
+    """The embedded study in its quick form, once through: its folder, its summary, what it said.
+
+    Tests that walk it further do so in a copy.
+    """
+    from ultraquiet.pipeline import packaged_study, quick_study, walk
+
+    folder = tmp_path_factory.mktemp("demo")
+    said = []
+    study = packaged_study("suite")
+    head = study.study.model_copy(update={"seed": first_seed})
+    summary = walk(quick_study(study.model_copy(update={"study": head})), folder, say=said.append)
+    return folder, summary, said
 
 
 @pytest.fixture

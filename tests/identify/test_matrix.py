@@ -12,8 +12,8 @@ WIRES = 6
 
 
 @pytest.fixture(scope="module")
-def matrix(request):
-    rng = np.random.default_rng(request.config.getoption("--seed"))
+def matrix(first_seed):
+    rng = np.random.default_rng(first_seed)
     records = []
     for k in range(WIRES):
         drawn = [draw("suite_rate", rng)]
