@@ -1,0 +1,96 @@
+"""The drawing: an SVG that stands in a page, with its words as words and its curves inside its axes."""
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from ultraquiet.plot import Figure, Line, Panel, draw_svg
+from ultraquiet.plot.draw import MOST_INSIDE
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def panel(labels=("first", "second"), **options):
+    x = np.linspace(1.0, 10.0, 50)
+    lines = [Line.of(x, k + np.sin(x), label, shade=k) for k, label in enumerate(labels)]
+    return Panel(lines, "a title <&>", "time (s)", "V", **options)
+
+
+def drawn(*panels, columns=1):
+    return draw_svg(Figure("name", "Title", "Caption.", panels, columns))
+
+
+def axes(svg):
+    return [g for g in ElementTree.fromstring(svg).iter(f"{SVG}g") if re.fullmatch(r"axes_\d+", g.get("id", ""))]
+
+
+def points(path):
+    """Corners of a path: all numbers after its commands, as x and y."""
+    return np.array(re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", path), dtype=float).reshape(-1, 2)
+
+
+def words(svg):
+    return ["".join(t.itertext()).strip() for t in ElementTree.fromstring(svg).iter(f"{SVG}text")]
+
+
+def test_words_are_text_and_panels_are_axes():
+    svg = drawn(panel(), panel(("third",)), panel(()), columns=2)
+    assert len(axes(svg)) == 3
+    said = words(svg)
+    for word in ("a title <&>", "time (s)", "V", "first", "second", "third"):
+        assert word in said
+    assert said.count("a title <&>") == 3
+
+
+@pytest.mark.parametrize("log", [False, True])
+def test_curves_lie_inside_their_axes(log):
+    svg = drawn(panel(x_log=log), panel(("alone",), x_log=log))
+    for group in axes(svg):
+        frame = points(next(group.iter(f"{SVG}path")).get("d"))
+        curves = [p for p in group.iter(f"{SVG}path") if p.get("clip-path")]
+        assert curves
+        for path in curves:
+            assert (points(path.get("d")) >= frame.min(axis=0) - 0.01).all()
+            assert (points(path.get("d")) <= frame.max(axis=0) + 0.01).all()
+
+
+def test_a_fixed_range_is_kept():
+    wide = {t for t in words(drawn(panel(y_range=(-100.0, 100.0)))) if re.fullmatch(r"[−-]?\d+", t)}
+    assert "100" in wide or "50" in wide
+    assert not {"50", "100"} & set(words(drawn(panel())))
+
+
+def test_many_names_stand_beside_the_curves():
+    """A legend that would hide the lines is moved out of the axes, and the axes give way."""
+    few, many = (axes(drawn(panel([f"curve {k}" for k in range(n)])))[0] for n in (MOST_INSIDE, MOST_INSIDE + 1))
+    right_few, right_many = (points(next(g.iter(f"{SVG}path")).get("d"))[:, 0].max() for g in (few, many))
+    assert right_many < right_few - 20
+
+
+def test_the_same_figure_is_the_same_picture():
+    """Without a date or random names, so that a report is compared by its bytes."""
+    assert drawn(panel(), panel(())) == drawn(panel(), panel(()))
+
+
+def test_a_picture_asks_for_nothing_outside():
+    svg = drawn(panel())
+    asked = re.findall(r'(?:href|src)="(?!#)([^"]*)"|url\((?!#)', svg)
+    assert not asked
+    assert "<script" not in svg
+    assert svg.startswith("<svg")
+    assert svg.rstrip().endswith("</svg>")
+
+
+def test_gaps_in_the_data_are_gaps_in_the_curve():
+    y = np.ones(50)
+    y[20:30] = np.nan
+    svg = drawn(Panel([Line(np.arange(50.0), y)], "", "time (s)", "V"))
+    (curve,) = [
+        p.get("d")
+        for g in axes(svg)
+        for p in g.iter(f"{SVG}path")
+        if p.get("clip-path") and p.get("style") and "#0072b2" in p.get("style").lower()
+    ]
+    assert curve.count("M") == 2
