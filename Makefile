@@ -1,6 +1,6 @@
 # make demo          set everything up, then run the embedded SUITE study
 # make test          set everything up, then pass the tests: fixed seeds, two workers, the same cases every time
-# make test-long     every test, slow campaigns and documentation examples too
+# make test-long     every test, slow campaigns and documentation examples too, and what they print
 # make test-fresh    the tests that draw, on DRAWS fresh seeds; every failure with the seed that repeats it
 # make test-kernels  the numerical rooms under each of OpenBLAS's kernel families that this processor can run
 # make test-docs     the examples of README, docs and docstrings
@@ -26,7 +26,7 @@ test: $(VENV)/kernels.stamp
 	$(BIN)/python -m pytest -m "not slow" $(SIDE_BY_SIDE) $(ARGS)
 
 test-long: $(VENV)/kernels.stamp
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
+	$(BIN)/python -m pytest -rP $(SIDE_BY_SIDE) $(ARGS)
 
 test-fresh: $(VENV)/kernels.stamp
 	$(BIN)/python tests/fresh_draws.py --draws $(DRAWS) $(SIDE_BY_SIDE) $(ARGS)

@@ -35,18 +35,25 @@ def test_many_rare_failures_add_up():
     assert "2 failures of tests that state rates" in too_many(two)[-1]
 
 
+def test_the_cheap_files_are_there():
+    """A file that was renamed would lose two of its draws without a word."""
+    from conftest import THREE_DRAWS
+
+    assert [name for name in THREE_DRAWS if not (TESTS.parent / name).exists()] == []
+
+
 SUITE = """
 import pytest
 from hypothesis import given, strategies as st
 
 
+@pytest.mark.three_draws
 def test_draws(seed, rng):
     print("DRAWN", seed, rng.integers(2**31))
     assert seed % 2
 
 
 @pytest.mark.draws(false_alarm=0.25)
-@pytest.mark.one_draw
 def test_states(seed):
     pass
 
@@ -66,7 +73,7 @@ def suite(tmp_path):
     """A small suite under the same conftest; returns a run of it and the results it left."""
     (tmp_path / "conftest.py").write_text((TESTS / "conftest.py").read_text())
     (tmp_path / "test_small.py").write_text(SUITE)
-    marks = "markers =\n    one_draw\n    slow\n    draws(false_alarm)"
+    marks = "markers =\n    three_draws\n    slow\n    draws(false_alarm)"
     (tmp_path / "pytest.ini").write_text(f"[pytest]\naddopts = --strict-markers -p no:cacheprovider\n{marks}\n")
 
     def run(*words):

@@ -5,9 +5,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 README = Path(__file__).parents[2] / "README.md"
 
 
+@pytest.mark.slow
+@pytest.mark.docs
 def test_the_readme_runs(tmp_path):
     block = re.search(r"```python\n(.*?)```", README.read_text(), re.DOTALL)[1]
     done = subprocess.run([sys.executable, "-c", block], cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -82,6 +82,7 @@ def test_a_plant_outside_gives_the_record_of_the_plant_inside_to_the_bit(command
         assert np.ptp(ours.outputs) > 0
 
 
+@pytest.mark.slow
 def test_speed(command, rng):
     """The best of a few runs: what others do on this machine is not the line protocol's affair."""
     u = rng.normal(size=(2, 1000))

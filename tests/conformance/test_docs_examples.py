@@ -13,6 +13,7 @@ BLOCKS = [
 ]
 
 
+@pytest.mark.docs
 @pytest.mark.parametrize("block", BLOCKS)
 def test_example_runs(block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -24,6 +24,7 @@ def settle(rng, law, volts):
     return y * volts / np.abs(law.simulate(y)).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_hundred_thousand_steps_bit_for_bit(law_of, seed, tmp_path, precision):
     made = generate(law_of(60), tmp_path / "code", precision=precision)

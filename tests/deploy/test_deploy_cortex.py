@@ -33,6 +33,7 @@ def test_self_test_passes_bit_for_bit_on_the_target(law_of, rng, tmp_path, form,
     assert all(count.self_test for count in counts.values()), counts
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("target")
 @pytest.mark.parametrize("name", TARGETS)
 @pytest.mark.parametrize(("precision", "steps"), [("float32", 20_000), ("float64", 4_000)])

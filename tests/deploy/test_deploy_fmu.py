@@ -76,6 +76,7 @@ class Unit:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_ten_thousand_samples_in_fmpy_are_the_compiled_code_s_and_the_twin_s_to_the_bit(version, unit, rng):
@@ -257,6 +258,7 @@ def test_a_unit_s_whole_life_under_sanitizers(cc, unit, tmp_path):
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_sources_alone_compile_to_the_same_bits(version, unit, rng, monkeypatch, tmp_path):
     made, path = unit(version)

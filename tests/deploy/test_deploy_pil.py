@@ -35,6 +35,7 @@ def isolating_law(plant):
     return result.controller
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("name", TARGETS)
 def test_attenuation_through_the_binary_is_that_of_the_code_here(seed, tmp_path, name):

@@ -88,6 +88,7 @@ def test_from_records_alone(ground, seed):
         assert peak <= ALLOWED_PEAK_DB
 
 
+@pytest.mark.slow
 def test_tones_are_cancelled_besides(ground):
     """5, 25 and 100 Hz in one controller with the band; the paper reports 33 and 12 dB at the first two."""
     result = BandAttenuation(tones_hz=(5.0, 25.0, 100.0), structure="repeated", order=12, peak_db=7.5).design(ground)

@@ -52,6 +52,7 @@ def test_gain_of_each_channel_of_its_own():
     np.testing.assert_allclose(K.D, [[-0.01, 0.0], [0.0, -0.02]])
 
 
+@pytest.mark.slow
 def test_tuning_serves_the_specification(heave):
     wanted = Specification(attenuation_db=4.0)
     first = Skyhook(low_pass_hz=250.0).design(heave).details["score"]

@@ -45,6 +45,7 @@ def judged(result):
     return bounds.upper.max(), first
 
 
+@pytest.mark.slow
 def test_column_beats_plain_h_infinity():
     peak, first = judged(MuSynthesis(**SETTINGS, iterations=4).design(COLUMN))
     assert peak < 1.12
@@ -57,6 +58,7 @@ def test_column_reaches_the_books_iteration():
     assert peak <= BOOK
 
 
+@pytest.mark.slow
 def test_every_drawn_plant_keeps_what_mu_promises(rng):
     """Errors scaled to 1 / mu: stable loops whose weighted sensitivity stays below mu, for every draw."""
     plant = problems.damped_plant(3)

@@ -66,6 +66,7 @@ def test_static_gain_of_the_helicopter_is_the_published_one(seed):
     assert exact == pytest.approx(0.154, abs=5e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [None, 20.0])
 def test_order_of_the_plant_reaches_the_riccati_optimum(rng, seed, rate_hz):
     """With as many states as the plant the optimum over all laws is known, from two Riccati equations."""
@@ -76,6 +77,7 @@ def test_order_of_the_plant_reaches_the_riccati_optimum(rng, seed, rate_hz):
     assert 1 - 1e-3 < result.details["ratio"] < 1.02
 
 
+@pytest.mark.slow
 def test_static_state_feedback_reaches_the_optimum_of_any_law(rng, seed):
     """With every state measured without noise, a constant gain is as good as any law (Doyle et al. 1989).
 
@@ -175,6 +177,7 @@ def test_repeated_laws_share_parameters_and_decentralised_ones_do_not(rng):
     assert D.shape == (2, 2)
 
 
+@pytest.mark.slow
 def test_eight_states_quiet_the_heave(ground):
     part = common_mode(ground)
     result = FixedStructure(states=8, specification=Specification(attenuation_db=12.0)).design(part)
@@ -205,6 +208,7 @@ def test_eight_states_a_strut_quiet_the_true_bench(ground):
     assert max(balance.modal(one.A, one.B, one.C).blocks) <= 2
 
 
+@pytest.mark.slow
 def test_what_cannot_be_had_is_said(ground):
     part = common_mode(ground)
     result = FixedStructure(states=2, specification={"attenuation_db": 60.0, "peak_db": 3.0}).design(part)

@@ -10,6 +10,7 @@ from ultraquiet.design.robust_stability import robust_stability
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.interconnect import append, feedback, parallel, sensitivity
 
+pytestmark = pytest.mark.slow
 LOWEST_HZ = 3.0
 
 

@@ -64,6 +64,7 @@ def bench(seed):
     return uq.bench.Hexapod(unit="ground", seed=seed, hysteresis=True)
 
 
+@pytest.mark.slow
 def test_moving_tones_against_a_fixed_law(designed, bench, rng):
     fixed = Resonators(tones_hz=(25.0,)).design(bench.linear_model()).controller
     t = seconds(5.0)
@@ -123,6 +124,7 @@ def test_a_unit_that_is_not_the_model(designed, seed, rng):
     assert got[1] >= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [

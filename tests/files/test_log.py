@@ -171,6 +171,7 @@ def test_truncation_at_every_byte_of_the_last_block(blocks, end, tmp_path):
     print(f"{tail} truncations, {tail} noticed")
 
 
+@pytest.mark.slow
 def test_every_bit_of_the_last_block_flipped(rng, tmp_path):
     blocks = [rng.standard_normal((3, 40)), rng.standard_normal((3, 17))]
     whole, path = np.hstack(blocks), tmp_path / "b.log"

@@ -47,6 +47,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@pytest.mark.slow
 def test_the_predictor_form_is_consistent_where_the_ordinary_one_is_not(rng):
     truth = plant()
     methods = {

@@ -97,6 +97,7 @@ def six_functions(rng):
     return [one() for _ in range(6)]
 
 
+@pytest.mark.slow
 def test_threefold_symmetry_saves_the_square_root_of_its_copies(rng):
     labels = Share.of("threefold", 6, 6).functions
     assert np.array_equal(np.bincount(labels.ravel()), [6] * 6)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import ultraquiet as uq
 
@@ -34,6 +35,7 @@ def apart(first, second, weight):
     return np.sqrt(np.sum(weight * share, axis=1) / np.sum(weight, axis=1))
 
 
+@pytest.mark.slow
 def test_a_fit_to_one_record_meets_the_other_better_than_the_first_record_does():
     a, b = record("a"), record("b")
     fit = uq.identify.WeightedRational(floor=0.1, highest_order=20).identify_response(a)

@@ -20,6 +20,7 @@ def noise_records(bench, seed):
     return records
 
 
+@pytest.mark.slow
 def test_preferred_order_meets_the_linear_response_on_the_diagonal(seed):
     bench = uq.bench.Hexapod(unit="ground", seed=seed)
     records, held_out = noise_records(bench, seed), noise_records(bench, seed + 100)

@@ -62,6 +62,7 @@ def test_the_gradient_is_that_of_finite_differences(weighted, rng):
     assert error < 1e-5
 
 
+@pytest.mark.slow
 def test_six_by_six_of_order_thirty_reaches_the_bound(rng):
     plant, record, clean = modal_truth(rng)
     result = uq.identify.Subspace(order=30, horizon=90, feedthrough=False, refine=True).identify(record)

@@ -62,6 +62,7 @@ def inside(result, g):
     return taps, np.mean(hits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plants", [vibration, random_poles], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("kernel", ["tc", "dc"])
 def test_the_prior_beats_least_squares_and_its_bands_cover(plants, kernel, rng):

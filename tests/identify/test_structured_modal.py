@@ -60,6 +60,7 @@ def test_number_of_modes_is_found(rng):
     assert fit.modes_hz.size == len(MODES)
 
 
+@pytest.mark.slow
 def test_three_zeros_at_dc_stay(rng):
     """One at z = 1, a pair inside: noise cannot move them, however much there is."""
     outside = 0

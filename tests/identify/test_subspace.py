@@ -22,6 +22,7 @@ def modes_found(plant, model, share=SHARE):
     return sum(np.abs(found / one - 1).min() < share for one in true) // 2
 
 
+@pytest.mark.slow
 def test_six_by_six_of_order_thirty(rng):
     plant, record, clean = modal_truth(rng)
     begun = time.process_time()

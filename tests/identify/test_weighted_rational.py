@@ -44,6 +44,7 @@ def bound(exact, f_hz):
     return (band.real**2 + band.imaginary**2) / 1.959964**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate_hz", "channels"), [(RATE_HZ, 1), (None, 1), (RATE_HZ, 2)])
 def test_the_cramer_rao_bound_is_reached_and_bands_cover(rate_hz, channels, rng):
     """100 draws and more, over several plants: the errors of one fit's lines are alike, so that draws count."""

@@ -49,6 +49,7 @@ def test_the_best_controller_is_at_its_limit():
     assert -ROUNDING_DB <= found.left_db < 1.0
 
 
+@pytest.mark.slow
 def test_several_channels(rng):
     for _ in range(3):
         plant = modal(rng, channels=2)
@@ -71,6 +72,7 @@ def test_alike_channels_have_the_limit_of_one():
         assert found.coupling_db > 100
 
 
+@pytest.mark.slow
 def test_worst_direction_on_the_bench():
     """A real 6 x 6 design of the true bench is bounded by the direction that the bench moves least."""
     plant = uq.bench.Hexapod(unit="ground").linear_model()

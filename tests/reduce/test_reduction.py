@@ -44,6 +44,7 @@ def test_fewest_states_within_a_loss(designed):
     assert small.controller.states < result.controller.states
 
 
+@pytest.mark.slow
 def test_full_six_by_six_controller_to_a_third():
     plant = uq.bench.Hexapod(unit="ground").linear_model()
     result = BandAttenuation().design(plant)

@@ -209,6 +209,7 @@ def test_budget_and_loss_together(heave):
     assert "budget" in short.status.sentence or "multiply-adds" in short.status.sentence
 
 
+@pytest.mark.slow
 def test_tuning_pays_where_projections_cost_too_much(heave):
     plant, result = heave
     weights = result.details["weights"]
