@@ -13,6 +13,7 @@ BLOCKS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.docs
 @pytest.mark.parametrize("block", BLOCKS)
 def test_example_runs(block, tmp_path, monkeypatch):

@@ -27,9 +27,21 @@ NEEDS_SETTINGS = {  # they wrap what the caller has
 }
 # A recording answers no signal but its own; an FMU must be built first, by tests/bench/test_fmu_bench.py.
 TESTED_ELSEWHERE = {("bench", "replay"), ("bench", "fmu")}
+# They search for seconds each.
+LONG = {
+    ("identify", "structured"),
+    ("identify", "structured-modal"),
+    ("design", "fixed-structure"),
+    ("design", "mu-synthesis"),
+}
+CHECKED = [
+    pytest.param(*entry, marks=pytest.mark.slow) if entry in LONG else entry
+    for entry in ENTRIES
+    if entry not in TESTED_ELSEWHERE
+]
 
 
-@pytest.mark.parametrize(("family", "name"), [e for e in ENTRIES if e not in TESTED_ELSEWHERE])
+@pytest.mark.parametrize(("family", "name"), CHECKED)
 def test_method_keeps_its_promises(family, name, seed):
     check(family, name, seed, **NEEDS_SETTINGS.get((family, name), {}))
 

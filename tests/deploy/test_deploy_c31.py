@@ -132,7 +132,11 @@ def test_60_states_within_1100_and_120_within_the_frame(rng):
 
 
 @pytest.mark.parametrize(
-    ("form", "anti_windup"), [("modal", False), ("modal", True), ("delta", False), ("delta", True)]
+    ("form", "anti_windup"),
+    [
+        ("modal", True),
+        *(pytest.param(*c, marks=pytest.mark.slow) for c in (("modal", False), ("delta", False), ("delta", True))),
+    ],
 )
 def test_bits_are_those_of_the_reference_over_1000_steps(form, anti_windup, rng):
     check_bits(law_in(rng, 8, form, anti_windup, limit_v=1.0), rng, STEPS)
