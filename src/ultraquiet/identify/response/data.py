@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg.sections import search as sections
 from ultraquiet.spectra import best_linear, local_polynomial
 from ultraquiet.values import Channel, FrequencyResponse, Record
 

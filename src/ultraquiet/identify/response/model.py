@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array
-from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg.sections import search as sections
 from ultraquiet.values import StateSpace, Status
 
 

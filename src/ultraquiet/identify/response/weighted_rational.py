@@ -15,11 +15,12 @@ from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response
 from ultraquiet.identify.response.model import WeightedFit
 from ultraquiet.identify.result import SIGNIFICANCE, Result
-from ultraquiet.linalg import portmanteau, section_start
-from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.innovation import free_motion
 from ultraquiet.linalg.prediction import fit_percent
-from ultraquiet.linalg.section_realise import realised
+from ultraquiet.linalg.sections import search as sections
+from ultraquiet.linalg.sections import start
+from ultraquiet.linalg.sections.realisation import realised
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
 
 HIGHEST_ORDER = 60
@@ -224,10 +225,10 @@ def _searched(
     for quarter in DELAYS if shape.delay else (0,):
         extra_delay_s = quarter / (4 * top_hz)
         ahead = turned.late(extra_delay_s)
-        section_starts = section_start.starts(ahead.samples, ahead.H, ahead.weight, replace(shape, delay=False))
+        section_starts = start.starts(ahead.samples, ahead.H, ahead.weight, replace(shape, delay=False))
         starts += [np.append(theta, extra_delay_s) if shape.delay else theta for theta in section_starts]
     if smaller is not None and smaller.shape.delay == shape.delay and smaller.held_delay_s == held_delay_s:
-        starts.append(section_start.enlarged(turned.samples, smaller.point, smaller.shape.order, shape.order))
+        starts.append(start.enlarged(turned.samples, smaller.point, smaller.shape.order, shape.order))
     return _polished(method, data, shape, held_delay_s, starts)
 
 

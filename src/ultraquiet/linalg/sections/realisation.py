@@ -4,7 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg import pole_residue
-from ultraquiet.linalg.section_search import FrequencySamples, SectionShape, to_poles
+from ultraquiet.linalg.sections.search import FrequencySamples, SectionShape, to_poles
 
 # Residue directions that matter less than this share of the quietest line's noise are left out.
 RANK_SHARE = 1e-3

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.linalg import section_search as sections
+from ultraquiet.linalg.sections import search as sections
 from ultraquiet.linalg.vector_fitting import paired, relocated_in_s
 
 RELOCATIONS = 8
