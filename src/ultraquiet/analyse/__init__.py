@@ -7,9 +7,11 @@ from ultraquiet.analyse.monte_carlo import MonteCarlo, monte_carlo, wilson_inter
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak, mu_upper_bound
 from ultraquiet.analyse.norms import h2_norm, hinf_norm, l2_norm
 from ultraquiet.analyse.singular import singular_values
-from ultraquiet.analyse.structure import Block
+from ultraquiet.analyse.structure import PerturbationBlock
 from ultraquiet.analyse.symmetry import reciprocity_error, threefold_error
 from ultraquiet.analyse.zeros import Roots, poles, roots, zeros
+
+Block = PerturbationBlock  # its first name
 
 __all__ = [
     "Block",
@@ -19,6 +21,7 @@ __all__ = [
     "MonteCarlo",
     "MuBounds",
     "Peak",
+    "PerturbationBlock",
     "Roots",
     "disk_margin",
     "disk_margins",

@@ -12,11 +12,11 @@ from ultraquiet.analyse.margins import default_grid, grid_given
 from ultraquiet.analyse.mu_lower import lower_bound
 from ultraquiet.analyse.mu_upper import Upper, highest, upper_bound
 from ultraquiet.analyse.peaks import ends, refined, response_at
-from ultraquiet.analyse.structure import Block, BlockStructure, structure
+from ultraquiet.analyse.structure import BlockStructure, PerturbationBlock, structure
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
-Blocks = Sequence[int | tuple[int, int] | Block]
+Blocks = Sequence[int | tuple[int, int] | PerturbationBlock]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class MuBounds:
     G: ComplexArray
     perturbation: ComplexArray
     f_hz: FloatArray
-    blocks: tuple[Block, ...]
+    blocks: tuple[PerturbationBlock, ...]
     stable: bool = True
     _peak: tuple[float, float] = field(default=(np.nan, np.nan), repr=False)
 
@@ -74,7 +74,7 @@ def mu_bounds(
     Args:
         M: what the perturbation sees: a system, a response, or an array `(nz, nw, nf)` (two dimensions: one frequency).
         blocks: of Delta along its diagonal: a number k is any complex k x k matrix, a pair any one that takes (outputs,
-            inputs) of M, a `Block` a repeated or a real number. One complex number a channel when absent.
+            inputs) of M, a `PerturbationBlock` a repeated or a real number. One complex number a channel when absent.
         f_hz: lines in Hz; for a system log-spaced up to Nyquist when absent, for an array names of its lines only.
 
     Returns:

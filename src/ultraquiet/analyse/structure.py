@@ -13,7 +13,7 @@ KINDS = ("full", "repeated", "real")
 
 
 @dataclass(frozen=True)
-class Block:
+class PerturbationBlock:
     """One block of a perturbation, which feeds outputs of M back to its inputs.
 
     Args:
@@ -24,7 +24,7 @@ class Block:
     Raises:
         InputError: sizes below one, a repeated block that is not square.
 
-    >>> Block(2).inputs, Block(1, kind="real").kind
+    >>> PerturbationBlock(2).inputs, PerturbationBlock(1, kind="real").kind
     (2, 'real')
     """
 
@@ -33,12 +33,12 @@ class Block:
     kind: str = "full"
 
     def __post_init__(self) -> None:
-        whole("Block", "outputs", self.outputs, 1)
-        object.__setattr__(self, "inputs", whole("Block", "inputs", self.inputs or self.outputs, 1))
-        one_of("Block", "kind", self.kind, KINDS)
+        whole("PerturbationBlock", "outputs", self.outputs, 1)
+        object.__setattr__(self, "inputs", whole("PerturbationBlock", "inputs", self.inputs or self.outputs, 1))
+        one_of("PerturbationBlock", "kind", self.kind, KINDS)
         if self.kind != "full" and self.inputs != self.outputs:
             raise InputError(
-                f"Block: a {self.kind} block must be square, got {self.outputs} outputs, {self.inputs} inputs."
+                f"PerturbationBlock: a {self.kind} block must be square, got {self.outputs} outputs, {self.inputs} inputs."
             )
 
 
@@ -46,7 +46,7 @@ class Block:
 class BlockStructure:
     """All blocks, in the order of the channels."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[PerturbationBlock, ...]
 
     @property
     def outputs(self) -> list[slice]:
@@ -78,7 +78,7 @@ class BlockStructure:
 
 
 def structure(
-    who: str, blocks: Sequence[int | tuple[int, int] | Block] | None, shape: tuple[int, int]
+    who: str, blocks: Sequence[int | tuple[int, int] | PerturbationBlock] | None, shape: tuple[int, int]
 ) -> BlockStructure:
     """Return the structure that `blocks` describes, one complex number a channel when absent; refuse what misfits M.
 
@@ -90,7 +90,7 @@ def structure(
     if blocks is None:
         blocks = [1] * shape[0]
     if isinstance(blocks, str | bytes) or not isinstance(blocks, Sequence) or not len(blocks):
-        raise InputError(f"{who}: 'blocks' must be a list of sizes, pairs or Block, got {blocks!r}.")
+        raise InputError(f"{who}: 'blocks' must be a list of sizes, pairs or PerturbationBlock, got {blocks!r}.")
     block_structure = BlockStructure(tuple(_block(who, b) for b in blocks))
     if block_structure.shape != tuple(shape):
         raise InputError(
@@ -100,12 +100,12 @@ def structure(
     return block_structure
 
 
-def _block(who: str, block: int | tuple[int, int] | Block) -> Block:
-    if isinstance(block, Block):
+def _block(who: str, block: int | tuple[int, int] | PerturbationBlock) -> PerturbationBlock:
+    if isinstance(block, PerturbationBlock):
         return block
     if isinstance(block, tuple | list) and len(block) == 2:
-        return Block(whole(who, "blocks", block[0], 1), whole(who, "blocks", block[1], 1))
-    return Block(whole(who, "blocks", block, 1))
+        return PerturbationBlock(whole(who, "blocks", block[0], 1), whole(who, "blocks", block[1], 1))
+    return PerturbationBlock(whole(who, "blocks", block, 1))
 
 
 def _places(sizes: list[int]) -> list[slice]:

@@ -14,9 +14,9 @@ from ultraquiet.design import DesignResult
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.loops import (
+    CodeFacts,
     DeploymentFacts,
     DesignFacts,
-    GeneratedCode,
     LoopFacts,
     LoopMargins,
     NoCode,
@@ -160,11 +160,11 @@ def deployed(
     return Outcome(generated(code.tables, str(code.status), str(verified.status)))
 
 
-def generated(tables: Mapping[str, Any], status: str, verification: str) -> GeneratedCode:
+def generated(tables: Mapping[str, Any], status: str, verification: str) -> CodeFacts:
     """Return what a deployment's tables hold as facts; what was not measured is left out of tables inside them."""
-    names = [field.name for field in fields(GeneratedCode) if field.name in tables]
+    names = [field.name for field in fields(CodeFacts) if field.name in tables]
     figures = {name: _known(tables[name]) for name in names}
-    return GeneratedCode(**figures, status=status, verification=verification)
+    return CodeFacts(**figures, status=status, verification=verification)
 
 
 def _known(value: Any) -> Any:

@@ -20,7 +20,7 @@ from ultraquiet.pipeline.facts.models import (
     RecordPlant,
     ResponsePlant,
 )
-from ultraquiet.pipeline.study import Plant, Sweep
+from ultraquiet.pipeline.study import IdentifyTable, Plant
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
 
 
@@ -35,7 +35,7 @@ def group(records: Mapping[str, Record], name: str) -> list[Record]:
     return [records[key] for key in sorted(members, key=lambda k: int(k.rpartition("-")[2]))]
 
 
-def identified(records: Mapping[str, Record], settings: Sweep) -> Outcome[IdentificationFacts]:
+def identified(records: Mapping[str, Record], settings: IdentifyTable) -> Outcome[IdentificationFacts]:
     """Rank structures and orders on held-out records, and fit the paper's structure to each of its test signals."""
     ranking = identify.sweep(
         group(records, settings.records),

@@ -56,7 +56,7 @@ class Experiment(Strict):
     list: str = "suite"
 
 
-class Sweep(Strict):
+class IdentifyTable(Strict):
     """`[identify]`: the channel-by-channel identification and its judges; records are named by their group."""
 
     structures: list[str] = Field(default=["arx", "armax", "output-error", "box-jenkins"], min_length=1)
@@ -104,7 +104,7 @@ class Study(Strict):
     study: Head
     bench: Method
     experiment: Experiment = Experiment()
-    identify: Sweep = Sweep()
+    identify: IdentifyTable = IdentifyTable()
     plant: Plant
     controllers: dict[Name, Design] = Field(min_length=1)
     closed_loop: ClosedLoop = ClosedLoop()

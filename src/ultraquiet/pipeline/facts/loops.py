@@ -109,7 +109,7 @@ class LoopFacts:
 
 
 @fact
-class GeneratedCode:
+class CodeFacts:
     """Stage `deploy`: see `deploy.Deployment.tables`; None is what could not be measured here."""
 
     states: int
@@ -160,4 +160,4 @@ class NoCode:
         return self.status
 
 
-DeploymentFacts = GeneratedCode | NoCode
+DeploymentFacts = CodeFacts | NoCode

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.pipeline.facts.loops import DesignFacts, GeneratedCode, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, paper
 from ultraquiet.report import Section, Table
@@ -135,7 +135,7 @@ def code(result: StudyResult) -> Section:
     """The generated code of each controller."""
     rows: list[tuple[str, ...]] = []
     for name, facts in result.deployment.items():
-        generated = isinstance(facts, GeneratedCode)
+        generated = isinstance(facts, CodeFacts)
         rows.append((name, *(str(getattr(facts, column)) if generated else "-" for column in CODE_COLUMNS)))
     sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
     note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
