@@ -38,7 +38,8 @@ class PerturbationBlock:
         one_of("PerturbationBlock", "kind", self.kind, KINDS)
         if self.kind != "full" and self.inputs != self.outputs:
             raise InputError(
-                f"PerturbationBlock: a {self.kind} block must be square, got {self.outputs} outputs, {self.inputs} inputs."
+                f"PerturbationBlock: a {self.kind} block must be square, got {self.outputs} outputs and"
+                f" {self.inputs} inputs."
             )
 
 
