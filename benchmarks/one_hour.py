@@ -140,6 +140,7 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     import ultraquiet as uq
     from ultraquiet.identify.long_record_statistics import survey
     from ultraquiet.identify.prediction_error import long_record
+    from ultraquiet.identify.prediction_error.parameterisation import Layout
     from ultraquiet.identify.subspace import long_record_bank
     from ultraquiet.identify.subspace.long_record import ScaledStream
     from ultraquiet.linalg.lagged import Lagged
@@ -150,8 +151,8 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     record = uq.files.LongRecord(path)
     single = record.pick(inputs=[0])
     data = long_record.Stream(single, 0, survey(single))
-    shape = long_record.Shape.of(method.structure(), 1, True, True)
-    table = method.structure().empty(1)
+    signals = long_record.signals_through(method.structure(), 1, (True, True))
+    table = Layout.alike(method.structure(), 1).empty()
     table[[2, 4], : plant.noise_filter.size] = plant.noise_filter
     table[3, 0] = 1.0
     stream, sums = ScaledStream(record, survey(record)), Lagged(2 * WIRES, LAGS)
@@ -164,7 +165,7 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
             sums.add(np.vstack([u, y]))
 
     def gram() -> None:
-        data.gram(table, np.zeros(int(shape.states.sum())), shape, "pass")
+        data.products(table, np.zeros(signals.unknown_past), signals, "pass")
 
     repeats = max(1, STEADY // samples)
     out = []

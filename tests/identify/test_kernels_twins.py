@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 from ultraquiet.identify.prediction_error.in_memory import Accumulator
 from ultraquiet.identify.prediction_error.kernels import filters, normal_equations
 from ultraquiet.identify.prediction_error.kernels import table as table_kernels
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import Structure, free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
@@ -31,8 +32,8 @@ def stable(rng, order):
 
 
 def table_of(structure, rng):
-    table = structure.empty(INPUTS)
-    orders = structure.degree(INPUTS)
+    table = Layout.alike(structure, INPUTS).empty()
+    orders = Layout.alike(structure, INPUTS).degree()
     for row, order in enumerate(orders):
         if row >= 3 and (row - 3) % 2 == 0:
             table[row, :order] = rng.standard_normal(order)
@@ -43,7 +44,7 @@ def table_of(structure, rng):
 
 def plain_residual(u, y, table, structure, states, with_past=True):
     """e = (D/C)(A y - sum B/F u), past and constant taken out by least squares."""
-    d, degree = structure, structure.degree(INPUTS)
+    d, degree = structure, Layout.alike(structure, INPUTS).degree()
     row = [table[k, : degree[k] + 1] for k in range(len(table))]
 
     def whiten(x):
@@ -71,12 +72,12 @@ def plain_residual(u, y, table, structure, states, with_past=True):
 def case(request, rng):
     structure = CASES[request.param]
     u, y = rng.standard_normal((INPUTS, SAMPLES)), rng.standard_normal(SAMPLES)
-    return structure, u, y, table_of(structure, rng), structure.states(INPUTS, True, True)
+    return structure, u, y, table_of(structure, rng), Layout.alike(structure, INPUTS).states(True, True)
 
 
 def signals(structure, states):
     free = free_rows(INPUTS, range(3 + 2 * INPUTS))
-    return signals_of(structure.degree(INPUTS), structure.lag(INPUTS), free, states)
+    return signals_of(Layout.alike(structure, INPUTS), free, states)
 
 
 def evaluate(structure, u, y, table, states):
@@ -204,7 +205,7 @@ def test_roots_inside(rng):
 
 def test_no_model_leaves_with_a_root_outside_however_crowded(rng):
     """Eight roots, most of them near z = 1, the largest a hair outside: the recursion cannot tell, the fit must."""
-    from ultraquiet.identify.prediction_error.fit import settled
+    from ultraquiet.identify.prediction_error.model_table import settled
 
     for _ in range(200):
         pairs = np.exp(rng.uniform(-0.2, -0.001, 3) + 1j * rng.uniform(0.005, 1.5, 3))

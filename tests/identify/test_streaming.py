@@ -13,6 +13,7 @@ from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.long_record_statistics import survey
 from ultraquiet.identify.prediction_error import long_record
 from ultraquiet.identify.prediction_error.in_memory import Accumulator
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
@@ -50,15 +51,16 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     """Loss, gradient and normal matrix of a pass beside those in memory of the same table, its past taken out."""
     record, method = two_inputs(rng, 5000), METHODS[name]
     structure, nu = method.structure(), 2
-    table = structure.empty(nu)
-    for row, order in enumerate(structure.degree(nu)):
+    layout = Layout.alike(structure, nu)
+    table = layout.empty()
+    for row, order in enumerate(layout.degree()):
         if row >= 3 and (row - 3) % 2 == 0:
             table[row, :order] = rng.standard_normal(order)
         elif order:
             table[row, : order + 1] = np.poly(0.7 * np.exp(2j * np.pi * np.array([0.13, -0.13, 0.0])[:order])).real
     data = long_record.Stream(stored(tmp_path, record, block=1234), 0, survey(stored(tmp_path, record)))
     free = free_rows(nu, range(len(table)))
-    signals = signals_of(structure.degree(nu), structure.lag(nu), free, structure.states(nu, True, True))
+    signals = signals_of(layout, free, layout.states(True, True))
     u, y = record.inputs / data.input_size[:, None], record.outputs[0] / data.output_size
     held = Accumulator(u, y, signals)
     loss, wanted = held.loss(table), held.normal(table)

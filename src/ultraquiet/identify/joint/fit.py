@@ -4,7 +4,6 @@ import os
 from collections.abc import Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import comb
 from typing import Any
 
 import numpy as np
@@ -22,13 +21,13 @@ from ultraquiet.identify.prediction_error.fit import (
     TRIAL_STEPS,
     Fit,
     Search,
-    settled,
     simulated,
     verdict,
 )
 from ultraquiet.identify.prediction_error.initial_models import Channel
-from ultraquiet.identify.prediction_error.parameterisation import Layout, delta
-from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, b_rows, f_rows, reduced
+from ultraquiet.identify.prediction_error.model_table import modelled
+from ultraquiet.identify.prediction_error.parameterisation import delta
+from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST
 from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialModel
@@ -145,7 +144,7 @@ def _group_fit(
     first = members[0]
     part = problem.parts[first]
     evidence = residual_tests(problem, best.residuals, members)
-    model = _model(part, best.tables[first], rate_hz, float(best.variance[first]))
+    model = modelled(part.layout, best.tables[first], part.data.gain, rate_hz, float(best.variance[first]))
     local = _to_units(part, problem.places[first].free) @ problem.places[first].map
     spread = local @ root[problem.places[first].index]
     return Fit(
@@ -160,39 +159,6 @@ def _group_fit(
         starts=tried,
         repaired=sum(problem.parts[k].data.clipped for k in members) if how.repair else 0,
     )
-
-
-def _model(part: Part, table: FloatArray, rate_hz: float, variance: float) -> PolynomialModel:
-    """Return the table's model in the units of the record, its known factors exact."""
-    layout = part.layout
-    nu = layout.inputs
-    numerators = [
-        np.concatenate([np.zeros(layout.delay[j]), part.data.gain[j] * _with_zeros(table[r, : layout.b[j]], layout)])
-        for j, r in enumerate(b_rows(nu))
-    ]
-
-    def denominator(row: int, degree: int) -> FloatArray:
-        p = reduced(table[row], degree)
-        return p if layout.free(row) is None else settled(p)
-
-    return PolynomialModel(
-        numerators,
-        [denominator(r, layout.f[j]) for j, r in enumerate(f_rows(nu))],
-        rate_hz,
-        reduced(table[ROW_A], layout.a),
-        denominator(ROW_C, layout.c),
-        denominator(ROW_D, layout.d),
-        noise_variance=variance,
-    )
-
-
-def _with_zeros(b: FloatArray, layout: Layout) -> FloatArray:
-    """Return B with its known zeros restored to the last digit."""
-    k = layout.zeros_at_dc
-    if k == 0 or "b" in layout.fixed:
-        return b
-    rest = delta(b.size - k) @ (delta(b.size) @ b)[k:]
-    return np.convolve(rest, [(-1.0) ** m * comb(k, m) for m in range(k + 1)])
 
 
 def _to_units(part: Part, free: "np.ndarray[Any, np.dtype[np.bool_]]") -> FloatArray:
@@ -230,7 +196,8 @@ def _mended(problem: Problem, best: Solution, how: Search, rate_hz: float) -> tu
     """Return how far clipped readings moved, relative to the record, and the problem with them replaced."""
     moved, parts = 0.0, []
     for part, table, variance in zip(problem.parts, best.tables, best.variance, strict=True):
-        data = part.data.repaired(simulated(part.data, _model(part, table, rate_hz, float(variance)), how))
+        model = modelled(part.layout, table, part.data.gain, rate_hz, float(variance))
+        data = part.data.repaired(simulated(part.data, model, how))
         moved = max(moved, float(np.linalg.norm(data.y - part.data.y) / np.linalg.norm(data.y)))
         parts.append(replace(part, data=data))
     return moved, replace(problem, parts=tuple(parts))

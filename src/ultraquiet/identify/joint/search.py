@@ -157,7 +157,7 @@ class Sets:
     def __init__(self, problem: Problem, run: Any) -> None:
         self.problem, self._run = problem, run
         self.accumulators = [
-            Accumulator(p.data.u, p.data.y, signals_of(p.layout.degree(), p.layout.lag(), place.free, p.states))
+            Accumulator(p.data.u, p.data.y, signals_of(p.layout, place.free, p.states))
             for p, place in zip(problem.parts, problem.places, strict=True)
         ]
         self._kept = sum(a.bytes for a in self.accumulators) <= MOST_BYTES

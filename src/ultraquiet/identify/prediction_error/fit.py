@@ -7,8 +7,10 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.prediction_error import in_memory
 from ultraquiet.identify.prediction_error.in_memory import Accumulator
-from ultraquiet.identify.prediction_error.initial_models import Channel, starting_tables, table_of
+from ultraquiet.identify.prediction_error.initial_models import Channel, start_table, starting_tables
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, RUNNING, STUCK
+from ultraquiet.identify.prediction_error.model_table import modelled
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
@@ -18,10 +20,9 @@ from ultraquiet.identify.prediction_error.structure import (
     b_rows,
     f_rows,
     free_rows,
-    reduced,
 )
 from ultraquiet.identify.result import SIGNIFICANCE
-from ultraquiet.linalg import portmanteau, prediction, realize
+from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialModel, Status, StatusWord
 
 # The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
@@ -39,9 +40,6 @@ RACE = ((TRIAL_STEPS, 3, 1.2), (2 * TRIAL_STEPS, 2, PROMISING))
 # it there, 40 rounds bring 11 dB down to 3: lower the excitation instead.
 REPAIRS = 40
 SETTLED = 1e-3
-# Distance from the unit circle that a finished model's roots keep: no record is long enough to tell it from zero.
-NEAREST = 1e-6
-SETTLING_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ class Fit:
 def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: float) -> Fit:
     """Return the model of one output, clipped readings repaired by the model itself until it no longer moves."""
     best, tried = best_of_starts(data, structure, search)
-    model = modelled(best.table, structure, data, rate_hz, best.loss)
+    model = model_of(best, structure, data, rate_hz)
     for _ in range(REPAIRS if search.repair and data.clipped else 0):
         mended = data.repaired(simulated(data, model, search))
         moved = float(np.linalg.norm(mended.y - data.y) / np.linalg.norm(mended.y))
@@ -95,7 +93,7 @@ def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: fl
             break
         again = run_search(data, structure, search, best.table, search.max_iterations)
         best = replace(again, iterations=best.iterations + again.iterations)
-        model = modelled(best.table, structure, data, rate_hz, best.loss)
+        model = model_of(best, structure, data, rate_hz)
     return finished(data, structure, search, model, best, tried)
 
 
@@ -136,7 +134,7 @@ def best_of_starts(data: Channel, structure: Structure, search: Search) -> "tupl
         found, tried = _from_model(data, structure, search) or _raced(data, structure, search)
         smaller = data.searched.get((structure.smaller(), search))
         if smaller is not None and smaller[0].loss < found.loss:
-            table = structure.empty(data.u.shape[0])
+            table = Layout.alike(structure, data.u.shape[0]).empty()
             table[:, : smaller[0].table.shape[1]] = smaller[0].table
             found, tried = run_search(data, structure, search, table, search.max_iterations), tried + 1
         data.searched[key] = found, tried
@@ -147,7 +145,7 @@ def _from_model(data: Channel, structure: Structure, search: Search) -> "tuple[F
     """Search from the channel's given model; None when there is none or the search does not converge."""
     if data.start is None:
         return None
-    found = run_search(data, structure, search, table_of(data, structure, data.start), search.max_iterations)
+    found = run_search(data, structure, search, start_table(data, structure, data.start), search.max_iterations)
     return (found, 1) if found.state == CONVERGED else None
 
 
@@ -195,12 +193,9 @@ def run_search(
     """Search from a table; with `noise_only` the plant is held and C and D alone move."""
     nu = data.u.shape[0]
     plant = [] if noise_only else [ROW_A, *b_rows(nu), *f_rows(nu)]
-    signals = signals_of(
-        structure.degree(nu),
-        structure.lag(nu),
-        free_rows(nu, [*plant, ROW_C, ROW_D]),
-        structure.states(nu, search.estimate, search.offset),
-    )
+    layout = Layout.alike(structure, nu)
+    free = free_rows(nu, [*plant, ROW_C, ROW_D])
+    signals = signals_of(layout, free, layout.states(search.estimate, search.offset))
     accumulator = Accumulator(data.u, data.y, signals)
     ended = in_memory.search(accumulator, table, steps, TOLERANCE)
     point = ended.point
@@ -219,38 +214,10 @@ def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[
     return white, 1.0 - (1.0 - least) ** u.shape[0]
 
 
-def modelled(table: FloatArray, structure: Structure, data: Channel, rate_hz: float, loss: float) -> PolynomialModel:
-    """Return the table's model in the units of the record."""
-    nu = data.u.shape[0]
-    delay = np.zeros(structure.delay)
-    return PolynomialModel(
-        [np.concatenate([delay, data.gain[j] * table[r, : structure.b]]) for j, r in enumerate(b_rows(nu))],
-        [settled(reduced(table[r], structure.f)) for r in f_rows(nu)],
-        rate_hz,
-        reduced(table[ROW_A], structure.a),
-        settled(reduced(table[ROW_C], structure.c)),
-        settled(reduced(table[ROW_D], structure.d)),
-        noise_variance=loss * data.output_size**2,
-    )
-
-
-def settled(p: FloatArray) -> FloatArray:
-    """Return monic p with those roots moved inside the unit circle that stand on it or a hair outside.
-
-    The search keeps them inside by the Schur-Cohn recursion, whose rounding lets a crowded root past by a hair.
-    """
-    for step in range(SETTLING_STEPS):
-        roots = realize.roots(p)
-        size = np.abs(roots)
-        if np.all(size <= 1.0 - NEAREST / 2):
-            break
-        limit = 1.0 - NEAREST * 2.0**step
-        inside = np.where(size > limit, roots / np.maximum(size, limit) * limit, roots)
-        product = np.ones(1, dtype=np.clongdouble)
-        for root in inside:
-            product = np.convolve(product, np.array([1.0, -root], dtype=np.clongdouble))
-        p = product.real.astype(np.float64)
-    return p
+def model_of(found: "Found", structure: Structure, data: Channel, rate_hz: float) -> PolynomialModel:
+    """Return the model a search ended at, in the units of the record."""
+    layout = Layout.alike(structure, data.u.shape[0])
+    return modelled(layout, found.table, data.gain, rate_hz, found.loss * data.output_size**2)
 
 
 def simulated(data: Channel, model: PolynomialModel, search: Search) -> FloatArray:

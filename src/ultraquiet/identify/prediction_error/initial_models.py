@@ -10,6 +10,8 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error import in_memory
+from ultraquiet.identify.prediction_error.model_table import table_of
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
@@ -101,8 +103,8 @@ def starting_models(
     return [list(row) for row in start.rows]
 
 
-def table_of(data: Channel, structure: Structure, model: PolynomialModel) -> FloatArray:
-    """Return the kernels' table of a model in the channel's own units, coefficients it lacks zero.
+def start_table(data: Channel, structure: Structure, model: PolynomialModel) -> FloatArray:
+    """Return the kernels' table of a model that a search can begin from, in the channel's own units.
 
     A structure without noise polynomials takes the plant alone.
 
@@ -110,18 +112,17 @@ def table_of(data: Channel, structure: Structure, model: PolynomialModel) -> Flo
         InputError: the model has other inputs, a polynomial the structure lacks, or more coefficients.
     """
     nu = data.u.shape[0]
-    table, degree = structure.empty(nu), structure.degree(nu)
+    layout = Layout.alike(structure, nu)
+    degree = layout.degree()
     if len(model.b) != nu:
         raise InputError(f"start: the model has {len(model.b)} inputs, the record {nu}.")
     noise = [(row, p) for row, p in ((ROW_C, model.c), (ROW_D, model.d)) if degree[row] > 0]
+    table = table_of(layout, model, data.gain)
     for row, p in [(ROW_A, model.a), *noise, *zip(f_rows(nu), model.f, strict=True)]:
         order = np.trim_zeros(p, "b").size - 1
         if order > degree[row]:
             raise InputError(f"start: the model has a polynomial of order {order}, the fit takes {degree[row]}.")
         table[row, : order + 1] = p[: order + 1] if row == ROW_A else _movable(p[: order + 1])
-    for j, row in enumerate(b_rows(nu)):
-        b = model.b[j][structure.delay : structure.delay + structure.b] / data.gain[j]
-        table[row, : b.size] = b
     return table
 
 
@@ -162,13 +163,13 @@ def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ..
             continue
         a = monic_from_roots(mirrored_inside(poles, RADIUS))
         simulated = _from_poles(data, output_error, a)
-        table = structure.empty(nu)
+        table = Layout.alike(structure, nu).empty()
         table[ROW_A, : structure.a + 1] = a
         table[b_rows(nu), : structure.b] = simulated[b_rows(nu), : structure.b]
         c = stabilised(a, NOISE_RADIUS)[: structure.c + 1]
         table[ROW_C, : c.size] = stabilised(c, NOISE_RADIUS)
         yield table
-    table = structure.empty(nu)
+    table = Layout.alike(structure, nu).empty()
     table[:, : plain.shape[1]] = plain[:, : table.shape[1]]
     yield table
 
@@ -177,9 +178,10 @@ def _least_squares(data: Channel, structure: Structure) -> FloatArray:
     """Return A and B of the equation-error model: linear, so one undamped step is the whole search."""
     nu = data.u.shape[0]
     rows = free_rows(nu, [ROW_A, *b_rows(nu)])
-    signals = signals_of(structure.degree(nu), structure.lag(nu), rows, structure.states(nu, True, True))
+    layout = Layout.alike(structure, nu)
+    signals = signals_of(layout, rows, layout.states(True, True))
     accumulator = in_memory.Accumulator(data.u, data.y, signals)
-    return in_memory.search(accumulator, structure.empty(nu), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
+    return in_memory.search(accumulator, layout.empty(), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
 
 
 LINEAR_STEPS = 8  # a linear problem is solved by one undamped step; others only clear what rounding left of it
@@ -190,10 +192,11 @@ UNDAMPED = 0.0
 def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArray:
     """Return a table with the given F: B by least squares on the simulated output, C and D from what remains."""
     nu = data.u.shape[0]
-    table = structure.empty(nu)
+    table = Layout.alike(structure, nu).empty()
     table[f_rows(nu), : f.size] = f
     plant = Structure(0, structure.b, 0, 0, structure.f, structure.delay)
-    signals = signals_of(plant.degree(nu), structure.lag(nu), free_rows(nu, b_rows(nu)), plant.states(nu, True, True))
+    layout = Layout.alike(plant, nu)
+    signals = signals_of(layout, free_rows(nu, b_rows(nu)), layout.states(True, True))
     accumulator = in_memory.Accumulator(data.u, data.y, signals)
     table = in_memory.search(accumulator, table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
     if structure.c or structure.d:

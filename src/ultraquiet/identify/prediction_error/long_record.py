@@ -15,6 +15,8 @@ from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.in_memory import moved
 from ultraquiet.identify.prediction_error.initial_models import Channel
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
+from ultraquiet.identify.prediction_error.model_table import modelled, table_of
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.result import gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.prediction_error.signals import Signals, signals_of
@@ -22,12 +24,10 @@ from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
     ROW_C,
     ROW_D,
-    ROW_FIRST,
     Structure,
     b_rows,
     f_rows,
     free_rows,
-    reduced,
 )
 from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.linalg import portmanteau
@@ -200,10 +200,13 @@ class LongRecordPoint:
         return self.x + np.linalg.solve(M[:q, :q] + np.sqrt(RIDGE) * np.eye(q), right) * scale[:q] / scale[-1]
 
 
-def _signals(structure: Structure, nu: int, fitted: tuple[bool, bool], free: Sequence[int] | None = None) -> Signals:
+def signals_through(
+    structure: Structure, nu: int, fitted: tuple[bool, bool], free: Sequence[int] | None = None
+) -> Signals:
     """Return the signals of a structure, by default with every row free."""
     rows = [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D] if free is None else free
-    return signals_of(structure.degree(nu), structure.lag(nu), free_rows(nu, rows), structure.states(nu, *fitted))
+    layout = Layout.alike(structure, nu)
+    return signals_of(layout, free_rows(nu, rows), layout.states(*fitted))
 
 
 def identify_long(method: PolynomialSettings, record: LongRecord) -> Result:
@@ -239,7 +242,7 @@ def _fit_output(
     data = Stream(record, output, seen)
     structure, nu = method.structure(), len(record.actuators)
     fitted = (method.initial == "estimate", method.offset)
-    signals = _signals(structure, nu, fitted)
+    layout, signals = Layout.alike(structure, nu), signals_through(structure, nu, fitted)
     title = f"identify {method.name} of {record.sensors[output].name}"
     best: Ended[LongRecordPoint] | None = None
     evidence, tried = (0.0, 0.0), 0
@@ -247,7 +250,7 @@ def _fit_output(
         tried += 1
         start = method.fit(Channel.of(piece, output), record.rate_hz).model
         begin = LongRecordPoint.of(
-            data, signals, title, _table(start, structure, data.gain), np.zeros(signals.unknown_past)
+            data, signals, title, table_of(layout, start, data.gain), np.zeros(signals.unknown_past)
         )
         found = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
         if best is None or found.point.criterion < best.point.criterion:
@@ -257,7 +260,7 @@ def _fit_output(
             break
     assert best is not None
     point = best.point
-    model = _model(point, structure, record.rate_hz)
+    model = modelled(layout, point.table, data.gain, record.rate_hz, point.criterion * data.output_size**2)
     fit = one_fit.Fit(
         model,
         _clipping(one_fit.verdict(best.state, best.iterations, evidence), seen, output, record),
@@ -279,7 +282,7 @@ def _evidence(point: LongRecordPoint, structure: Structure, fitted: tuple[bool, 
     n = data.record.samples
     lags = min(one_fit.TEST_LAGS, n // 10)
     sums = Lagged(1 + nu, lags)
-    still = _signals(structure, nu, fitted, ())
+    still = signals_through(structure, nu, fitted, ())
     data.products(point.table, point.past(), still, point.title, lambda u, _, e: sums.add(np.vstack([e[None], u])))
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, structure.a + structure.c + structure.d).p_value
@@ -308,40 +311,12 @@ def _simulated_fit(
     bare = PolynomialModel(model.b, [model.denominator(j) for j in range(nu)], model.rate_hz)
     if not bare.is_stable():
         return -np.inf
-    signals = _signals(plant, nu, fitted, ())
-    G = data.products(_table(bare, plant, data.gain), np.zeros(signals.unknown_past), signals, title)
+    signals = signals_through(plant, nu, fitted, ())
+    G = data.products(
+        table_of(Layout.alike(plant, nu), bare, data.gain), np.zeros(signals.unknown_past), signals, title
+    )
     loss = float(without_past(G, signals.unknown_past)[-1, -1]) / data.record.samples * data.output_size**2
     return 100.0 * (1.0 - np.sqrt(max(loss, 0.0)) / float(seen.output_size[output]))
-
-
-def _table(model: PolynomialModel, structure: Structure, gain: FloatArray) -> FloatArray:
-    """Return the kernels' table of a model in the record's units, scaled to unit deviations."""
-    nu = len(model.b)
-    degree, lag = structure.degree(nu), structure.lag(nu)
-    table = structure.empty(nu)
-    for row, p in ((ROW_A, model.a), (ROW_C, model.c), (ROW_D, model.d)):
-        table[row, : p.size] = p
-    for j in range(nu):
-        b, f = ROW_FIRST + 2 * j, ROW_FIRST + 2 * j + 1
-        held = model.b[j][lag[b] : lag[b] + degree[b]] / gain[j]
-        table[b, : held.size] = held
-        table[f, : model.f[j].size] = model.f[j]
-    return table
-
-
-def _model(point: LongRecordPoint, structure: Structure, rate_hz: float) -> PolynomialModel:
-    """Return the table's model in the units of the record."""
-    table, data, nu = point.table, point.data, point.data.input_size.size
-    degree, lag = structure.degree(nu), structure.lag(nu)
-    return PolynomialModel(
-        [np.concatenate([np.zeros(lag[r]), data.gain[j] * table[r, : degree[r]]]) for j, r in enumerate(b_rows(nu))],
-        [one_fit.settled(reduced(table[r], degree[r])) for r in f_rows(nu)],
-        rate_hz,
-        reduced(table[ROW_A], degree[ROW_A]),
-        one_fit.settled(reduced(table[ROW_C], degree[ROW_C])),
-        one_fit.settled(reduced(table[ROW_D], degree[ROW_D])),
-        noise_variance=point.criterion * data.output_size**2,
-    )
 
 
 def _clipping(status: Status, seen: LongRecordStatistics, output: int, record: LongRecord) -> Status:

@@ -9,7 +9,16 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, one_of, real_array, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray, b_rows, f_rows
+from ultraquiet.identify.prediction_error.structure import (
+    ROW_A,
+    ROW_C,
+    ROW_D,
+    ROW_FIRST,
+    IntArray,
+    Structure,
+    b_rows,
+    f_rows,
+)
 from ultraquiet.linalg.polynomial_roots import monic_from_roots
 
 LONGEST_PAST = 60  # initial conditions of one path; what an input did longer before the record is taken as zero
@@ -27,6 +36,8 @@ class Layout:
         zeros_at_dc: known zeros at z = 1, B = (1 - q^-1)^k B'.
         known: factor of every F (of A where there is no F), monic in q^-1.
         fixed: whole polynomials by the letters a, b, c, d, f; B in the units of the record, without its delay.
+        past_inputs: whether what each input did before the record is unknown as far as its B and delay reach, or only
+            as far as its F remembers.
     """
 
     a: int
@@ -38,6 +49,13 @@ class Layout:
     zeros_at_dc: int = 0
     known: FloatArray = field(default_factory=lambda: np.ones(1))
     fixed: Mapping[str, FloatArray] = field(default_factory=dict)
+    past_inputs: bool = True
+
+    @classmethod
+    def alike(cls, structure: Structure, inputs: int) -> "Layout":
+        """Return the simple case: inputs of one order and delay, nothing known."""
+        k = structure
+        return cls(k.a, k.c, k.d, (k.b,) * inputs, (k.f,) * inputs, (k.delay,) * inputs, past_inputs=False)
 
     @property
     def inputs(self) -> int:
@@ -59,13 +77,19 @@ class Layout:
         return np.array([1, 1, 1, *[n for k in self.delay for n in (k, 1)]], dtype=np.int64)
 
     def states(self, estimate: bool, offset: bool) -> IntArray:
-        """Return the unknown initial conditions of each row, the constant last; see `Structure.states`."""
+        """Return the unknown initial conditions of each row, the constant last.
+
+        What the noise filter and a path without F remember of the past reaches the residual through 1 / C, for as many
+        samples as their longest tap.
+        """
         out = np.zeros(self.rows + 1, dtype=np.int64)
         if estimate:
-            past = [min(LONGEST_PAST, max(0, b + k - 1)) for b, k in zip(self.b, self.delay, strict=True)]
+            past = [max(0, b + k - 1) for b, k in zip(self.b, self.delay, strict=True)]
+            past = [min(LONGEST_PAST, p) for p in past] if self.past_inputs else past
             straight = [self.d + p for p, f in zip(past, self.f, strict=True) if f == 0]
             out[ROW_C] = max(self.c, self.a + self.d, *straight, 0)
-            out[f_rows(self.inputs)] = [max(f, p) if f else 0 for f, p in zip(self.f, past, strict=True)]
+            reach = past if self.past_inputs else [0] * self.inputs
+            out[f_rows(self.inputs)] = [max(f, p) if f else 0 for f, p in zip(self.f, reach, strict=True)]
         out[-1] = int(offset)
         return out
 
@@ -102,8 +126,11 @@ class Layout:
         maps = (self.free(row) for row in range(self.rows))
         return sum(m.shape[1] for m in maps if m is not None)
 
-    def empty(self, gain: FloatArray) -> FloatArray:
-        """Return the table with what is known in it and nothing else; `gain` is output unit by input unit, `(nu,)`."""
+    def empty(self, gain: FloatArray | None = None) -> FloatArray:
+        """Return the table with what is known in it and nothing else.
+
+        `gain` is output unit by input unit, `(nu,)`; it matters to a B that is given.
+        """
         table = np.zeros((self.rows, int(self.degree().max()) + 1))
         table[[ROW_A, ROW_C, ROW_D, *f_rows(self.inputs)], 0] = 1.0
         for row in (ROW_A, *f_rows(self.inputs)):
@@ -113,8 +140,8 @@ class Layout:
             given = self.fixed.get(self.letter(row))
             if given is not None:
                 table[row, : given.size] = given
-        for j, row in enumerate(b_rows(self.inputs)):
-            table[row] /= gain[j]
+        if gain is not None:
+            table[b_rows(self.inputs)] /= gain[:, None]
         return table
 
     def with_poles(self, table: FloatArray, row: int, roots: ComplexArray) -> None:

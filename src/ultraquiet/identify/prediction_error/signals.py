@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray
 
 # What a step of `kernels.filters.filtered` does, and the least head it needs.
@@ -82,9 +83,9 @@ class Signals:
         return int(self.states[:, 2].sum())
 
 
-def signals_of(degree: IntArray, lag: IntArray, free: "np.ndarray[Any, Any]", states: IntArray) -> Signals:
-    """Return the signals of a table whose rows have these free coefficients, lags and unknown initial conditions."""
-    return _signals(*(tuple(int(k) for k in row) for row in (degree, lag, free, states)))
+def signals_of(layout: Layout, free: "np.ndarray[Any, Any]", states: IntArray) -> Signals:
+    """Return the signals of a table of which `free` rows move, with so many unknown initial conditions of each row."""
+    return _signals(*(tuple(int(k) for k in row) for row in (layout.degree(), layout.lag(), free, states)))
 
 
 @lru_cache(maxsize=256)

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ultraquiet.identify.prediction_error.fit import Fit, Search, finished, fit_channel, modelled, run_search, simulated
-from ultraquiet.identify.prediction_error.initial_models import Channel, noise_start, table_of
+from ultraquiet.identify.prediction_error.fit import Fit, Search, finished, fit_channel, model_of, run_search, simulated
+from ultraquiet.identify.prediction_error.initial_models import Channel, noise_start, start_table
+from ultraquiet.identify.prediction_error.parameterisation import Layout
 from ultraquiet.identify.prediction_error.structure import ROW_C, ROW_D, Structure
 from ultraquiet.identify.result import SIGNIFICANCE
 
@@ -39,13 +40,13 @@ def fit_simulated(data: Channel, structure: Structure, search: Search, rate_hz: 
     plant = fit_channel(data, output_error, search, rate_hz)
     if search.repair and data.clipped:
         data = data.repaired(simulated(data, plant.model, search))
-    held = run_search(data, output_error, search, table_of(data, output_error, plant.model), 0)
-    table = structure.empty(data.u.shape[0])
+    held = run_search(data, output_error, search, start_table(data, output_error, plant.model), 0)
+    table = Layout.alike(structure, data.u.shape[0]).empty()
     table[:, : held.table.shape[1]] = held.table[:, : table.shape[1]]
     c, d = noise_start(held.residual, structure.c, structure.d)
     table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
     found = run_search(data, structure, search, table, search.max_iterations, noise_only=True)
-    model = modelled(found.table, structure, data, rate_hz, found.loss)
+    model = model_of(found, structure, data, rate_hz)
     unknown = np.eye(structure.parameters(data.u.shape[0]) + 1)
     found = replace(found, normal=unknown, iterations=found.iterations + plant.iterations)
     fit = finished(data, structure, search, model, found, plant.starts)

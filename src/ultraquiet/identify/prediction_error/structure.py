@@ -32,34 +32,6 @@ class Structure:
         a, b, c, d, f = (max(0, k - 1) for k in (self.a, self.b, self.c, self.d, self.f))
         return Structure(a, b, c, d, f, self.delay)
 
-    def degree(self, inputs: int) -> IntArray:
-        """Return the free coefficients of each row of the table."""
-        return np.array([self.a, self.c, self.d, *([self.b, self.f] * inputs)], dtype=np.int64)
-
-    def lag(self, inputs: int) -> IntArray:
-        """Return the power of q^-1 of each row's first free coefficient."""
-        return np.array([1, 1, 1, *([self.delay, 1] * inputs)], dtype=np.int64)
-
-    def states(self, inputs: int, estimate: bool, offset: bool) -> IntArray:
-        """Return the unknown initial conditions of each row, the constant last.
-
-        What the noise filter and a model without F remember of the past reaches the residual through 1 / C, for as many
-        samples as their longest tap.
-        """
-        out = np.zeros(ROW_FIRST + 2 * inputs + 1, dtype=np.int64)
-        if estimate:
-            tail = self.d + (max(0, self.b + self.delay - 1) if self.f == 0 else 0)
-            out[ROW_C] = max(self.c, self.a + self.d, tail)
-            out[ROW_FIRST + 1 : -1 : 2] = self.f
-        out[-1] = int(offset)
-        return out
-
-    def empty(self, inputs: int) -> FloatArray:
-        """Return the table of the model y = e."""
-        table = np.zeros((ROW_FIRST + 2 * inputs, max(self.a, self.b, self.c, self.d, self.f) + 1))
-        table[[ROW_A, ROW_C, ROW_D, *range(ROW_FIRST + 1, len(table), 2)], 0] = 1.0
-        return table
-
 
 def free_rows(inputs: int, rows: Sequence[int]) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """Return the mask of rows that a search may move."""
