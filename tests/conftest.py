@@ -1,5 +1,7 @@
 """Fixed draws for the gate and fresh ones on request, one thread a process, and what many tests share."""
 
+import fcntl
+import json
 import os
 import signal
 import sys
@@ -120,16 +122,23 @@ def first_seed(request):
 def demo(tmp_path_factory, first_seed):
     """The embedded study in its quick form, once through: its folder, its summary, what it said.
 
-    Tests that walk it further do so in a copy.
+    Workers side by side share one folder: the first walks, the others wait. Tests that walk it further do so in a copy.
     """
     from ultraquiet.pipeline import packaged_study, quick_study, walk
 
-    folder = tmp_path_factory.mktemp("demo")
-    said = []
-    study = packaged_study("suite")
-    head = study.study.model_copy(update={"seed": first_seed})
-    summary = walk(quick_study(study.model_copy(update={"study": head})), folder, say=said.append)
-    return folder, summary, said
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"demo-{first_seed}"
+    words = folder / "said.json"
+    with open(folder.with_suffix(".lock"), "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not words.exists():
+            said = []
+            study = packaged_study("suite")
+            head = study.study.model_copy(update={"seed": first_seed})
+            walk(quick_study(study.model_copy(update={"study": head})), folder, say=said.append)
+            words.write_text(json.dumps(said))
+    summary = json.loads((folder / "summary.json").read_text(), parse_constant=pytest.fail)
+    return folder, summary, json.loads(words.read_text())
 
 
 @pytest.fixture
