@@ -26,11 +26,16 @@ FLUSH = 1e-140  # its square is still a normal number; denormal tails of decayin
 CONSTANTS = (bool, int, float, str, tuple)
 
 
-def compiled(function: Any) -> Any:
+def compiled(function: Any, nogil: bool = True) -> Any:
     """Compile a function on its first call with arguments of new types; it holds no lock while it runs."""
-    dispatcher = numba.njit(nogil=True, fastmath=False)(function)
+    dispatcher = numba.njit(nogil=nogil, fastmath=False)(function)
     dispatcher._cache = KernelCache(function)
     return dispatcher
+
+
+def brief(function: Any) -> Any:
+    """Compile a function that keeps the lock: handing it to another thread takes longer than its few microseconds."""
+    return compiled(function, nogil=False)
 
 
 def source_digest(function: Any) -> str:

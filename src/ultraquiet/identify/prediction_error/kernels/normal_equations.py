@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ultraquiet._base.compiled import compiled
+from ultraquiet._base.compiled import brief, compiled
 
 # OpenBLAS starts threads above 2^18 multiplications; blocks stay below, for the threads belong to whole fits.
 BLAS_SERIAL = 200_000
@@ -116,7 +116,7 @@ def eliminated(G, q, damping):
     return M, scale
 
 
-@compiled
+@brief
 def reduced(G, q):
     """Return the normal matrix [J e]'[J e] after the q nuisance columns are eliminated."""
     M, scale = eliminated(G, q, 0.0)
@@ -128,7 +128,7 @@ def reduced(G, q):
     return S
 
 
-@compiled
+@brief
 def damped_step(S, damping):
     """Return the step for S = [J e]'[J e] under relative damping, and the decrease of e'e the linear model promises."""
     p = S.shape[0] - 1

@@ -9,7 +9,7 @@ matrix of their products would keep none (Jacobian condition 1e8, squared).
 
 import numpy as np
 
-from ultraquiet._base.compiled import compiled
+from ultraquiet._base.compiled import brief, compiled
 
 ROW_A, ROW_C, ROW_D, ROW_FIRST = 0, 1, 2, 3
 WITHIN = 1 - 1e-6  # roots nearer to the circle are beyond the recursion's own rounding, and any record's length
@@ -33,7 +33,7 @@ def inside(p, order):
     return True
 
 
-@compiled
+@brief
 def admissible(P, degree):
     """Return whether C, D and every F have their roots inside the unit circle."""
     for row in range(ROW_C, P.shape[0]):
@@ -53,7 +53,7 @@ def gradient_rows(rows):
     return order
 
 
-@compiled
+@brief
 def add_expanded(weights, scale, places, table):
     """Add scale sum_k weights[k] (1 - q^-1)^k to rows of the table in powers of q^-1: the basis of the normal matrix.
 
