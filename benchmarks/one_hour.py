@@ -140,7 +140,7 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     import ultraquiet as uq
     from ultraquiet.identify.long_record_statistics import survey
     from ultraquiet.identify.prediction_error import long_record
-    from ultraquiet.identify.prediction_error.parameterisation import Layout
+    from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
     from ultraquiet.identify.subspace import long_record_bank
     from ultraquiet.identify.subspace.long_record import ScaledStream
     from ultraquiet.linalg.lagged import Lagged
@@ -152,7 +152,7 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     single = record.pick(inputs=[0])
     data = long_record.Stream(single, 0, survey(single))
     signals = long_record.signals_through(method.structure(), 1, (True, True))
-    table = Layout.alike(method.structure(), 1).empty()
+    table = Parameterisation.alike(method.structure(), 1).empty()
     table[[2, 4], : plant.noise_filter.size] = plant.noise_filter
     table[3, 0] = 1.0
     stream, sums = ScaledStream(record, survey(record)), Lagged(2 * WIRES, LAGS)

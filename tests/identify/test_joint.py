@@ -11,9 +11,9 @@ from truths import draw
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.identify.joint.search import Part, Sets, posed
-from ultraquiet.identify.joint.ties import Share
-from ultraquiet.identify.prediction_error.initial_models import Channel
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.joint.ties import Ties
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 
 RATE_HZ = 3500.0
 NOISE_C, NOISE_D = np.array([1.0, 0.5]), np.array([1.0, -0.9])
@@ -99,16 +99,16 @@ def six_functions(rng):
 
 @pytest.mark.slow
 def test_threefold_symmetry_saves_the_square_root_of_its_copies(rng):
-    labels = Share.of("threefold", 6, 6).functions
+    labels = Ties.of("threefold", 6, 6).functions
     assert np.array_equal(np.bincount(labels.ravel()), [6] * 6)
     functions = six_functions(rng)
     records = column_records([[functions[c] for c in row] for row in labels], rng, 4096)
     method = uq.identify.BoxJenkins(order=4, c_order=1, d_order=1, focus="prediction")
     free = uq.identify.identify_matrix(method, records)
     begun, seconds = time.perf_counter(), time.process_time()
-    tied = uq.identify.identify_matrix(method, records, share="threefold")
+    tied = uq.identify.identify_matrix(method, records, ties="threefold")
     begun, seconds = time.perf_counter() - begun, time.process_time() - seconds
-    quiet = uq.identify.identify_matrix(method, records, share=("threefold", "noise"))
+    quiet = uq.identify.identify_matrix(method, records, ties=("threefold", "noise"))
 
     def errors(result):
         """Errors of b and f, in standard deviations of the free fit and in its independent directions."""
@@ -139,7 +139,7 @@ def test_threefold_symmetry_saves_the_square_root_of_its_copies(rng):
 
 def test_symmetry_of_the_bench_is_threefold():
     G = np.asarray(uq.bench.Hexapod(unit="ground", spread=0.0).linear_response(np.array([10.0, 30.0, 80.0])))
-    labels = Share.of("threefold", 6, 6).functions
+    labels = Ties.of("threefold", 6, 6).functions
     spread = max(np.abs(G[labels == c] - G[labels == c].mean(axis=0)).max() for c in range(6)) / np.abs(G).max()
     print(f"\nfunctions of one label differ by {spread:.1e} on a hexapod of equal struts")
     assert spread < 1e-9
@@ -183,7 +183,7 @@ def test_shared_poles_are_better_than_separate_ones(rng):
         records = column_records(functions, rng, 3000)
         method = uq.identify.BoxJenkins(order=4, c_order=1, d_order=1, focus="prediction")
         free = uq.identify.identify_matrix(method, records)
-        tied = uq.identify.identify_matrix(method, records, share="poles")
+        tied = uq.identify.identify_matrix(method, records, ties="poles")
         errors = [
             np.mean([np.linalg.norm(np.roots(m.f[0]) - np.roots(f)) for row in r.model.rows for m in row])
             for r in (free, tied)
@@ -200,12 +200,12 @@ def test_poles_shared_by_input_and_symmetric_matrices(rng):
     g = [[normed([1.0, -0.5], f[k]) for k in range(2)] for _ in range(2)]
     records = column_records(g, rng, 2000)
     method = uq.identify.OutputError(order=2)
-    tied = uq.identify.identify_matrix(method, records, share="poles-by-input").model.rows
+    tied = uq.identify.identify_matrix(method, records, ties="poles-by-input").model.rows
     assert np.array_equal(tied[0][0].f[0], tied[1][0].f[0])
     assert not np.array_equal(tied[0][0].f[0], tied[0][1].f[0])
-    rows = uq.identify.identify_matrix(method, records, share="poles-by-output").model.rows
+    rows = uq.identify.identify_matrix(method, records, ties="poles-by-output").model.rows
     assert np.array_equal(rows[0][0].f[0], rows[0][1].f[0])
-    mirrored = uq.identify.identify_matrix(method, records, share="symmetric").model.rows
+    mirrored = uq.identify.identify_matrix(method, records, ties="symmetric").model.rows
     assert np.array_equal(mirrored[0][1].f[0], mirrored[1][0].f[0])
     assert mirrored[0][1].b[0] == pytest.approx(mirrored[1][0].b[0], rel=1e-9)
 
@@ -217,7 +217,7 @@ def test_one_record_of_all_inputs_may_be_tied_too(rng):
     same, cross = [lfilter(b, f, x) for x in u], [lfilter(c, g, x) for x in u]
     y = np.array([same[0] + cross[1] + noise(rng, 4000), cross[0] + same[1] + noise(rng, 4000)])
     method = uq.identify.BoxJenkins(order=2, c_order=1, d_order=1, focus="prediction")
-    result = uq.identify.identify_joint(method, [uq.Record(u, y, RATE_HZ)], share=[[0, 1], [1, 0]])
+    result = uq.identify.identify_joint(method, [uq.Record(u, y, RATE_HZ)], ties=[[0, 1], [1, 0]])
     first, second = (row[0] for row in result.model.rows)
     misses = [np.abs(first.f[0] - f).max(), np.abs(first.f[1] - g).max()]
     print(f"\n{result.status}; diagonal poles off by {misses[0]:.1e}, others by {misses[1]:.1e}")
@@ -251,7 +251,9 @@ def test_known_poles_and_polynomials_are_kept(rng):
     rest = replace(free, fixed={"f": tuple(f), "c": (1.0, 0.5), "d": (1.0, -0.9)}).identify(record)
     plain = free.identify(record)
     pairs = replace(free, known_poles=[[p.real, p.imag] for p in np.roots(known)])
-    assert np.array_equal(pairs.layout(1).known, replace(free, known_poles=tuple(np.roots(known))).layout(1).known)
+    assert np.array_equal(
+        pairs.parameterisation(1).known, replace(free, known_poles=tuple(np.roots(known))).parameterisation(1).known
+    )
     m = some.model.rows[0][0]
     left = np.polydiv(m.f[0], known)[1]
     print(f"\nknown pair leaves {np.abs(left).max():.0e}; losses {some.loss / plain.loss}, {rest.loss / plain.loss}")
@@ -281,10 +283,10 @@ def test_arx_and_armax_take_several_records_and_known_zeros(rng):
 def test_gradient_of_the_joint_criterion(rng):
     """Ties, scales, known zeros and poles at once: the slope promised is the slope found by differences."""
     known = np.poly([0.5]).real
-    layout = Layout(0, 1, 1, (3, 2), (2, 3), (1, 2), zeros_at_dc=1, known=known)
+    layout = Parameterisation(0, 1, 1, (3, 2), (2, 3), (1, 2), zeros_at_dc=1, known=known)
     parts, tables = [], []
     for group, samples in ((0, 400), (0, 300), (1, 350)):
-        data = Channel(rng.standard_normal((2, samples)) * [[1.0], [3.0]], 2.0 * rng.standard_normal(samples))
+        data = ChannelData(rng.standard_normal((2, samples)) * [[1.0], [3.0]], 2.0 * rng.standard_normal(samples))
         keys = (None, ("c", group), ("d", 0), ("b", 0), ("f", 0), ("b", group + 1), ("f", 1))
         parts.append(Part(data, layout, group, keys, layout.states(True, True)))
     problem = posed(parts)
@@ -327,16 +329,16 @@ def test_impossible_ties_are_refused(rng):
     sensors = [uq.Channel("g1", "V", -10, 10), uq.Channel("a1", "m/s2", -10, 10)]
     record = uq.Record(u, y, 100.0, sensors=sensors)
     with pytest.raises(InputError, match=r"sensors 'g1' in 'V' and 'a1' in 'm/s2' cannot share a transfer function"):
-        uq.identify.identify_joint(method, [record], share="symmetric")
+        uq.identify.identify_joint(method, [record], ties="symmetric")
     record = uq.Record(u, y, 100.0)
     with pytest.raises(InputError, match=r"'threefold' needs a 6 x 6 matrix of channels, got 2 x 2"):
-        uq.identify.identify_joint(method, [record], share="threefold")
+        uq.identify.identify_joint(method, [record], ties="threefold")
     with pytest.raises(InputError, match=r"'symetric' is unknown; known are threefold"):
-        uq.identify.identify_joint(method, [record], share="symetric")
+        uq.identify.identify_joint(method, [record], ties="symetric")
     with pytest.raises(InputError, match=r"labels must be whole numbers, one per channel, \(2, 2\)"):
-        uq.identify.identify_joint(method, [record], share=[[0, 1]])
+        uq.identify.identify_joint(method, [record], ties=[[0, 1]])
     with pytest.raises(InputError, match=r"ARX and ARMAX give all inputs of an output one denominator"):
-        uq.identify.identify_joint(uq.identify.Arx(order=1), [record], share="symmetric")
+        uq.identify.identify_joint(uq.identify.Arx(order=1), [record], ties="symmetric")
 
 
 @pytest.mark.parametrize(
@@ -358,3 +360,13 @@ def test_impossible_knowledge_is_refused(settings, sentence, rng):
     record = uq.Record(rng.standard_normal(500), rng.standard_normal(500), 100.0)
     with pytest.raises(InputError, match=sentence):
         uq.identify.BoxJenkins(order=2, **settings).identify(record)
+
+
+def test_share_is_the_older_name_of_ties(rng):
+    method = uq.identify.OutputError(order=1)
+    u, y = rng.standard_normal((2, 2, 500))
+    record = uq.Record(u, y, 100.0)
+    older, newer = (uq.identify.identify_joint(method, [record], **{name: "symmetric"}) for name in ("share", "ties"))
+    assert all(np.array_equal(p.b[0], q.b[0]) for p, q in zip(older.model.rows[0], newer.model.rows[0], strict=True))
+    with pytest.raises(InputError, match=r"'share' is the older name of 'ties'"):
+        uq.identify.identify_matrix(method, [record], ties="symmetric", share="symmetric")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.identify.prediction_error.in_memory import Accumulator
+from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.kernels import filters, normal_equations
 from ultraquiet.identify.prediction_error.kernels import table as table_kernels
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import Structure, free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
@@ -32,8 +32,8 @@ def stable(rng, order):
 
 
 def table_of(structure, rng):
-    table = Layout.alike(structure, INPUTS).empty()
-    orders = Layout.alike(structure, INPUTS).degree()
+    table = Parameterisation.alike(structure, INPUTS).empty()
+    orders = Parameterisation.alike(structure, INPUTS).degree()
     for row, order in enumerate(orders):
         if row >= 3 and (row - 3) % 2 == 0:
             table[row, :order] = rng.standard_normal(order)
@@ -44,7 +44,7 @@ def table_of(structure, rng):
 
 def plain_residual(u, y, table, structure, states, with_past=True):
     """e = (D/C)(A y - sum B/F u), past and constant taken out by least squares."""
-    d, degree = structure, Layout.alike(structure, INPUTS).degree()
+    d, degree = structure, Parameterisation.alike(structure, INPUTS).degree()
     row = [table[k, : degree[k] + 1] for k in range(len(table))]
 
     def whiten(x):
@@ -72,16 +72,16 @@ def plain_residual(u, y, table, structure, states, with_past=True):
 def case(request, rng):
     structure = CASES[request.param]
     u, y = rng.standard_normal((INPUTS, SAMPLES)), rng.standard_normal(SAMPLES)
-    return structure, u, y, table_of(structure, rng), Layout.alike(structure, INPUTS).states(True, True)
+    return structure, u, y, table_of(structure, rng), Parameterisation.alike(structure, INPUTS).states(True, True)
 
 
 def signals(structure, states):
     free = free_rows(INPUTS, range(3 + 2 * INPUTS))
-    return signals_of(Layout.alike(structure, INPUTS), free, states)
+    return signals_of(Parameterisation.alike(structure, INPUTS), free, states)
 
 
 def evaluate(structure, u, y, table, states):
-    data = Accumulator(u, y, signals(structure, states))
+    data = InMemory(u, y, signals(structure, states))
     return data.loss(table), data.residual(table), data.normal(table)
 
 

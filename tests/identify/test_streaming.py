@@ -12,8 +12,8 @@ import ultraquiet as uq
 from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.long_record_statistics import survey
 from ultraquiet.identify.prediction_error import long_record
-from ultraquiet.identify.prediction_error.in_memory import Accumulator
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.in_memory import InMemory
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
@@ -51,7 +51,7 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     """Loss, gradient and normal matrix of a pass beside those in memory of the same table, its past taken out."""
     record, method = two_inputs(rng, 5000), METHODS[name]
     structure, nu = method.structure(), 2
-    layout = Layout.alike(structure, nu)
+    layout = Parameterisation.alike(structure, nu)
     table = layout.empty()
     for row, order in enumerate(layout.degree()):
         if row >= 3 and (row - 3) % 2 == 0:
@@ -62,7 +62,7 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     free = free_rows(nu, range(len(table)))
     signals = signals_of(layout, free, layout.states(True, True))
     u, y = record.inputs / data.input_size[:, None], record.outputs[0] / data.output_size
-    held = Accumulator(u, y, signals)
+    held = InMemory(u, y, signals)
     loss, wanted = held.loss(table), held.normal(table)
     x = np.zeros(signals.unknown_past)
     for _ in range(3):  # the gradient is taken at the past given: a few rounds find it

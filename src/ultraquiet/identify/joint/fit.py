@@ -10,7 +10,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.joint.initial_models import starts
-from ultraquiet.identify.joint.search import Part, Problem, Solution, covariance_root, posed, search
+from ultraquiet.identify.joint.search import JointMinimum, Part, Problem, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.fit import (
     CONVERGED,
     PROMISING,
@@ -24,7 +24,7 @@ from ultraquiet.identify.prediction_error.fit import (
     simulated,
     verdict,
 )
-from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.model_table import modelled
 from ultraquiet.identify.prediction_error.parameterisation import delta
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST
@@ -42,8 +42,8 @@ def fit_parts(parts: Sequence[Part], how: Search, rate_hz: float, workers: int |
     count = workers or os.cpu_count() or 1
     inner = count if len(clusters) == 1 and len(parts) > 1 else 1
     with ThreadPoolExecutor(min(count, len(clusters))) as pool:
-        found = pool.map(lambda cluster: _fit_cluster(cluster, how, rate_hz, inner), clusters)
-        return {group: fit for fits in found for group, fit in fits.items()}
+        cluster_fits = pool.map(lambda cluster: _fit_cluster(cluster, how, rate_hz, inner), clusters)
+        return {group: fit for fits in cluster_fits for group, fit in fits.items()}
 
 
 def _clusters(parts: Sequence[Part]) -> list[list[Part]]:
@@ -51,7 +51,9 @@ def _clusters(parts: Sequence[Part]) -> list[list[Part]]:
     lists: list[tuple[set[Hashable], list[Part]]] = []
     for part in parts:
         tied: set[Hashable] = {("group", part.group)}
-        tied |= {part.keys[row] for row in range(part.layout.rows) if part.layout.free(row) is not None}
+        tied |= {
+            part.keys[row] for row in range(part.parameterisation.rows) if part.parameterisation.free(row) is not None
+        }
         touched = [one for one in lists if one[0] & tied]
         lists = [one for one in lists if not one[0] & tied]
         lists.append(
@@ -79,7 +81,7 @@ def _fit_cluster(parts: list[Part], how: Search, rate_hz: float, workers: int) -
     }
 
 
-def _best(problem: Problem, how: Search, workers: int) -> tuple[Solution, int]:
+def _best(problem: Problem, how: Search, workers: int) -> tuple[JointMinimum, int]:
     """Search from the first start to its end, from the others while they promise more; see `fit_channel`.
 
     A minimum that starts of two horizons lead to is taken for the lowest one, whether its residual passes or not.
@@ -89,18 +91,18 @@ def _best(problem: Problem, how: Search, workers: int) -> tuple[Solution, int]:
     for rows, tables in starts(problem.parts, how, workers):
         tried += 1
         steps = how.max_iterations if best is None else min(TRIAL_STEPS, how.max_iterations)
-        found = search(problem, tables, steps, TOLERANCE, workers)
-        if best is not None and found.state != CONVERGED and found.criterion < best.criterion + margin:
-            more = search(problem, found.tables, how.max_iterations - found.iterations, TOLERANCE, workers)
-            found = replace(more, iterations=found.iterations + more.iterations)
+        minimum = search(problem, tables, steps, TOLERANCE, workers)
+        if best is not None and minimum.state != CONVERGED and minimum.criterion < best.criterion + margin:
+            more = search(problem, minimum.tables, how.max_iterations - minimum.iterations, TOLERANCE, workers)
+            minimum = replace(more, iterations=minimum.iterations + more.iterations)
         agreed = (
             best is not None
             and rows != origin
-            and found.state == CONVERGED
-            and abs(found.criterion - best.criterion) < SAME
+            and minimum.state == CONVERGED
+            and abs(minimum.criterion - best.criterion) < SAME
         )
-        if best is None or found.criterion < best.criterion:
-            best, origin = found, rows
+        if best is None or minimum.criterion < best.criterion:
+            best, origin = minimum, rows
         if best.state == CONVERGED and (agreed or (tried >= LEAST_STARTS and _passes(problem, best))):
             break
     assert best is not None
@@ -112,7 +114,7 @@ def _groups(problem: Problem) -> list[list[int]]:
     return [[k for k, part in enumerate(problem.parts) if part.group == g] for g in groups]
 
 
-def _passes(problem: Problem, found: Solution) -> bool:
+def _passes(problem: Problem, found: JointMinimum) -> bool:
     groups = _groups(problem)
     least = min(p for members in groups for p in residual_tests(problem, found.residuals, members))
     return 1.0 - (1.0 - least) ** len(groups) >= SIGNIFICANCE
@@ -139,12 +141,12 @@ def residual_tests(problem: Problem, residuals: Sequence[FloatArray], members: S
 
 
 def _group_fit(
-    problem: Problem, best: Solution, members: list[int], root: FloatArray, how: Search, rate_hz: float, tried: int
+    problem: Problem, best: JointMinimum, members: list[int], root: FloatArray, how: Search, rate_hz: float, tried: int
 ) -> Fit:
     first = members[0]
     part = problem.parts[first]
     evidence = residual_tests(problem, best.residuals, members)
-    model = modelled(part.layout, best.tables[first], part.data.gain, rate_hz, float(best.variance[first]))
+    model = modelled(part.parameterisation, best.tables[first], part.data.gain, rate_hz, float(best.variance[first]))
     local = _to_units(part, problem.places[first].free) @ problem.places[first].map
     spread = local @ root[problem.places[first].index]
     return Fit(
@@ -166,22 +168,22 @@ def _to_units(part: Part, free: "np.ndarray[Any, np.dtype[np.bool_]]") -> FloatA
 
     Coefficients that are given have rows of zeros: they do not vary.
     """
-    layout = part.layout
-    rows = [ROW_A, *range(ROW_FIRST, layout.rows), ROW_C, ROW_D]
-    degree = layout.degree()
+    parameterisation = part.parameterisation
+    rows = [ROW_A, *range(ROW_FIRST, parameterisation.rows), ROW_C, ROW_D]
+    degree = parameterisation.degree()
     T = np.zeros((int(degree.sum()), int(degree[free].sum())))
     at, to = 0, 0
     for row in rows:
         n = int(degree[row])
         if free[row]:
-            unit = float(part.data.gain[(row - ROW_FIRST) // 2]) if layout.letter(row) == "b" else 1.0
+            unit = float(part.data.gain[(row - ROW_FIRST) // 2]) if parameterisation.letter(row) == "b" else 1.0
             T[to : to + n, at : at + n] = unit * delta(n)
             at += n
         to += n
     return T
 
 
-def _fit_percent(sets: Sequence[Channel], model: PolynomialModel, how: Search) -> float:
+def _fit_percent(sets: Sequence[ChannelData], model: PolynomialModel, how: Search) -> float:
     """Return the simulated fit over all records, each against its own mean."""
     misses, spreads = [], []
     for data in sets:
@@ -192,11 +194,11 @@ def _fit_percent(sets: Sequence[Channel], model: PolynomialModel, how: Search) -
     return prediction.fit_percent(y, y - np.concatenate(misses))
 
 
-def _mended(problem: Problem, best: Solution, how: Search, rate_hz: float) -> tuple[float, Problem]:
+def _mended(problem: Problem, best: JointMinimum, how: Search, rate_hz: float) -> tuple[float, Problem]:
     """Return how far clipped readings moved, relative to the record, and the problem with them replaced."""
     moved, parts = 0.0, []
     for part, table, variance in zip(problem.parts, best.tables, best.variance, strict=True):
-        model = modelled(part.layout, table, part.data.gain, rate_hz, float(variance))
+        model = modelled(part.parameterisation, table, part.data.gain, rate_hz, float(variance))
         data = part.data.repaired(simulated(part.data, model, how))
         moved = max(moved, float(np.linalg.norm(data.y - part.data.y) / np.linalg.norm(data.y)))
         parts.append(replace(part, data=data))

@@ -11,22 +11,27 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.identify.joint.fit import fit_parts
 from ultraquiet.identify.joint.search import Part
-from ultraquiet.identify.joint.ties import Share
+from ultraquiet.identify.joint.ties import Ties, same
 from ultraquiet.identify.prediction_error.fit import Fit, Search
-from ultraquiet.identify.prediction_error.initial_models import Channel
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns, excited, gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result
 from ultraquiet.values import PolynomialMatrix, Record
 
-Sharing = str | Sequence[str] | ArrayLike | None
+Tying = str | Sequence[str] | ArrayLike | None
 
 
 def identify_joint(
-    method: PolynomialSettings, records: Sequence[Record], share: Sharing = None, workers: int | None = None
+    method: PolynomialSettings,
+    records: Sequence[Record],
+    ties: Tying = None,
+    workers: int | None = None,
+    *,
+    share: Tying = None,
 ) -> Result:
-    """Fit one model to several experiments, each with its own past and constant, channels tied as `share` says.
+    """Fit one model to several experiments, each with its own past and constant, channels tied as `ties` says.
 
     The coefficients minimise sum_i N_i log(1/N_i sum_r e_ir'e_ir) over outputs i and records r, the likelihood of
     Gaussian innovations whose variance differs from output to output. What the plant remembers from before each record
@@ -35,7 +40,7 @@ def identify_joint(
     Args:
         method: settings of a polynomial structure.
         records: experiments with the same inputs and outputs at one rate, of any lengths.
-        share: what the channels have in common, one name or several, or a table `(ny, nu)` of whole numbers in which
+        ties: what the channels have in common, one name or several, or a table `(ny, nu)` of whole numbers in which
             channels of one number are one function:
             "threefold": a hexapod of three like pairs of struts, G unchanged when every strut takes the place of the
             one 120 degrees further, and when the struts of each pair change places: 6 functions instead of 36;
@@ -43,6 +48,7 @@ def identify_joint(
             "poles": one F for all channels; "poles-by-input", "poles-by-output": one for each input or output;
             "noise": one C and D for all outputs.
         workers: threads; as many as processors when absent.
+        share: the older name of `ties`.
 
     Returns:
         `Result`; each output's statistics are over all records, its covariance that of the joint fit.
@@ -63,53 +69,56 @@ def identify_joint(
 
     Reference: Ljung, System Identification, 2nd ed., section 14.3 (merging data sets).
     """
+    ties = same("identify_joint", ties, share)
     _alike(method, records)
     ny, nu = len(records[0].sensors), len(records[0].actuators)
-    layout = method.layout(nu)
-    ties = Share.of(share, ny, nu)
-    ties.check("identify_joint", records[0].sensors, records[0].actuators)
-    _one_denominator(layout, ties)
+    parameterisation = method.parameterisation(nu)
+    tied = Ties.of(ties, ny, nu)
+    tied.check("identify_joint", records[0].sensors, records[0].actuators)
+    _one_denominator(parameterisation, tied)
     how = _search(method)
     parts = [
-        _part(Channel.of(record, i), layout, how, i, ties.keys(i, range(nu), layout))
+        _part(ChannelData.of(record, i), parameterisation, how, i, tied.keys(i, range(nu), parameterisation))
         for i in range(ny)
         for record in records
     ]
     fits = fit_parts(parts, how, records[0].rate_hz, workers)
-    made = _provenance(method, records, share)
-    model = PolynomialMatrix([[fits[i].model] for i in range(ny)], records[0].actuators, records[0].sensors, made)
-    return gather(model, [fits[i] for i in range(ny)], made)
+    provenance = _provenance(method, records, ties)
+    wires = records[0].actuators, records[0].sensors
+    model = PolynomialMatrix([[fits[i].model] for i in range(ny)], *wires, provenance)
+    return gather(model, [fits[i] for i in range(ny)], provenance)
 
 
 def identify_tied_matrix(
     method: PolynomialSettings,
     records: Sequence[Record | Sequence[Record]],
-    share: Sharing = None,
+    ties: Tying = None,
     workers: int | None = None,
 ) -> MatrixResult:
     """Return what `identify_matrix` does when channels are tied, or an actuator has several records."""
     runs = _runs(method, records)
     ny, nu = len(runs[0][0].sensors), len(runs)
-    ties = Share.of(share, ny, nu)
-    ties.check("identify_matrix", runs[0][0].sensors, [r[0].actuators[0] for r in runs])
+    tied = Ties.of(ties, ny, nu)
+    tied.check("identify_matrix", runs[0][0].sensors, [r[0].actuators[0] for r in runs])
     how = _search(method)
     parts: list[Part] = []
     for k, column in enumerate(runs):
-        layout = method.for_input(k).layout(1)
+        parameterisation = method.for_input(k).parameterisation(1)
         for i in range(ny):
-            keys = ties.keys(i, [k], layout)
-            parts += [_part(Channel.of(record, i), layout, how, i * nu + k, keys) for record in column]
+            keys = tied.keys(i, [k], parameterisation)
+            parts += [_part(ChannelData.of(record, i), parameterisation, how, i * nu + k, keys) for record in column]
     fits = fit_parts(parts, how, runs[0][0].rate_hz, workers)
-    made = _provenance(method, [r for column in runs for r in column], share)
-    return assemble([[fits[i * nu + k] for k in range(nu)] for i in range(ny)], [c[0] for c in runs], made)
+    provenance = _provenance(method, [r for column in runs for r in column], ties)
+    grid = [[fits[i * nu + k] for k in range(nu)] for i in range(ny)]
+    return assemble(grid, [column[0] for column in runs], provenance)
 
 
-def fit_alone(method: PolynomialSettings, data: Channel, rate_hz: float) -> Fit:
+def fit_alone(method: PolynomialSettings, data: ChannelData, rate_hz: float) -> Fit:
     """Return the model of one output whose polynomials are partly known."""
     nu = data.u.shape[0]
-    layout, how = method.layout(nu), _search(method)
-    keys = Share.of(None, 1, nu).keys(0, range(nu), layout)
-    return fit_parts([_part(data, layout, how, 0, keys)], how, rate_hz, 1)[0]
+    parameterisation, how = method.parameterisation(nu), _search(method)
+    keys = Ties.of(None, 1, nu).keys(0, range(nu), parameterisation)
+    return fit_parts([_part(data, parameterisation, how, 0, keys)], how, rate_hz, 1)[0]
 
 
 def _search(method: PolynomialSettings) -> Search:
@@ -121,14 +130,16 @@ def _search(method: PolynomialSettings) -> Search:
     return method.search()
 
 
-def _part(data: Channel, layout: Layout, how: Search, group: int, keys: tuple[Hashable, ...]) -> Part:
-    return Part(data, layout, group, keys, layout.states(how.estimate, how.offset))
+def _part(
+    data: ChannelData, parameterisation: Parameterisation, how: Search, group: int, keys: tuple[Hashable, ...]
+) -> Part:
+    return Part(data, parameterisation, group, keys, parameterisation.states(how.estimate, how.offset))
 
 
-def _provenance(method: PolynomialSettings, records: Sequence[Record], share: Sharing) -> Provenance:
-    told = None if share is None else np.asarray(share).tolist()
+def _provenance(method: PolynomialSettings, records: Sequence[Record], ties: Tying) -> Provenance:
+    labels = None if ties is None else np.asarray(ties).tolist()
     return Provenance(
-        method.name, {**asdict(method), "share": told}, parents=tuple(r.hash for r in records), versions=versions()
+        method.name, {**asdict(method), "ties": labels}, parents=tuple(r.hash for r in records), versions=versions()
     )
 
 
@@ -174,10 +185,10 @@ def _alike(method: PolynomialSettings, records: Sequence[Record]) -> None:
         method.check(record)
 
 
-def _one_denominator(layout: Layout, ties: Share) -> None:
+def _one_denominator(parameterisation: Parameterisation, ties: Ties) -> None:
     tied = np.unique(ties.functions).size < ties.functions.size
-    if tied and layout.a and layout.inputs > 1:
+    if tied and parameterisation.a and parameterisation.inputs > 1:
         raise InputError(
-            "share: ARX and ARMAX give all inputs of an output one denominator, so single channels cannot be tied; "
+            "ties: ARX and ARMAX give all inputs of an output one denominator, so single channels cannot be tied; "
             "take OutputError or BoxJenkins, or one record per actuator with identify_matrix."
         )

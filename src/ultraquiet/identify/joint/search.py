@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.prediction_error.in_memory import Accumulator, moved
-from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.in_memory import InMemory, moved
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, minimise
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray
 
@@ -35,14 +35,14 @@ class Part:
 
     Attributes:
         data: its samples.
-        layout: its polynomials.
+        parameterisation: its polynomials.
         group: sets of one group share the innovation variance, and give one model.
         keys: one per row of the table; rows of equal keys, in whatever set, are one polynomial.
-        states: initial conditions as `Layout.states` counts them.
+        states: initial conditions as `Parameterisation.states` counts them.
     """
 
-    data: Channel
-    layout: Layout
+    data: ChannelData
+    parameterisation: Parameterisation
     group: int
     keys: tuple[Hashable, ...]
     states: IntArray
@@ -67,7 +67,7 @@ class Problem:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class JointMinimum:
     """Where a joint search ended.
 
     `normal` is the weighted [J e]'[J e] of all unknowns, `variance` the innovations' of each set's group in output
@@ -98,20 +98,20 @@ def posed(parts: Sequence[Part], movable: Callable[[str], bool] = lambda letter:
 
 
 def _maps(part: Part, movable: Callable[[str], bool]) -> list[tuple[int, FloatArray]]:
-    rows = [ROW_A, *range(ROW_FIRST, part.layout.rows), ROW_C, ROW_D]  # the kernels' order of parameters
-    found = [(row, part.layout.free(row)) for row in rows if movable(part.layout.letter(row))]
-    return [(row, m) for row, m in found if m is not None]
+    rows = [ROW_A, *range(ROW_FIRST, part.parameterisation.rows), ROW_C, ROW_D]  # the kernels' order of parameters
+    maps = [(row, part.parameterisation.free(row)) for row in rows if movable(part.parameterisation.letter(row))]
+    return [(row, m) for row, m in maps if m is not None]
 
 
 def _unit(part: Part, row: int) -> float:
-    return float(part.data.gain[(row - ROW_FIRST) // 2]) if part.layout.letter(row) == "b" else 1.0
+    return float(part.data.gain[(row - ROW_FIRST) // 2]) if part.parameterisation.letter(row) == "b" else 1.0
 
 
 def _place(
     part: Part, movable: Callable[[str], bool], offsets: dict[Hashable, int], references: dict[Hashable, float]
 ) -> Place:
     maps = _maps(part, movable)
-    free = np.zeros(part.layout.rows, dtype=np.bool_)
+    free = np.zeros(part.parameterisation.rows, dtype=np.bool_)
     free[[row for row, _ in maps]] = True
     index = np.unique([offsets[part.keys[row]] + k for row, m in maps for k in range(m.shape[1])]).astype(np.int64)
     T = np.zeros((sum(m.shape[0] for _, m in maps), index.size))
@@ -157,15 +157,15 @@ class Sets:
     def __init__(self, problem: Problem, run: Any) -> None:
         self.problem, self._run = problem, run
         self.accumulators = [
-            Accumulator(p.data.u, p.data.y, signals_of(p.layout, place.free, p.states))
+            InMemory(p.data.u, p.data.y, signals_of(p.parameterisation, place.free, p.states))
             for p, place in zip(problem.parts, problem.places, strict=True)
         ]
         self._kept = sum(a.bytes for a in self.accumulators) <= MOST_BYTES
 
-    def each(self, work: Callable[[Accumulator, FloatArray], Any], tables: Sequence[FloatArray]) -> list[Any]:
+    def each(self, work: Callable[[InMemory, FloatArray], Any], tables: Sequence[FloatArray]) -> list[Any]:
         """Return what `work` makes of every set and its table, in threads."""
 
-        def one(item: tuple[Accumulator, FloatArray]) -> Any:
+        def one(item: tuple[InMemory, FloatArray]) -> Any:
             out = work(*item)
             if not self._kept:
                 item[0].release()
@@ -209,14 +209,14 @@ def search(
     tolerance: float,
     workers: int = 1,
     damping: float = FIRST_DAMPING,
-) -> Solution:
+) -> JointMinimum:
     """Minimise the criterion from the given tables, one per set; every table stays admissible at every step."""
     with ThreadPoolExecutor(workers) as pool:
         sets = Sets(problem, map if workers == 1 else pool.map)
         ended = minimise(sets.at(tables), steps, tolerance, damping)
         point = ended.point
         residuals = sets.each(lambda a, table: a.residual(table), point.tables)
-    return Solution(
+    return JointMinimum(
         point.tables, point.criterion, point.variance, residuals, ended.normal, ended.iterations, ended.state
     )
 

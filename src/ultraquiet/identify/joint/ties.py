@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, IntArray, b_rows, f_rows
 from ultraquiet.values import Channel
 
@@ -17,7 +17,7 @@ STRUTS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Share:
+class Ties:
     """Ties between the channels of a matrix.
 
     Attributes:
@@ -31,9 +31,9 @@ class Share:
     noise: bool
 
     @classmethod
-    def of(cls, share: "str | Sequence[str] | ArrayLike | None", outputs: int, inputs: int) -> "Share":
+    def of(cls, ties: "str | Sequence[str] | ArrayLike | None", outputs: int, inputs: int) -> "Ties":
         """Return the ties that names or a table of labels ask for; see `identify_joint`."""
-        names, functions = _read(share, outputs, inputs)
+        names, functions = _read(ties, outputs, inputs)
         tied = _Ties(functions)
         for name in names:
             if name == "symmetric":
@@ -58,14 +58,14 @@ class Share:
                 poles.tie(same)
         return cls(labels, poles.labels(), "noise" in names)
 
-    def keys(self, output: int, inputs: Sequence[int], layout: Layout) -> tuple[Hashable, ...]:
+    def keys(self, output: int, inputs: Sequence[int], parameterisation: Parameterisation) -> tuple[Hashable, ...]:
         """Return the key of each row of the table of an output driven by the given inputs."""
         own = (output, *inputs)
-        out: list[Hashable] = [None] * layout.rows
+        out: list[Hashable] = [None] * parameterisation.rows
         out[ROW_C], out[ROW_D] = ("c", () if self.noise else own), ("d", () if self.noise else own)
         labels = {int(self.poles[output, j]) for j in inputs}
         out[ROW_A] = ("a", labels.pop()) if len(labels) == 1 else ("a", own)
-        for j, b, f in zip(inputs, b_rows(layout.inputs), f_rows(layout.inputs), strict=True):
+        for j, b, f in zip(inputs, b_rows(parameterisation.inputs), f_rows(parameterisation.inputs), strict=True):
             out[b], out[f] = ("b", int(self.functions[output, j])), ("f", int(self.poles[output, j]))
         return tuple(out)
 
@@ -118,21 +118,28 @@ class _Ties:
         return rank[back].reshape(self._held.shape).astype(np.int64)
 
 
-def _read(share: Any, outputs: int, inputs: int) -> tuple[tuple[str, ...], IntArray]:
+def same(who: str, ties: Any, share: Any) -> Any:
+    """Return the ties under whichever of their two names they were given; `share` is the older one."""
+    if ties is not None and share is not None:
+        raise InputError(f"{who}: 'share' is the older name of 'ties'; give one of them.")
+    return share if ties is None else ties
+
+
+def _read(ties: Any, outputs: int, inputs: int) -> tuple[tuple[str, ...], IntArray]:
     """Return the names and the table of labels that were given."""
     free = np.arange(outputs * inputs, dtype=np.int64).reshape(outputs, inputs)
-    if share is None:
+    if ties is None:
         return (), free
-    given = (share,) if isinstance(share, str) else tuple(share)
-    if given and all(isinstance(name, str) for name in given):
-        for name in given:
+    names = (ties,) if isinstance(ties, str) else tuple(ties)
+    if names and all(isinstance(name, str) for name in names):
+        for name in names:
             if name not in NAMES:
-                raise InputError(f"share: '{name}' is unknown; known are {', '.join(NAMES)}, or a table of labels.")
-        return given, free
-    labels = np.asarray(share)
+                raise InputError(f"ties: '{name}' is unknown; known are {', '.join(NAMES)}, or a table of labels.")
+        return names, free
+    labels = np.asarray(ties)
     if labels.shape != (outputs, inputs) or not np.issubdtype(labels.dtype, np.integer):
         raise InputError(
-            f"share: labels must be whole numbers, one per channel, ({outputs}, {inputs}); got {labels.dtype} of shape "
+            f"ties: labels must be whole numbers, one per channel, ({outputs}, {inputs}); got {labels.dtype} of shape "
             f"{labels.shape}."
         )
     return (), labels.astype(np.int64)
@@ -141,4 +148,4 @@ def _read(share: Any, outputs: int, inputs: int) -> tuple[tuple[str, ...], IntAr
 def _square(name: str, outputs: int, inputs: int, wanted: int | None = None) -> None:
     if outputs != inputs or (wanted is not None and outputs != wanted):
         size = f"{wanted} x {wanted}" if wanted else "square"
-        raise InputError(f"share: '{name}' needs a {size} matrix of channels, got {outputs} x {inputs}.")
+        raise InputError(f"ties: '{name}' needs a {size} matrix of channels, got {outputs} x {inputs}.")

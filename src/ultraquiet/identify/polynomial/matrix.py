@@ -9,8 +9,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import in_threads
 from ultraquiet.identify.joint.identify import identify_tied_matrix
+from ultraquiet.identify.joint.ties import same
 from ultraquiet.identify.prediction_error.fit import Fit
-from ultraquiet.identify.prediction_error.initial_models import Channel, starting_models
+from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
 from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
@@ -20,8 +21,10 @@ def identify_matrix(
     method: PolynomialSettings,
     records: Sequence[Record | Sequence[Record]],
     workers: int | None = None,
-    share: str | Sequence[str] | ArrayLike | None = None,
+    ties: str | Sequence[str] | ArrayLike | None = None,
     start: PolynomialMatrix | StateSpace | None = None,
+    *,
+    share: str | Sequence[str] | ArrayLike | None = None,
 ) -> MatrixResult:
     """Identify every channel of a transfer matrix from one record per actuator, as section 3.4 of the paper.
 
@@ -30,8 +33,9 @@ def identify_matrix(
         records: record k excites actuator k alone; each has all `nu` inputs (or only the excited one) and `ny` outputs.
             Several records of one actuator, as a list in place k, go into one fit.
         workers: threads; as many as processors when absent.
-        share: what the channels have in common, "threefold" or "poles" for instance; see `identify_joint`.
+        ties: what the channels have in common, "threefold" or "poles" for instance; see `identify_joint`.
         start: the matrix of earlier records, from which every search begins; see `PolynomialMethod.identify`.
+        share: the older name of `ties`.
 
     Returns:
         The `(ny, nu)` models; the models of a row each carry their own noise.
@@ -48,20 +52,21 @@ def identify_matrix(
     >>> result.model.frequency_response([0.0]).real.round(1)
     array([[[1.5]]])
     """
+    ties = same("identify_matrix", ties, share)
     single = [record for record in records if isinstance(record, Record)]
-    if share is not None or method.informed or len(single) < len(records):
+    if ties is not None or method.informed or len(single) < len(records):
         if start is not None:
             raise InputError("identify_matrix: start is for channels that share nothing, one record per actuator.")
-        return identify_tied_matrix(method, records, share, workers)
+        return identify_tied_matrix(method, records, ties, workers)
     picked = columns(method, single)
     channels = [(i, k) for k in range(len(picked)) for i in range(len(picked[0].sensors))]
     first = starting_models(start, len(picked[0].sensors), len(picked), picked[0].rate_hz)
 
     def one(place: tuple[int, int]) -> Fit:
         i, k = place
-        return method.fit(Channel.of(picked[k], i, first[i][k]), picked[k].rate_hz)
+        return method.fit(ChannelData.of(picked[k], i, first[i][k]), picked[k].rate_hz)
 
-    found = in_threads(f"identify {method.name}", one, channels, workers)
-    grid = [[found[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]
-    made = Provenance(method.name, asdict(method), parents=tuple(record.hash for record in single), versions=versions())
-    return assemble(grid, picked, made)
+    fits = in_threads(f"identify {method.name}", one, channels, workers)
+    grid = [[fits[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]
+    parents = tuple(record.hash for record in single)
+    return assemble(grid, picked, Provenance(method.name, asdict(method), parents=parents, versions=versions()))

@@ -11,7 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.joint.identify import fit_alone, identify_joint
 from ultraquiet.identify.prediction_error.fit import Fit, fit_channel
-from ultraquiet.identify.prediction_error.initial_models import Channel, starting_models
+from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
 from ultraquiet.identify.prediction_error.long_record import identify_long
 from ultraquiet.identify.prediction_error.parameterisation import each
 from ultraquiet.identify.prediction_error.result import gather
@@ -56,12 +56,12 @@ class PolynomialMethod(PolynomialSettings):
             return identify_joint(self, record)
         self.check(record)
         first = starting_models(start, len(record.sensors), 1, record.rate_hz)
-        fits = [self.fit(Channel.of(record, i, row[0]), record.rate_hz) for i, row in enumerate(first)]
-        made = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        model = PolynomialMatrix([[f.model] for f in fits], record.actuators, record.sensors, made)
-        return gather(model, fits, made)
+        fits = [self.fit(ChannelData.of(record, i, row[0]), record.rate_hz) for i, row in enumerate(first)]
+        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        model = PolynomialMatrix([[f.model] for f in fits], record.actuators, record.sensors, provenance)
+        return gather(model, fits, provenance)
 
-    def fit(self, data: Channel, rate_hz: float) -> Fit:
+    def fit(self, data: ChannelData, rate_hz: float) -> Fit:
         """Return the model of one output."""
         if self.informed:
             return fit_alone(self, data, rate_hz)
@@ -153,7 +153,7 @@ class BoxJenkins(PolynomialMethod):
         super().__post_init__()
         one_of("BoxJenkins", "focus", self.focus, FOCUSES)
 
-    def fit(self, data: Channel, rate_hz: float) -> Fit:
+    def fit(self, data: ChannelData, rate_hz: float) -> Fit:
         """Return the model of one output, for the wanted focus."""
         if self.informed:
             return super().fit(data, rate_hz)

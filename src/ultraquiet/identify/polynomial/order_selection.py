@@ -13,7 +13,7 @@ from ultraquiet._base.registry import lookup
 from ultraquiet._base.threads import in_threads
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
-from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.result import columns
 from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record, StatusWord
@@ -148,13 +148,13 @@ def sweep(
 
     def one(place: tuple[int, int]) -> list[tuple[Fit, float, float, float]]:
         i, k = place
-        data = Channel.of(fitted[k], i)
+        data = ChannelData.of(fitted[k], i)
         return [_judged(method, data, kept[k], i) for method in methods]
 
-    found = in_threads("compare structures and orders", one, places, workers)
+    judged = in_threads("compare structures and orders", one, places, workers)
     shape = (len(fitted[0].sensors), len(fitted))
     shortest = min(r.samples for r in fitted)
-    return _ranked([_candidate(m, n, found, shape, shortest) for n, m in enumerate(methods)], rank_by)
+    return _ranked([_candidate(m, n, judged, shape, shortest) for n, m in enumerate(methods)], rank_by)
 
 
 def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
@@ -166,7 +166,7 @@ def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod
     return method(order=order)
 
 
-def _judged(method: PolynomialMethod, data: Channel, kept: Record, i: int) -> tuple[Fit, float, float, float]:
+def _judged(method: PolynomialMethod, data: ChannelData, kept: Record, i: int) -> tuple[Fit, float, float, float]:
     """Return the fit of one channel, its simulated fit and one-step loss on the kept record, and its seconds."""
     begun = time.thread_time()
     fit = method.fit(data, kept.rate_hz)

@@ -6,11 +6,11 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.prediction_error import in_memory
-from ultraquiet.identify.prediction_error.in_memory import Accumulator
-from ultraquiet.identify.prediction_error.initial_models import Channel, start_table, starting_tables
+from ultraquiet.identify.prediction_error.in_memory import InMemory
+from ultraquiet.identify.prediction_error.initial_models import ChannelData, start_table, starting_tables
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, RUNNING, STUCK
 from ultraquiet.identify.prediction_error.model_table import modelled
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
@@ -81,7 +81,7 @@ class Fit:
     repaired: int
 
 
-def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: float) -> Fit:
+def fit_channel(data: ChannelData, structure: Structure, search: Search, rate_hz: float) -> Fit:
     """Return the model of one output, clipped readings repaired by the model itself until it no longer moves."""
     best, tried = best_of_starts(data, structure, search)
     model = model_of(best, structure, data, rate_hz)
@@ -98,7 +98,7 @@ def fit_channel(data: Channel, structure: Structure, search: Search, rate_hz: fl
 
 
 def finished(
-    data: Channel, structure: Structure, search: Search, model: PolynomialModel, best: "Found", tried: int
+    data: ChannelData, structure: Structure, search: Search, model: PolynomialModel, best: "Found", tried: int
 ) -> Fit:
     """Return a model with its evidence: residual tests, fit, covariance."""
     evidence = residual_tests(best.residual, data.u, structure)
@@ -123,7 +123,7 @@ def finished(
     )
 
 
-def best_of_starts(data: Channel, structure: Structure, search: Search) -> "tuple[Found, int]":
+def best_of_starts(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int]":
     """Search from a given model, or race all starts; the result is kept for fits that need it again.
 
     Where the same channel has been fitted one order lower with less loss, the race has missed the minimum, and the
@@ -131,25 +131,25 @@ def best_of_starts(data: Channel, structure: Structure, search: Search) -> "tupl
     """
     key = (structure, search)
     if key not in data.searched:
-        found, tried = _from_model(data, structure, search) or _raced(data, structure, search)
+        minimum, tried = _from_model(data, structure, search) or _raced(data, structure, search)
         smaller = data.searched.get((structure.smaller(), search))
-        if smaller is not None and smaller[0].loss < found.loss:
-            table = Layout.alike(structure, data.u.shape[0]).empty()
+        if smaller is not None and smaller[0].loss < minimum.loss:
+            table = Parameterisation.alike(structure, data.u.shape[0]).empty()
             table[:, : smaller[0].table.shape[1]] = smaller[0].table
-            found, tried = run_search(data, structure, search, table, search.max_iterations), tried + 1
-        data.searched[key] = found, tried
+            minimum, tried = run_search(data, structure, search, table, search.max_iterations), tried + 1
+        data.searched[key] = minimum, tried
     return data.searched[key]
 
 
-def _from_model(data: Channel, structure: Structure, search: Search) -> "tuple[Found, int] | None":
+def _from_model(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int] | None":
     """Search from the channel's given model; None when there is none or the search does not converge."""
     if data.start is None:
         return None
-    found = run_search(data, structure, search, start_table(data, structure, data.start), search.max_iterations)
-    return (found, 1) if found.state == CONVERGED else None
+    minimum = run_search(data, structure, search, start_table(data, structure, data.start), search.max_iterations)
+    return (minimum, 1) if minimum.state == CONVERGED else None
 
 
-def _raced(data: Channel, structure: Structure, search: Search) -> "tuple[Found, int]":
+def _raced(data: ChannelData, structure: Structure, search: Search) -> "tuple[Found, int]":
     """Let all starts run some steps, the better of them more; the lowest loss wins.
 
     A residual that passes the tests ends the race: no other minimum can be better by more than chance.
@@ -160,12 +160,12 @@ def _raced(data: Channel, structure: Structure, search: Search) -> "tuple[Found,
     for table in tables:
         # The most trusted one may show at once that the race is not needed.
         ahead = steps if runners else FIRST_STEPS
-        found = run_search(data, structure, search, table, min(ahead, search.max_iterations))
-        runners.append(found)
-        if _passes(found, data, structure):
-            found = runners[-1] = _further(found, data, structure, search, search.max_iterations)
-            if found.state == CONVERGED and _passes(found, data, structure):
-                return found, len(runners)
+        minimum = run_search(data, structure, search, table, min(ahead, search.max_iterations))
+        runners.append(minimum)
+        if _passes(minimum, data, structure):
+            minimum = runners[-1] = _further(minimum, data, structure, search, search.max_iterations)
+            if minimum.state == CONVERGED and _passes(minimum, data, structure):
+                return minimum, len(runners)
     tried = len(runners)
     for (_, kept, ratio), (steps, _, _) in zip(RACE, [*later, (search.max_iterations, 0, 0.0)], strict=True):
         runners = sorted(runners, key=lambda r: r.loss)[:kept]
@@ -174,11 +174,11 @@ def _raced(data: Channel, structure: Structure, search: Search) -> "tuple[Found,
     return min(runners, key=lambda r: r.loss), tried
 
 
-def _passes(found: "Found", data: Channel, structure: Structure) -> bool:
+def _passes(found: "Found", data: ChannelData, structure: Structure) -> bool:
     return min(residual_tests(found.residual, data.u, structure)) >= SIGNIFICANCE
 
 
-def _further(found: "Found", data: Channel, structure: Structure, search: Search, steps: int) -> "Found":
+def _further(found: "Found", data: ChannelData, structure: Structure, search: Search, steps: int) -> "Found":
     """Return the search continued until `steps` of its steps are used in all."""
     left = min(steps, search.max_iterations) - found.iterations
     if found.state != RUNNING or left <= 0:
@@ -188,15 +188,15 @@ def _further(found: "Found", data: Channel, structure: Structure, search: Search
 
 
 def run_search(
-    data: Channel, structure: Structure, search: Search, table: FloatArray, steps: int, *, noise_only: bool = False
+    data: ChannelData, structure: Structure, search: Search, table: FloatArray, steps: int, *, noise_only: bool = False
 ) -> "Found":
     """Search from a table; with `noise_only` the plant is held and C and D alone move."""
     nu = data.u.shape[0]
     plant = [] if noise_only else [ROW_A, *b_rows(nu), *f_rows(nu)]
-    layout = Layout.alike(structure, nu)
+    parameterisation = Parameterisation.alike(structure, nu)
     free = free_rows(nu, [*plant, ROW_C, ROW_D])
-    signals = signals_of(layout, free, layout.states(search.estimate, search.offset))
-    accumulator = Accumulator(data.u, data.y, signals)
+    signals = signals_of(parameterisation, free, parameterisation.states(search.estimate, search.offset))
+    accumulator = InMemory(data.u, data.y, signals)
     ended = in_memory.search(accumulator, table, steps, TOLERANCE)
     point = ended.point
     return Found(
@@ -214,13 +214,13 @@ def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[
     return white, 1.0 - (1.0 - least) ** u.shape[0]
 
 
-def model_of(found: "Found", structure: Structure, data: Channel, rate_hz: float) -> PolynomialModel:
+def model_of(found: "Found", structure: Structure, data: ChannelData, rate_hz: float) -> PolynomialModel:
     """Return the model a search ended at, in the units of the record."""
-    layout = Layout.alike(structure, data.u.shape[0])
-    return modelled(layout, found.table, data.gain, rate_hz, found.loss * data.output_size**2)
+    parameterisation = Parameterisation.alike(structure, data.u.shape[0])
+    return modelled(parameterisation, found.table, data.gain, rate_hz, found.loss * data.output_size**2)
 
 
-def simulated(data: Channel, model: PolynomialModel, search: Search) -> FloatArray:
+def simulated(data: ChannelData, model: PolynomialModel, search: Search) -> FloatArray:
     """Return the model's simulated output in output units, its past and a constant fitted."""
     y = data.y * data.output_size
     u = data.u * data.input_size[:, None]

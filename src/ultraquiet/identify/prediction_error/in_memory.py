@@ -6,16 +6,16 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, Ended, minimise
-from ultraquiet.identify.prediction_error.signals import Signals
+from ultraquiet.identify.prediction_error.signals import FilteredSignals
 
 
-class Accumulator:
+class InMemory:
     """One output of a record with its inputs and the workspace in which its residual and products are formed.
 
     The workspace holds the signals of the table seen last; asked for another one's, they are formed again.
     """
 
-    def __init__(self, u: FloatArray, y: FloatArray, signals: Signals) -> None:
+    def __init__(self, u: FloatArray, y: FloatArray, signals: FilteredSignals) -> None:
         self.samples, self.signals = y.size, signals
         self._u, self._y = u, y
         self._work: FloatArray | None = None
@@ -87,7 +87,7 @@ class Accumulator:
         return self._work
 
 
-def moved(signals: Signals, table: FloatArray, step: FloatArray) -> FloatArray | None:
+def moved(signals: FilteredSignals, table: FloatArray, step: FloatArray) -> FloatArray | None:
     """Return a table after a step in the delta basis; None when it is not admissible."""
     from ultraquiet.identify.prediction_error.kernels.table import add_expanded, admissible
 
@@ -100,12 +100,12 @@ def moved(signals: Signals, table: FloatArray, step: FloatArray) -> FloatArray |
 class InMemoryPoint:
     """A table and its loss, the mean square of the residual."""
 
-    data: Accumulator
+    data: InMemory
     table: FloatArray
     criterion: float
 
     @classmethod
-    def of(cls, data: Accumulator, table: FloatArray) -> "InMemoryPoint":
+    def of(cls, data: InMemory, table: FloatArray) -> "InMemoryPoint":
         """Return the point of a table."""
         return cls(data, table, data.loss(table))
 
@@ -129,7 +129,7 @@ class InMemoryPoint:
 
 
 def search(
-    data: Accumulator, start: FloatArray, steps: int, tolerance: float, damping: float = FIRST_DAMPING
+    data: InMemory, start: FloatArray, steps: int, tolerance: float, damping: float = FIRST_DAMPING
 ) -> "Ended[InMemoryPoint]":
     """Minimise the mean square of the residual from a table."""
     return minimise(InMemoryPoint.of(data, start.copy()), steps, tolerance, damping)

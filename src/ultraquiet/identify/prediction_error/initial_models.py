@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error import in_memory
 from ultraquiet.identify.prediction_error.model_table import table_of
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, Structure, b_rows, f_rows, free_rows
 from ultraquiet.identify.subspace import hankel
@@ -28,7 +28,7 @@ LONG_RIDGE = 1e-12  # share of v's size: below it normal equations of shifts hol
 HANNAN_ROUNDS = 2
 
 
-class Channel:
+class ChannelData:
     """One output with its inputs, each scaled to unit deviation; keeps what all structures and orders share."""
 
     def __init__(self, u: FloatArray, y: FloatArray, low: float = -np.inf, high: float = np.inf) -> None:
@@ -43,19 +43,19 @@ class Channel:
         self.start: PolynomialModel | None = None
 
     @classmethod
-    def of(cls, record: Record, output: int, start: PolynomialModel | None = None) -> "Channel":
+    def of(cls, record: Record, output: int, start: PolynomialModel | None = None) -> "ChannelData":
         """Return an output of a record with its sensor's limits, and the model that searches are to begin from."""
         sensor = record.sensors[output]
-        made = cls(record.inputs, record.outputs[output], sensor.low, sensor.high)
-        made.start = start
-        return made
+        channel = cls(record.inputs, record.outputs[output], sensor.low, sensor.high)
+        channel.start = start
+        return channel
 
     @property
     def clipped(self) -> int:
         """How many readings stand at the sensor's limits."""
         return int(np.count_nonzero((self.recorded >= self.high) | (self.recorded <= self.low)))
 
-    def repaired(self, model: FloatArray) -> "Channel":
+    def repaired(self, model: FloatArray) -> "ChannelData":
         """Return the channel with its clipped readings replaced by a model's output, in output units."""
         other = copy(self)
         other.searched = {}
@@ -71,10 +71,10 @@ class Channel:
         """Return the poles of the subspace model with `rows` block rows; None when the record does not carry them."""
         if rows not in self._subspaces:
             self._subspaces[rows] = self._subspace(rows)
-        held = self._subspaces[rows]
-        if held is None or order >= rows:
+        subspace = self._subspaces[rows]
+        if subspace is None or order >= rows:
             return None
-        return hankel.poles(*held, order)
+        return hankel.poles(*subspace, order)
 
     def _subspace(self, rows: int) -> tuple[FloatArray, FloatArray] | None:
         # Fewer columns than three times the rows of the Hankel matrix make its projections noise.
@@ -103,7 +103,7 @@ def starting_models(
     return [list(row) for row in start.rows]
 
 
-def start_table(data: Channel, structure: Structure, model: PolynomialModel) -> FloatArray:
+def start_table(data: ChannelData, structure: Structure, model: PolynomialModel) -> FloatArray:
     """Return the kernels' table of a model that a search can begin from, in the channel's own units.
 
     A structure without noise polynomials takes the plant alone.
@@ -112,12 +112,12 @@ def start_table(data: Channel, structure: Structure, model: PolynomialModel) -> 
         InputError: the model has other inputs, a polynomial the structure lacks, or more coefficients.
     """
     nu = data.u.shape[0]
-    layout = Layout.alike(structure, nu)
-    degree = layout.degree()
+    parameterisation = Parameterisation.alike(structure, nu)
+    degree = parameterisation.degree()
     if len(model.b) != nu:
         raise InputError(f"start: the model has {len(model.b)} inputs, the record {nu}.")
     noise = [(row, p) for row, p in ((ROW_C, model.c), (ROW_D, model.d)) if degree[row] > 0]
-    table = table_of(layout, model, data.gain)
+    table = table_of(parameterisation, model, data.gain)
     for row, p in [(ROW_A, model.a), *noise, *zip(f_rows(nu), model.f, strict=True)]:
         order = np.trim_zeros(p, "b").size - 1
         if order > degree[row]:
@@ -131,7 +131,7 @@ def _movable(p: FloatArray) -> FloatArray:
     return p if np.all(np.abs(np.roots(p)) <= START_RADIUS) else stabilised(p, START_RADIUS)
 
 
-def starting_tables(data: Channel, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
+def starting_tables(data: ChannelData, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
     """Yield tables to search from, the most promising first."""
     if structure.f == 0:
         yield from _equation_error(data, structure, horizons)
@@ -149,7 +149,7 @@ def starting_tables(data: Channel, structure: Structure, horizons: tuple[int, ..
         yield _from_poles(data, structure, f)
 
 
-def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
+def _equation_error(data: ChannelData, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
     """Yield starts of ARX and ARMAX: least squares, and the subspace poles as A with C = A (noise at the output)."""
     plain = _least_squares(data, Structure(structure.a, structure.b, 0, 0, 0, structure.delay))
     nu = data.u.shape[0]
@@ -163,25 +163,25 @@ def _equation_error(data: Channel, structure: Structure, horizons: tuple[int, ..
             continue
         a = monic_from_roots(mirrored_inside(poles, RADIUS))
         simulated = _from_poles(data, output_error, a)
-        table = Layout.alike(structure, nu).empty()
+        table = Parameterisation.alike(structure, nu).empty()
         table[ROW_A, : structure.a + 1] = a
         table[b_rows(nu), : structure.b] = simulated[b_rows(nu), : structure.b]
         c = stabilised(a, NOISE_RADIUS)[: structure.c + 1]
         table[ROW_C, : c.size] = stabilised(c, NOISE_RADIUS)
         yield table
-    table = Layout.alike(structure, nu).empty()
+    table = Parameterisation.alike(structure, nu).empty()
     table[:, : plain.shape[1]] = plain[:, : table.shape[1]]
     yield table
 
 
-def _least_squares(data: Channel, structure: Structure) -> FloatArray:
+def _least_squares(data: ChannelData, structure: Structure) -> FloatArray:
     """Return A and B of the equation-error model: linear, so one undamped step is the whole search."""
     nu = data.u.shape[0]
     rows = free_rows(nu, [ROW_A, *b_rows(nu)])
-    layout = Layout.alike(structure, nu)
-    signals = signals_of(layout, rows, layout.states(True, True))
-    accumulator = in_memory.Accumulator(data.u, data.y, signals)
-    return in_memory.search(accumulator, layout.empty(), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
+    parameterisation = Parameterisation.alike(structure, nu)
+    signals = signals_of(parameterisation, rows, parameterisation.states(True, True))
+    accumulator = in_memory.InMemory(data.u, data.y, signals)
+    return in_memory.search(accumulator, parameterisation.empty(), LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
 
 
 LINEAR_STEPS = 8  # a linear problem is solved by one undamped step; others only clear what rounding left of it
@@ -189,15 +189,15 @@ LINEAR_TOLERANCE = 1e-6
 UNDAMPED = 0.0
 
 
-def _from_poles(data: Channel, structure: Structure, f: FloatArray) -> FloatArray:
+def _from_poles(data: ChannelData, structure: Structure, f: FloatArray) -> FloatArray:
     """Return a table with the given F: B by least squares on the simulated output, C and D from what remains."""
     nu = data.u.shape[0]
-    table = Layout.alike(structure, nu).empty()
+    table = Parameterisation.alike(structure, nu).empty()
     table[f_rows(nu), : f.size] = f
     plant = Structure(0, structure.b, 0, 0, structure.f, structure.delay)
-    layout = Layout.alike(plant, nu)
-    signals = signals_of(layout, free_rows(nu, b_rows(nu)), layout.states(True, True))
-    accumulator = in_memory.Accumulator(data.u, data.y, signals)
+    parameterisation = Parameterisation.alike(plant, nu)
+    signals = signals_of(parameterisation, free_rows(nu, b_rows(nu)), parameterisation.states(True, True))
+    accumulator = in_memory.InMemory(data.u, data.y, signals)
     table = in_memory.search(accumulator, table, LINEAR_STEPS, LINEAR_TOLERANCE, UNDAMPED).point.table
     if structure.c or structure.d:
         c, d = noise_start(accumulator.residual(table), structure.c, structure.d)
@@ -229,10 +229,10 @@ def noise_start(v: FloatArray, c_order: int, d_order: int) -> tuple[FloatArray, 
         work[0, before + 1] = 1.0
         G = np.zeros((width, width))
         normal_equations.add_products(work, columns, 0, before + 1, work.shape[1], G)
-        found, _ = normal_equations.damped_step(normal_equations.reduced(G, before), 0.0)
+        coefficients, _ = normal_equations.damped_step(normal_equations.reduced(G, before), 0.0)
         polynomials = np.zeros((2, max(c_order, d_order) + 1))
         polynomials[:, 0] = 1.0
-        table_kernels.add_expanded(found, 1.0, places, polynomials)
+        table_kernels.add_expanded(coefficients, 1.0, places, polynomials)
         d = stabilised(polynomials[0, : d_order + 1], NOISE_RADIUS)
         c = stabilised(polynomials[1, : c_order + 1], NOISE_RADIUS)
         e = filtered(v, d, c)

@@ -13,13 +13,13 @@ from ultraquiet.files import LongRecord
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.in_memory import moved
-from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
 from ultraquiet.identify.prediction_error.model_table import modelled, table_of
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.result import gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
-from ultraquiet.identify.prediction_error.signals import Signals, signals_of
+from ultraquiet.identify.prediction_error.signals import FilteredSignals, signals_of
 from ultraquiet.identify.prediction_error.structure import (
     ROW_A,
     ROW_C,
@@ -57,7 +57,7 @@ class Stream:
         self.passes = 0
 
     def products(
-        self, table: FloatArray, x: FloatArray, signals: Signals, title: str, watch: Watch | None = None
+        self, table: FloatArray, x: FloatArray, signals: FilteredSignals, title: str, watch: Watch | None = None
     ) -> FloatArray:
         """Return the products of nuisance, gradient and residual columns at (table, x).
 
@@ -83,7 +83,7 @@ class Pass:
     of unknowns, given, whose columns enter the products beside the gradient's.
     """
 
-    def __init__(self, signals: Signals, table: FloatArray, x: FloatArray) -> None:
+    def __init__(self, signals: FilteredSignals, table: FloatArray, x: FloatArray) -> None:
         from ultraquiet.identify.prediction_error.kernels.table import add_expanded
 
         self._signals = signals
@@ -154,7 +154,7 @@ class LongRecordPoint:
     """A table and the unknown past, their products, and the loss with the best past."""
 
     data: Stream
-    signals: Signals
+    signals: FilteredSignals
     title: str
     table: FloatArray
     x: FloatArray
@@ -163,7 +163,9 @@ class LongRecordPoint:
     criterion: float
 
     @classmethod
-    def of(cls, data: Stream, signals: Signals, title: str, table: FloatArray, x: FloatArray) -> "LongRecordPoint":
+    def of(
+        cls, data: Stream, signals: FilteredSignals, title: str, table: FloatArray, x: FloatArray
+    ) -> "LongRecordPoint":
         """Return the point of a table and a past, from one pass."""
         from ultraquiet.identify.prediction_error.kernels.normal_equations import reduced
 
@@ -202,11 +204,11 @@ class LongRecordPoint:
 
 def signals_through(
     structure: Structure, nu: int, fitted: tuple[bool, bool], free: Sequence[int] | None = None
-) -> Signals:
+) -> FilteredSignals:
     """Return the signals of a structure, by default with every row free."""
     rows = [ROW_A, *b_rows(nu), *f_rows(nu), ROW_C, ROW_D] if free is None else free
-    layout = Layout.alike(structure, nu)
-    return signals_of(layout, free_rows(nu, rows), layout.states(*fitted))
+    parameterisation = Parameterisation.alike(structure, nu)
+    return signals_of(parameterisation, free_rows(nu, rows), parameterisation.states(*fitted))
 
 
 def identify_long(method: PolynomialSettings, record: LongRecord) -> Result:
@@ -231,9 +233,9 @@ def identify_long(method: PolynomialSettings, record: LongRecord) -> Result:
     pieces = [record.part(at, at + size) for at in seen.most_excited(size, START_PIECES)]
     method.check(pieces[0])
     fits = [_fit_output(method, record, i, seen, pieces) for i in range(len(record.sensors))]
-    made = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
-    model = PolynomialMatrix([[f.model] for f, _ in fits], record.actuators, record.sensors, made)
-    return _gathered(model, [f for f, _ in fits], [p for _, p in fits], seen, made)
+    provenance = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
+    model = PolynomialMatrix([[f.model] for f, _ in fits], record.actuators, record.sensors, provenance)
+    return _gathered(model, [f for f, _ in fits], [p for _, p in fits], seen, provenance)
 
 
 def _fit_output(
@@ -242,25 +244,25 @@ def _fit_output(
     data = Stream(record, output, seen)
     structure, nu = method.structure(), len(record.actuators)
     fitted = (method.initial == "estimate", method.offset)
-    layout, signals = Layout.alike(structure, nu), signals_through(structure, nu, fitted)
+    parameterisation, signals = Parameterisation.alike(structure, nu), signals_through(structure, nu, fitted)
     title = f"identify {method.name} of {record.sensors[output].name}"
     best: Ended[LongRecordPoint] | None = None
     evidence, tried = (0.0, 0.0), 0
     for piece in pieces:
         tried += 1
-        start = method.fit(Channel.of(piece, output), record.rate_hz).model
+        start = method.fit(ChannelData.of(piece, output), record.rate_hz).model
         begin = LongRecordPoint.of(
-            data, signals, title, table_of(layout, start, data.gain), np.zeros(signals.unknown_past)
+            data, signals, title, table_of(parameterisation, start, data.gain), np.zeros(signals.unknown_past)
         )
-        found = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
-        if best is None or found.point.criterion < best.point.criterion:
-            best = found
-            evidence = _evidence(found.point, structure, fitted)
+        minimum = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
+        if best is None or minimum.point.criterion < best.point.criterion:
+            best = minimum
+            evidence = _evidence(minimum.point, structure, fitted)
         if best.state == CONVERGED and min(evidence) >= SIGNIFICANCE:
             break
     assert best is not None
     point = best.point
-    model = modelled(layout, point.table, data.gain, record.rate_hz, point.criterion * data.output_size**2)
+    model = modelled(parameterisation, point.table, data.gain, record.rate_hz, point.criterion * data.output_size**2)
     fit = one_fit.Fit(
         model,
         _clipping(one_fit.verdict(best.state, best.iterations, evidence), seen, output, record),
@@ -313,7 +315,7 @@ def _simulated_fit(
         return -np.inf
     signals = signals_through(plant, nu, fitted, ())
     G = data.products(
-        table_of(Layout.alike(plant, nu), bare, data.gain), np.zeros(signals.unknown_past), signals, title
+        table_of(Parameterisation.alike(plant, nu), bare, data.gain), np.zeros(signals.unknown_past), signals, title
     )
     loss = float(without_past(G, signals.unknown_past)[-1, -1]) / data.record.samples * data.output_size**2
     return 100.0 * (1.0 - np.sqrt(max(loss, 0.0)) / float(seen.output_size[output]))
@@ -334,5 +336,5 @@ def _clipping(status: Status, seen: LongRecordStatistics, output: int, record: L
 def _gathered(
     model: PolynomialMatrix, fits: list[one_fit.Fit], passes: list[int], seen: LongRecordStatistics, made: Provenance
 ) -> Result:
-    held = gather(model, fits, made)
-    return replace(held, details={**held.details, "passes": tuple(passes), "samples": seen.samples})
+    result = gather(model, fits, made)
+    return replace(result, details={**result.details, "passes": tuple(passes), "samples": seen.samples})

@@ -5,7 +5,7 @@ from math import comb
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.prediction_error.parameterisation import Layout, delta
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation, delta
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, b_rows, f_rows, reduced
 from ultraquiet.linalg import realize
 from ultraquiet.values import PolynomialModel
@@ -15,49 +15,56 @@ NEAREST = 1e-6
 SETTLING_STEPS = 20
 
 
-def table_of(layout: Layout, model: PolynomialModel, gain: FloatArray) -> FloatArray:
+def table_of(parameterisation: Parameterisation, model: PolynomialModel, gain: FloatArray) -> FloatArray:
     """Return the table of a model, inputs and output scaled so that one output unit by input unit becomes `gain`.
 
-    Coefficients the model lacks are zero; those the layout has no place for are left out.
+    Coefficients the model lacks are zero; those the parameterisation has no place for are left out.
     """
-    nu, degree = layout.inputs, layout.degree()
-    table = layout.empty(gain)
+    nu, degree = parameterisation.inputs, parameterisation.degree()
+    table = parameterisation.empty(gain)
     for row, p in [(ROW_A, model.a), (ROW_C, model.c), (ROW_D, model.d), *zip(f_rows(nu), model.f, strict=True)]:
         kept = p[: degree[row] + 1]
         table[row, : kept.size] = kept
     for j, row in enumerate(b_rows(nu)):
-        b = model.b[j][layout.delay[j] : layout.delay[j] + layout.b[j]] / gain[j]
+        b = model.b[j][parameterisation.delay[j] : parameterisation.delay[j] + parameterisation.b[j]] / gain[j]
         table[row, : b.size] = b
     return table
 
 
-def modelled(layout: Layout, table: FloatArray, gain: FloatArray, rate_hz: float, variance: float) -> PolynomialModel:
+def modelled(
+    parameterisation: Parameterisation, table: FloatArray, gain: FloatArray, rate_hz: float, variance: float
+) -> PolynomialModel:
     """Return the table's model in the units of the record, its known factors exact."""
-    nu = layout.inputs
+    nu = parameterisation.inputs
     numerators = [
-        np.concatenate([np.zeros(layout.delay[j]), gain[j] * _with_zeros(table[r, : layout.b[j]], layout)])
+        np.concatenate(
+            [
+                np.zeros(parameterisation.delay[j]),
+                gain[j] * _with_zeros(table[r, : parameterisation.b[j]], parameterisation),
+            ]
+        )
         for j, r in enumerate(b_rows(nu))
     ]
 
     def denominator(row: int, degree: int) -> FloatArray:
         p = reduced(table[row], degree)
-        return p if layout.free(row) is None else settled(p)
+        return p if parameterisation.free(row) is None else settled(p)
 
     return PolynomialModel(
         numerators,
-        [denominator(r, layout.f[j]) for j, r in enumerate(f_rows(nu))],
+        [denominator(r, parameterisation.f[j]) for j, r in enumerate(f_rows(nu))],
         rate_hz,
-        reduced(table[ROW_A], layout.a),
-        denominator(ROW_C, layout.c),
-        denominator(ROW_D, layout.d),
+        reduced(table[ROW_A], parameterisation.a),
+        denominator(ROW_C, parameterisation.c),
+        denominator(ROW_D, parameterisation.d),
         noise_variance=variance,
     )
 
 
-def _with_zeros(b: FloatArray, layout: Layout) -> FloatArray:
+def _with_zeros(b: FloatArray, parameterisation: Parameterisation) -> FloatArray:
     """Return B with its known zeros restored to the last digit."""
-    k = layout.zeros_at_dc
-    if k == 0 or "b" in layout.fixed:
+    k = parameterisation.zeros_at_dc
+    if k == 0 or "b" in parameterisation.fixed:
         return b
     rest = delta(b.size - k) @ (delta(b.size) @ b)[k:]
     return np.convolve(rest, [(-1.0) ** m * comb(k, m) for m in range(k + 1)])

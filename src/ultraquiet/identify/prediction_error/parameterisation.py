@@ -25,7 +25,7 @@ LONGEST_PAST = 60  # initial conditions of one path; what an input did longer be
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class Parameterisation:
     """The polynomials of one output: their lengths, and the parts of them that are given.
 
     Args:
@@ -52,7 +52,7 @@ class Layout:
     past_inputs: bool = True
 
     @classmethod
-    def alike(cls, structure: Structure, inputs: int) -> "Layout":
+    def alike(cls, structure: Structure, inputs: int) -> "Parameterisation":
         """Return the simple case: inputs of one order and delay, nothing known."""
         k = structure
         return cls(k.a, k.c, k.d, (k.b,) * inputs, (k.f,) * inputs, (k.delay,) * inputs, past_inputs=False)
@@ -110,10 +110,10 @@ class Layout:
         if letter == "b":
             return np.eye(count)[:, self.zeros_at_dc :]
         factor = self.known if letter == self.denominator else np.ones(1)
-        taken = factor.size - 1
-        if taken == count:
+        known_order = factor.size - 1
+        if known_order == count:
             return None
-        columns = [np.convolve(delta(count - taken)[:, k], factor) for k in range(count - taken)]
+        columns = [np.convolve(delta(count - known_order)[:, k], factor) for k in range(count - known_order)]
         return delta(count) @ np.stack(columns, axis=1)
 
     @property
@@ -137,9 +137,9 @@ class Layout:
             if self.letter(row) == self.denominator:
                 table[row, : self.known.size] = self.known
         for row in range(self.rows):
-            given = self.fixed.get(self.letter(row))
-            if given is not None:
-                table[row, : given.size] = given
+            known_part = self.fixed.get(self.letter(row))
+            if known_part is not None:
+                table[row, : known_part.size] = known_part
         if gain is not None:
             table[b_rows(self.inputs)] /= gain[:, None]
         return table
@@ -166,7 +166,7 @@ def each(value: "int | Sequence[int] | None") -> tuple[int, ...]:
     return tuple(value) if isinstance(value, Sequence) else (value,)
 
 
-def laid_out(method: Any, inputs: int) -> Layout:
+def laid_out(method: Any, inputs: int) -> Parameterisation:
     """Return the polynomials that a method's settings ask for with so many inputs.
 
     Raises:
@@ -189,7 +189,7 @@ def laid_out(method: Any, inputs: int) -> Layout:
     f = (fixed["f"].size - 1,) * inputs if "f" in fixed else f
     poles = complex_poles(method.known_poles)
     known = np.real(np.poly(poles)) if poles.size else np.ones(1)
-    out = Layout(
+    out = Parameterisation(
         degree["a"],
         degree["c"],
         degree["d"],
@@ -212,8 +212,8 @@ def laid_out(method: Any, inputs: int) -> Layout:
 
 def complex_poles(poles: Any) -> ComplexArray:
     """Return poles given as complex numbers, or as pairs of real and imaginary part as files hold them."""
-    given = np.asarray(poles)
-    return given[:, 0] + 1j * given[:, 1] if given.ndim == 2 else given.astype(np.complex128)
+    array = np.asarray(poles)
+    return array[:, 0] + 1j * array[:, 1] if array.ndim == 2 else array.astype(np.complex128)
 
 
 LETTERS = "abcdf"

@@ -6,8 +6,8 @@ from typing import Any, ClassVar, Self
 
 from ultraquiet._base.constraints import one_of, whole
 from ultraquiet.identify.prediction_error.fit import Fit, Search
-from ultraquiet.identify.prediction_error.initial_models import Channel
-from ultraquiet.identify.prediction_error.parameterisation import Layout, check_known, each, laid_out
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation, check_known, each, laid_out
 from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.values import Record
@@ -85,7 +85,7 @@ class PolynomialSettings:
             any(isinstance(s, Sequence) for s in settings) or self.zeros_at_dc or len(self.known_poles) or self.fixed
         )
 
-    def layout(self, inputs: int) -> Layout:
+    def parameterisation(self, inputs: int) -> Parameterisation:
         """Return what is free and what is known of the polynomials of an output with so many inputs."""
         return laid_out(self, inputs)
 
@@ -101,7 +101,7 @@ class PolynomialSettings:
         usable(type(self).__name__, record, structure.parameters(record.inputs.shape[0]), memory)
         exciting(type(self).__name__, record, structure.a + structure.b + structure.f)
 
-    def fit(self, data: Channel, rate_hz: float) -> Fit:
+    def fit(self, data: ChannelData, rate_hz: float) -> Fit:
         """Return the model of one output."""
         raise NotImplementedError
 

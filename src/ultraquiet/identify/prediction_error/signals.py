@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import ROW_A, ROW_C, ROW_D, ROW_FIRST, IntArray
 
 # What a step of `kernels.filters.filtered` does, and the least head it needs.
@@ -32,7 +32,7 @@ Step = tuple[int, int, int, int, int, int, int, int]
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class FilteredSignals:
     """Rows, filters and columns of one table's prediction error.
 
     Attributes:
@@ -83,13 +83,17 @@ class Signals:
         return int(self.states[:, 2].sum())
 
 
-def signals_of(layout: Layout, free: "np.ndarray[Any, Any]", states: IntArray) -> Signals:
+def signals_of(parameterisation: Parameterisation, free: "np.ndarray[Any, Any]", states: IntArray) -> FilteredSignals:
     """Return the signals of a table of which `free` rows move, with so many unknown initial conditions of each row."""
-    return _signals(*(tuple(int(k) for k in row) for row in (layout.degree(), layout.lag(), free, states)))
+    return _signals(
+        *(tuple(int(k) for k in row) for row in (parameterisation.degree(), parameterisation.lag(), free, states))
+    )
 
 
 @lru_cache(maxsize=256)
-def _signals(degree: tuple[int, ...], lag: tuple[int, ...], free: tuple[int, ...], states: tuple[int, ...]) -> Signals:
+def _signals(
+    degree: tuple[int, ...], lag: tuple[int, ...], free: tuple[int, ...], states: tuple[int, ...]
+) -> FilteredSignals:
     plan = _Plan(degree, lag, free, states)
     plan.model()
     plan.columns_of_the_past()
@@ -209,24 +213,24 @@ class _Plan:
                 continue
             j, sign = (row - ROW_FIRST) // 2, 1
             if row == ROW_A:
-                made = self.whitened(self.slopes, self.y)
+                signal = self.whitened(self.slopes, self.y)
             elif row == ROW_C:
-                made, sign = self.divided(self.slopes, self.e, ROW_C), -1
+                signal, sign = self.divided(self.slopes, self.e, ROW_C), -1
             elif row == ROW_D:
-                made = self.divided(self.slopes, self.rest, ROW_C)
+                signal = self.divided(self.slopes, self.rest, ROW_C)
             elif (row - ROW_FIRST) % 2 == 0:
-                made, sign = self.whitened(self.slopes, self.driven[j]), -1
+                signal, sign = self.whitened(self.slopes, self.driven[j]), -1
             else:
-                made = self.whitened(self.slopes, self.divided(self.slopes, self.parts[j], row))
-            self.columns.append((made, self.lag[row], self.degree[row], sign))
+                signal = self.whitened(self.slopes, self.divided(self.slopes, self.parts[j], row))
+            self.columns.append((signal, self.lag[row], self.degree[row], sign))
         self.through += [(ALWAYS, step) for step in self.slopes]
 
     def responses(self, owner: int) -> list[int]:
         """Return the rows of free responses that serve one column of the past."""
-        made = [step[2] for who, step in self.through if who == owner]
-        return [row for row in {self.nuisance[owner][0], *made} if row not in (*self.parts, self.e)]
+        free_rows = [step[2] for who, step in self.through if who == owner]
+        return [row for row in {self.nuisance[owner][0], *free_rows} if row not in (*self.parts, self.e)]
 
-    def finished(self) -> Signals:
+    def finished(self) -> FilteredSignals:
         residual = (self.e, 0, 1, 1)
         columns = _table([*self.columns, residual], 4)
         counts = [column[2] for column in self.nuisance]
@@ -240,7 +244,7 @@ class _Plan:
             for row in gradient_order(len(self.degree))
             if self.free[row] and self.degree[row]
         ]
-        return Signals(
+        return FilteredSignals(
             _table(self.degree),
             self.used,
             reach + LEAST_HEAD,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet.identify.prediction_error.fit import Fit, Search, finished, fit_channel, model_of, run_search, simulated
-from ultraquiet.identify.prediction_error.initial_models import Channel, noise_start, start_table
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.initial_models import ChannelData, noise_start, start_table
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import ROW_C, ROW_D, Structure
 from ultraquiet.identify.result import SIGNIFICANCE
 
@@ -15,7 +15,7 @@ FOCUSES = ("auto", "prediction", "simulation")
 WORTH = 1.0
 
 
-def fit_focused(data: Channel, structure: Structure, search: Search, rate_hz: float, focus: str) -> Fit:
+def fit_focused(data: ChannelData, structure: Structure, search: Search, rate_hz: float, focus: str) -> Fit:
     """Return the model of one output for the wanted focus.
 
     Where a structure holds the truth, both criteria meet in the same plant, and the one-step error finds it with the
@@ -31,7 +31,7 @@ def fit_focused(data: Channel, structure: Structure, search: Search, rate_hz: fl
     return other if other.fit_percent > predicted.fit_percent + WORTH else predicted
 
 
-def fit_simulated(data: Channel, structure: Structure, search: Search, rate_hz: float) -> Fit:
+def fit_simulated(data: ChannelData, structure: Structure, search: Search, rate_hz: float) -> Fit:
     """Return B / F by the simulated error, then C / D by the one-step error with B / F held.
 
     The covariance is unknown (NaN): the one-step error's does not hold for a plant that another error has chosen.
@@ -40,14 +40,14 @@ def fit_simulated(data: Channel, structure: Structure, search: Search, rate_hz: 
     plant = fit_channel(data, output_error, search, rate_hz)
     if search.repair and data.clipped:
         data = data.repaired(simulated(data, plant.model, search))
-    held = run_search(data, output_error, search, start_table(data, output_error, plant.model), 0)
-    table = Layout.alike(structure, data.u.shape[0]).empty()
-    table[:, : held.table.shape[1]] = held.table[:, : table.shape[1]]
-    c, d = noise_start(held.residual, structure.c, structure.d)
+    at_plant = run_search(data, output_error, search, start_table(data, output_error, plant.model), 0)
+    table = Parameterisation.alike(structure, data.u.shape[0]).empty()
+    table[:, : at_plant.table.shape[1]] = at_plant.table[:, : table.shape[1]]
+    c, d = noise_start(at_plant.residual, structure.c, structure.d)
     table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
-    found = run_search(data, structure, search, table, search.max_iterations, noise_only=True)
-    model = model_of(found, structure, data, rate_hz)
+    minimum = run_search(data, structure, search, table, search.max_iterations, noise_only=True)
+    model = model_of(minimum, structure, data, rate_hz)
     unknown = np.eye(structure.parameters(data.u.shape[0]) + 1)
-    found = replace(found, normal=unknown, iterations=found.iterations + plant.iterations)
-    fit = finished(data, structure, search, model, found, plant.starts)
+    minimum = replace(minimum, normal=unknown, iterations=minimum.iterations + plant.iterations)
+    fit = finished(data, structure, search, model, minimum, plant.starts)
     return replace(fit, covariance=np.full_like(fit.covariance, np.nan))

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, signal_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error.model_table import settled
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import ROW_FIRST, Structure
 from ultraquiet.identify.record_checks import SAMPLES_PER_PARAMETER
 from ultraquiet.identify.recursive.settings import RecursionSettings
@@ -46,17 +46,17 @@ class Recursion:
         self.structure: Structure = settings.structure
         self.rate_hz, self.input_size, self.output_size = rate_hz, input_size, output_size
         nu = input_size.size
-        layout = Layout.alike(self.structure, nu)
-        self._degree, self._lag = layout.degree(), layout.lag()
+        parameterisation = Parameterisation.alike(self.structure, nu)
+        self._degree, self._lag = parameterisation.degree(), parameterisation.lag()
         self._offset = settings.offset
         count = int(self._degree[[0, 1, 2, *range(ROW_FIRST, ROW_FIRST + 2 * nu)]].sum())
         p = count + int(settings.offset)
-        self._base, self._theta = layout.empty(), np.zeros(p)
+        self._base, self._theta = parameterisation.empty(), np.zeros(p)
         self._table = self._base.copy()
         self._to_shift = self._expansion(p)
         # ARX leaves out the samples whose past it does not know, as the batch fit does.
         linear = settings.linear
-        quiet = int(layout.states(True, False)[1]) if linear else int(SETTLING * start_samples)
+        quiet = int(parameterisation.states(True, False)[1]) if linear else int(SETTLING * start_samples)
         self.frozen_until = max(quiet, start_samples)
         cold = start is None
         # Errors count from here on: a start from nothing first has to find the plant.

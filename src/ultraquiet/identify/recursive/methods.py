@@ -13,7 +13,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import fit as one_fit
-from ultraquiet.identify.prediction_error.initial_models import Channel
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.long_record import simulated_fit
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.followed import (
@@ -144,7 +144,7 @@ class RecursiveMethod:
         """Follow one output through the record."""
         start, constant, start_samples = None, 0.0, 0
         if self.start_samples:
-            start = self.batch().fit(Channel.of(piece, output), record.rate_hz).model
+            start = self.batch().fit(ChannelData.of(piece, output), record.rate_hz).model
             constant, start_samples = constant_at_output(start, piece, output) if self.offset else 0.0, piece.samples
         sizes = piece.inputs.std(axis=1), float(piece.outputs[output].std())
         running = Recursion(self.recursion_settings(), record.rate_hz, *sizes, start, start_samples, constant)

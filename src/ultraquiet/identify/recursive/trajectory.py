@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
-from ultraquiet.identify.prediction_error.parameterisation import Layout
+from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.values import PolynomialModel
 
@@ -72,8 +72,8 @@ class Trajectory:
 
     def _parts(self, table: FloatArray) -> dict[str, list[FloatArray]]:
         """Return the polynomials of every row of coefficients, `(k, order + 1)` each."""
-        layout = Layout.alike(self.structure, self.inputs)
-        degree, lag = layout.degree(), layout.lag()
+        parameterisation = Parameterisation.alike(self.structure, self.inputs)
+        degree, lag = parameterisation.degree(), parameterisation.lag()
         one = np.ones((len(table), 1))
         out: dict[str, list[FloatArray]] = {key: [] for key in "abcdf"}
         at = 0
