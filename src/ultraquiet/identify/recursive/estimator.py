@@ -12,6 +12,7 @@ from ultraquiet.identify.prediction_error.model_table import settled
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import ROW_FIRST, Structure
 from ultraquiet.identify.record_checks import SAMPLES_PER_PARAMETER
+from ultraquiet.identify.recursive.beginning import LONGEST, Beginning
 from ultraquiet.identify.recursive.settings import RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.values import PolynomialModel
@@ -21,10 +22,10 @@ SLACK = 4096  # samples that are taken in before the filters' past is moved to t
 # as it was, the slow modes of a plant at 3.5 kHz (memory 1500 samples) cost a Box-Jenkins recursion 2 % in loss.
 BEHIND = 2048
 STRIDE = 64  # samples between the steps of a model with filters
-# A recursion without a start knows this much of each scaled coefficient: next to nothing, yet enough to keep the first
-# steps of C, D and F inside the unit circle.
+# A recursion from a model without its samples knows this much of each scaled coefficient: next to nothing, yet enough
+# to keep the first steps of C, D and F inside the unit circle.
 COLD = 1e-2
-EARLY = 5  # samples a parameter that a start from nothing remembers at first: its first gradients point nowhere
+NEVER = 1 << 62  # samples
 SETTLING = 0.25  # share of the start's samples in which the filters settle before their gradient counts
 
 
@@ -40,6 +41,7 @@ class Recursion:
         start: PolynomialModel | None,
         start_samples: int = 0,
         constant: float = 0.0,
+        longest: int = LONGEST,
     ) -> None:
         from ultraquiet.identify.recursive.kernels import DIRECTIONAL, EXPONENTIAL
 
@@ -59,9 +61,13 @@ class Recursion:
         quiet = int(parameterisation.states(True, False)[1]) if linear else int(SETTLING * start_samples)
         self.frozen_until = max(quiet, start_samples)
         cold = start is None
+        self._beginning = Beginning(settings, rate_hz, nu, p, longest) if cold and not linear else None
         # Errors count from here on: a start from nothing first has to find the plant.
-        self.judged_from = self.frozen_until + (SAMPLES_PER_PARAMETER * p if cold else 0)
-        known = 0.0 if linear or start_samples else COLD
+        if self._beginning is not None:
+            self.judged_from = self._beginning.last
+        else:
+            self.judged_from = self.frozen_until + (SAMPLES_PER_PARAMETER * p if cold else 0)
+        known = 0.0 if cold or linear or start_samples else COLD
         self._R, self._z, self._best = known * np.eye(p), np.zeros(p), np.zeros((p, p))
         head = int(self._lag.max() + self._degree.max()) + 1
         self._head, self._work = head, np.zeros((4 * nu + self._degree.size + 6, head + BEHIND + SLACK))
@@ -69,10 +75,12 @@ class Recursion:
             self._begin(start, constant)
         keep = settings.remembered(rate_hz)
         mode = DIRECTIONAL if settings.forgetting == "directional" else EXPONENTIAL
-        early = EARLY * p if cold and not linear else 0
         # Without filters every sample moves the coefficients, and there is no past to mend.
         pace = (1, 0) if linear else (STRIDE, BEHIND)
-        self._options = (quiet, self.frozen_until, keep, mode, settings.reset_samples(rate_hz), early, *pace)
+        self._options = (quiet, self.frozen_until, keep, mode, settings.reset_samples(rate_hz), *pace)
+        if self._beginning is not None:
+            # Nothing is learned before there is a model whose gradient means something.
+            self._options = (NEVER, NEVER, *self._options[2:])
         self._count = np.array([0, 0, head, 0], dtype=np.int64)
         self._share = 1.0 - keep * keep
         self._squares, self._weight = 0.0, 0.0
@@ -89,8 +97,6 @@ class Recursion:
 
     def update(self, inputs: ArrayLike, outputs: ArrayLike) -> FloatArray:
         """Take in samples, `(nu, m)` and `(1, m)`; return the errors of the predictions made before each, `(m,)`."""
-        from ultraquiet.identify.recursive.kernels import recurse
-
         u = signal_array("Recursion.update", "inputs", inputs)
         y = signal_array("Recursion.update", "outputs", outputs)
         if u.shape[0] != self.input_size.size or y.shape != (1, u.shape[1]):
@@ -99,8 +105,23 @@ class Recursion:
                 f"{self.input_size.size} inputs, samples together."
             )
         e = np.empty(u.shape[1])
+        at = 0
+        while at < e.size:
+            end = e.size if self._beginning is None else min(e.size, at + self._beginning.missing)
+            new = slice(at, end)
+            e[new] = self._take(u[:, new], y[0, new])
+            if self._beginning is not None:
+                self._begin_with(self._beginning, u[:, new], y[0, new])
+            at = end
+        return e * self.output_size
+
+    def _take(self, u: FloatArray, y: FloatArray) -> FloatArray:
+        """Take in samples, `(nu, m)` and `(m,)`; return the scaled errors of the predictions."""
+        from ultraquiet.identify.recursive.kernels import recurse
+
+        e = np.empty(y.size)
         recurse(
-            np.ascontiguousarray(u / self.input_size[:, None]), y[0] / self.output_size, self._table, self._base,
+            np.ascontiguousarray(u / self.input_size[:, None]), y / self.output_size, self._table, self._base,
             self._degree, self._lag, self._offset, self._theta, self._R, self._z, self._best, self._work, self._head,
             self._count, self._options, e,
         )  # fmt: skip
@@ -110,7 +131,33 @@ class Recursion:
             fade = (1.0 - self._share) ** new.size
             self._squares = fade * self._squares + float(new @ new)
             self._weight = fade * self._weight + new.size
-        return e * self.output_size
+        return e
+
+    def _begin_with(self, beginning: Beginning, u: FloatArray, y: FloatArray) -> None:
+        """Keep the first samples; once they are enough, begin again from their batch fit."""
+        beginning.take(u, y)
+        if beginning.missing:
+            return
+        start = beginning.fit()
+        if start is None:
+            beginning.forget_silence()
+        else:
+            self._begin_again(*start, *beginning.samples)
+        if beginning.over:
+            self._beginning = None
+
+    def _begin_again(self, start: PolynomialModel, constant: float, u: FloatArray, y: FloatArray) -> None:
+        """Forget all, take over a model and learn from it the samples it was fitted to, `(nu, m)` and `(m,)`."""
+        samples = self.samples
+        for array in (self._R, self._z, self._best, self._work):
+            array[:] = 0.0
+        self._squares, self._weight = 0.0, 0.0
+        self._begin(start, constant)
+        # Steps cut short on the way to a model that is dropped say nothing of the next one.
+        self._count[:] = 0, 0, self._head, 0
+        self._options = (int(SETTLING * y.size), y.size, *self._options[2:])
+        self._take(u, y)
+        self._count[[0, 3]] = samples  # with the silence that was waited out
 
     @property
     def noise_variance(self) -> float:

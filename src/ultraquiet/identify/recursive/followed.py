@@ -3,14 +3,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import numpy as np
-
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.trajectory import Trajectory
-from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialModel, Record, Status, StatusWord
 
@@ -56,16 +54,6 @@ def with_evidence(running: Recursion, trajectory: Trajectory, sums: Lagged, fit_
     loss = float(sums.products()[0, 0, 0]) / n
     model = PolynomialModel(m.b, m.f, m.rate_hz, m.a, m.c, m.d, loss)
     return Followed(model, status, fit_percent, running.covariance, *evidence, trajectory, running.held)
-
-
-def constant_at_output(model: PolynomialModel, piece: Record, output: int) -> float:
-    """Return the constant at the output that goes with a model: least squares on the whitened residual of its end."""
-    v = prediction.filtered(piece.outputs[output], model.a, np.ones(1))
-    for x, b, f in zip(piece.inputs, model.b, model.f, strict=True):
-        v = v - prediction.filtered(x, b, f)
-    settled = piece.samples // 4
-    e, one = (prediction.filtered(x, model.d, model.c)[settled:] for x in (v, np.ones(v.size)))
-    return float(e @ one / (one @ one))
 
 
 def starting_piece(record: Record | LongRecord, samples: int) -> Record:

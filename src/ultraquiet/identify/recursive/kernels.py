@@ -15,7 +15,6 @@ HALVINGS = 6  # of a step that would leave the stable region, before it is dropp
 # Forgetting alone leaves no less than this share of the most information there ever was: the standard deviations of a
 # plant at rest grow tenfold and no further, however long it rests.
 FLOOR = 1e-2
-WEANING = 20.0  # memories of a start from nothing, over which its forgetting fades away
 LOOK = 64  # samples between looks at how much information there is
 
 
@@ -240,11 +239,11 @@ def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, c
     """Take in the samples of one block; `count` holds samples seen, steps cut short, next free column, last step.
 
     `options`: samples during which nothing is learned, those during which theta stays, keep (square root of the
-    forgetting factor), mode, samples between resets (0: never), samples that a start from nothing remembers (0: all),
-    samples between steps, samples behind that are filtered again after one.
+    forgetting factor), mode, samples between resets (0: never), samples between steps, samples behind that are filtered
+    again after one.
     """
     nu = u.shape[0]
-    quiet, frozen_until, steady, mode, reset, early, stride, behind = options
+    quiet, frozen_until, keep, mode, reset, stride, behind = options
     g = np.zeros(theta.size)
     for t in range(y.size):
         if count[2] == work.shape[1]:
@@ -259,9 +258,6 @@ def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, c
         if count[0] <= quiet:
             continue
         gradient(degree, lag, work, nu, i, offset, g)
-        keep = steady
-        if early > 0:
-            keep *= 1.0 - 0.5 / early * np.exp(-count[0] / (WEANING * early))
         if keep < 1.0 and count[0] > frozen_until:
             forget(R, z, theta, best, g, count[0], keep, int(mode))
         target = -e[t]

@@ -7,22 +7,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import one_of, positive, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import fit as one_fit
-from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.long_record import simulated_fit
+from ultraquiet.identify.recursive.beginning import LONGEST, constant_at_output
 from ultraquiet.identify.recursive.estimator import Recursion
-from ultraquiet.identify.recursive.followed import (
-    Followed,
-    blocks_of,
-    constant_at_output,
-    starting_piece,
-    with_evidence,
-)
+from ultraquiet.identify.recursive.followed import Followed, blocks_of, starting_piece, with_evidence
 from ultraquiet.identify.recursive.settings import FORGETTING, RecursionSettings
 from ultraquiet.identify.recursive.trajectory import Trajectory
 from ultraquiet.identify.result import Result, worst
@@ -45,8 +40,10 @@ class RecursiveMethod:
         forgetting: "exponential" forgets all alike, but never below a hundredth of the most that was ever known, so
             that a plant at rest cannot wind the gain up; "directional" forgets only what the new sample tells again.
         reset_s: time between resets of the information to a hundredth of the most that was known; None never.
-        start_samples: length of the piece at the record's beginning whose batch fit the recursion starts from; 0 starts
-            from nothing. It may take up half of the record at most.
+        start_samples: length of the piece at the record's beginning whose batch fit the recursion starts from, half of
+            the record at most; 0 starts from nothing, and the record is read once: ARX learns from the first sample on,
+            the others begin from a batch fit of the first ten samples a parameter, which is repeated each time the
+            samples have doubled, up to 2048, the memory or half of the record.
         every: samples between points of the trajectory.
         offset: whether a constant at the output is followed too.
 
@@ -54,8 +51,13 @@ class RecursiveMethod:
     the start; whiteness and correlation are those of the same errors. `fit_percent` simulates the whole record with the
     last model. `details["trajectory"]` holds one `Trajectory` per output.
 
+    From nothing, 40 draws each of ARMAX, ARMAX with a resonant C, Box-Jenkins and output error, of order 2 and 4000
+    samples, end 0.2 standard deviations from the batch estimate in the median and at most 0.8. A recursion from zero
+    coefficients that forgets its first steps ended beyond 4 in 16 of the 160: gradients of a wrong model pass through
+    its C and F, and a pseudo-linear regression is sure to find the way only where 1/C - 1/2 is positive real.
+
     Reference: Ljung, System Identification, 2nd ed., sections 11.2 to 11.6; Cao and Schwartz 2000,
-    doi:10.1016/S0005-1098(99)00174-0 (directional).
+    doi:10.1016/S0005-1098(99)00174-0 (directional); Ljung 1977, doi:10.1109/TAC.1977.1101552 (positive real C).
     """
 
     name: ClassVar[str]
@@ -121,7 +123,8 @@ class RecursiveMethod:
             rate_hz: samples per second.
             input_size: `(nu,)` typical sizes of the inputs, in their units.
             output_size: the same of the output.
-            start: the model to begin from; none begins from nothing.
+            start: the model to begin from; none begins from nothing, as `start_samples=0` does: the samples that
+                complete one of the first fits take as long as it.
 
         >>> import numpy as np, ultraquiet as uq
         >>> method = uq.identify.RecursiveArx(order=1, start_samples=0, offset=False)
@@ -138,16 +141,26 @@ class RecursiveMethod:
 
     def recursion_settings(self) -> RecursionSettings:
         """Return what the running estimator needs of the method."""
-        return RecursionSettings(self.batch().structure(), self.offset, self.memory_s, self.forgetting, self.reset_s)
+        batch = self.batch()
+        return RecursionSettings(
+            batch.structure(), batch.search(), self.offset, self.memory_s, self.forgetting, self.reset_s
+        )
 
     def _follow(self, record: Record | LongRecord, output: int, piece: Record) -> "Followed":
         """Follow one output through the record."""
         start, constant, start_samples = None, 0.0, 0
         if self.start_samples:
             start = self.batch().fit(ChannelData.of(piece, output), record.rate_hz).model
-            constant, start_samples = constant_at_output(start, piece, output) if self.offset else 0.0, piece.samples
+            constant = constant_at_output(start, piece.inputs, piece.outputs[output]) if self.offset else 0.0
+            start_samples = piece.samples
         sizes = piece.inputs.std(axis=1), float(piece.outputs[output].std())
-        running = Recursion(self.recursion_settings(), record.rate_hz, *sizes, start, start_samples, constant)
+        longest = min(LONGEST, record.samples // 2)
+        running = Recursion(self.recursion_settings(), record.rate_hz, *sizes, start, start_samples, constant, longest)
+        if record.samples <= running.judged_from:
+            raise InputError(
+                f"{type(self).__name__}: all {record.samples} samples of the record go into the first model, and none "
+                f"is left to judge it by; record more than {running.judged_from}, or lower the order."
+            )
         lags = min(one_fit.TEST_LAGS, (record.samples - running.judged_from) // 10)
         sums, points = Lagged(1 + len(record.actuators), lags), []
         title = f"{self.name} of {record.sensors[output].name}"

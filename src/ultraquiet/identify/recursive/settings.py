@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ultraquiet.identify.prediction_error.fit import Search
 from ultraquiet.identify.prediction_error.structure import Structure
 
 FORGETTING = ("exponential", "directional")
@@ -14,6 +15,7 @@ class RecursionSettings:
     """The structure that is followed, and how its past is forgotten; `RecursiveMethod` says what each setting means."""
 
     structure: Structure
+    search: Search
     offset: bool
     memory_s: float | None
     forgetting: str
