@@ -14,6 +14,7 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError, PolynomialMethod
 from ultraquiet.identify.prediction_error import fit as one_fit
+from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.long_record import simulated_fit
 from ultraquiet.identify.recursive.beginning import LONGEST, constant_at_output
 from ultraquiet.identify.recursive.estimator import Recursion
