@@ -73,9 +73,7 @@ def benches_and_adaptive_laws():
     plant = damped_plant(1)
     for method in (AdaptiveFeedforward(tones_hz=(60.0,)), YoulaKucera(tones_hz=(60.0,)), FilteredXLms(taps=20)):
         law = method.design(plant).law
-        rows = np.ones((len(plant.C), 50))
-        for k in range(50):
-            law.step(rows[:, k])  # as loops hand readings over, a column of a record
+        for _ in range(50):
             law.step(np.ones(len(plant.C)))
 
 

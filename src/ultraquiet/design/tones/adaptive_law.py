@@ -81,7 +81,8 @@ class AdaptiveLaw:
         Raises:
             InputError: another number of readings.
         """
-        readings = np.asarray(y, dtype=np.float64).reshape(-1)
+        # A fresh array: loops hand columns over, and every layout would be compiled for again.
+        readings = np.array(y, dtype=np.float64, order="C").reshape(-1)
         if readings.size != self._inner.first.D.shape[1]:
             raise InputError(f"{self._who}: takes {self._inner.first.D.shape[1]} readings, got {readings.size}.")
         sound = bool((np.abs(readings) <= BELIEVED_V).all())  # not a number is not less than anything
