@@ -94,6 +94,24 @@ def test_noise_makes_no_poles(seed, rng):
     assert np.median(error) < 0.03
 
 
+def test_a_hold_leaves_one_of_three_zeros_at_dc():
+    """The bench's own response, without noise: asked for all three of eq. (10), the lowest lines cannot be met."""
+    truth = uq.bench.Hexapod(unit="ground").linear_model()
+    f = np.geomspace(1, 1700, 400)
+    low = np.geomspace(1, 4, 20)
+    T = np.moveaxis(truth.frequency_response(low), 2, 0)
+    errors = {}
+    for zeros in (1, 3):
+        fit = uq.identify.Rational(order=16, zeros_at_dc=zeros).identify_response(response(truth, f), RATE_HZ)
+        G = np.moveaxis(fit.model.frequency_response(low), 2, 0)
+        errors[zeros] = np.linalg.norm(np.linalg.solve(T, G - T), 2, axis=(1, 2)).max()
+    print(f"worst direction off over 1-4 Hz: {errors[1]:.1%} with one zero at z = 1, {errors[3]:.0%} with three")
+    assert errors[1] < 0.03
+    assert errors[3] > 1.0
+    still, slow = (np.linalg.norm(truth.frequency_response(np.array([f_hz]))) for f_hz in (0.01, 0.02))
+    assert abs(slow / still - 2.0) < 0.01
+
+
 def test_periodic_response_measures_noise_beside_it(rng):
     plant, _ = random_modal(rng, 3, 1, 1)
     signal = uq.signals.Multisine(start_hz=10, stop_hz=1500, period_samples=3500, peak_v=10.0)

@@ -66,7 +66,9 @@ class Rational:
         floor: relative error below which precision is not worth having.
         most_lines: lines used at most, half of them spaced evenly in frequency and half in its logarithm.
         rank_tolerance: residue directions that matter less than this share of the response are left out.
-        zeros_at_dc: zeros that physics puts at z = 1 in every channel: three for a stack seen by a geophone, eq. (10).
+        zeros_at_dc: zeros that every channel is known to have at z = 1. Of several at s = 0 a hold leaves one;
+            the images of the spectrum move the rest: one of the three of eq. (10) stays. More would bend the lowest
+            lines.
 
     >>> rng = np.random.default_rng(0)
     >>> u = rng.standard_normal((1, 8000))
