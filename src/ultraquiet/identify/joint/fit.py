@@ -137,7 +137,7 @@ def residual_tests(problem: Problem, residuals: Sequence[FloatArray], members: S
         lags_all += lags
         free += [portmanteau.cross_correlation(e, x, lags).p_value for x in u]
     white = float(chdtrc(lags_all, total))
-    return white, 1.0 - (1.0 - min(free)) ** len(free)
+    return white, portmanteau.sidak(free)
 
 
 def _group_fit(

@@ -209,9 +209,7 @@ def residual_tests(e: FloatArray, u: FloatArray, structure: Structure) -> tuple[
     lags = min(TEST_LAGS, e.size // 10)
     noise = structure.a + structure.c + structure.d
     white = portmanteau.ljung_box(e, lags, noise).p_value
-    # Least of nu independent p-values: Sidak's correction keeps the error rate of one test.
-    least = min(portmanteau.cross_correlation(e, x, lags).p_value for x in u)
-    return white, 1.0 - (1.0 - least) ** u.shape[0]
+    return white, portmanteau.sidak(portmanteau.cross_correlation(e, x, lags).p_value for x in u)
 
 
 def model_of(found: "Found", structure: Structure, data: ChannelData, rate_hz: float) -> PolynomialModel:

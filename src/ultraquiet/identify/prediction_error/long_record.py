@@ -288,10 +288,10 @@ def _evidence(point: LongRecordPoint, structure: Structure, fitted: tuple[bool, 
     data.products(point.table, point.past(), still, point.title, lambda u, _, e: sums.add(np.vstack([e[None], u])))
     r = sums.products(centred=True) / n
     white = portmanteau.ljung_box_of(r[1:, 0, 0] / r[0, 0, 0], n, structure.a + structure.c + structure.d).p_value
-    least = min(
+    free = portmanteau.sidak(
         portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
     )
-    return white, 1.0 - (1.0 - least) ** (r.shape[1] - 1)
+    return white, free
 
 
 def simulated_fit(record: LongRecord, output: int, model: PolynomialModel, offset: bool = True) -> float:
