@@ -77,7 +77,7 @@ def benches_and_adaptive_laws():
             law.step(np.ones(len(plant.C)))
 
 
-GROUPS = ((prediction_error,), (benches_and_adaptive_laws, subspace_and_recursion))
+GROUPS = ((prediction_error, subspace_and_recursion), (benches_and_adaptive_laws,))
 
 
 def compile_group(number):

@@ -8,6 +8,9 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, Ended, minimise
 from ultraquiet.identify.prediction_error.signals import FilteredSignals
 
+# Stages of a point, as `kernels.point` counts them.
+RESIDUAL, GRADIENT, END = 0, 2, 3
+
 
 class InMemory:
     """One output of a record with its inputs and the workspace in which its residual and products are formed.
@@ -33,27 +36,13 @@ class InMemory:
 
     def loss(self, table: FloatArray) -> float:
         """Return the mean square of the residual of a table, past and constant fitted."""
-        from ultraquiet.identify.prediction_error.kernels.filters import filtered
-        from ultraquiet.identify.prediction_error.kernels.normal_equations import add_products, damped_step
-        from ultraquiet.identify.prediction_error.kernels.table import add_expanded
-
         if table is self._table:
             return self._loss
         self._table = None
-        s, work = self.signals, self._workspace()
-        first, stop = s.head, s.head + self.samples
-        coefficients = s.with_table(table)
-        filtered(s.model, coefficients, work, first, stop)
-        q = s.unknown_past
-        if q:
-            G = np.zeros((q + 1, q + 1))
-            add_products(work, s.nuisance, 0, first, stop, G)
-            self._known = G[:q, :q]
-            x, _ = damped_step(G, 0.0)
-            add_expanded(x, 1.0, s.states, coefficients)
-            filtered(s.past, coefficients, work, first, stop)
-        e = work[s.e, first:]
-        self._coefficients, self._table, self._loss = coefficients, table, float(np.dot(e, e) / self.samples)
+        self._coefficients = self.signals.with_table(table)
+        self._known = np.zeros((self.signals.unknown_past,) * 2)
+        total, _ = self._evaluated(RESIDUAL, GRADIENT)
+        self._table, self._loss = table, total / self.samples
         return self._loss
 
     def residual(self, table: FloatArray) -> FloatArray:
@@ -63,18 +52,25 @@ class InMemory:
 
     def normal(self, table: FloatArray) -> FloatArray:
         """Return [J e]'[J e] of a table in the delta basis, past and constant eliminated."""
-        from ultraquiet.identify.prediction_error.kernels.filters import filtered
-        from ultraquiet.identify.prediction_error.kernels.normal_equations import add_products, reduced
-
         self.loss(table)
-        s, work = self.signals, self._workspace()
-        first, stop, q = s.head, s.head + self.samples, s.unknown_past
-        filtered(s.gradient, self._coefficients, work, first, stop)
-        width = int(s.columns[:, 2].sum())
-        G = np.zeros((width, width))
-        G[:q, :q] = self._known
-        add_products(work, s.columns, q, first, stop, G)
-        return reduced(G, q)
+        return self._evaluated(GRADIENT, END)[1]
+
+    def _evaluated(self, first: int, last: int) -> tuple[float, FloatArray]:
+        from ultraquiet.identify.prediction_error.kernels.point import evaluated
+
+        s = self.signals
+        return evaluated(
+            (first, last),
+            (s.model, s.past, s.gradient),
+            (s.nuisance, s.nuisance[:0], s.columns),
+            s.states,
+            self._coefficients,
+            self._known,
+            self._workspace(),
+            s.e,
+            s.head,
+            s.head + self.samples,
+        )
 
     def _workspace(self) -> FloatArray:
         if self._work is None:
