@@ -21,6 +21,7 @@ OPS = (
     "UPDATE",
     "SPEND",
     "POKE",
+    "JUMP",
     "EXCITE",
     "NARROW",
     "ATTACH",
@@ -117,8 +118,9 @@ def script_calls(law: Law, quiet: float, loud: float) -> list[tuple[str, int, fl
     ]
     for channel in range(law.outputs):
         text += [f"INIT 0\nENABLE\nRUN 2\nNARROW {channel}\nRUN 6"]
-    some = min(law.ramp_steps, 7)
+    some, near = min(law.ramp_steps, 7), min(law.ramp_steps, 4)
     names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
+    names |= {"near": near, "near_top": law.ramp_steps - near}
     names |= {"times": law.overrun_limit - 1, "times_twice": 2 * law.overrun_limit} | _taps(law)
     calls = []
     for line in filter(None, "\n".join(text).splitlines()):
@@ -152,7 +154,7 @@ class ScriptPlayer:
         self._coefficients = numbers(law)
         self._random = 1
         self.digest = FNV_BASIS
-        self._words = np.dtype(f"<u{np.dtype(law.dtype).itemsize}")
+        self._word = np.dtype(f"<u{np.dtype(law.dtype).itemsize}")
 
     def play(self, op: str, count: int, scale: float) -> int:
         """Do one row and return the digest after it."""
@@ -164,8 +166,7 @@ class ScriptPlayer:
     def _act(self, op: str, count: int, scale: float) -> None:
         twin = self.twin
         if op == "RUN":
-            for _ in range(count):
-                self._step(self.measure(scale))
+            self._fold(self._bits(twin.run(self.measured(scale, count).T).T.ravel()))
         elif op == "INIT":
             twin.init(hook=count != 0)
         elif op == "DISABLE":
@@ -178,6 +179,8 @@ class ScriptPlayer:
             twin.overruns = MASK - count
         elif op == "POKE":
             twin.x[count] = np.inf
+        elif op == "JUMP":
+            twin.level = count
         elif op == "FRAME":
             self._fold([int(twin.frame()) for _ in range(max(count, 1))])
         elif op in ("ENABLE", "CLEAR"):
@@ -187,7 +190,7 @@ class ScriptPlayer:
         else:
             y = self.measure(scale)
             bits = SPECIAL[twin.law.precision][op]
-            y[count] = np.array([bits], self._words).view(twin.law.dtype)[0]
+            y[count] = np.array([bits], self._word).view(twin.law.dtype)[0]
             self._step(y)
 
     def _ask(self, op: str, count: int) -> None:
@@ -217,13 +220,22 @@ class ScriptPlayer:
         return v
 
     def measure(self, scale: float) -> NDArray[np.floating]:
-        """Return the next measurements of the generator."""
+        """Return the next measurements `(ny,)` of the generator."""
+        return self.measured(scale, 1)[0]
+
+    def measured(self, scale: float, steps: int) -> NDArray[np.floating]:
+        """Return the next measurements `(steps, ny)`.
+
+        The generator's k-th number from r is a^k r + c (1 + a + ... + a^(k-1)), all modulo 2^32 as unsigned words wrap.
+        """
         law = self.twin.law
-        whole_numbers = []
-        for _ in range(law.inputs):
-            self._random = (self._random * LCG_FACTOR + LCG_STEP) & MASK
-            whole_numbers.append((self._random >> 8) - HALF_RANGE)
-        return np.array(whole_numbers, law.dtype) * law.dtype(scale)
+        count = steps * law.inputs
+        powers = np.multiply.accumulate(np.full(count, LCG_FACTOR, np.uint32), dtype=np.uint32)
+        sums = np.add.accumulate(np.concatenate([np.ones(min(count, 1), np.uint32), powers[:-1]]), dtype=np.uint32)
+        random = powers * np.uint32(self._random) + sums * np.uint32(LCG_STEP)
+        self._random = int(random[-1]) if count else self._random
+        whole_numbers = (random >> np.uint32(8)).astype(np.int64) - HALF_RANGE
+        return whole_numbers.astype(law.dtype).reshape(steps, law.inputs) * law.dtype(scale)
 
     def _step(self, y: NDArray[np.floating]) -> None:
         u = self.twin.output(y)
@@ -243,15 +255,13 @@ class ScriptPlayer:
 
     def _bits(self, values: NDArray[np.floating]) -> list[int]:
         """Return 32-bit words, low half first; one word for any NaN."""
-        words = np.ascontiguousarray(values).view(self._words).tolist()
-        wide = self._words.itemsize == 8
-        folded: list[int] = []
-        for word, number in zip(words, values.tolist(), strict=True):
-            if np.isnan(number):
-                folded.append(CANONICAL_NAN)
-            else:
-                folded.extend((word & MASK, word >> 32) if wide else (word,))
-        return folded
+        numbers = np.ascontiguousarray(values)
+        words = numbers.view("<u4").reshape(numbers.size, numbers.itemsize // 4)
+        nan = np.isnan(numbers)
+        if not nan.any():
+            return words.ravel().tolist()
+        rows = zip(nan.tolist(), words.tolist(), strict=True)
+        return [word for odd, halves in rows for word in ([CANONICAL_NAN] if odd else halves)]
 
     def _fold(self, words: Iterable[int]) -> None:
         digest = self.digest

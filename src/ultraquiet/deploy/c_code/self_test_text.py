@@ -1,7 +1,9 @@
 """The words of the self-test's script, scene by scene."""
 
 # One call each: what, how many steps or which channel, and `loud` for measurements beyond the limits. `ramp` is the
-# length of the ramp, `some` a part of it, `half` of that, `last` the last channel, `middle` a state.
+# length of the ramp, `some` a part of it, `half` of that, `last` the last channel, `middle` a state. The ramp is walked
+# from end to end once in each direction; elsewhere JUMP puts the command `near` steps from its end, for at a high rate
+# a ramp has more steps than all else.
 START = """
 INIT 0
 RUN 3                 off: command zero, state at rest
@@ -35,7 +37,9 @@ UPDATE
 DISABLE
 RUN ramp+3            out, off and at rest
 ENABLE
-RUN ramp+20
+RUN some
+JUMP near_top
+RUN near+20
 """
 AFTER_BAD = """
 ENABLE                refused
@@ -53,14 +57,18 @@ UPDATE
 OUTPUT
 NOT_A_NUMBER          upon an unfinished step: its update must not advance
 DISABLE               must not turn a fault into a stop
-RUN ramp+2            the whole ramp of a fault
+RUN some
+JUMP near
+RUN near+2            the end of a fault's ramp
 CLEAR
 RUN 2
 INFINITE last         latched even when off
 RUN 2
 CLEAR
 ENABLE
-RUN ramp+10
+RUN some
+JUMP near_top
+RUN near+10
 """
 OVERFLOWS = """
 RUN 4
@@ -105,7 +113,9 @@ RUN 5
 EXCITE 0
 RUN 30 loud
 NOT_A_NUMBER 0        a fault ends it
-RUN ramp
+RUN some
+JUMP near
+RUN near
 CLEAR
 ENABLE
 RUN some+2
@@ -125,7 +135,9 @@ INIT 0
 """
 STALLS = """
 ENABLE
-RUN ramp+20
+RUN some
+JUMP near_top
+RUN near+20
 OUTPUT
 FRAME times           one overrun short of the limit
 UPDATE
@@ -144,7 +156,8 @@ FRAME 2               reaches the limit
 UPDATE
 RUN 3                 latched, ramping out
 ENABLE
-RUN ramp
+JUMP near
+RUN near
 CLEAR
 ENABLE
 RUN some+2
@@ -166,7 +179,9 @@ LOAD 3
 LOAD 4
 SWAP 1
 ENABLE
-RUN ramp+20
+RUN some
+JUMP near_top
+RUN near+20
 LOAD 0
 RUN 2                 loaded, not in use
 OUTPUT
@@ -184,13 +199,17 @@ SWAP 1
 LOAD 0
 SWAP 0                by a ramp
 RUN half
-RUN ramp              out, swapped, on its way in
-RUN ramp
+JUMP near
+RUN near+some         out, swapped, on its way in
+JUMP near_top
+RUN near
 LOAD 0
 SWAP 0
 RUN half
 DISABLE               stays out
-RUN ramp+2
+RUN some
+JUMP near
+RUN near+2
 LOAD 0
 SWAP 0                off: at once
 RUN 2
@@ -200,7 +219,9 @@ LOAD 0
 SWAP 0
 RUN 1
 NOT_A_NUMBER 0        a fault on the way
-RUN ramp+2
+RUN half
+JUMP near
+RUN near+2
 CLEAR
 RUN 2
 ATTACH                built-in coefficients again
@@ -221,9 +242,12 @@ RUN 5
 RETURNS = """
 INIT 0
 ENABLE
-RUN ramp+5
+RUN some
+JUMP near_top
+RUN near+5
 DISABLE
-RUN ramp-1
+JUMP near
+RUN near-1
 OUTPUT                the last step of the ramp out
 ENABLE
 UPDATE
