@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import re
 import signal
 import sys
 
@@ -77,11 +78,31 @@ def draws(item) -> bool:
     return bool(drawn) or getattr(getattr(item, "obj", None), "is_hypothesis_test", False)
 
 
+def leave_cases_for_the_long_run(items):
+    """Mark slow what `gate(...)` does not name of a test's cases; `make test-long` runs them all."""
+    kept, left = set(), set()
+    for item in items:
+        mark = item.get_closest_marker("gate")
+        if mark is None:
+            continue
+        case = "-".join(part for part in item.callspec.id.split("-") if not re.fullmatch(r"seed\d+|drawn", part))
+        if case in mark.args:
+            kept.add(item.function)
+        else:
+            left.add(item.function)
+            item.add_marker(pytest.mark.slow)
+    if nothing := left - kept:
+        names = ", ".join(sorted(function.__qualname__ for function in nothing))
+        raise pytest.UsageError(f"'gate' names none of the cases of {names}")
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Leave out what does not draw when asked to, say in the results what repeats a test, put long set-up first."""
     if config.getoption("--drawing"):
         config.hook.pytest_deselected(items=[item for item in items if not draws(item)])
         items[:] = [item for item in items if draws(item)]
+    leave_cases_for_the_long_run(items)
     for item in items:
         item.user_properties.append(("nodeid", item.nodeid))
         if mark := item.get_closest_marker("draws"):

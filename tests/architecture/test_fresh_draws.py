@@ -98,6 +98,7 @@ def test_the_gate_runs_the_same_cases_on_seeds_one_to_three(suite):
     assert len(said) > 50
 
 
+@pytest.mark.slow
 def test_a_seed_that_is_given_is_drawn_from_and_repeats(suite):
     found, said, printed = suite("--drawing", "--seed", "8")
     assert sorted(found) == [

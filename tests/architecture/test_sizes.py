@@ -1,6 +1,7 @@
 """What can be read at once: files, functions, folders and names, counted."""
 
 import ast
+import functools
 from collections import defaultdict
 from pathlib import Path
 from statistics import median
@@ -22,12 +23,11 @@ def named(path: Path) -> str:
     return str(path.relative_to(SRC))
 
 
+@functools.cache
 def functions():
     """Every function of the package, methods and inner ones too, with its file."""
-    for path in FILES:
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, FUNCTIONS):
-                yield path, node
+    walked = ((path, node) for path in FILES for node in ast.walk(ast.parse(path.read_text())))
+    return [(path, node) for path, node in walked if isinstance(node, FUNCTIONS)]
 
 
 def code_lines(node: ast.AST) -> int:

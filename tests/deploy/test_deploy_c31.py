@@ -142,6 +142,7 @@ def test_bits_are_those_of_the_reference_over_1000_steps(form, anti_windup, rng)
     check_bits(law_in(rng, 8, form, anti_windup, limit_v=1.0), rng, STEPS)
 
 
+@pytest.mark.gate("channels0-bank-False", "channels1-bank-delta-True")
 @pytest.mark.parametrize(("form", "anti_windup"), [("bank", False), ("bank", True), ("bank-delta", True)])
 @pytest.mark.parametrize("channels", [(1, 2, 1, 1, 1, 1), (2, 0, 1)])
 def test_bits_of_a_bank_are_those_of_the_reference(form, anti_windup, channels, rng):
@@ -173,6 +174,7 @@ def check_bits(law, rng, steps):
     assert len(counts_per_step) == 1
 
 
+@pytest.mark.gate("False-10.0", "True-25.0", "True-limit_v3")
 @pytest.mark.parametrize("limit_v", [25.0, 10.0, 3.4e38, [-25.0, 4.0], [-10.0, 1e4]])
 @pytest.mark.parametrize("anti_windup", [False, True])
 def test_a_command_beyond_the_converter_stays_at_its_end(limit_v, anti_windup, rng):
@@ -219,6 +221,7 @@ def test_a_state_that_grows_beyond_all_numbers_sends_no_other_code(rng):
     assert set(codes[2:]) == {2**15 - 1}
 
 
+@pytest.mark.gate("modal")
 @pytest.mark.parametrize("form", ["modal", "delta"])
 def test_commands_are_those_of_float64_within_the_c31s_digits(form, rng):
     law = law_in(rng, 16, form, limit_v=1e3)

@@ -76,6 +76,7 @@ def test_another_project_can_take_it_in(cmake, law_of, tmp_path):
     assert run(tmp_path / "host" / "build" / "host", folder=tmp_path).returncode == 7
 
 
+@pytest.mark.gate("cortex-m7")
 @pytest.mark.parametrize("target", list(TARGETS))
 def test_toolchain_files_build_and_run_it_on_emulated_processors(target, cmake, law_of, tmp_path):
     if TARGETS[target].family.missing_program():

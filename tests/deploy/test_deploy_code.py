@@ -38,6 +38,9 @@ def test_hundred_thousand_steps_bit_for_bit(law_of, seed, tmp_path, precision):
     assert made.tables["bit_exact"] is True
 
 
+@pytest.mark.gate(
+    "modal-True-float32", "modal-False-float64", "delta-False-float32", "schur-True-float64", "dense-False-float32"
+)
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("anti_windup", [False, True])
 @pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])

@@ -23,6 +23,7 @@ def target():
         pytest.skip(f"'{absent}' is not installed (Debian: gcc-arm-none-eabi, qemu-system-arm)")
 
 
+@pytest.mark.gate("modal-float32", "dense-float64")
 @pytest.mark.usefixtures("target")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])
@@ -82,6 +83,7 @@ def test_target_notices_a_wrong_bit(law_of, tmp_path):
     assert not count_instructions(made.law, made.folder).self_test
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("target")
 def test_instructions_grow_with_the_floor_of_the_form(law_of, tmp_path):
     """Modal form needs 14 multiply-adds a state (load, multiply, add each, so 42) and some counting."""

@@ -29,6 +29,7 @@ def damped(rng, states, inputs=3, outputs=2):
     return StateSpace(A, B, C, 0.2 * rng.standard_normal((outputs, inputs)), rate_hz=RATE_HZ)
 
 
+@pytest.mark.gate("q15-modal-l1", "q31-delta-l2")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize(("word", "form", "scaling"), EVERY)
 def test_words_of_the_code_are_the_twin_s(rng, seed, tmp_path, word, form, scaling):
@@ -58,6 +59,7 @@ def test_the_worst_measurements_reach_the_bound_and_do_not_pass_it(rng, word, fo
     assert 0.9 * law.peak < max(share) <= law.peak
 
 
+@pytest.mark.gate("q15-modal-l2", "q31-delta-l1")
 @pytest.mark.parametrize(("word", "form", "scaling"), EVERY)
 def test_noise_of_rounding_is_what_is_stated(rng, word, form, scaling):
     law = damped(rng, 8)
@@ -125,6 +127,7 @@ def test_code_has_no_floating_point_and_no_warning(rng, tmp_path, cc, word):
         assert told.returncode == 0, told.stderr
 
 
+@pytest.mark.gate("change0", "change3", "change6", "change9")
 @pytest.mark.parametrize(
     "change",
     [

@@ -97,6 +97,7 @@ def test_a_bank_with_the_state_kept_takes_effect_between_two_steps(law_of, rng, 
     assert np.abs(after).max() <= 5.01
 
 
+@pytest.mark.gate("crc", "nan")
 @pytest.mark.parametrize("spoilt", ["crc", "bit", "nan", "infinite"])
 def test_an_unsound_bank_is_refused_and_the_running_one_untouched(law_of, rng, tmp_path, spoilt):
     law = law_of(8)
@@ -150,6 +151,7 @@ def test_a_bank_that_does_not_fit_is_a_sentence(law_of, tmp_path):
         made.bank(StateSpace(slow.A, slow.B, slow.C, slow.D, rate_hz=100.0))
 
 
+@pytest.mark.gate("modal-float32", "schur-float64")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])
 def test_compiled_code_takes_the_bank_that_python_made(law_of, rng, tmp_path, cc, form, precision):
@@ -260,6 +262,7 @@ def test_taps_show_the_chosen_signals(law_of, rng, tmp_path):
     assert shown[3] == np.float32(u[3])
 
 
+@pytest.mark.slow
 def test_self_test_holds_over_many_laws(law_of, rng, tmp_path, cc):
     rows = 0
     for k in range(6):

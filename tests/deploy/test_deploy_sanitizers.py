@@ -136,6 +136,7 @@ def fuzz(made, cc, seed, steps):
     assert told.returncode == 0, told.stdout + told.stderr
 
 
+@pytest.mark.gate("modal-float32")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("form", ["modal", "schur"])
 def test_random_bits_leave_commands_within_limits(law_of, seed, tmp_path, cc, form, precision):

@@ -12,6 +12,7 @@ from ultraquiet.deploy.c_code.render import DEVIATIONS
 STRICT = ("-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-Wpedantic", "-Werror", "-Wstrict-prototypes", "-Wundef")
 
 
+@pytest.mark.gate("modal")
 @pytest.mark.parametrize("form", ["modal", "schur"])
 def test_checker_finds_no_rule_broken_but_the_accepted(law_of, tmp_path, form):
     checker = shutil.which("cppcheck")
@@ -31,6 +32,7 @@ def test_checker_finds_no_rule_broken_but_the_accepted(law_of, tmp_path, form):
     assert all(f"* Rule {rule}: " in readme for rule in DEVIATIONS)
 
 
+@pytest.mark.gate("modal-float32", "dense-float64")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense"])
 def test_compilers_warn_of_nothing(law_of, tmp_path, form, precision):

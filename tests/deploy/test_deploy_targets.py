@@ -59,6 +59,7 @@ def another(request, monkeypatch):
     return request.param
 
 
+@pytest.mark.gate("cortex-m33")
 @pytest.mark.usefixtures("emulated", "cc")
 def test_a_new_cortex_m_is_one_entry_of_the_table(another, law_of, tmp_path):
     made = generate(law_of(6, 2, 3), tmp_path / "code", form="modal", ramp_s=0.01)
@@ -78,6 +79,7 @@ def test_a_new_cortex_m_is_one_entry_of_the_table(another, law_of, tmp_path):
         assert np.array_equal(processor.run(y), twin.run(y))
 
 
+@pytest.mark.gate("cortex-m33")
 @pytest.mark.usefixtures("emulated", "cc")
 def test_makefile_and_project_build_for_the_new_one(another, law_of, tmp_path):
     made = generate(law_of(4, 2, 2), tmp_path / "code", form="modal", ramp_s=0.01)

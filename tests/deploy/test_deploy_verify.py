@@ -43,6 +43,7 @@ def loop():
     return plant, law
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("target")
 def test_the_whole_proof(loop, seed, tmp_path):
     plant, law = loop
@@ -140,6 +141,7 @@ def test_missing_cross_tools_are_named_and_the_rest_is_done(law_of, seed, tmp_pa
     assert proof.missing[0] in (tmp_path / "code" / "README.md").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("target")
 def test_a_difference_on_one_target_alone_is_found(law_of, seed, tmp_path):
     made = generate(law_of(6), tmp_path / "code", ramp_s=0.01)
@@ -179,6 +181,7 @@ def test_unknown_members_have_no_size():
     assert state_bytes("struct other { int x; };", "c") is None
 
 
+@pytest.mark.gate("cortex-m4f")
 @pytest.mark.usefixtures("target")
 @pytest.mark.parametrize("name", TARGETS)
 def test_stack_bound_holds_what_a_step_really_uses(law_of, rng, tmp_path, name):
@@ -303,6 +306,7 @@ def command(monkeypatch, capsys, folder: Path, *words):
     return code, said.out + said.err
 
 
+@pytest.mark.gate("float32")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_random_bits_find_nothing_in_the_code_and_a_missing_limit_at_once(law_of, seed, tmp_path, cc, precision):
     made = generate(law_of(6), tmp_path / "code", precision, limits_v=[[-3.0, 2.0]] * 6, ramp_s=0.01)

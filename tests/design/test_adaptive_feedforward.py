@@ -58,6 +58,7 @@ def test_a_jump_is_caught(law, bench, rng):
     assert after >= 20
 
 
+@pytest.mark.slow
 def test_without_a_tone_it_does_no_harm(law, bench, rng):
     t = seconds(8.0)
     noise = 0.3 * rng.standard_normal((6, t.size))
@@ -80,6 +81,7 @@ def test_the_command_fades_when_the_tone_ends(law, bench, rng):
     assert np.isnan(law.tones_hz).all()
 
 
+@pytest.mark.gate("ground")
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_three_tones_at_once(unit, seed, rng):
     bench = uq.bench.Hexapod(unit=unit, seed=seed)

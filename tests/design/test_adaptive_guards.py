@@ -21,6 +21,7 @@ def ground():
     return uq.bench.Hexapod(unit="ground").linear_model()
 
 
+@pytest.mark.gate("AdaptiveFeedforward")
 @pytest.mark.parametrize("method", METHODS, ids=named)
 def test_a_model_of_the_wrong_sign_brings_the_law_to_rest(method, ground, seed, rng):
     wrong = StateSpace(ground.A, -ground.B, ground.C, ground.D, ground.rate_hz)
@@ -70,6 +71,7 @@ def test_reset_forgets_everything(method, seed, rng):
     np.testing.assert_array_equal(first, np.array([law.step(row) for row in y]))
 
 
+@pytest.mark.gate("AdaptiveFeedforward")
 @pytest.mark.parametrize("method", METHODS, ids=named)
 def test_a_limit_too_small_for_the_tone_is_said_and_kept(method, ground, seed, rng):
     settings = {f: getattr(method, f) for f in method.__dataclass_fields__}

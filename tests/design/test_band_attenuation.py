@@ -77,6 +77,7 @@ def measured(seed):
     return FrequencyResponse(f, values, variance=variance)
 
 
+@pytest.mark.slow
 def test_from_records_alone(ground, seed):
     """Records of the noisy, quantised, saturating bench -> model -> controller -> the true loop."""
     fit = uq.identify.Rational(order=16, delay=2, zeros_at_dc=1).identify_response(measured(seed), 3500.0)
@@ -109,6 +110,7 @@ def test_lqg_default_quiets_the_true_bench(ground):
     assert peak <= ALLOWED_PEAK_DB
 
 
+@pytest.mark.slow
 def test_papers_weights_ask_for_nothing(ground):
     """Eqs. (15)-(17) as printed: the best controller is none, and the result shows it."""
     result = MixedSensitivity(form="paper").design(ground)

@@ -64,6 +64,7 @@ def test_tuning_serves_the_specification(heave):
     assert score.measured["attenuation_db"] > first.measured["attenuation_db"]
 
 
+@pytest.mark.gate("method0", "method1")
 @pytest.mark.parametrize("method", [LeadLag(), Notch(), Skyhook()])
 def test_a_gain_is_found_for_any_damped_plant(method, seed):
     result = method.design(problems.damped_plant(seed))

@@ -149,6 +149,7 @@ def test_other_forms_learn_too(settings, seed, rng):
     assert got >= 10
 
 
+@pytest.mark.slow
 def test_delays_suit_tones_near_the_rate(rng):
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 1000.0)
     law = YoulaKucera(basis="fir", order=4).design(plant).law

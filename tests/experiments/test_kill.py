@@ -66,7 +66,7 @@ def histogram(losses):
     return "nothing" if not words else ", ".join(words)
 
 
-@pytest.mark.parametrize("count", [200, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.slow)])
 def test_killed_while_it_streams(count, kill, tmp_path, rng):
     """Twelve channels at 3.5 kHz in real time; the count of samples handed over is told before they are written."""
     paths = [tmp_path / f"{run}.log" for run in range(count)]
@@ -205,7 +205,8 @@ class Siege:
         return sum(len(partial) for _, partial, _ in found.values())
 
 
-@pytest.mark.parametrize("sieges", [1, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("sieges", [6])
 def test_a_list_killed_while_it_runs(sieges, kill, tmp_path, rng):
     """Whole records and partial ones, no third; nothing is excited unasked, and at most 0.1 s is lost."""
     losses, whole, partial = [], 0, 0

@@ -50,6 +50,7 @@ def test_alarms_over_eighty_models(rng):
     rates(rng, 80)
 
 
+@pytest.mark.slow
 def test_power_against_orders_too_low(rng):
     """Order 4 gives up the plant's real pole at 200 Hz, which some records hardly show: it is printed alone."""
     caught = []

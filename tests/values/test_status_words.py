@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import functools
 import json
 import pickle
 import re
@@ -18,6 +19,7 @@ SRC = ROOT / "src" / "ultraquiet"
 OLD = ROOT / "tests" / "data" / "status_words_0_1.h5"
 
 
+@functools.cache
 def trees():
     return [ast.parse(path.read_text()) for path in SRC.rglob("*.py") if path.name != "status.py"]
 
