@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 MOST_INSIDE = 8  # labels; more of them would hide the lines, and stand beside the panel instead
+# Inches beside each panel for numbers and title, for a label besides, and right of all for a legend beside its panels.
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
 STYLE: "dict[RcKeyType, Any]" = {
     "font.size": 8.5,
     "axes.titlesize": 9,
@@ -34,10 +36,10 @@ def draw_svg(figure: Figure) -> str:
     from matplotlib.figure import Figure as Canvas
 
     with mpl.rc_context(STYLE):
-        canvas = Canvas(figsize=figure.size_in, layout="constrained")
         columns = figure.columns
         rows = -(-len(figure.panels) // columns)
-        grid = canvas.subplots(rows, columns, squeeze=False)
+        canvas = Canvas(figsize=figure.size_in)
+        grid = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=_margins(figure, rows))
         for k, axes in enumerate(grid.ravel()):
             if k < len(figure.panels):
                 _panel(axes, figure.panels[k])
@@ -47,6 +49,31 @@ def draw_svg(figure: Figure) -> str:
         canvas.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     text = out.getvalue()
     return text[text.index("<svg") :]
+
+
+def _margins(figure: Figure, rows: int) -> dict[str, float]:
+    """Return where panels stand, as shares of the figure.
+
+    A layout that measures every label draws the figure three times; room for the widest label is known beforehand.
+    """
+    width, height = figure.size_in
+    left = LEFT_IN + LABEL_IN * any(panel.y_label for panel in figure.panels)
+    bottom = BOTTOM_IN + LABEL_IN * any(panel.x_label for panel in figure.panels)
+    beside = BESIDE_IN if any(_labels(panel) > MOST_INSIDE for panel in figure.panels) else 0.0
+    each_width = (width - RIGHT_IN - beside) / figure.columns - left
+    each_height = height / rows - TOP_IN - bottom
+    return {
+        "left": left / width,
+        "right": 1 - (RIGHT_IN + beside) / width,
+        "wspace": left / each_width,
+        "bottom": bottom / height,
+        "top": 1 - TOP_IN / height,
+        "hspace": (TOP_IN + bottom) / each_height,
+    }
+
+
+def _labels(panel: Panel) -> int:
+    return sum(bool(line.label) for line in panel.lines)
 
 
 def _panel(axes: "Axes", panel: Panel) -> None:
@@ -66,7 +93,7 @@ def _panel(axes: "Axes", panel: Panel) -> None:
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    labels = sum(bool(line.label) for line in panel.lines)
+    labels = _labels(panel)
     if labels > MOST_INSIDE:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     elif labels:
