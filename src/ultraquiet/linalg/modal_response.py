@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Array, complex_schur
-from ultraquiet.linalg.response import _solve_triangular
+from ultraquiet.linalg.response import triangular_response
 
 # Loss of digits that is accepted for the speed; beyond it the triangular kernel is used.
 CONDITION = 1e6
@@ -28,8 +28,7 @@ class Residues(NamedTuple):
         if self.poles.size:
             out += (self.residues @ (1.0 / (z[None, :] - self.poles[:, None]))).reshape(ny, nu, z.size)
         if self.rest is not None:
-            T, b, c = self.rest
-            out += (c @ _solve_triangular(T, b, z).reshape(T.shape[0], nu * z.size)).reshape(ny, nu, z.size)
+            out += triangular_response(*self.rest, z)
         return out
 
 

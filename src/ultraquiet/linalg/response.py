@@ -7,6 +7,9 @@ from scipy.linalg import schur
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 
+NEAR = 2**17  # complex numbers that stay near the processor: 2 MB
+PANEL = 16  # rows of a triangular system solved before the others take what they know
+
 
 def points(f_hz: FloatArray, rate_hz: float | None) -> ComplexArray:
     """Return s = j 2 pi f (continuous) or z = exp(j 2 pi f / rate) (discrete)."""
@@ -26,22 +29,42 @@ def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArra
         return out
     T, Q = cast("tuple[ComplexArray, ComplexArray]", schur(A, output="complex"))
     b, c = Q.conj().T @ B, C @ Q
-    block = max(1, int(1e7 / max(1, n * nu)))  # keeps the stacked solutions below 160 MB
+    return out + triangular_response(T, b, c, z)
+
+
+def triangular_response(T: ComplexArray, b: ComplexArray, c: ComplexArray, z: ComplexArray) -> ComplexArray:
+    """Return c (z I - T)^-1 b for T in complex Schur form and each z, `(ny, nu, nz)`.
+
+    Points are taken a few at a time, so that what is solved for stays near the processor. With fewer outputs than
+    inputs the transposed system is solved, b' (z I - T')^-1 c': its states in reverse order are triangular again.
+    """
+    if c.shape[0] < b.shape[1]:
+        dual = triangular_response(T.T[::-1, ::-1], c.T[::-1], b.T[:, ::-1], z)
+        return dual.transpose(1, 0, 2)
+    (n, nu), ny = b.shape, c.shape[0]
+    out = np.empty((ny, nu, z.size), dtype=np.complex128)
+    T, block = np.ascontiguousarray(T), max(1, NEAR // max(1, n * nu))
     for start in range(0, z.size, block):
         part = z[start : start + block]
         x = _solve_triangular(T, b, part)
-        out[:, :, start : start + part.size] += (c @ x.reshape(n, nu * part.size)).reshape(ny, nu, part.size)
+        out[:, :, start : start + part.size] = (c @ x.reshape(n, nu * part.size)).reshape(ny, nu, part.size)
     return out
 
 
 def _solve_triangular(T: ComplexArray, b: ComplexArray, z: ComplexArray) -> ComplexArray:
-    """Solve (z I - T) x = b for every z by back substitution; x is `(n, nu, nz)`."""
+    """Solve (z I - T) x = b for every z by back substitution, PANEL rows at a time; x is `(n, nu, nz)`."""
     n, nu = b.shape
-    x = np.empty((n, nu, z.size), dtype=np.complex128)
-    for i in range(n - 1, -1, -1):
-        known = (T[i, i + 1 :] @ x[i + 1 :].reshape(n - i - 1, nu * z.size)).reshape(nu, z.size)
-        x[i] = (b[i, :, None] + known) / (z - T[i, i])
-    return x
+    x = np.empty((n, nu * z.size), dtype=np.complex128)
+    x.reshape(n, nu, z.size)[:] = b[:, :, None]
+    for stop in range(n, 0, -PANEL):
+        start = max(0, stop - PANEL)
+        if stop < n:
+            x[start:stop] += T[start:stop, stop:] @ x[stop:]
+        for i in range(stop - 1, start - 1, -1):
+            if i + 1 < stop:
+                x[i] += T[i, i + 1 : stop] @ x[i + 1 : stop]
+            x[i].reshape(nu, z.size)[:] /= z - T[i, i]
+    return x.reshape(n, nu, z.size)
 
 
 def simulate(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
