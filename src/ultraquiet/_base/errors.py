@@ -2,7 +2,7 @@
 
 
 class UltraquietError(Exception):
-    """Base of every error this package raises on purpose; the command line turns it into exit code 2."""
+    """Base of every error this package raises on purpose; the command line turns it into an exit code."""
 
 
 class InputError(UltraquietError, ValueError):
@@ -35,6 +35,10 @@ class NumericalError(UltraquietError, ArithmeticError):
 
 class BenchError(UltraquietError, RuntimeError):
     """A bench from outside fell silent, died, answered nonsense or was stopped by an interlock while it ran."""
+
+
+class StageError(UltraquietError, RuntimeError):
+    """A stage of a study could not do its work; those before it are kept and reused."""
 
 
 class InterlockError(BenchError):

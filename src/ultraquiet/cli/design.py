@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import method as make
 
@@ -25,7 +26,7 @@ def design(
     from rich.console import Console
 
     from ultraquiet import files
-    from ultraquiet.values import StateSpace
+    from ultraquiet.values import StateSpace, StatusWord
 
     model = files.load(plant)
     system = model if isinstance(model, StateSpace) else getattr(model, "state_space", lambda: None)()
@@ -35,9 +36,11 @@ def design(
     with bars():
         result = settings.design(system)
     if result.controller is None:
-        raise NumericalError(f"design: {result.status.sentence}")
+        error = InputError if result.status.word is StatusWord.REFUSED else NumericalError
+        raise error(f"design: {result.status.sentence}")
     target = out or plant.with_name(f"{plant.stem}-{method}.h5")
     files.save(result.controller, target, overwrite=force)
     console = Console()
     console.print(f"{result.status}", highlight=False, soft_wrap=True)
     console.print(f"{result.controller.states} states\ncontroller: {target}", highlight=False, soft_wrap=True)
+    finish(result.status)

@@ -7,6 +7,7 @@ from importlib import metadata
 from rich.console import Console
 from rich.table import Table
 
+from ultraquiet._base.errors import ToolError
 from ultraquiet._base.provenance import versions
 
 PYTHON_PARTS = ("numpy", "scipy", "numba", "h5py", "pydantic", "typer", "rich", "jinja2", "matplotlib", "pyuff")
@@ -23,7 +24,7 @@ TOOLS = (
 
 
 def doctor() -> None:
-    """Say what is installed, what is missing and how to mend it."""
+    """Say what is installed, what is missing and how to mend it; something missing that is needed ends with 1."""
     table = Table("part", "found", "for", "to mend")
     table.add_row("ultraquiet", versions()["ultraquiet"], "Python " + versions()["python"], "")
     for name in PYTHON_PARTS:
@@ -35,6 +36,9 @@ def doctor() -> None:
         table.add_row(name, path or "[yellow]missing", use, "" if path else mend)
     table.add_row("cores", str(os.cpu_count()), "identification runs on all of them", "")
     Console().print(table)
+    missing = [name for name in PYTHON_PARTS if _version(name) is None]
+    if missing:
+        raise ToolError(f"doctor: {', '.join(missing)} missing, and needed; install this package again.")
 
 
 def _version(name: str) -> str | None:

@@ -7,6 +7,7 @@ import numpy as np
 import typer
 
 from ultraquiet._base.constraints import between
+from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import method as make
 
@@ -60,6 +61,7 @@ def identify(
     console = Console()
     console.print(table)
     console.print(f"{result.status}\nmodel: {target}", highlight=False, soft_wrap=True)
+    finish(result.status)
 
 
 def _names(text: str | None) -> list[str] | None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ultraquiet._base.constraints import whole
+from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 
 if TYPE_CHECKING:
@@ -66,6 +67,9 @@ def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
     show = Console()
     show.print(_table(summary))
     show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
+    for sentence in summary.failures:
+        show.print(f"failed: {sentence}", highlight=False, soft_wrap=True, markup=False)
+    finish(summary)
 
 
 def _table(summary: "Summary") -> "Table":

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.exits.codes import finish
 
 STEPS = (1, 10)
 P_VALUES = ("p: white", "p: free of input", "p: no feedback")
@@ -51,3 +52,6 @@ def validate(
         console.print(f"p-values take the coefficients as fitted to {residuals.origin}.")
     for advice in room.advise(data, None if isinstance(system, StateSpace) else system):
         console.print(str(advice), markup=False)
+    status = room.verdict(system, comparison, residuals)
+    console.print(str(status), highlight=False, soft_wrap=True, markup=False)
+    finish(status)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.errors import BenchError
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.measure import path_of
 from ultraquiet.experiments.plan import Measurement
@@ -23,7 +23,7 @@ class State:
     file: str
 
 
-class StoppedError(UltraquietError):
+class StoppedError(BenchError):
     """A list that did not run to its end; `.states` says where each measurement stands, `.asked` who ended it.
 
     Every finished record is safe, and what was measured of the one that was broken off is kept as `NAME.partial.h5`.

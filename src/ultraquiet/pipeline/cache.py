@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, Generic, TypeVar
 
-from ultraquiet._base.errors import StorageError, UltraquietError
+from ultraquiet._base.errors import StageError, StorageError, UltraquietError
 from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet.files import archive, write_bytes
 from ultraquiet.files.names import inside
@@ -54,13 +54,20 @@ class Cache:
             kind: type of the facts, perhaps a union; a stage whose file holds another shape is computed again.
             compute: called when there is nothing to reuse.
             needs: something the stage wrote beside its values; when it is gone the stage is computed again.
+
+        Raises:
+            StageError: what `compute` raised, with the stage's name.
+            StorageError: the outcome cannot be written.
         """
         digest = content_hash(key, versions(), _code())
         kept = self._read(name, digest, kind) if needs is None or needs.exists() else None
         if kept is not None:
             return kept
         started = time.perf_counter()
-        outcome = compute()
+        try:
+            outcome = compute()
+        except UltraquietError as error:
+            raise StageError(f"study: stage '{name}' failed, those before it are kept: {error}") from error
         self._write(name, room, digest, outcome, time.perf_counter() - started)
         return outcome
 

@@ -120,7 +120,8 @@ class Stages:
         """Turn it into code, unless it adapts."""
         if adaptive:
             self.say(f"closed {name}, which adapts and is not deployed")
-            return NoCode(status="not generated: the law adapts; C99 is generated from linear laws alone.")
+            sentence = "not generated: the law adapts; C99 is generated from linear laws alone."
+            return NoCode(status=sentence, failed=False)
         settings, folder = self.study.deploy, self.cache.folder / "code"
         key = [law.hash, plant.hash, self.bench.actuators, settings, compiler()]
         compute = partial(control.deployed, name, law, plant, self.bench, folder, settings)

@@ -59,6 +59,19 @@ class Summary:
     versions: Mapping[str, str]
     seed: int
 
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """One sentence for each stage that did not come to what comes after it."""
+        lawless = [
+            f"design {name}: {each.status}" for name, each in self.design.items() if name not in self.closed_loop
+        ]
+        return (*lawless, *(f"code {name}: {each.verdict}" for name, each in self.deployment.items() if each.failed))
+
+    @property
+    def ok(self) -> bool:
+        """True when every stage ran to its end."""
+        return not self.failures
+
 
 def summarise(result: StudyResult) -> Summary:
     """Return the summary: identification, design, closed loop, deployment, limits, versions and seed."""

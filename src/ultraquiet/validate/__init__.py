@@ -8,6 +8,7 @@ from ultraquiet.validate.draws import drawn_plants
 from ultraquiet.validate.predict import innovations, predicted, simulated
 from ultraquiet.validate.residuals import ResidualTest, residual_test
 from ultraquiet.validate.uncertainty import Uncertainty, UncertaintyWeight, combined, from_covariance, from_spread
+from ultraquiet.validate.verdict import verdict
 
 __all__ = [
     "Advice",
@@ -32,4 +33,5 @@ __all__ = [
     "response_band",
     "select",
     "simulated",
+    "verdict",
 ]

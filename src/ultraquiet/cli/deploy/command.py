@@ -11,6 +11,7 @@ from ultraquiet.cli.deploy.exports import require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
 from ultraquiet.cli.deploy.table import loaded_plant, requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
+from ultraquiet.cli.exits.codes import finish
 
 
 def deploy(
@@ -64,9 +65,9 @@ def deploy(
         refuse_others(precision, word_lengths, anti_windup, budget, target, fmu, export, project, frame)
         system = None if plant is None else loaded_plant(plant)
         if word_lengths:
-            show_word_lengths(Console(), law, system)
+            finish(show_word_lengths(Console(), law, system))
         else:
-            deploy_fixed(Console(), law, folder, precision, form, system, steps)
+            finish(*deploy_fixed(Console(), law, folder, precision, form, system, steps))
         return
     require_writable(law, fmu, fmi, export)
     targets = requested_targets(target)
@@ -79,7 +80,11 @@ def deploy(
         table.add_row(*row)
     console = Console()
     console.print(table)
-    console.print(str(verified.status), highlight=False, soft_wrap=True)
-    show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
+    for status in (deployment.status, verified.status):
+        console.print(str(status), highlight=False, soft_wrap=True)
+    exported = show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
+    framed = None
     if real_time is not None:
-        show_frames(console, deployment, real_time, frames, frame_on, folder.with_name(f"{folder.name}-frame.svg"))
+        figure = folder.with_name(f"{folder.name}-frame.svg")
+        framed = show_frames(console, deployment, real_time, frames, frame_on, figure)
+    finish(deployment.status, verified.status, exported, framed)

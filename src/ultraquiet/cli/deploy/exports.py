@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ultraquiet.deploy import Deployment
-    from ultraquiet.values import StateSpace
+    from ultraquiet.values import StateSpace, Status
 
 
 def require_writable(law: "StateSpace", fmu: Path | None, fmi: str, export: list[Path] | None) -> None:
@@ -38,17 +38,20 @@ def show_exports(
     fmi: str,
     export: list[Path] | None,
     project: Path | None,
-) -> None:
-    """Write what was asked for and say where it is."""
+) -> "Status | None":
+    """Write what was asked for and say where it is; return the verdict on the FMU, if there is one."""
     from ultraquiet.deploy import export_law, write_fmu, write_project
 
     def say(*words: Any) -> None:
         console.print(*words, highlight=False, soft_wrap=True)
 
+    status = None
     if fmu is not None:
         unit = write_fmu(deployment, fmu, fmi)
-        say(f"{unit.path}: FMI {unit.version}.", unit.status.sentence)
+        status = unit.status
+        say(f"{unit.path}: FMI {unit.version}.", status.sentence)
     for path in export or []:
         say(f"{export_law(law, path)}: the law's coefficients, in float64.")
     if project is not None:
         say(f"{write_project(deployment, project)}: a project for CMake.")
+    return status

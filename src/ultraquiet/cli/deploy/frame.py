@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ultraquiet.deploy import Deployment, Frame, FrameTimes, Overload
+    from ultraquiet.values import Status
 
 C31 = "c31"
 RESTART_S = 1.0  # without overruns; long beside a ramp, short for who waits
@@ -32,8 +33,8 @@ def requested_frame(
 
 def show_frames(
     console: "Console", deployment: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path
-) -> None:
-    """Simulate frames of a deployment, print time line, table and verdict, and draw `figure` (SVG)."""
+) -> "Status":
+    """Simulate frames of a deployment, print time line, table and verdict, draw `figure` (SVG); return the verdict."""
     from rich.table import Table
 
     from ultraquiet.plot import draw_svg
@@ -51,6 +52,7 @@ def show_frames(
     except OSError as error:
         raise StorageError(f"deploy: cannot write '{figure}' ({error.strerror}).") from None
     console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+    return simulation.status
 
 
 def times_on(deployment: "Deployment", processor: str) -> "FrameTimes":

@@ -8,7 +8,7 @@ from ultraquiet._base.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ultraquiet.values import StateSpace
+    from ultraquiet.values import StateSpace, Status
 
 FIXED = ("q31", "q15")
 HEADS = ("precision", "form", "status", "error", "loop louder, dB", "bound", "noise, V", "multiply-adds", "bytes")
@@ -23,26 +23,28 @@ def refuse_others(precision: str, table: bool, *others: object) -> None:
         )
 
 
-def show_word_lengths(console: "Console", law: "StateSpace", plant: "StateSpace | None") -> None:
-    """Print what each precision and form would make of the law, in the loop when a plant is given."""
+def show_word_lengths(console: "Console", law: "StateSpace", plant: "StateSpace | None") -> "Status":
+    """Print what each precision and form would make of the law, in the loop when a plant is given; return the best."""
     from rich.table import Table
 
     from ultraquiet import deploy
 
     table = Table(*HEADS, title="word lengths")
-    for row in deploy.word_lengths(law, plant):
+    compared = deploy.word_lengths(law, plant)
+    for row in compared:
         figures = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
         cells = [
             "-" if value is None else f"{value:.2g}" if isinstance(value, float) else str(value) for value in figures
         ]
         table.add_row(row.precision, row.form, row.status.word, *cells)
     console.print(table)
+    return min((row.status for row in compared), key=lambda status: not status.ok)
 
 
 def deploy_fixed(
     console: "Console", law: "StateSpace", folder: Path, word: str, form: str, plant: "StateSpace | None", steps: int
-) -> None:
-    """Generate whole-number C99, compare it with its twin, and print one table."""
+) -> "tuple[Status, Status]":
+    """Generate whole-number C99, compare it with its twin, print one table; return what law and code came to."""
     from rich.table import Table
 
     from ultraquiet import deploy
@@ -55,3 +57,4 @@ def deploy_fixed(
     console.print(table)
     for status in (deployment.status, verified.status):
         console.print(str(status), highlight=False, soft_wrap=True)
+    return deployment.status, verified.status

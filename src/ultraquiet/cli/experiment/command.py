@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from ultraquiet.experiments import DryRun, DryStep, State
     from ultraquiet.experiments.dry import Sent
 
-INTERRUPTED = 130  # what a shell says of a process that was ended by Ctrl-C
-
 
 def experiment(
     commands: Annotated[Path, typer.Argument(metavar="LIST", help="The experiment list (TOML).")],
@@ -34,6 +32,7 @@ def experiment(
 
     from ultraquiet import experiments
     from ultraquiet._base.errors import UltraquietError
+    from ultraquiet.cli.exits.codes import ExitCode
     from ultraquiet.cli.experiment.halt import halting
     from ultraquiet.cli.experiment.watch import watching
 
@@ -61,7 +60,7 @@ def experiment(
         if any(state.status != "NOT STARTED" for state in states):
             console.print(_states(states))
         if isinstance(error, experiments.StoppedError) and error.asked:
-            raise typer.Exit(INTERRUPTED) from error
+            raise typer.Exit(ExitCode.INTERRUPTED) from error
         raise
     warned = f", {_counted(onlooker.warned, 'warning')}" if onlooker.warned else ""
     console.print(f"{_counted(len(records), 'record')} in {folder}{warned}", soft_wrap=True)

@@ -7,6 +7,16 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from ultraquiet.pipeline.facts.typed import Vector, fact
+from ultraquiet.values.status import StatusWord
+
+# Words of a proof after which code must not run.
+FAULTS = (
+    StatusWord.NOT_COMPILED,
+    StatusWord.DIFFERS,
+    StatusWord.SELF_TEST_FAILED,
+    StatusWord.UNSAFE,
+    StatusWord.UNSTABLE,
+)
 
 
 @fact
@@ -147,12 +157,18 @@ class CodeFacts:
         """What the proof of the code came to."""
         return self.verification
 
+    @property
+    def failed(self) -> bool:
+        """True where the proof found a fault; what could not be run here is none."""
+        return self.verification.partition(":")[0] in FAULTS
+
 
 @fact
 class NoCode:
-    """Stage `deploy`, where no code was generated; `status` says why."""
+    """Stage `deploy`, where no code was generated; `status` says why, `failed` whether there should be some."""
 
     status: str
+    failed: bool = True
 
     @property
     def verdict(self) -> str:

@@ -1,0 +1,1 @@
+"""What a command's exit code says."""
