@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from deploy_laws import RATE_HZ
 
-from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.errors import InputError, NumericalError, StorageError
 from ultraquiet.deploy import Frame, Processor, c31_code, generate, generate_fixed, word_lengths
 from ultraquiet.values import StateSpace
 
@@ -167,11 +167,12 @@ def test_whole_numbers_need_a_discrete_law_with_channels(tmp_path):
             generate_fixed(law, tmp_path / "code")
 
 
-def test_a_loop_that_is_unstable_as_designed_is_never_ok(tmp_path):
+def test_a_loop_that_is_unstable_as_designed_is_refused(tmp_path):
     plant = StateSpace([[1.1]], [[1.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
-    made = generate(damped(), tmp_path / "code", plant=plant)
-    assert not made.status.ok
-    assert "as designed has a pole at" in made.status.sentence
+    for make in (generate, generate_fixed):
+        with pytest.raises(NumericalError, match=r"unstable, as designed already: its largest pole is 1\."):
+            make(damped(), tmp_path / "code", plant=plant)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_needs_a_deployment_in_floating_point(tmp_path):

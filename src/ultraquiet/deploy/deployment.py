@@ -14,7 +14,8 @@ from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.output_folder import MANIFEST, manifest_text, rewrite
 from ultraquiet.deploy.c_code.plan import CodePlan, GeneratedCode
 from ultraquiet.deploy.law.coefficients import CoefficientBank, bank_for
-from ultraquiet.deploy.law.law import require_plant
+from ultraquiet.deploy.law.coordinates import balanced
+from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.toolchain.targets import TARGETS
@@ -32,7 +33,8 @@ class Deployment(GeneratedCode):
 
     `tables` holds `states`, `form`, `c31_cycles` (kernel and frame), `c31_budget`, `flash_bytes`, `ram_bytes`,
     `cortex_m7_instructions` (None unless counted), `bit_exact` (None until `verify` has compared) and more; `status`
-    is a sentence on the law, `law` holds the rounded coefficients, `designed` and `plant` what it was made from.
+    is a sentence on the law, `law` holds the rounded coefficients, `designed` and `plant` what it was made from, evenly
+    scaled, `given` the law in the coordinates it came in.
     """
 
     def __init__(
@@ -43,9 +45,11 @@ class Deployment(GeneratedCode):
         status: Status,
         designed: StateSpace | None = None,
         plant: StateSpace | None = None,
+        given: StateSpace | None = None,
     ) -> None:
         super().__init__(plan, folder)
         self.tables, self.status, self.designed, self.plant = tables, status, designed, plant
+        self.given = given
         self._library: Library | None = None
 
     @property
@@ -118,7 +122,8 @@ class Deployment(GeneratedCode):
         Raises:
             InputError: the code cannot hold them: another rate, number of channels or states.
         """
-        return bank_for(self.law, controller)
+        require_discrete(controller, self.law.name)
+        return bank_for(self.law, balanced(controller, like=self.given))
 
     def documents(self, verified: Status | None = None) -> dict[str, str]:
         """Return the texts of README and manifest as things stand."""

@@ -19,7 +19,9 @@ from ultraquiet.deploy.c_code.plan import plan_code
 from ultraquiet.deploy.deployment import Deployment
 from ultraquiet.deploy.law.anti_windup import decide_anti_windup
 from ultraquiet.deploy.law.coefficients import anti_windup_gain
-from ultraquiet.deploy.law.form_choice import FormChoice, choose, error_of, loop_radius
+from ultraquiet.deploy.law.coordinates import balanced
+from ultraquiet.deploy.law.form_choice import FormChoice, choose, error_of, require_stable
+from ultraquiet.deploy.law.kind import require_law
 from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, require_discrete, require_plant, rounded
 from ultraquiet.deploy.law.realisation import realisation
 from ultraquiet.deploy.options import C31Budget, CodeOptions, options_and_budget
@@ -41,7 +43,9 @@ def generate(
 ) -> Deployment:
     """Write a controller as C99 with its self-test and test vectors.
 
-    x+ = A x + B y + L (sat(u) - u), u = C x + D y, limited, ramped, guarded; the code needs no library.
+    x+ = A x + B y + L (sat(u) - u), u = C x + D y, limited, ramped, guarded; the code needs no library. The
+    states are first scaled evenly, by powers of two (`law.coordinates.balanced`). What may not run is refused, and
+    nothing is written.
 
     Args:
         controller: discrete law from measurements to commands, u = K y.
@@ -56,10 +60,14 @@ def generate(
             `budget_share` instead of `c31`.
 
     Returns:
-        A `Deployment`; its `status` warns of an unstable law or a large rounding error.
+        A `Deployment`; its `status` warns of a law that is itself unstable or of a large rounding error.
 
     Raises:
-        InputError: a law in continuous time, a coefficient beyond the precision, an impossible budget, bad settings.
+        InputError: a plant in place of a law, a law in continuous time, a coefficient beyond the precision, an
+            impossible budget, bad settings.
+        NumericalError: the loop with the plant is unstable with the rounded law, or rounding makes a stable law
+            unstable.
+        ToolError: the compilers at hand refuse the code.
         StorageError: the folder cannot be written or holds something else.
 
     >>> import tempfile
@@ -74,18 +82,21 @@ def generate(
     options, c31 = options_and_budget(options, c31, settings)
     require_discrete(controller, name)
     require_plant(plant)
-    maker = _maker(controller, precision, name, limits_v, plant, options)
+    require_law(controller, plant)
+    even, loop = balanced(controller), None if plant is None else balanced(plant)
+    maker = _maker(even, precision, name, limits_v, loop, options)
     require_ours(folder)
     choice, why = maker.choice(c31)
     if c31.binding:
         cycles.require_fit(choice.law, c31.cycles, 1.0 if c31.share is None else c31.share)
+    status = maker.status(choice)
     plan = plan_code(choice.law, controller.hash)
     files = render.sources(plan)
     tables = _tables(choice, c31) | {"anti_windup_because": why} | footprint(plan.law, files)
     files["vectors.csv"] = render.vectors(plan.law)
     if "c31" in options.targets:
         files |= c31_files(plan)
-    deployment = Deployment(plan, folder, tables, maker.status(choice), controller, plant)
+    deployment = Deployment(plan, folder, tables, status, even, loop, controller)
     write_folder(folder, files | deployment.documents())
     return deployment
 
@@ -149,26 +160,17 @@ class _LawMaker:
         return FormChoice(law, error, {form: error}, condition)
 
     def status(self, choice: FormChoice) -> Status:
-        """Return a sentence on the law: a loop or a law that is not stable, a large rounding error."""
-        controller, plant, law = self.controller, self.plant, choice.law
-        if plant is not None and (radius := loop_radius(plant, controller)) >= 1.0:
-            return Status(
-                StatusWord.UNSTABLE,
-                f"The loop of this plant and the controller as designed has a pole at {radius:.6f}.",
-            )
+        """Return a sentence on the law: one that is itself unstable, a large rounding error.
+
+        Raises:
+            NumericalError: a loop, or a law that was stable, that is unstable once it is rounded.
+        """
+        controller, law = self.controller, choice.law
+        require_stable(law.state_space(), controller, self.plant, f"{law.precision} coefficients in {law.form} form")
+        plant = self.plant
         if not controller.is_stable():
             return Status(
                 StatusWord.UNSTABLE, "The controller itself is unstable: it runs to its limits whenever the loop opens."
-            )
-        if not law.state_space().is_stable():
-            return Status(
-                StatusWord.UNSTABLE,
-                f"The controller is stable, its {law.precision} coefficients are not; take form='delta' or float64.",
-            )
-        if not np.isfinite(choice.error):
-            return Status(
-                StatusWord.UNSTABLE,
-                f"The loop is stable with the controller, not with its {law.precision} coefficients.",
             )
         more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
         what = "the response" if plant is None else "the loop's sensitivity"

@@ -27,8 +27,12 @@ def bounded(plant: StateSpace, laws: Mapping[str, StateSpace], band_hz: tuple[fl
     with task("limits", len(bands) + len(laws)) as progress, ThreadPoolExecutor(os.cpu_count()) as pool:
         of_bands = [pool.submit(_of_band, plant, band) for band in bands]
         of_designs = {name: pool.submit(_of_design, plant, law, band_hz) for name, law in laws.items()}
-        for job in (*of_bands, *of_designs.values()):
-            progress.advance(note=job.result().status)
+        try:
+            for job in (*of_bands, *of_designs.values()):
+                progress.advance(note=job.result().status)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # Ctrl-C waits for what runs, not for what was to run
+            raise
     designs = {name: job.result() for name, job in of_designs.items()}
     return Outcome(LimitFacts(bands=tuple(job.result() for job in of_bands), designs=designs))
 

@@ -13,6 +13,9 @@ from ultraquiet.cli.deploy.table import loaded_plant, requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
 
+# Words of a proof after which nothing is made of the code.
+NEVER_SHIPPED = ("not compiled", "differs", "self-test failed", "unsafe", "unstable")
+
 
 def deploy(
     controller: Annotated[Path, typer.Argument(help="A controller (HDF5), as `design` leaves it.")],
@@ -82,6 +85,8 @@ def deploy(
     console.print(table)
     for status in (deployment.status, verified.status):
         console.print(str(status), highlight=False, soft_wrap=True)
+    if verified.status.word in NEVER_SHIPPED:
+        finish(verified.status)
     exported = show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
     framed = None
     if real_time is not None:

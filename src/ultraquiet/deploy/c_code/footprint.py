@@ -40,6 +40,9 @@ def footprint(law: Law, files: Mapping[str, str]) -> dict[str, Any]:
 
     RAM is one state struct on a 32-bit target; flash is code and constants without the self-test; stack is that of the
     reference target, None without its compiler.
+
+    Raises:
+        ToolError: every compiler at hand refuses the code.
     """
     measured, source = _measured(law, files)
     flash = measured.flash_bytes
@@ -69,6 +72,12 @@ def footprint_on(law: Law, folder: Path, target: Target) -> Footprint:
 
 
 def _measured(law: Law, files: Mapping[str, str]) -> tuple[Footprint, str]:
+    """Return what the first compiler that takes the code makes of it, and which one that is.
+
+    Raises:
+        ToolError: there are compilers and none takes it.
+    """
+    refusal = None
     with tempfile.TemporaryDirectory(prefix="ultraquiet-") as work:
         folder = Path(work)
         for name, text in files.items():
@@ -76,25 +85,29 @@ def _measured(law: Law, files: Mapping[str, str]) -> tuple[Footprint, str]:
         target = reference_target()
         cross, size_tool = shutil.which(target.family.compiler), target.family.size_tool
         if cross is not None and shutil.which(size_tool) is not None:
-            measured = _object(law, folder, (cross, *FLAGS, *target.flags, GRAPH), size_tool)
-            if measured is not None:
-                return measured, f"{Path(cross).name} {target.flags[0]}"
+            try:
+                measured = _object(law, folder, (cross, *FLAGS, *target.flags, GRAPH), size_tool)
+                return measured, f"{Path(cross).name} {target.flags[0]}" if measured.flash_bytes is not None else ""
+            except ToolError as error:
+                refusal = error
         cc = compiler()
         if cc is not None:
             measured = _object(law, folder, (cc, *FLAGS), "size")
-            if measured is not None:
-                return measured, f"{Path(cc).name} {FLAGS[1]}"
+            return measured, f"{Path(cc).name} {FLAGS[1]}"
+    if refusal is not None:
+        raise refusal
     return Footprint(None, None), ""
 
 
-def _object(law: Law, folder: Path, command: Sequence[str], size_tool: str) -> Footprint | None:
+def _object(law: Law, folder: Path, command: Sequence[str], size_tool: str) -> Footprint:
+    """Return what an object takes; its flash is None where `size` cannot tell.
+
+    Raises:
+        ToolError: the compiler refuses the code.
+    """
     object_file = folder / "controller.o"
-    try:
-        compile_c([*command, "-c", f"{law.name}.c", "-o", object_file], folder)
-        flash = flash_of(size_tool, object_file)
-    except ToolError:
-        return None
-    return None if flash is None else Footprint(flash, _stack(object_file, law))
+    compile_c([*command, "-c", f"{law.name}.c", "-o", object_file], folder)
+    return Footprint(flash_of(size_tool, object_file), _stack(object_file, law))
 
 
 def _stack(object_file: Path, law: Law) -> int | None:

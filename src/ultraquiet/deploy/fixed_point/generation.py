@@ -16,7 +16,9 @@ from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
 from ultraquiet.deploy.fixed_point.law import FixedLaw
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.fixed_point.self_test import self_test
-from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of
+from ultraquiet.deploy.law.coordinates import balanced
+from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, require_stable
+from ultraquiet.deploy.law.kind import require_law
 from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.settings import collected
 from ultraquiet.deploy.toolchain.compiler import FLAGS
@@ -101,8 +103,10 @@ def generate_fixed(
         settings: single fields of `FixedOptions` instead of `options`.
 
     Raises:
-        InputError: a law in continuous time, one that rounding makes unstable or that loses more than `tolerance`, bad
+        InputError: a plant in place of a law, a law in continuous time, one that loses more than `tolerance`, bad
             settings.
+        NumericalError: the loop with the plant is unstable with the rounded law, or rounding makes a stable law
+            unstable.
         StorageError: the folder cannot be written or holds something else.
 
     >>> import tempfile
@@ -114,10 +118,13 @@ def generate_fixed(
     options = collected("generate_fixed", "options", options, FixedOptions, settings)
     require_discrete(controller, name)
     require_plant(plant)
+    require_law(controller, plant)
     one_of("generate_fixed", "word", word, tuple(RAMP_BITS))
     bits = options.ramp_bits(word, float(controller.rate_hz or 0))
     require_ours(folder)
-    law, error = _best(controller, word, name, plant, options, bits)
+    even, loop = balanced(controller), None if plant is None else balanced(plant)
+    law, error = _best(even, word, name, loop, options, bits)
+    require_stable(law.state_space(), even, loop, f"{law.word} coefficients in {law.form} form")
     deployment = FixedDeployment(
         law, folder, _tables(law, error), _status(law, error, plant is None, options.tolerance)
     )

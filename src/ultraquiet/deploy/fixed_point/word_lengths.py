@@ -10,7 +10,9 @@ from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
+from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, sensitivities
+from ultraquiet.deploy.law.kind import require_law
 from ultraquiet.deploy.law.law import DTYPES, Law, require_plant, rounded
 from ultraquiet.deploy.law.realisation import FORMS, realisation
 from ultraquiet.values.state_space import StateSpace
@@ -85,6 +87,8 @@ def word_lengths(
     require_plant(plant)
     if not isinstance(precisions, Sequence):
         raise InputError(f"word_lengths: 'precisions' must list some of {', '.join(PRECISIONS)}, got {precisions!r}.")
+    require_law(controller, plant)
+    controller, plant = balanced(controller), None if plant is None else balanced(plant)
     before = 0.0 if plant is None else loop_radius(plant, controller)
     if before >= 1.0:
         raise InputError(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.realisation import FORMS
 from ultraquiet.values.state_space import StateSpace
@@ -68,9 +68,11 @@ def choose(
 def error_of(rounded: StateSpace, controller: StateSpace, plant: StateSpace | None = None) -> float:
     """Return the largest relative change over frequency from the controller to what rounding left of it.
 
-    Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1, and infinity when
-    the loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
+    Without a plant max_f ||K_r - K|| / ||K||; with one max_f ||S_r - S|| / ||S||, S = (I - G K)^-1; infinity when law
+    or loop was stable and no longer is. Spectral norms; ||K|| counts at least 0.1 % of its peak.
     """
+    if controller.is_stable() and not rounded.is_stable():
+        return float("inf")
     if plant is None:
         f_hz = _grid(controller.poles(), controller.rate_hz or 0.0)
         exact, coarse = (_points_first(k.frequency_response(f_hz)) for k in (controller, rounded))
@@ -82,6 +84,27 @@ def error_of(rounded: StateSpace, controller: StateSpace, plant: StateSpace | No
     change = np.linalg.norm(coarse - exact, 2, axis=(1, 2))
     floor = max(FLOOR * float(size.max()), np.finfo(float).tiny)
     return float((change / np.maximum(size, floor)).max())
+
+
+def require_stable(rounded: StateSpace, controller: StateSpace, plant: StateSpace | None, what: str) -> None:
+    """Refuse a rounded law that upsets the loop with a plant, or is unstable where the law as designed is stable.
+
+    Raises:
+        NumericalError: with the largest pole of loop or law, as designed and rounded.
+    """
+    if plant is not None and (radius := loop_radius(plant, rounded)) >= 1.0:
+        before = loop_radius(plant, controller)
+        how = "as designed already" if before >= 1.0 else "rounded, not as designed"
+        raise NumericalError(
+            f"deploy: the loop of this plant and the law is unstable, {how}: its largest pole is {before:.9f} as"
+            f" designed, {radius:.9f} with {what}; nothing was written."
+        )
+    if controller.is_stable() and not rounded.is_stable():
+        before, after = (float(np.abs(law.poles()).max()) for law in (controller, rounded))
+        raise NumericalError(
+            f"deploy: the law is stable, not so its {what}: its largest pole is {before:.9f} as designed, {after:.9f}"
+            " rounded; nothing was written, take form='delta' or 'auto', or more digits."
+        )
 
 
 def sensitivities(controller: StateSpace, rounded: StateSpace, plant: StateSpace) -> tuple[ComplexArray, ComplexArray]:

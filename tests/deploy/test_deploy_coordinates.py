@@ -1,0 +1,232 @@
+"""What must not leave `deploy`: a law lost in its coordinates, a plant, an unstable loop, code no compiler takes."""
+
+import os
+import shutil
+
+import numpy as np
+import pytest
+import uq_command
+from deploy_laws import RATE_HZ, block, random_law
+
+from ultraquiet import files
+from ultraquiet._base.errors import InputError, NumericalError, ToolError
+from ultraquiet._base.provenance import Provenance
+from ultraquiet.deploy import generate, generate_fixed, word_lengths
+from ultraquiet.deploy.law.coordinates import balanced
+from ultraquiet.values import Channel, StateSpace
+
+F_HZ = np.geomspace(0.5, 1700.0, 60)
+
+
+def rescaled(law, scale, into=1.0, out=1.0):
+    """The law with states scaled, and inputs and outputs in other units."""
+    s = np.asarray(scale)
+    return StateSpace(
+        law.A * s[:, None] / s, into * law.B * s[:, None], out * law.C / s, into * out * law.D, law.rate_hz
+    )
+
+
+def apart(one, other):
+    a, b = (K.frequency_response(F_HZ) for K in (one, other))
+    return np.abs(a - b).max() / np.abs(a).max()
+
+
+def badly_scaled(rng, n=20):
+    """Lightly damped modes of 5 to 1600 Hz in mixed coordinates, states scaled over twelve decades."""
+    w = 2 * np.pi * np.exp(rng.uniform(np.log(5.0), np.log(1600.0), n // 2)) / RATE_HZ
+    poles = np.exp(w * (-0.02 + 1j * np.sqrt(1 - 0.02**2)))
+    A = np.zeros((n, n))
+    for k, p in enumerate(poles):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block(p)
+    T = np.linalg.qr(rng.standard_normal((n, n)))[0]
+    even = StateSpace(
+        T @ A @ T.T, 0.1 * rng.standard_normal((n, 6)), rng.standard_normal((6, n)), np.zeros((6, 6)), RATE_HZ
+    )
+    return even, rescaled(even, 10.0 ** rng.uniform(-6, 6, n))
+
+
+def shapes(rng):
+    """Laws of many kinds: full, delays in a chain, triangular, separate modes, and a gain."""
+    chain = StateSpace(np.eye(6, k=1), np.eye(6)[:, 5:], np.eye(6)[:1], [[0.0]], RATE_HZ)
+    triangle = np.triu(0.3 * rng.standard_normal((7, 7)), 1) + np.diag(rng.uniform(-0.9, 0.9, 7))
+    fallen = StateSpace(triangle, rng.standard_normal((7, 5)), rng.standard_normal((3, 7)), np.zeros((3, 5)), RATE_HZ)
+    laws = [
+        random_law(rng, n, nu, ny, mixed) for n, nu, ny in ((1, 1, 1), (8, 4, 3), (9, 3, 5)) for mixed in (True, False)
+    ]
+    return [*laws, chain, fallen, random_law(rng, 0, 2, 2)]
+
+
+@pytest.mark.three_draws
+def test_scaling_is_by_powers_of_two_and_changes_no_response(rng):
+    for law in shapes(rng):
+        for decades, into, out in ((0, 1.0, 1.0), (9, 1.0, 1.0), (30, 1e9, 1e-9), (30, 1e-9, 1e-9), (30, 1e9, 1e9)):
+            # powers of two, so that this alone changes no digit of the law
+            skewed = rescaled(law, 2.0 ** np.rint(3.3 * rng.uniform(-decades, decades, law.states)), into, out)
+            even = balanced(skewed)
+            for exact, moved in ((skewed.A, even.A), (skewed.B, even.B), (skewed.C, even.C)):
+                ratio = np.abs(moved[exact != 0] / exact[exact != 0])
+                assert np.array_equal(np.frexp(ratio)[0], np.full(ratio.shape, 0.5))  # the mantissas are untouched
+                assert np.array_equal(np.signbit(moved), np.signbit(exact))
+            assert np.array_equal(even.D, skewed.D)
+            off = apart(rescaled(law, np.ones(law.states), into, out), even)
+            assert off < 1e-11, (law.states, law.D.shape, decades, into, out, off)
+
+
+@pytest.mark.three_draws
+def test_coordinates_and_units_do_not_decide_how_large_a_state_is(rng):
+    """Whatever the states and channels were counted in, A is no larger than twice what the law was drawn with."""
+    for law in shapes(rng)[:-1]:
+        for decades, unit in ((0, 1.0), (12, 1.0), (12, 1e9), (12, 1e-9)):
+            even = balanced(rescaled(law, 10.0 ** rng.uniform(-decades, decades, law.states), unit, unit))
+            size, drawn = np.linalg.norm(even.A), np.linalg.norm(balanced(law).A)
+            assert size < 4 * drawn, (law.states, law.D.shape, decades, unit, size, drawn)
+            b, c = np.linalg.norm(even.B), np.linalg.norm(even.C)
+            assert 2**-1.01 < b / c < 2**1.01
+
+
+def test_a_badly_scaled_law_becomes_the_code_that_it_is_in_any_coordinates(rng, tmp_path, cc, monkeypatch, capsys):
+    even, bad = badly_scaled(rng)
+    told = {}
+    for name, law in (("even", even), ("bad", bad)):
+        made = generate(law, tmp_path / name)
+        told[name] = made.tables["response_error"]
+        print(f"{name}: {made.status}")
+        assert made.status.ok
+        assert made.quantised.is_stable()
+        assert apart(even, made.quantised) < 5e-3
+    assert told["bad"] < 2 * told["even"]
+    files.save(bad, tmp_path / "law.h5")
+    code, out, _ = uq_command.called(
+        monkeypatch, capsys, "deploy", tmp_path / "law.h5", "--target", "none", "--steps", "500"
+    )
+    print(out[-400:])
+    assert code == 0
+    assert "ok: All bits of 500 steps" in out
+    assert word_lengths(bad, precisions=("float32",))[0].status.ok
+
+
+def test_float64_code_of_a_badly_scaled_law_is_exact(rng, tmp_path):
+    even, bad = badly_scaled(rng)
+    assert apart(even, generate(bad, tmp_path / "code", "float64").quantised) < 1e-9
+
+
+PLANTS = {
+    "identified": {"provenance": Provenance("box-jenkins")},
+    "a bench's own": {"provenance": Provenance("bench.hexapod.linear_model")},
+    "motion comes out": {"sensors": [Channel("z", "m/s²")]},
+    "words": {"actuators": [Channel("shaker 1")], "sensors": [Channel("geophone 1")]},
+}
+
+
+@pytest.mark.parametrize("how", PLANTS)
+def test_a_plant_is_refused_in_place_of_a_law(tmp_path, how, monkeypatch, capsys):
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], RATE_HZ, **PLANTS[how])
+    calls = (
+        lambda: generate(plant, tmp_path / "c"),
+        lambda: generate_fixed(plant, tmp_path / "c"),
+        lambda: word_lengths(plant),
+    )
+    for call in calls:
+        with pytest.raises(InputError, match="this is a plant, not a law: "):
+            call()
+    files.save(plant, tmp_path / "plant.h5")
+    code, _, err = uq_command.called(monkeypatch, capsys, "deploy", tmp_path / "plant.h5", "--out", tmp_path / "c")
+    print(err)
+    assert (code, "this is a plant" in err) == (2, True)
+    assert os.listdir(tmp_path) == ["plant.h5"]
+
+
+def test_the_plant_of_the_loop_is_no_law_and_a_law_is_no_plant(tmp_path):
+    names = {"actuators": ["left", "right"], "sensors": ["near", "far"]}
+    G = StateSpace(0.9 * np.eye(2), 0.1 * np.eye(2), np.eye(2), np.zeros((2, 2)), RATE_HZ)
+    named = StateSpace(0.8 * np.eye(2), 0.1 * np.eye(2), np.eye(2), np.zeros((2, 2)), RATE_HZ, **names)
+    other = StateSpace(0.7 * np.eye(2), 0.1 * np.eye(2), np.eye(2), np.zeros((2, 2)), RATE_HZ, **names)
+    for given, plant in ((G, G), (other, named)):
+        with pytest.raises(InputError, match="this is a plant, not a law"):
+            generate(given, tmp_path / "code", plant=plant)
+    law = StateSpace(
+        0.5 * np.eye(2),
+        0.1 * np.eye(2),
+        -0.1 * np.eye(2),
+        np.zeros((2, 2)),
+        RATE_HZ,
+        ["near", "far"],
+        ["left", "right"],
+    )
+    velocity = [Channel(f"geophone {k}", "m/s") for k in (1, 2)]
+    heard = StateSpace(law.A, law.B, law.C, law.D, RATE_HZ, velocity, ["shaker 1", "shaker 2"])
+    designed = StateSpace(law.A, law.B, law.C, law.D, RATE_HZ, provenance=Provenance("Lqg"))
+    for each in (law, heard, designed):
+        assert generate(each, tmp_path / "code", plant=named).status.ok
+
+
+def test_a_law_that_rounding_makes_unstable_is_refused(tmp_path, monkeypatch, capsys):
+    law = StateSpace([[1.0 - 2e-9]], [[0.1]], [[0.1]], [[0.0]], RATE_HZ)
+    with pytest.raises(NumericalError, match=r"0\.999999998 as designed, 1\.000000000 rounded; nothing was written"):
+        generate(law, tmp_path / "code", form="modal")
+    assert generate(law, tmp_path / "kept").tables["form"] == "delta"
+    shutil.rmtree(tmp_path / "kept")
+    files.save(law, tmp_path / "law.h5")
+    words = ("deploy", tmp_path / "law.h5", "--form", "dense")
+    code, _, err = uq_command.called(monkeypatch, capsys, *words)
+    print(err)
+    assert (code, "the law is stable, not so its float32 coefficients in dense form" in err) == (1, True)
+    assert os.listdir(tmp_path) == ["law.h5"]
+
+
+def test_a_loop_that_rounding_upsets_is_refused(tmp_path, monkeypatch, capsys):
+    plant = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], RATE_HZ)
+    # y+ = 0.5 y + u with u = -(1.5 - 1e-9) y has its pole 1e-9 inside the circle; float32 holds 1.5 of it.
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-1.5 + 1e-9]], RATE_HZ)
+    files.save(law, tmp_path / "law.h5")
+    files.save(plant, tmp_path / "plant.h5")
+    for make, words in ((generate, ()), (generate_fixed, ("--precision", "q15"))):
+        with pytest.raises(NumericalError, match="unstable, rounded, not as designed"):
+            make(law, tmp_path / "code", *(["q15"] if words else []), plant=plant)
+        call = ("deploy", tmp_path / "law.h5", "--plant", tmp_path / "plant.h5", "--out", tmp_path / "code", *words)
+        code, _, err = uq_command.called(monkeypatch, capsys, *call)
+        print(err)
+        assert (code, "the loop of this plant and the law is unstable" in err) == (1, True)
+    assert sorted(os.listdir(tmp_path)) == ["law.h5", "plant.h5"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="the compilers are shell scripts")
+def test_code_that_no_compiler_takes_is_refused_and_not_written(law_of, tmp_path, monkeypatch, capsys):
+    law = law_of(4)
+    generate(law, tmp_path / "code")
+    before = (tmp_path / "code" / "manifest.json").read_bytes()
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name in ("cc", "gcc", "clang"):
+        (tools / name).write_text("#!/bin/sh\necho 'controller.c:7: error: no such thing' >&2\nexit 1\n")
+        (tools / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tools))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(ToolError, match=r"refused the generated code: .* error: no such thing"):
+        generate(law, tmp_path / "code")
+    assert (tmp_path / "code" / "manifest.json").read_bytes() == before
+    files.save(law, tmp_path / "law.h5")
+    code, _, err = uq_command.called(monkeypatch, capsys, "deploy", tmp_path / "law.h5", "--out", tmp_path / "new")
+    print(err)
+    assert (code, "no such thing" in err) == (1, True)
+    assert not (tmp_path / "new").exists()
+
+
+def test_code_that_does_not_do_what_the_law_does_ends_with_one_and_exports_nothing(
+    law_of, tmp_path, cc, monkeypatch, capsys
+):
+    from ultraquiet.deploy import deployment
+
+    real = deployment.verify_code
+
+    def spoilt(made, *words):
+        (made.folder / "controller.c").write_text("int x = ;\n")
+        return real(made, *words)
+
+    monkeypatch.setattr(deployment, "verify_code", spoilt)
+    files.save(law_of(4), tmp_path / "law.h5")
+    words = ("--target", "none", "--fmu", tmp_path / "law.fmu", "--project", tmp_path / "project")
+    code, out, err = uq_command.called(monkeypatch, capsys, "deploy", tmp_path / "law.h5", *words)
+    print(out, err)
+    assert (code, "not compiled: " in out) == (1, True)
+    assert sorted(os.listdir(tmp_path)) == ["law", "law.h5"]
