@@ -1,20 +1,24 @@
 """The stages that make controllers, put them on the bench and turn them into code."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ultraquiet import analyse, simulate
+from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
+from ultraquiet._base.registry import lookup
+from ultraquiet._base.tables import Method
 from ultraquiet.design import DesignResult
+from ultraquiet.design.verification import judged
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.loops import (
     CodeFacts,
+    DeliveredFacts,
     DeploymentFacts,
     DesignFacts,
     LoopFacts,
@@ -28,7 +32,7 @@ from ultraquiet.pipeline.facts.loops import (
 )
 from ultraquiet.pipeline.preflight import as_unit
 from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design
-from ultraquiet.values import StateSpace
+from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
 # What a study compares of every controller's code, here and on an emulated Cortex-M7; `ultraquiet deploy` takes more
@@ -36,26 +40,66 @@ from ultraquiet.values.controller import Controller
 COMPARED_STEPS, TARGETS = 5_000, ("cortex-m7",)
 
 
-def designed(name: str, plant: StateSpace, settings: Design) -> Outcome[DesignFacts]:
-    """Design one controller from the identified plant, and reduce it when the study says so."""
+def designed(name: str, plant: StateSpace, settings: Design, loop: ClosedLoop) -> Outcome[DesignFacts]:
+    """Design one controller from the identified plant, and reduce it when the study says so.
+
+    What a reduction must keep is what the study measures: the worst direction over its band, its tones, the peak, and
+    the margins. The facts are those of the law that runs, the reduced one unless it loses the loop.
+    """
     with task(f"design {name}", 1 + (settings.reduce is not None)) as progress:
-        result = settings.design.make("design").design(plant)
+        method = settings.design.make("design")
+        result = method.design(plant)
         progress.advance(note=str(result.status))
         law = result.controller
         if law is None:
             return Outcome(_design_facts(result, settings, None, 0))
-        reduction = None
-        if settings.reduce is not None:
-            reduced = settings.reduce.make("reduce").reduce(law, plant, result.weights)
-            reduction = Reduction(
-                from_states=law.states,
-                cost_before=reduced.cost_before,
-                cost_after=reduced.cost_after,
-                status=str(reduced.status),
+        if settings.reduce is None:
+            return Outcome(_design_facts(result, settings, None, law.states), {name: law})
+        reduced = _reduced(law, plant, result, settings.reduce, loop)
+        reduction = _reduction_facts(law, reduced)
+        progress.advance(note=reduction.status)
+        if reduced.status.word is not StatusWord.UNSTABLE:
+            law = reduced.controller
+            again = judged(plant, law, method, result.gamma, result.achieved, result.residuals, result.details)
+            status = result.status if not result.status.ok else again.status
+            result = replace(
+                result, status=status, peak_sensitivity_db=again.peak_sensitivity_db, margins=again.margins
             )
-            law = reduced.controller if reduced.status.ok else law
-            progress.advance(note=reduction.status)
+    if not reduced.status.ok:
+        result = replace(result, status=reduced.status)
     return Outcome(_design_facts(result, settings, reduction, law.states), {name: law})
+
+
+def _reduced(
+    law: StateSpace, plant: StateSpace, result: DesignResult, method: Method, loop: ClosedLoop
+) -> reduce.ReductionResult:
+    """Return the law with fewer states, judged by what the study measures of its loop."""
+    promised = {"band_hz": loop.band_hz, "tones_hz": tuple(loop.tones_hz)}
+    known = {f.name for f in fields(lookup("reduce", method.method))}
+    missing = {key: value for key, value in promised.items() if key in known and key not in method.settings}
+    reduced = method.make("reduce", **missing).reduce(law, plant, result.weights)
+    return reduced if missing else reduce.held(reduced, law, plant, reduce.Promise(**promised))
+
+
+def _reduction_facts(law: StateSpace, reduced: reduce.ReductionResult) -> Reduction:
+    return Reduction(
+        from_states=law.states,
+        cost_before=reduced.cost_before,
+        cost_after=reduced.cost_after,
+        before=_delivered(reduced.before),
+        after=_delivered(reduced.after),
+        ok=reduced.status.ok,
+        status=str(reduced.status),
+    )
+
+
+def _delivered(figures: reduce.Delivered | None) -> DeliveredFacts | None:
+    if figures is None:
+        return None
+    tones = {f"{tone:g}": reduction for tone, reduction in figures.tones_db.items()}
+    return DeliveredFacts(
+        peak_db=figures.peak_db, worst_direction_band_db=figures.band_db, tones_db=tones, disk=dict(figures.disk)
+    )
 
 
 def _design_facts(result: DesignResult, settings: Design, reduction: Reduction | None, states: int) -> DesignFacts:

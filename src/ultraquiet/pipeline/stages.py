@@ -99,8 +99,10 @@ class Stages:
     def _design(self, name: str, plant: StateSpace) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
-        key = [plant.hash, _key(settings.design), settings.reduce and _key(settings.reduce)]
-        compute = partial(control.designed, name, plant, settings)
+        loop = self.study.closed_loop
+        promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
+        key = [plant.hash, _key(settings.design), promised]
+        compute = partial(control.designed, name, plant, settings, loop)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome

@@ -12,6 +12,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.reduce.promises import Delivered
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
@@ -24,14 +25,17 @@ class ReductionResult:
     """The outcome of a reduction.
 
     Attributes:
-        status: `ok` when the loop is stable with the reduced system (or when no loop was asked for) and no more was
-            lost than allowed; else `unstable` or `loss`.
+        status: `ok` when the loop is stable with the reduced system (or when no loop was asked for), no more was lost
+            than allowed and what the law promised is kept; else `unstable` or `loss`.
         controller: the reduced system.
         hankel: the (weighted) Hankel values by which states were kept, largest first.
         cost_before: closed-loop norm with the full controller; nan where no loop was given.
         cost_after: the same with the reduced one, computed again from the finished controller.
         details: everything else, by name; `certificate` holds `stable`, `norm`, `before`, `after`, `loss_percent`,
             `allowed_percent`, `states`, `multiply_adds` and `budget`.
+        before, after: what the full and the reduced law deliver (peak, worst direction in the band, tones, margins),
+            where the law was designed from this plant or the promise is stated; else None.
+        broken: a phrase for each promise that the reduced law breaks.
         provenance: settings and parents.
     """
 
@@ -41,6 +45,9 @@ class ReductionResult:
     cost_before: float = float("nan")
     cost_after: float = float("nan")
     details: Mapping[str, Any] = field(default_factory=dict)
+    before: Delivered | None = None
+    after: Delivered | None = None
+    broken: tuple[str, ...] = ()
     provenance: Provenance = field(default_factory=Provenance)
 
     @property

@@ -10,7 +10,8 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
-from ultraquiet.reduce.certificate import certified, fits, judging_plant
+from ultraquiet.reduce.certificate import certified, fits, held, judging_plant
+from ultraquiet.reduce.promises import Promise
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -63,4 +64,5 @@ class Balanced:
         provenance = Provenance("Balanced", asdict(self), parents=(controller.hash,), versions=versions())
         small = renamed(joined(reduced, kept), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
-        return certified(controller, small, hankel, P=P_loop, details={"bound": bound})
+        result = certified(controller, small, hankel, P=P_loop, details={"bound": bound})
+        return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))

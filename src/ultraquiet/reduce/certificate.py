@@ -1,6 +1,7 @@
 """The certificate of a reduction: the loop closed again with the finished controller, and what that cost."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,9 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet.analyse.norms import h2_norm, hinf_norm
 from ultraquiet.linalg.cost import multiply_adds
 from ultraquiet.reduce._abstract import ReductionResult, Weights
+from ultraquiet.reduce.promises import Judge, Promise
 from ultraquiet.values.generalised import four_block, full, output_shaping
-from ultraquiet.values.interconnect import gain, lft
+from ultraquiet.values.interconnect import feedback, gain, lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -105,7 +107,30 @@ def certified(
     }
     more = {**(details or {}), "poles": poles, "certificate": proof}
     status = _verdict(controller, proof, more.get("bound"))
-    return ReductionResult(status, small, hankel, before, after, more, small.provenance or Provenance())
+    return ReductionResult(status, small, hankel, before, after, more, provenance=small.provenance or Provenance())
+
+
+def held(
+    result: ReductionResult, controller: StateSpace, plant: StateSpace, promise: Promise | None
+) -> ReductionResult:
+    """Return a reduction judged by what the full law promised; as it is where nothing was promised or no loop is left.
+
+    Args:
+        result: of a reduction; its status becomes `loss` where a promise is broken.
+        controller: the full law.
+        plant: G.
+        promise: what must be left; None where nothing is.
+    """
+    if promise is None or result.status.word is StatusWord.UNSTABLE or not feedback(plant, controller).is_stable():
+        return result
+    judge = Judge(plant, controller, promise)
+    after = judge.of(result.controller)
+    broken = judge.broken(after)
+    status = result.status
+    if broken:
+        sentence = f"{status.sentence} More than {promise.loss_db:g} dB of what was promised is lost: "
+        status = Status(StatusWord.LOSS, f"{sentence}{'; '.join(broken)}. Keep more states.")
+    return replace(result, status=status, before=judge.before, after=after, broken=broken)
 
 
 def _verdict(controller: StateSpace, proof: Mapping[str, Any], bound: float | None) -> Status:

@@ -1,10 +1,10 @@
 """Reduction of a controller by what its states do for the closed loop."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from ultraquiet._base.constraints import one_of, positive, whole
+from ultraquiet._base.constraints import frequency_array, one_of, positive, rising_band, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
@@ -12,10 +12,12 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg.cost import largest_order
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, renamed
 from ultraquiet.reduce.candidates import Candidates, ReducedLaw
-from ultraquiet.reduce.certificate import NORMS, certified, fits, judging_plant
+from ultraquiet.reduce.certificate import NORMS, certified, fits, held, judging_plant
+from ultraquiet.reduce.promises import LOSS_DB, Judge, Promise
 from ultraquiet.values.state_space import StateSpace
 
-USUAL_LOSS = 0.05  # allowed growth of the norm where neither states, nor budget, nor loss are asked for
+USUAL_LOSS = 0.05  # allowed growth of a mean square where neither states, nor budget, nor a loss are asked for
+STEPS_UP = 20  # of the states, at most, from the fewest that keep the peak, band and tones to those that keep margins
 
 
 @register("reduce", "closed-loop-weighted")
@@ -33,8 +35,13 @@ class ClosedLoopWeighted:
             channels (it stays that). None leaves the order to `budget` and `loss`.
         budget: multiply-adds that a step of the law may cost, n (ny + nu + 2) + ny nu in modal form: the largest order
             within it is taken, or with `loss` the smallest that keeps the loss, and that must fit.
-        loss: relative growth of the closed-loop norm allowed. Alone it finds the fewest states; 0.05 when none of
-            `states`, `budget` and `loss` is given. A result that costs more has the status `loss`.
+        loss: relative growth of the closed-loop norm allowed. Alone it finds the fewest states. A result that costs
+            more has the status `loss`.
+        loss_db: what may be lost, in dB, of the peak of S, of the worst direction over the band and at each tone; a
+            tenth of the disk margins at both ends may go with it. Without `states`, `budget` and `loss` it finds the
+            fewest states. A result that breaks more of what the law was designed for has the status `loss`.
+        band_hz, tones_hz: what is promised; as the law's own design states it when absent, and without a statement the
+            band is where the loop quietens every direction by half of what it reaches at best, in dB.
         method: `perturbation` (gain at 0 Hz kept) or `truncation`, whichever is tried first.
         norm: `peak` (H-infinity) or `mean-square` (H2, what LQG minimises).
         steps: most steps of each descent; 0 leaves the projection as it is.
@@ -51,6 +58,9 @@ class ClosedLoopWeighted:
     states: int | None = None
     budget: int | None = None
     loss: float | None = None
+    loss_db: float = LOSS_DB
+    band_hz: tuple[float, float] | None = None
+    tones_hz: tuple[float, ...] = ()
     method: str = "perturbation"
     norm: str = "peak"
     steps: int = 150
@@ -65,6 +75,10 @@ class ClosedLoopWeighted:
             raise InputError(f"{who}: give 'states' or 'budget', got {self.states} and {self.budget}.")
         if self.loss is not None:
             positive(who, "loss", self.loss)
+        positive(who, "loss_db", self.loss_db, "dB")
+        if self.band_hz is not None:
+            rising_band(who, self.band_hz)
+        frequency_array(who, self.tones_hz)
         one_of(who, "method", self.method, METHODS)
         one_of(who, "norm", self.norm, NORMS)
         whole(who, "steps", self.steps, 0)
@@ -95,13 +109,17 @@ class ClosedLoopWeighted:
         fits("ClosedLoopWeighted", controller, plant)
         tried = Candidates(judging_plant(plant, weights), controller, self.method, self.norm)
         nothing = self.states is None and self.budget is None and self.loss is None
-        allowed = USUAL_LOSS if nothing else self.loss
-        best = self._chosen(tried, controller, allowed)
+        promise = self._promise(controller, plant, nothing)
+        allowed = USUAL_LOSS if nothing and promise is None else self.loss
+        if nothing and promise is not None:
+            best = _fewest_that_keep(tried, controller, Judge(plant, controller, promise))
+        else:
+            best = self._chosen(tried, controller, allowed)
         provenance = Provenance(
             "ClosedLoopWeighted", asdict(self), parents=(controller.hash, plant.hash), versions=versions()
         )
         small = renamed((best.system.A, best.system.B, best.system.C, best.system.D), controller, provenance)
-        return certified(
+        result = certified(
             controller,
             small,
             best.hankel,
@@ -112,6 +130,16 @@ class ClosedLoopWeighted:
             budget=self.budget,
             details={"way": best.way},
         )
+        return held(result, controller, plant, promise)
+
+    def _promise(self, controller: StateSpace, plant: StateSpace, choosing: bool) -> Promise | None:
+        """Return what is to be kept: as stated here, else as the law's design states it; some where it must choose."""
+        own = Promise.of(controller, plant, self.loss_db)
+        if self.band_hz is not None or self.tones_hz:
+            stated = own or Promise(loss_db=self.loss_db)
+            return replace(stated, band_hz=self.band_hz or stated.band_hz, tones_hz=self.tones_hz or stated.tones_hz)
+        chosen_by_db = choosing and self.norm == "peak"
+        return own or (Promise(loss_db=self.loss_db) if chosen_by_db else None)
 
     def _chosen(self, tried: Candidates, controller: StateSpace, allowed: float | None) -> ReducedLaw:
         nu, ny = controller.D.shape
@@ -148,3 +176,20 @@ class ClosedLoopWeighted:
             else:
                 low = middle
         return best
+
+
+def _fewest_that_keep(tried: Candidates, controller: StateSpace, judge: Judge) -> ReducedLaw:
+    """Return the fewest states that break no promise: by bisection on what is quick to judge, then up for margins."""
+    low, high, best = -1, controller.states, tried.projected(controller.states)
+    while high - low > 1:
+        middle = (low + high) // 2
+        trial = tried.projected(middle)
+        if np.isfinite(trial.cost) and not judge.broken(judge.of(trial.system, margins=False)):
+            high, best = middle, trial
+        else:
+            low = middle
+    step = max(1, controller.states // STEPS_UP)
+    while high < controller.states and not (np.isfinite(best.cost) and not judge.broken(judge.of(best.system))):
+        high = min(high + step, controller.states)
+        best = tried.projected(high)
+    return best

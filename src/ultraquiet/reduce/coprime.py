@@ -14,7 +14,8 @@ from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import continuous_riccati, discrete_riccati, lyapunov, stein
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, project, renamed
-from ultraquiet.reduce.certificate import certified, fits, judging_plant
+from ultraquiet.reduce.certificate import certified, fits, held, judging_plant
+from ultraquiet.reduce.promises import Promise
 from ultraquiet.values.state_space import StateSpace
 
 SIDES = ("left", "right")
@@ -65,9 +66,10 @@ class CoprimeFactors:
         provenance = Provenance("CoprimeFactors", asdict(self), parents=(controller.hash,), versions=versions())
         small = renamed(quotient((a, b, c, d), controller.D.shape[1]), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
-        return certified(
+        result = certified(
             controller, small, hankel, P=P_loop, details={"gap_bound": 2 * float(np.sum(hankel[self.states :]))}
         )
+        return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
 
 
 def normalised_left(K: StateSpace) -> Matrices:

@@ -39,18 +39,31 @@ class RecoveryFacts:
 
 
 @fact
+class DeliveredFacts:
+    """What a law does for the loop with the design model, see `reduce.Delivered`; `tones_db` by frequency, in Hz."""
+
+    peak_db: float
+    worst_direction_band_db: float | None
+    tones_db: Mapping[str, float]
+    disk: Mapping[str, float]
+
+
+@fact
 class Reduction:
-    """What reducing a controller did to the closed-loop cost."""
+    """What reducing a controller did to its loop; `ok` where nothing that was promised is lost."""
 
     from_states: int
     cost_before: float
     cost_after: float
+    before: DeliveredFacts | None = None
+    after: DeliveredFacts | None = None
+    ok: bool = True
     status: str
 
 
 @fact
 class DesignSummary:
-    """A controller in short; `states` are those that a reduction has left."""
+    """The law that runs, in short: `gamma` and `achieved` are of its design, all else is of what a reduction left."""
 
     method: str
     status: str

@@ -30,7 +30,26 @@ def design(result: StudyResult) -> Section:
         rows.append((name, facts.method, facts.states, *(_number(figure) for figure in figures)))
         sentences.append(f"{name}: {' '.join([facts.status, *_remarks(facts)])}")
     columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
-    return Section("Design", sentences, [Table("Controllers, on the design model, before reduction", columns, rows)])
+    caption = "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction"
+    tables = [Table(caption, columns, rows), *_reductions(result)]
+    return Section("Design", sentences, tables)
+
+
+def _reductions(result: StudyResult) -> list[Table]:
+    """Return what each reduction left of what its law promised: a line before, a line after."""
+    rows: list[tuple[object, ...]] = []
+    for name, outcome in result.designs.items():
+        reduction = outcome.facts.reduction
+        if reduction is None or reduction.before is None or reduction.after is None:
+            continue
+        states = (reduction.from_states, outcome.facts.states)
+        for when, n, d in zip(("before", "after"), states, (reduction.before, reduction.after), strict=True):
+            band = "-" if d.worst_direction_band_db is None else _number(d.worst_direction_band_db, 1)
+            tones = ", ".join(f"{_number(db, 1)} at {f} Hz" for f, db in d.tones_db.items())
+            margins = ", ".join(f"{end} {_number(alpha, 3)}" for end, alpha in d.disk.items())
+            rows.append((name, when, n, _number(d.peak_db, 1), band, tones, margins))
+    columns = ("controller", "reduction", "states", "peak of S", "worst direction in band", "at tones", "disk margins")
+    return [Table("What each reduction left, on the design model, dB", columns, rows)] if rows else []
 
 
 def _remarks(facts: DesignFacts) -> list[str]:

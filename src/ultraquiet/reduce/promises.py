@@ -1,0 +1,125 @@
+"""What a law promised its loop, and whether the law that runs in its place keeps it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.analyse.disk import disk_margin
+from ultraquiet.analyse.margins import default_grid, peak_sensitivity
+from ultraquiet.values.interconnect import sensitivity
+from ultraquiet.values.state_space import StateSpace
+
+LOSS_DB = 0.5  # of the peak, of the band and of each tone: what may be lost unasked
+MARGIN_SHARE = 0.1  # of a disk margin, likewise
+# Without a stated band: where the loop quietens every direction by half of what it does at best, if that is audible.
+QUIET_SHARE, AUDIBLE_DB = 0.5, 3.0
+ENDS = ("input", "output")
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a reduction must leave of a loop.
+
+    At most `loss_db` may be lost in its peak, in its worst direction over the band and at every tone that it quietens,
+    at most `margin_share` of its disk margins at both ends. Without a band that is where the loop quietens every
+    direction by half of what it reaches at best, in dB.
+    """
+
+    band_hz: tuple[float, float] | None = None
+    tones_hz: tuple[float, ...] = ()
+    loss_db: float = LOSS_DB
+    margin_share: float = MARGIN_SHARE
+
+    @classmethod
+    def of(cls, controller: StateSpace, plant: StateSpace, loss_db: float = LOSS_DB) -> "Promise | None":
+        """Return what a law's own design stated for this plant; None for a law that was not designed from it."""
+        made = controller.provenance
+        if plant.hash not in made.parents:
+            return None
+        band, tones = made.settings.get("band_hz"), made.settings.get("tones_hz") or ()
+        return cls(None if band is None else (float(band[0]), float(band[1])), tuple(map(float, tones)), loss_db)
+
+
+@dataclass(frozen=True, eq=False)
+class Delivered:
+    """What a law does for its loop on the design model.
+
+    In dB: the largest amplification of any direction at any frequency, the reduction of the worst direction over the
+    band (None without one) and at each tone (Hz); and the disk margin of each end, all channels at once.
+    """
+
+    peak_db: float
+    band_db: float | None
+    tones_db: Mapping[float, float]
+    disk: Mapping[str, float] = field(default_factory=dict)
+
+
+class Judge:
+    """Compares laws on one plant with the one that made the promise."""
+
+    def __init__(self, plant: StateSpace, controller: StateSpace, promise: Promise) -> None:
+        self._plant, self.promise = plant, promise
+        S = sensitivity(plant, controller)
+        self._f = np.union1d(default_grid(S), promise.band_hz or ())
+        self._quiet = _quiet(self._f, _largest(plant, controller, self._f)) if promise.band_hz is None else None
+        self.before = self.of(controller)
+
+    def of(self, law: StateSpace, margins: bool = True) -> Delivered:
+        """Return what a law delivers; without `margins` in a tenth of the time, its peak as far as lines show it."""
+        own = default_grid(sensitivity(self._plant, law))
+        f = np.union1d(self._f, own)
+        size = _largest(self._plant, law, f)
+        band = self._in_band(f)
+        tones = np.array(self.promise.tones_hz)
+        at_tones = _largest(self._plant, law, tones) if tones.size else tones
+        return Delivered(
+            peak_db=peak_sensitivity(self._plant, law)[0] if margins else float(_db(size.max())),
+            band_db=-float(_db(size[band].max())) if band.any() else None,
+            tones_db={float(t): -float(_db(s)) for t, s in zip(tones, at_tones, strict=True)},
+            disk={end: disk_margin(self._plant, law, end) for end in ENDS} if margins else {},
+        )
+
+    def broken(self, after: Delivered) -> tuple[str, ...]:
+        """Return one phrase for each promise that a law breaks; a quiet that was none promised nothing."""
+        before, loss = self.before, self.promise.loss_db
+        said = []
+        if after.peak_db - before.peak_db > loss:
+            said.append(f"the peak rises from {before.peak_db:.1f} to {after.peak_db:.1f} dB")
+        if before.band_db is not None and after.band_db is not None and 0 < before.band_db > after.band_db + loss:
+            lost = before.band_db - after.band_db
+            said.append(f"the worst direction in the band loses {lost:.1f} of {before.band_db:.1f} dB")
+        for tone, reduction in before.tones_db.items():
+            if 0 < reduction > after.tones_db[tone] + loss:
+                said.append(
+                    f"the worst direction at {tone:g} Hz loses {reduction - after.tones_db[tone]:.1f} of"
+                    f" {reduction:.1f} dB"
+                )
+        for end, alpha in after.disk.items():
+            if alpha < (1 - self.promise.margin_share) * before.disk[end]:
+                said.append(f"the disk margin at the plant's {end} falls from {before.disk[end]:.3f} to {alpha:.3f}")
+        return tuple(said)
+
+    def _in_band(self, f: FloatArray) -> np.ndarray:
+        if self.promise.band_hz is not None:
+            low, high = self.promise.band_hz
+            return (f >= low) & (f <= high)
+        return np.interp(f, self._f, np.asarray(self._quiet, dtype=np.float64)) == 1.0
+
+
+def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
+    reduction = -_db(size)
+    best = float(reduction.max())
+    return (reduction >= QUIET_SHARE * best) & (best >= AUDIBLE_DB) & np.isfinite(f)
+
+
+def _largest(plant: StateSpace, law: StateSpace, f: FloatArray) -> FloatArray:
+    """Return the largest singular value of S = (I - G K)^-1 at each line."""
+    G, K = (np.moveaxis(each.frequency_response(f), 2, 0) for each in (plant, law))
+    loop = np.eye(G.shape[1]) - G @ K
+    return np.asarray(1.0 / np.linalg.svd(loop, compute_uv=False)[:, -1], dtype=np.float64)
+
+
+def _db(size: FloatArray | float) -> FloatArray:
+    return np.asarray(20 * np.log10(size), dtype=np.float64)
