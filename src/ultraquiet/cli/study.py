@@ -67,6 +67,10 @@ def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
     show = Console()
     show.print(_table(summary))
     show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
+    if summary.requirements is not None:
+        show.print(f"requirements of {summary.requirements.law}:", highlight=False)
+        for judged in summary.requirements.judged:
+            show.print(f"  {judged.sentence}", highlight=False, soft_wrap=True, markup=False)
     for sentence in summary.failures:
         show.print(f"failed: {sentence}", highlight=False, soft_wrap=True, markup=False)
     finish(summary)

@@ -31,7 +31,7 @@ from ultraquiet.pipeline.facts.loops import (
     UnstableLoop,
 )
 from ultraquiet.pipeline.preflight import as_unit
-from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design
+from ultraquiet.pipeline.study import Band, ClosedLoop, Deploy, Design
 from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
@@ -131,8 +131,13 @@ def adapting(plant: StateSpace, settings: Design) -> Controller | None:
     return settings.design.make("design").design(plant).law
 
 
-def closed(name: str, law: StateSpace | Controller, bench: Any, settings: ClosedLoop) -> Outcome[LoopFacts]:
-    """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction."""
+def closed(
+    name: str, law: StateSpace | Controller, bench: Any, settings: ClosedLoop, required_hz: Band | None = None
+) -> Outcome[LoopFacts]:
+    """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction.
+
+    `required_hz` is a band that something is required over and that is not the study's own.
+    """
     units: dict[str, StableLoop | UnstableLoop] = {}
     values: dict[str, Any] = {}
     for unit in settings.units:
@@ -148,7 +153,7 @@ def closed(name: str, law: StateSpace | Controller, bench: Any, settings: Closed
             # A law that runs away under a stronger disturbance is a finding about the law.
             units[unit] = UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}")
             continue
-        units[unit] = _measured(str(check.status), tones, matrix, settings)
+        units[unit] = _measured(str(check.status), tones, matrix, settings, required_hz)
         values[stored.sensitivity(name, unit)] = matrix.S
         if unit == settings.units[0]:
             for f, opened, run in zip(settings.tones_hz, tones.opened, tones.closed, strict=True):
@@ -158,7 +163,11 @@ def closed(name: str, law: StateSpace | Controller, bench: Any, settings: Closed
 
 
 def _measured(
-    status: str, tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity, settings: ClosedLoop
+    status: str,
+    tones: simulate.Attenuation,
+    matrix: simulate.MeasuredSensitivity,
+    settings: ClosedLoop,
+    required_hz: Band | None,
 ) -> StableLoop:
     low, high = settings.band_hz
     return StableLoop(
@@ -170,6 +179,7 @@ def _measured(
         worst_direction_band_db=matrix.worst_in_band_db(low, high),
         peak_amplification_db=matrix.peak_amplification_db(),
         mean_log_sensitivity_db=matrix.mean_log_db(),
+        required_band_db=None if required_hz is None else matrix.worst_in_band_db(*required_hz),
     )
 
 

@@ -9,6 +9,7 @@ from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
+from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.study import Study
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
 
@@ -28,6 +29,7 @@ class StudyResult:
     loops: Mapping[str, Outcome[LoopFacts]]
     deployment: Mapping[str, DeploymentFacts]
     limits: Outcome[LimitFacts]
+    requirements: RequirementsFacts | None = None
 
     @property
     def design_plant(self) -> StateSpace:

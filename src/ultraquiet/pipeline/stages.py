@@ -7,14 +7,15 @@ from typing import Any
 
 from ultraquiet._base.tables import Method
 from ultraquiet.deploy.toolchain.compiler import compiler
-from ultraquiet.pipeline import control, identification, limits, validation
+from ultraquiet.pipeline import control, identification, limits, requirements, validation
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
+from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Study
+from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 Say = Callable[[str], object]
@@ -60,7 +61,27 @@ class Stages:
             loops=loops,
             deployment=deployment,
             limits=self._limits(system, laws),
+            requirements=self._judge(system, laws, loops),
         )
+
+    def _required_hz(self, name: str) -> Band | None:
+        """Return the band of the requirements of a law where it is not the one that is measured anyway."""
+        asked = self.study.requirements
+        if asked is None or asked.law != name or asked.band_hz in (None, self.study.closed_loop.band_hz):
+            return None
+        return asked.band_hz
+
+    def _judge(
+        self, plant: StateSpace, laws: Mapping[str, StateSpace], loops: Mapping[str, Outcome[LoopFacts]]
+    ) -> RequirementsFacts | None:
+        """Return what came of the study's requirements, None where it has none."""
+        asked = self.study.requirements
+        if asked is None:
+            return None
+        loop, law = loops.get(asked.law), laws.get(asked.law)
+        disk = requirements.margins_of(plant, law) if law is not None and asked.disk_margin is not None else {}
+        band_hz = asked.band_hz or self.study.closed_loop.band_hz
+        return requirements.judge(asked, band_hz, None if loop is None else loop.facts.units, disk)
 
     @cached_property
     def _record_hashes(self) -> dict[str, str]:
@@ -110,11 +131,13 @@ class Stages:
     def _close(self, name: str, law: StateSpace, plant: StateSpace, adaptive: bool) -> Outcome[LoopFacts]:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
         design, settings = self.study.controllers[name], self.study.closed_loop
+        required_hz = self._required_hz(name)
         key = [law.hash, self.bench, settings, *([plant.hash, _key(design.design)] if adaptive else [])]
+        key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
             acting = control.adapting(plant, design) if adaptive else None
-            return control.closed(name, acting or law, self.bench, settings)
+            return control.closed(name, acting or law, self.bench, settings, required_hz)
 
         return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
 

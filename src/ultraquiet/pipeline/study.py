@@ -98,6 +98,22 @@ class Deploy(Strict):
     precision: Literal["float32", "float64"] = "float32"
 
 
+class Requirements(Strict):
+    """`[requirements]`: what the named law must reach on every unit of `[closed_loop]`; what is absent is not asked.
+
+    `disk_margin` is that of all channels at once, at both ends of the identified plant; the band is that of
+    `[closed_loop]` when absent.
+    """
+
+    law: str
+    band_hz: Band | None = None
+    attenuation_db: float | None = None
+    peak_db: float | None = None
+    disk_margin: Positive | None = None
+    payload_db: float | None = None
+    tones_db: float | None = None
+
+
 class Study(Strict):
     """A whole study file."""
 
@@ -109,6 +125,7 @@ class Study(Strict):
     controllers: dict[Name, Design] = Field(min_length=1)
     closed_loop: ClosedLoop = ClosedLoop()
     deploy: Deploy = Deploy()
+    requirements: Requirements | None = None
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
 
     def at(self, places: Mapping[Place, int]) -> "Study":
@@ -185,8 +202,22 @@ def parse(text: str, name: str = "study") -> Study:
     except ValidationError as error:
         mistakes.add_refusal((), error, Study)
         raise StudyError(name, mistakes.by_line()) from None
+    _check_requirements(study, mistakes)
     mistakes.refuse(StudyError, name)
     return study.at(places)
+
+
+def _check_requirements(study: Study, mistakes: Mistakes) -> None:
+    """Note a law that the study does not design, and what nothing in it measures."""
+    asked = study.requirements
+    if asked is None:
+        return
+    if asked.law not in study.controllers:
+        fault = f"there is no law '{asked.law}' among the controllers {', '.join(study.controllers)}."
+        mistakes.add(("requirements", "law"), f"requirements.law: {fault}")
+    if asked.payload_db is not None:
+        fault = "the study has no payload table, so nothing measures it; leave it away."
+        mistakes.add(("requirements", "payload_db"), f"requirements.payload_db: {fault}")
 
 
 def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes: Mistakes) -> None:

@@ -15,6 +15,7 @@ from ultraquiet.pipeline.facts.loops import (
     UnstableLoop,
 )
 from ultraquiet.pipeline.facts.models import Agreement, PaperFit, PlantFacts, PreferredModels, RankedModel
+from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import fact, finite, schema_of, to_plain
 from ultraquiet.pipeline.result import StudyResult
 
@@ -58,6 +59,7 @@ class Summary:
     limits: LimitSummary
     versions: Mapping[str, str]
     seed: int
+    requirements: RequirementsFacts | None = None
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -69,12 +71,12 @@ class Summary:
 
     @property
     def ok(self) -> bool:
-        """True when every stage ran to its end."""
-        return not self.failures
+        """True when every stage ran to its end and every requirement is met."""
+        return not self.failures and (self.requirements is None or self.requirements.ok)
 
 
 def summarise(result: StudyResult) -> Summary:
-    """Return the summary: identification, design, closed loop, deployment, limits, versions and seed."""
+    """Return the summary: identification, design, closed loop, deployment, limits, versions, seed and requirements."""
     identification = result.identification.facts
     limits = result.limits.facts
     return Summary(
@@ -94,6 +96,7 @@ def summarise(result: StudyResult) -> Summary:
         ),
         versions=versions(),
         seed=result.study.study.seed,
+        requirements=result.requirements,
     )
 
 

@@ -103,7 +103,10 @@ class ToneFacts:
 
 @fact
 class StableLoop:
-    """A loop that settled on the bench; `tones` by frequency, in Hz."""
+    """A loop that settled on the bench; `tones` by frequency, in Hz.
+
+    `required_band_db` is the worst direction over the band of the requirements, where that is another one.
+    """
 
     stable: Literal[True] = True
     status: str
@@ -114,6 +117,7 @@ class StableLoop:
     worst_direction_band_db: float
     peak_amplification_db: float
     mean_log_sensitivity_db: float
+    required_band_db: float | None = None
 
 
 @fact

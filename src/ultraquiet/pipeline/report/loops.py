@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, paper
 from ultraquiet.report import Section, Table
@@ -82,7 +83,27 @@ def closed_loop(result: StudyResult) -> Section:
     ]
     curves = _curves(result)
     figures = [paper.sensitivity(curves, settings.band_hz)] if curves else []
-    return Section("Closed loop", text, [table], [*figures, *_time_responses(result)])
+    tables = [table, *_requirements(result.requirements)]
+    return Section("Closed loop", text, tables, [*figures, *_time_responses(result)])
+
+
+def _requirements(facts: RequirementsFacts | None) -> list[Table]:
+    """Return what the study asked of its law and what came of it."""
+    if facts is None:
+        return []
+    low, high = facts.band_hz
+    rows = [
+        (
+            each.requirement,
+            each.where,
+            f"{each.asked:g}",
+            "-" if each.figure is None else _number(each.figure, 3),
+            "met" if each.met else "missed",
+        )
+        for each in facts.judged
+    ]
+    caption = f"Required of {facts.law}, worst direction over {low:g}-{high:g} Hz, disk margins on the design model"
+    return [Table(caption, ("requirement", "where", "asked", "found", "verdict"), rows)]
 
 
 def _loops(result: StudyResult) -> Iterator[tuple[str, str, StableLoop | UnstableLoop]]:

@@ -1,0 +1,82 @@
+"""Are a study's requirements met? Judged from facts, for the law they name, on every unit."""
+
+from collections.abc import Iterator, Mapping
+
+from ultraquiet import analyse
+from ultraquiet._base.errors import InputError
+from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
+from ultraquiet.pipeline.study import Band, Requirements
+from ultraquiet.values import StateSpace
+
+Units = Mapping[str, StableLoop | UnstableLoop]
+ENDS = ("input", "output")
+# Each requirement with its unit and whether more of it is better.
+MEASURED = {"attenuation_db": (" dB", True), "peak_db": (" dB", False), "tones_db": (" dB", True)}
+SAYS = {
+    "attenuation_db": "reduction of the worst direction over {low:g}-{high:g} Hz",
+    "peak_db": "largest amplification of any direction",
+    "tones_db": "reduction of the worst channel at the worst tone",
+    "disk_margin": "disk margin of all channels at once at the plant's {where}",
+}
+
+
+def judge(asked: Requirements, band_hz: Band, units: Units | None, disk: Mapping[str, float]) -> RequirementsFacts:
+    """Return every requirement with its figure and its verdict.
+
+    Args:
+        asked: the study's `[requirements]`; what is None is not asked.
+        band_hz: over which the worst direction counts.
+        units: how the law's loop did on the bench of each unit; None where there is no law of that name, or no loop.
+        disk: disk margins of the design model's loop by end, all channels at once.
+
+    What was not measured, because a loop is unstable or was never closed, is missed.
+    """
+    judged = list(_measured(asked, band_hz, units))
+    if asked.disk_margin is not None:
+        for end in ENDS:
+            judged.append(_one("disk_margin", end, asked.disk_margin, disk.get(end), band_hz))
+    return RequirementsFacts(law=asked.law, band_hz=band_hz, judged=tuple(judged))
+
+
+def margins_of(plant: StateSpace, law: StateSpace) -> dict[str, float]:
+    """Return the disk margins of a loop at both ends of its plant; none of a loop that cannot be closed."""
+    try:
+        return {end: analyse.disk_margin(plant, law, end) for end in ENDS}
+    except InputError:
+        return {}
+
+
+def _measured(asked: Requirements, band_hz: Band, units: Units | None) -> Iterator[RequirementFacts]:
+    for name in MEASURED:
+        limit = getattr(asked, name)
+        if limit is None:
+            continue
+        if not units:
+            yield _one(name, "any unit", limit, None, band_hz)
+        for unit, loop in (units or {}).items():
+            stable = isinstance(loop, StableLoop)
+            yield _one(name, unit, limit, _figure(name, loop) if stable else None, band_hz, loop.status)
+
+
+def _figure(name: str, loop: StableLoop) -> float:
+    if name == "attenuation_db":
+        own = loop.required_band_db
+        return loop.worst_direction_band_db if own is None else own
+    if name == "peak_db":
+        return loop.peak_amplification_db
+    return min(tone.reduction_db for tone in loop.tones.values())
+
+
+def _one(
+    name: str, where: str, asked: float, figure: float | None, band_hz: Band, status: str = "no loop was closed"
+) -> RequirementFacts:
+    unit, more = MEASURED.get(name, ("", True))
+    # NaN, which no comparison admits, meets nothing
+    met = figure is not None and (figure >= asked if more else figure <= asked)
+    what = SAYS[name].format(low=band_hz[0], high=band_hz[1], where=where)
+    at = "" if name == "disk_margin" else f" on {where}"
+    found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}"
+    bound = "at least" if more else "at most"
+    sentence = f"{name}: {what}{at} is {found}, {bound} {asked:g}{unit} is asked: {'met' if met else 'missed'}."
+    return RequirementFacts(requirement=name, where=where, asked=asked, figure=figure, met=met, sentence=sentence)

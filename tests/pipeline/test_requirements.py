@@ -1,0 +1,207 @@
+"""What a study asks of its law: judged for that law alone, on every unit, each miss said, with exit code 1."""
+
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import jsonschema
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet.pipeline import packaged_study
+from ultraquiet.pipeline.facts.loops import StableLoop, ToneFacts, UnstableLoop
+from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.facts.typed import finite, from_plain, schema_of, to_plain
+from ultraquiet.pipeline.report.loops import _requirements
+from ultraquiet.pipeline.requirements import judge, margins_of
+from ultraquiet.pipeline.stages import Stages
+from ultraquiet.pipeline.study import Requirements, StudyError, parse
+from ultraquiet.pipeline.summary import Summary
+from ultraquiet.values import StateSpace
+
+SUITE = Path(uq.__file__).parent / "pipeline" / "suite.toml"
+BAND_HZ = (10.0, 100.0)
+ASKED = {"attenuation_db": 20.0, "peak_db": 6.0, "disk_margin": 0.2, "tones_db": 38.0}
+
+
+def tone(reduction_db):
+    one = np.ones(1)
+    return ToneFacts(
+        reduction_db=reduction_db, paper_db=0.0, reduction_db_per_channel=one, paper_db_per_channel=one,
+        worst_direction_db=None, open_v=one, closed_v=one, floor_v=one,
+    )  # fmt: skip
+
+
+def loop(attenuation_db=21.0, peak_db=5.5, tones_db=(40.0, 38.5), required_band_db=None):
+    return StableLoop(
+        status="ok: The loop settled.",
+        tones={f"{f}": tone(db) for f, db in zip((5, 25), tones_db, strict=True)},
+        broadband_5_100_db=0.0,
+        broadband_10_60_db=0.0,
+        band_hz=BAND_HZ,
+        worst_direction_band_db=attenuation_db,
+        peak_amplification_db=peak_db,
+        mean_log_sensitivity_db=0.0,
+        required_band_db=required_band_db,
+    )
+
+
+GOOD = {"ground": loop(), "flight": loop(20.0, 6.0, (38.0, 50.0))}
+DISK = {"input": 0.2, "output": 0.31}
+# Requirement -> where it is missed, what is measured there, and the words that must be said.
+MISSES = {
+    "attenuation_db": (
+        "flight",
+        {"attenuation_db": 19.9},
+        "on flight is 19.9 dB, at least 20 dB is asked",
+    ),
+    "peak_db": ("ground", {"peak_db": 6.1}, "of any direction on ground is 6.1 dB, at most 6 dB is asked"),
+    "tones_db": ("flight", {"tones_db": (45.0, 37.9)}, "the worst tone on flight is 37.9 dB, at least 38 dB is asked"),
+}
+
+
+def test_figures_at_their_limit_meet_every_requirement():
+    judged = judge(Requirements(law="quiet", **ASKED), BAND_HZ, GOOD, DISK)
+    print(*(each.sentence for each in judged.judged), sep="\n")
+    assert judged.ok
+    assert not judged.missed
+    assert len(judged.judged) == 3 * len(GOOD) + len(DISK)
+    assert {each.requirement for each in judged.judged} == set(ASKED)
+
+
+@pytest.mark.parametrize("name", MISSES)
+def test_each_requirement_in_turn_is_missed_and_said(name):
+    unit, changed, words = MISSES[name]
+    judged = judge(Requirements(law="quiet", **ASKED), BAND_HZ, GOOD | {unit: loop(**changed)}, DISK)
+    (sentence,) = judged.missed
+    print(sentence)
+    assert sentence.startswith(f"{name}: ")
+    assert words in sentence
+    assert sentence.endswith(": missed.")
+    assert judge(Requirements(law="quiet", **{k: v for k, v in ASKED.items() if k != name}), BAND_HZ, GOOD, DISK).ok
+
+
+@pytest.mark.parametrize("end", DISK)
+def test_a_disk_margin_is_asked_at_both_ends(end):
+    (sentence,) = judge(Requirements(law="quiet", **ASKED), BAND_HZ, GOOD, DISK | {end: 0.19}).missed
+    assert f"at the plant's {end} is 0.19, at least 0.2 is asked: missed." in sentence
+
+
+def test_what_was_not_measured_is_missed():
+    asked = Requirements(law="quiet", **ASKED)
+    unstable = UnstableLoop(status="unstable: A pair at 5.7 Hz grows.")
+    judged = judge(asked, BAND_HZ, GOOD | {"flight": unstable}, DISK)
+    assert len(judged.missed) == 3
+    assert all("on flight is not measured (unstable: A pair at 5.7 Hz grows.)" in s for s in judged.missed)
+    for units, disk in ((None, {}), ({}, {})):
+        assert len(judge(asked, BAND_HZ, units, disk).missed) == 5
+    nan = float("nan")
+    blind = {"ground": loop(nan, nan, (nan, 50.0))}
+    assert len(judge(asked, BAND_HZ, blind, {"input": nan, "output": 0.0}).missed) == 5
+
+
+def test_a_band_of_its_own_is_judged_by_its_own_figure():
+    asked = Requirements(law="quiet", band_hz=(5.0, 100.0), attenuation_db=15.0)
+    units = {"ground": loop(attenuation_db=30.0, required_band_db=14.0)}
+    (sentence,) = judge(asked, (5.0, 100.0), units, {}).missed
+    assert "over 5-100 Hz on ground is 14 dB" in sentence
+
+
+def test_margins_are_those_of_the_whole_plant():
+    plant = StateSpace(0.5 * np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)), 100.0)
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), -0.3 * np.eye(2), 100.0)
+    found = margins_of(plant, law)
+    assert found == {end: pytest.approx(uq.analyse.disk_margin(plant, law, end)) for end in ("input", "output")}
+    wide = StateSpace(law.A, np.zeros((0, 3)), law.C, np.zeros((2, 3)), 100.0)
+    assert margins_of(plant, wide) == {}
+
+
+def test_other_laws_are_never_counted():
+    study = packaged_study("suite")
+    stages = Stages(study, None, None, {}, print)
+    loops = {
+        "hinf-tones": SimpleNamespace(facts=SimpleNamespace(units=GOOD)),
+        "lqg-ltr": SimpleNamespace(facts=SimpleNamespace(units={"ground": UnstableLoop(status="unstable: So.")})),
+    }
+    judged = stages._judge(None, {}, loops)
+    assert judged.law == study.requirements.law
+    assert {each.where for each in judged.judged if each.requirement == "peak_db"} == set(GOOD)
+    assert stages._required_hz("hinf-tones") is None
+    fewer = study.model_copy(update={"requirements": None})
+    assert Stages(fewer, None, None, {}, print)._judge(None, {}, loops) is None
+
+
+def test_facts_go_to_json_and_back_and_to_the_report():
+    judged = judge(Requirements(law="quiet", **ASKED), BAND_HZ, GOOD | {"flight": loop(3.0)}, DISK)
+    plain = to_plain(judged)
+    jsonschema.validate(finite(plain), schema_of(RequirementsFacts))
+    assert to_plain(from_plain(RequirementsFacts, json.loads(json.dumps(plain)))) == plain
+    (table,) = _requirements(judged)
+    rows = {(row[0], row[1]): row[2:] for row in table.rows}
+    assert rows["attenuation_db", "flight"] == ("20", "3", "missed")
+    assert rows["disk_margin", "input"] == ("0.2", "0.2", "met")
+    assert _requirements(None) == []
+
+
+@pytest.mark.parametrize("name", [None, *MISSES])
+@pytest.mark.parametrize("words", [("demo",), ("run", "study.toml"), ("report", "out")])
+def test_a_miss_is_printed_and_ends_with_one(run, tmp_path, monkeypatch, name, words):
+    units = GOOD if name is None else GOOD | {MISSES[name][0]: loop(**MISSES[name][1])}
+    summary = SimpleNamespace(closed_loop={}, design={}, deployment={}, failures=())
+    summary.requirements = judge(Requirements(law="quiet", **ASKED), BAND_HZ, units, DISK)
+    summary.ok = Summary.ok.fget(summary)
+    (tmp_path / "study.toml").write_text(SUITE.read_text())
+    monkeypatch.setattr("ultraquiet.pipeline.walk", lambda *_, **__: summary)
+    monkeypatch.setattr("ultraquiet.pipeline.reload_study", lambda _: packaged_study("suite"))
+    code, out, _ = run(*words)
+    assert code == (name is not None)
+    assert "requirements of quiet:" in out
+    assert all(each.sentence in out for each in summary.requirements.judged)
+
+
+STUDY = """\
+[study]
+title = "asking"
+[bench]
+method = "hexapod"
+[plant]
+method = "rational"
+records = ["low"]
+[controllers.quiet.design]
+method = "lqg"
+[requirements]
+law = "quite"
+payload_db = 20.0
+disk_margin = -0.1
+"""
+
+
+def test_what_cannot_be_judged_is_refused_with_its_line():
+    with pytest.raises(StudyError) as refused:
+        parse(STUDY)
+    assert [line for line, _ in refused.value.mistakes] == [13]
+    with pytest.raises(StudyError) as refused:
+        parse(STUDY.replace("-0.1", "0.1"))
+    print(refused.value)
+    told = dict(refused.value.mistakes)
+    assert "there is no law 'quite' among the controllers quiet" in told[11]
+    assert "the study has no payload table" in told[12]
+    assert set(told) == {11, 12}
+
+
+def test_the_packaged_study_asks_something_of_its_law():
+    asked = packaged_study("suite").requirements
+    assert asked.law in packaged_study("suite").controllers
+    for name in ASKED:
+        assert getattr(asked, name) is not None
+
+
+def test_the_demo_meets_what_it_asks(demo):
+    folder, summary, _ = demo
+    judged = summary["requirements"]
+    page = (folder / "report.html").read_text()
+    print(*(each["sentence"] for each in judged["judged"]), sep="\n")
+    assert all(each["met"] for each in judged["judged"])
+    assert re.search(r"Required of hinf-tones", page)
