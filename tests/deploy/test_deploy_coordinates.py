@@ -105,6 +105,7 @@ def test_a_badly_scaled_law_becomes_the_code_that_it_is_in_any_coordinates(rng, 
     assert word_lengths(bad, precisions=("float32",))[0].status.ok
 
 
+@pytest.mark.slow
 def test_float64_code_of_a_badly_scaled_law_is_exact(rng, tmp_path):
     even, bad = badly_scaled(rng)
     assert apart(even, generate(bad, tmp_path / "code", "float64").quantised) < 1e-9
@@ -136,6 +137,7 @@ def test_a_plant_is_refused_in_place_of_a_law(tmp_path, how, monkeypatch, capsys
     assert os.listdir(tmp_path) == ["plant.h5"]
 
 
+@pytest.mark.slow
 def test_the_plant_of_the_loop_is_no_law_and_a_law_is_no_plant(tmp_path):
     names = {"actuators": ["left", "right"], "sensors": ["near", "far"]}
     G = StateSpace(0.9 * np.eye(2), 0.1 * np.eye(2), np.eye(2), np.zeros((2, 2)), RATE_HZ)
@@ -212,6 +214,7 @@ def test_code_that_no_compiler_takes_is_refused_and_not_written(law_of, tmp_path
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.slow
 def test_code_that_does_not_do_what_the_law_does_ends_with_one_and_exports_nothing(
     law_of, tmp_path, cc, monkeypatch, capsys
 ):

@@ -52,6 +52,12 @@ def reduction_db(plant, law, f_hz):
     return -20 * np.log10(np.linalg.norm(np.linalg.inv(np.eye(len(plant.D)) - G @ K), 2, axis=(1, 2)))
 
 
+def control_gain(plant, law, f_hz):
+    """Largest singular value of K S at frequencies."""
+    G, K = (each.frequency_response(f_hz).transpose(2, 0, 1) for each in (plant, law))
+    return np.linalg.norm(K @ np.linalg.inv(np.eye(len(plant.D)) - G @ K), 2, axis=(1, 2))
+
+
 def test_a_reduction_that_costs_the_tones_decibels_says_so(tones):
     plant, law, weights = tones
     full, lines = reduction_db(plant, law, TONES_HZ), np.linspace(*BAND_HZ, 2000)
@@ -65,6 +71,8 @@ def test_a_reduction_that_costs_the_tones_decibels_says_so(tones):
         assert list(small.after.tones_db.values()) == pytest.approx(left, abs=1e-6)
         assert small.after.band_db == pytest.approx(reduction_db(plant, small.controller, lines).min(), abs=0.05)
         assert small.after.peak_db == pytest.approx(peak_sensitivity(plant, small.controller)[0])
+        gain = np.max(control_gain(plant, small.controller, np.geomspace(0.01, RATE_HZ / 2, 4000)))
+        assert 10 ** (small.after.control_db / 20) == pytest.approx(gain, rel=0.02)
         for end in ("input", "output"):
             assert small.after.disk[end] == pytest.approx(disk_margin(plant, small.controller, end))
         for k, tone in enumerate(TONES_HZ):
@@ -91,6 +99,7 @@ def test_without_a_number_of_states_the_fewest_that_keep_the_promise_are_taken(t
     assert not coarse.broken
 
 
+@pytest.mark.slow
 def test_every_method_of_reduction_is_judged_by_the_same_promise(tones):
     plant, law, weights = tones
     small = Balanced(states=24).reduce(law, plant, weights)

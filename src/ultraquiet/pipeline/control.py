@@ -98,7 +98,11 @@ def _delivered(figures: reduce.Delivered | None) -> DeliveredFacts | None:
         return None
     tones = {f"{tone:g}": reduction for tone, reduction in figures.tones_db.items()}
     return DeliveredFacts(
-        peak_db=figures.peak_db, worst_direction_band_db=figures.band_db, tones_db=tones, disk=dict(figures.disk)
+        peak_db=figures.peak_db,
+        worst_direction_band_db=figures.band_db,
+        tones_db=tones,
+        control_db=figures.control_db,
+        disk=dict(figures.disk),
     )
 
 

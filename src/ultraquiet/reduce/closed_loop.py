@@ -37,9 +37,10 @@ class ClosedLoopWeighted:
             within it is taken, or with `loss` the smallest that keeps the loss, and that must fit.
         loss: relative growth of the closed-loop norm allowed. Alone it finds the fewest states. A result that costs
             more has the status `loss`.
-        loss_db: what may be lost, in dB, of the peak of S, of the worst direction over the band and at each tone; a
-            tenth of the disk margins at both ends may go with it. Without `states`, `budget` and `loss` it finds the
-            fewest states. A result that breaks more of what the law was designed for has the status `loss`.
+        loss_db: what may be lost, in dB, of the peak of S, of the worst direction over the band and at each tone, and
+            come to the largest gain of K S; a tenth of the disk margins at both ends may go with it. Without `states`,
+            `budget` and `loss` it finds the fewest states. A result that breaks more of what the law was designed for
+            has the status `loss`.
         band_hz, tones_hz: what is promised; as the law's own design states it when absent, and without a statement the
             band is where the loop quietens every direction by half of what it reaches at best, in dB.
         method: `perturbation` (gain at 0 Hz kept) or `truncation`, whichever is tried first.

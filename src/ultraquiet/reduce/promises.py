@@ -23,6 +23,7 @@ class Promise:
     """What a reduction must leave of a loop.
 
     At most `loss_db` may be lost in its peak, in its worst direction over the band and at every tone that it quietens,
+    and come to the largest gain of the control, K S, which is what the actuators pay;
     at most `margin_share` of its disk margins at both ends. Without a band that is where the loop quietens every
     direction by half of what it reaches at best, in dB.
     """
@@ -47,12 +48,14 @@ class Delivered:
     """What a law does for its loop on the design model.
 
     In dB: the largest amplification of any direction at any frequency, the reduction of the worst direction over the
-    band (None without one) and at each tone (Hz); and the disk margin of each end, all channels at once.
+    band (None without one) and at each tone (Hz), and the largest gain of K S; and the disk margin of each end, all
+    channels at once.
     """
 
     peak_db: float
     band_db: float | None
     tones_db: Mapping[float, float]
+    control_db: float
     disk: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -63,21 +66,22 @@ class Judge:
         self._plant, self.promise = plant, promise
         S = sensitivity(plant, controller)
         self._f = np.union1d(default_grid(S), promise.band_hz or ())
-        self._quiet = _quiet(self._f, _largest(plant, controller, self._f)) if promise.band_hz is None else None
+        self._quiet = _quiet(self._f, _sizes(plant, controller, self._f)[0]) if promise.band_hz is None else None
         self.before = self.of(controller)
 
     def of(self, law: StateSpace, margins: bool = True) -> Delivered:
         """Return what a law delivers; without `margins` in a tenth of the time, its peak as far as lines show it."""
         own = default_grid(sensitivity(self._plant, law))
         f = np.union1d(self._f, own)
-        size = _largest(self._plant, law, f)
+        size, control = _sizes(self._plant, law, f)
         band = self._in_band(f)
         tones = np.array(self.promise.tones_hz)
-        at_tones = _largest(self._plant, law, tones) if tones.size else tones
+        at_tones = _sizes(self._plant, law, tones)[0] if tones.size else tones
         return Delivered(
             peak_db=peak_sensitivity(self._plant, law)[0] if margins else float(_db(size.max())),
             band_db=-float(_db(size[band].max())) if band.any() else None,
             tones_db={float(t): -float(_db(s)) for t, s in zip(tones, at_tones, strict=True)},
+            control_db=float(_db(control.max())),
             disk={end: disk_margin(self._plant, law, end) for end in ENDS} if margins else {},
         )
 
@@ -96,6 +100,8 @@ class Judge:
                     f"the worst direction at {tone:g} Hz loses {reduction - after.tones_db[tone]:.1f} of"
                     f" {reduction:.1f} dB"
                 )
+        if after.control_db - before.control_db > loss:
+            said.append(f"the largest gain of the control rises by {after.control_db - before.control_db:.1f} dB")
         for end, alpha in after.disk.items():
             if alpha < (1 - self.promise.margin_share) * before.disk[end]:
                 said.append(f"the disk margin at the plant's {end} falls from {before.disk[end]:.3f} to {alpha:.3f}")
@@ -114,11 +120,13 @@ def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
     return (reduction >= QUIET_SHARE * best) & (best >= AUDIBLE_DB) & np.isfinite(f)
 
 
-def _largest(plant: StateSpace, law: StateSpace, f: FloatArray) -> FloatArray:
-    """Return the largest singular value of S = (I - G K)^-1 at each line."""
+def _sizes(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the largest singular values of S = (I - G K)^-1 and of K S at each line."""
     G, K = (np.moveaxis(each.frequency_response(f), 2, 0) for each in (plant, law))
-    loop = np.eye(G.shape[1]) - G @ K
-    return np.asarray(1.0 / np.linalg.svd(loop, compute_uv=False)[:, -1], dtype=np.float64)
+    S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
+    sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (S, K @ S))
+    of_S, of_KS = (np.maximum(np.asarray(size, dtype=np.float64), np.finfo(float).tiny) for size in sizes)
+    return of_S, of_KS
 
 
 def _db(size: FloatArray | float) -> FloatArray:

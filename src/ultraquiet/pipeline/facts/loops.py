@@ -45,6 +45,7 @@ class DeliveredFacts:
     peak_db: float
     worst_direction_band_db: float | None
     tones_db: Mapping[str, float]
+    control_db: float
     disk: Mapping[str, float]
 
 

@@ -48,8 +48,17 @@ def _reductions(result: StudyResult) -> list[Table]:
             band = "-" if d.worst_direction_band_db is None else _number(d.worst_direction_band_db, 1)
             tones = ", ".join(f"{_number(db, 1)} at {f} Hz" for f, db in d.tones_db.items())
             margins = ", ".join(f"{end} {_number(alpha, 3)}" for end, alpha in d.disk.items())
-            rows.append((name, when, n, _number(d.peak_db, 1), band, tones, margins))
-    columns = ("controller", "reduction", "states", "peak of S", "worst direction in band", "at tones", "disk margins")
+            rows.append((name, when, n, _number(d.peak_db, 1), band, tones, _number(d.control_db, 1), margins))
+    columns = (
+        "controller",
+        "reduction",
+        "states",
+        "peak of S",
+        "worst direction in band",
+        "at tones",
+        "K S",
+        "disk margins",
+    )
     return [Table("What each reduction left, on the design model, dB", columns, rows)] if rows else []
 
 
