@@ -1,6 +1,14 @@
 """What can be said about a system or a loop without changing it: norms, zeros, margins, symmetry."""
 
-from ultraquiet.analyse.disk import DiskMargins, disk_margin, disk_margins, disk_ranges
+from ultraquiet.analyse.disk import (
+    ChannelChange,
+    DiskMargins,
+    EndMargins,
+    disk_margin,
+    disk_margins,
+    disk_ranges,
+    end_margins,
+)
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_four, gang_of_six, peak_gain
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
 from ultraquiet.analyse.monte_carlo import MonteCarlo, monte_carlo, wilson_interval
@@ -15,7 +23,9 @@ Block = PerturbationBlock  # its first name
 
 __all__ = [
     "Block",
+    "ChannelChange",
     "DiskMargins",
+    "EndMargins",
     "Gang",
     "Margins",
     "MonteCarlo",
@@ -26,6 +36,7 @@ __all__ = [
     "disk_margin",
     "disk_margins",
     "disk_ranges",
+    "end_margins",
     "gang_of_four",
     "gang_of_six",
     "h2_norm",

@@ -1,18 +1,19 @@
 """Disk margins: how much gain and phase may change, in one loop or in all loops at the same time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse.margins import default_grid, grid_given
+from ultraquiet.analyse.margins import Margins, default_grid, grid_given, margins_of
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
-from ultraquiet.analyse.peaks import ends, refined, response_at
+from ultraquiet.analyse.peaks import Crossings, ends, refined, response_at
 from ultraquiet.values.interconnect import append, gain, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
+ENDS = ("input", "output")
 SIDES = ("output", "input", "both")
 SKEW = 10.0  # beyond it a disk is nothing but a gain
 
@@ -206,3 +207,89 @@ def _both_sides(plant: StateSpace, controller: StateSpace) -> StateSpace:
     loop = append(controller, plant)  # inputs (y, u), outputs (u, y)
     L = StateSpace(loop.A, loop.B, swap @ loop.C, swap @ loop.D, loop.rate_hz)
     return sensitivity(L, gain(np.eye(ny + nu), plant.rate_hz))
+
+
+@dataclass(frozen=True)
+class ChannelChange:
+    """A change of one channel alone, all others as they are, that brings the loop to the verge.
+
+    Attributes:
+        channel: its number, from zero: an actuator at the plant's input, a sensor at its output.
+        kind: `gain` or `phase`.
+        amount: dB, positive for more gain, negative for less; degrees, either way.
+        f_hz: what begins to grow there.
+        disk: size of the smallest symmetric disk that holds the change, as gains and phases are compared:
+            2 |k - 1| / (k + 1) for a factor k, 2 tan(p / 2) for a phase p.
+    """
+
+    channel: int
+    kind: str
+    amount: float
+    f_hz: float
+    disk: float
+
+
+@dataclass(frozen=True, eq=False)
+class EndMargins(Margins):
+    """Margins at one end of the plant: those of each loop by itself, and of all at the same time.
+
+    Attributes:
+        disk_all: alpha that every channel may use up at the same time, each in its own way (0 for an unstable loop).
+        disk_all_hz: where that is least, Hz.
+        least_change: of one channel's gain or phase that upsets the loop; None where none does, or it is unstable.
+    """
+
+    disk_all: float
+    disk_all_hz: float
+    least_change: ChannelChange | None
+
+
+def end_margins(plant: StateSpace, controller: StateSpace, side: str = "output") -> EndMargins:
+    """Return all margins at one end of the plant.
+
+    alpha = 1 / max over f of mu(S - I / 2), by the upper bound of mu: what is stated is surely stood, between the lines
+    of the grid as far as its neighbours tell.
+
+    Args:
+        plant: G.
+        controller: K, u = K y.
+        side: `input` or `output`.
+
+    Returns:
+        `EndMargins`; zeros everywhere for an unstable loop.
+
+    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
+    >>> K = StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0)
+    >>> found = end_margins(G, K)
+    >>> change = found.least_change
+    >>> round(found.disk_all, 4), change.channel, change.kind, round(change.amount, 2), change.f_hz
+    (1.0, 0, 'gain', 9.54, 50.0)
+
+    Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277.
+    """
+    one_of("end_margins", "side", side, ENDS)
+    S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
+    each, crossings = margins_of(S)
+    arrays = {field.name: getattr(each, field.name) for field in fields(Margins)}
+    if not crossings:
+        return EndMargins(**arrays, disk_all=0.0, disk_all_hz=np.nan, least_change=None)
+    off_half = StateSpace(S.A, S.B, S.C, S.D - np.eye(S.D.shape[0]) / 2, S.rate_hz)
+    largest, at = mu_peak(off_half)
+    return EndMargins(**arrays, disk_all=_inverse(largest), disk_all_hz=at, least_change=_least_change(crossings))
+
+
+def _least_change(crossings: list[Crossings]) -> ChannelChange | None:
+    """Return the change of the smallest disk; of equal ones the first."""
+    changes: list[ChannelChange] = []
+    for i, c in enumerate(crossings):
+        size = 2 * np.abs(c.factors - 1) / (c.factors + 1)
+        if size.size:
+            k = int(np.argmin(size))
+            db = 20 * float(np.log10(c.factors[k]))
+            changes.append(ChannelChange(i, "gain", db, float(c.gain_hz[k]), float(size[k])))
+        if c.phase_deg.size:
+            k = int(np.argmin(c.phase_deg))
+            degrees = float(c.phase_deg[k])
+            size_of = float(2 * np.tan(np.radians(degrees) / 2))
+            changes.append(ChannelChange(i, "phase", degrees, float(c.phase_hz[k]), size_of))
+    return min(changes, key=lambda change: change.disk, default=None)

@@ -9,12 +9,15 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.analyse.peaks import ends, refined, response_at
+from ultraquiet.analyse.peaks import Crossings, channel_crossings, ends, refined, response_at
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
 POINTS = 3000  # of the default grid; crossings are interpolated between its points
 DECADES = 5.0  # the default grid's span below its upper end
+RINGING = 0.01  # relative damping below which a pole gets lines of its own: the grid's step is 0.4 %
+_NEAR = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
+BESIDE = np.concatenate([-_NEAR, _NEAR])  # of those lines, in widths of the pole
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,18 +85,25 @@ def loop_margins(
     9.54
     """
     S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
-    loops = S.D.shape[0]
+    return margins_of(S, f_hz)[0]
+
+
+def margins_of(S: StateSpace, f_hz: ArrayLike | None = None) -> tuple[Margins, list[Crossings]]:
+    """Return the margins of every loop from the sensitivity at its end, S = (I - L)^-1, and what they are taken from.
+
+    An unstable loop has no crossings.
+    """
     if not S.is_stable():
-        return Margins(*(np.zeros(loops) for _ in range(5)))
+        return Margins(*(np.zeros(S.D.shape[0]) for _ in range(5))), []
     f = default_grid(S) if f_hz is None else grid_given("loop_margins", f_hz)
     at = response_at(S)
     response = at(f)
     beside = ends(S.rate_hz) if f_hz is None else None
-    rows = [_crossings(1 / response[i, i] - 1, f) for i in range(loops)]
+    crossings = channel_crossings(S, f, np.einsum("iif->if", response), beside)
     # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277)
-    disk = [1.0 / _peak_off_half(at, i, f, response[i, i], beside) for i in range(loops)]
-    up, down, phase, delay = (np.array(column) for column in zip(*rows, strict=True))
-    return Margins(up, down, phase, delay, np.array(disk))
+    disk = [1.0 / _peak_off_half(at, i, f, response[i, i], beside) for i in range(S.D.shape[0])]
+    columns = (np.array(column) for column in zip(*map(_least, crossings), strict=True))
+    return Margins(*columns, disk=np.array(disk)), crossings
 
 
 def _peak_off_half(
@@ -103,34 +113,18 @@ def _peak_off_half(
     return refined(lambda lines: np.abs(at(lines)[i, i] - 0.5), f, np.abs(S - 0.5), beside)[0]
 
 
-def _crossings(L: ComplexArray, f: FloatArray) -> tuple[float, float, float, float]:
-    """Return gain-up dB, gain-down dB, phase deg and delay s of one loop from its Nyquist curve."""
-    factors = _real_axis_factors(L)
+def _least(crossings: Crossings) -> tuple[float, float, float, float]:
+    """Return gain-up dB, gain-down dB, phase deg and delay s of one loop."""
+    factors = crossings.factors
     up, down = factors[factors > 1], factors[factors < 1]
-    log_size = np.log(np.maximum(np.abs(L), 1e-300))
-    at = np.flatnonzero(np.sign(log_size[1:]) != np.sign(log_size[:-1]))
-    t = log_size[at] / (log_size[at] - log_size[at + 1])
-    angle = np.angle(L[at] + t * (L[at + 1] - L[at]))
-    f_cross = f[at] + t * (f[at + 1] - f[at])
-    phase = np.abs(np.pi - np.abs(angle))
-    lag = np.mod(angle - np.pi, 2 * np.pi)  # lag that turns L into -1
     with np.errstate(divide="ignore"):
-        delay = lag / (2 * np.pi * f_cross)
+        delay = crossings.lag_rad / (2 * np.pi * crossings.phase_hz)
     return (
         20 * float(np.log10(up.min())) if up.size else np.inf,
         -20 * float(np.log10(down.max())) if down.size else np.inf,
-        float(np.degrees(phase.min())) if phase.size else np.inf,
-        float(delay.min()) if delay.size else np.inf,
+        float(crossings.phase_deg.min(initial=np.inf)),
+        float(delay.min(initial=np.inf)),
     )
-
-
-def _real_axis_factors(L: ComplexArray) -> FloatArray:
-    """Return the gains k at which 1 + k L vanishes, from crossings of the negative real axis and both ends."""
-    at = np.flatnonzero(np.sign(L.imag[1:]) != np.sign(L.imag[:-1]))
-    t = L.imag[at] / (L.imag[at] - L.imag[at + 1])
-    ends = [v.real for v in L[[0, -1]] if abs(v.imag) < 1e-6 * abs(v)]
-    real = np.concatenate([L.real[at] + t * (L.real[at + 1] - L.real[at]), ends])
-    return -1 / real[real < 0]
 
 
 def grid_given(who: str, f_hz: ArrayLike) -> FloatArray:
@@ -142,12 +136,22 @@ def grid_given(who: str, f_hz: ArrayLike) -> FloatArray:
 
 
 def default_grid(S: StateSpace) -> FloatArray:
-    """Return frequencies in Hz up to Nyquist, log-spaced, with those of the poles."""
+    """Return frequencies in Hz up to Nyquist, log-spaced, with those of the poles; denser where poles ring.
+
+    A pole s = -d + j w makes features as narrow as d, wherever the grid's own lines are: lines stand at several
+    multiples of d to both sides of w.
+    """
     poles = S.poles()
     if S.rate_hz is None:
         size = np.abs(poles) / (2 * np.pi)
+        width = np.abs(poles.real) / (2 * np.pi)
         top = 10 * float(size.max(initial=1e-3))
     else:
         size = np.abs(np.angle(poles)) * S.rate_hz / (2 * np.pi)
+        width = np.abs(np.log(np.maximum(np.abs(poles), np.finfo(float).tiny))) * S.rate_hz / (2 * np.pi)
         top = S.rate_hz / 2
-    return np.unique(np.concatenate([np.geomspace(top * 10**-DECADES, top, POINTS), size[size < top]]))
+    bottom = top * 10**-DECADES
+    narrow = width < np.maximum(RINGING * size, bottom)
+    beside = (size[narrow, None] + width[narrow, None] * BESIDE).reshape(-1)
+    lines = np.concatenate([np.geomspace(bottom, top, POINTS), size[size < top], beside[(beside > 0) & (beside < top)]])
+    return np.unique(lines)

@@ -1,17 +1,22 @@
-"""Peaks over frequency, refined between the points of a grid."""
+"""Peaks over frequency and crossings of an axis, found between the points of a grid."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.response import points
 from ultraquiet.values.state_space import StateSpace
 
+Channels = NDArray[np.intp]  # numbers of channels
 NEAR = 0.9  # share of the highest point that a neighbour needs to be looked at more closely
 MOST = 8  # peaks looked at
 INNER = 3  # points between a peak and each neighbour: a round narrows it to a quarter
+HALVINGS = 48  # of an interval of the grid: down to rounding
+AXIS = 1e-9  # relative: at an end of the axis of frequency the response is real but for rounding
 ROUNDS = 9  # 4^-9 of the grid's step: a kink's place to 4e-6 of it
 
 
@@ -72,3 +77,93 @@ def refined(
         if levels.max() > best:
             best, at = float(levels.max()), float(points.reshape(-1)[np.argmax(levels)])
     return best, at
+
+
+class Crossings(NamedTuple):
+    """Changes of one channel that bring the loop to the verge: gain factors with their Hz, phases with their Hz.
+
+    `lag_rad` is the lag, between 0 and 2 pi, at which the loop passes through -1.
+    """
+
+    factors: FloatArray
+    gain_hz: FloatArray
+    phase_deg: FloatArray
+    phase_hz: FloatArray
+    lag_rad: FloatArray
+
+
+def channel_crossings(
+    S: StateSpace, f: FloatArray, diagonal: ComplexArray, beside: FloatArray | None
+) -> list[Crossings]:
+    """Return the crossings of every channel of a stable loop.
+
+    With X = S_ii - 1/2 a factor k upsets the loop where X is real, k = (X + 1/2) / (X - 1/2), and a phase p where X is
+    imaginary, |X| = 1 / (2 tan(p / 2)): S_ii = 1 / (1 + L) and k L = -1.
+
+    Args:
+        S: sensitivity at one end of the plant, stable.
+        f: grid, Hz, rising.
+        diagonal: `(channels, nf)` S_ii on it.
+        beside: ends of the axis, Hz, beyond those of the grid; None without them.
+    """
+    at = _diagonal_at(S)
+    X = diagonal - 0.5
+    gains, phases = (_roots(at, f, X, part) for part in (np.imag, np.real))
+    channels, gain_hz = gains
+    real = (at(channels, gain_hz) - 0.5).real
+    edges = np.unique(f[[0, -1]] if beside is None else np.concatenate([f[[0, -1]], beside]))
+    more, ends_hz = np.repeat(np.arange(len(X)), edges.size), np.tile(edges, len(X))
+    end = at(more, ends_hz) - 0.5
+    here = np.abs(end.imag) <= AXIS * np.abs(end)
+    channels, gain_hz = np.concatenate([channels, more[here]]), np.concatenate([gain_hz, ends_hz[here]])
+    real = np.concatenate([real, end.real[here]])
+    # |X| < 1/2 belongs to a factor below zero, a turned sign
+    kept = np.abs(real) > 0.5
+    channels, gain_hz, real = channels[kept], gain_hz[kept], real[kept]
+    turned, phase_hz = phases
+    imaginary = (at(turned, phase_hz) - 0.5).imag
+    rows: list[Crossings] = []
+    for i in range(len(X)):
+        g, p = channels == i, turned == i
+        size = np.maximum(np.abs(imaginary[p]), np.finfo(float).tiny)
+        phase = 2 * np.arctan(1 / (2 * size))
+        # L = (1/2 - X) / (1/2 + X) comes to -1 by a lag of p where X = j |X|, by a lead of p where X = -j |X|
+        lag = np.where(imaginary[p] > 0, phase, 2 * np.pi - phase)
+        factors = (real[g] + 0.5) / (real[g] - 0.5)
+        rows.append(Crossings(factors, gain_hz[g], np.degrees(phase), phase_hz[p], lag))
+    return rows
+
+
+def _roots(
+    at: Callable[[Channels, FloatArray], ComplexArray],
+    f: FloatArray,
+    X: ComplexArray,
+    part: Callable[[ComplexArray], FloatArray],
+) -> tuple[Channels, FloatArray]:
+    """Return channels and frequencies at which a part of X vanishes: intervals with a change of sign are halved."""
+    above = part(X) > 0
+    channels, k = np.nonzero(above[:, 1:] != above[:, :-1])
+    low, high, sign = f[k], f[k + 1], above[channels, k]
+    for _ in range(HALVINGS if k.size else 0):
+        middle = (low + high) / 2
+        before = (part(at(channels, middle) - 0.5) > 0) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    return channels, (low + high) / 2
+
+
+def _diagonal_at(S: StateSpace) -> Callable[[Channels, FloatArray], ComplexArray]:
+    """Return what gives S_ii at frequencies in Hz, for a channel each."""
+    split = residues(S.A, S.B, S.C, S.D)
+    n = S.D.shape[0]
+    diagonal, direct = split.residues[np.arange(n) * (n + 1)], np.diag(S.D)
+
+    def at(channels: Channels, f: FloatArray) -> ComplexArray:
+        finite = np.isfinite(f)
+        z = points(np.where(finite, f, 0.0), S.rate_hz)
+        if split.rest is not None:
+            values = split.at(z)[channels, channels, np.arange(z.size)]
+        else:
+            values = direct[channels] + (diagonal[channels] / (z[:, None] - split.poles)).sum(axis=1)
+        return np.where(finite, values, direct[channels])
+
+    return at

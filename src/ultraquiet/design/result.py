@@ -12,6 +12,8 @@ from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
+STABLE_WORDS = (StatusWord.OK, StatusWord.FRAGILE)  # of a loop that is stable with the design model
+
 
 @dataclass(frozen=True, eq=False)
 class Recovery:

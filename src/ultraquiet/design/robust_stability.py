@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design.result import DesignResult
+from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.linalg.response import points
 from ultraquiet.values.interconnect import feedback, lft, series
@@ -48,13 +48,13 @@ def robust_stability(plant: StateSpace, controller: StateSpace, bound: StateSpac
 
 def stands(plant: StateSpace, result: DesignResult, bound: StateSpace | None) -> DesignResult:
     """Return a result with `robust_stability` in its details; a loop that does not stand the bound is `not robust`."""
-    if bound is None or result.controller is None or not result.status.ok:
+    if bound is None or result.controller is None or result.status.word not in STABLE_WORDS:
         return result
     size = robust_stability(plant, result.controller, bound)
     details = {**result.details, "robust_stability": size}
     if size < 1:
         sentence = f"{result.status.sentence} It stands every error within the uncertainty: ||W T|| = {size:.3g} < 1."
-        return replace(result, status=Status(StatusWord.OK, sentence), details=details)
+        return replace(result, status=Status(result.status.word, sentence), details=details)
     sentence = (
         f"The loop is stable with the design model but need not be with the plant: ||W T|| reaches {size:.3g} where "
         "the uncertainty allows less than one; ask for less, or identify the plant better where the weight is high."

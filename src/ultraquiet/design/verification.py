@@ -5,28 +5,39 @@ from dataclasses import fields, replace
 from typing import Any
 
 from ultraquiet._base.provenance import Provenance, plain, versions
-from ultraquiet.analyse.margins import loop_margins, peak_sensitivity
+from ultraquiet.analyse.disk import EndMargins
+from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
+from ultraquiet.design.robustness import StatedRobustness, both_ends, fragility, stated, weaker_end
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
+
+UNSTABLE_LAW = "unstable by itself: it runs away where its loop is opened or an actuator saturates for long"
 
 
 def judged(
     plant: StateSpace,
     controller: StateSpace,
-    settings: Any,
+    settings: StatedRobustness,
     gamma: float,
     achieved: float,
     residuals: Mapping[str, float],
     details: Mapping[str, Any],
 ) -> DesignResult:
-    """Close the loop, take its poles, peak sensitivity and margins, and word the verdict."""
+    """Close the loop, take its poles, peak sensitivity and margins, and word the verdict.
+
+    It is `ok` where the loop is stable and its disk margin, all channels at once, is at least the one that the settings
+    ask for at both ends of the plant; `fragile` where it is stable with less.
+    """
     poles = feedback(plant, controller).poles()
     peak_db, peak_hz = peak_sensitivity(plant, controller)
-    margins = {side: loop_margins(plant, controller, side) for side in ("output", "input")}
+    stable = is_stable(poles, plant.rate_hz)
+    margins = both_ends(plant, controller)
+    peak = f"it amplifies by at most {peak_db:.1f} dB, at {peak_hz:.0f} Hz"
+    verdict = _verdict(plant, controller, settings.disk_margin, margins, peak) if stable else _unstable()
     return DesignResult(
-        status=_verdict(is_stable(poles, plant.rate_hz), controller, peak_db, peak_hz),
+        status=verdict,
         controller=_stamped(controller, plant, settings),
         gamma=gamma,
         achieved=achieved,
@@ -39,17 +50,19 @@ def judged(
     )
 
 
-def _verdict(stable: bool, controller: StateSpace, peak_db: float, peak_hz: float) -> Status:
-    if not stable:
-        return Status(
-            StatusWord.UNSTABLE, "The loop with the design model is unstable; the controller must not be used."
-        )
-    own = "stable" if controller.is_stable() else "unstable by itself"
-    return Status(
-        StatusWord.OK,
-        f"The loop is stable; it amplifies by at most {peak_db:.1f} dB, at {peak_hz:.0f} Hz; the controller has "
-        f"{controller.states} states and is {own}.",
-    )
+def _unstable() -> Status:
+    return Status(StatusWord.UNSTABLE, "The loop with the design model is unstable; the controller must not be used.")
+
+
+def _verdict(
+    plant: StateSpace, controller: StateSpace, asked: float, margins: Mapping[str, EndMargins], peak: str
+) -> Status:
+    own = "stable" if controller.is_stable() else UNSTABLE_LAW
+    law = f"the controller has {controller.states} states and is {own}."
+    # NaN, which no comparison admits, is no margin
+    if margins[weaker_end(margins)].disk_all >= asked:
+        return Status(StatusWord.OK, f"The loop is stable; {peak}; {stated(margins)}; {law}")
+    return Status(StatusWord.FRAGILE, f"{fragility(plant, margins, asked)} The loop {peak[3:]}; {law}")
 
 
 def _stamped(controller: StateSpace, plant: StateSpace, settings: Any) -> StateSpace:

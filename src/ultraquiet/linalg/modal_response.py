@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.even import UNEVEN, evened
 from ultraquiet.linalg.ordered import Array, complex_schur
 from ultraquiet.linalg.response import triangular_response
 
@@ -34,7 +35,7 @@ class Residues(NamedTuple):
 
 def residues(A: Array, B: Array, C: Array, D: Array) -> Residues:
     """Split a system into first-order terms; modes that cannot be told apart stay together in `rest`."""
-    return split(balance.modal(A, B, C), D)
+    return split(balance.modal(*evened(A, B, C, UNEVEN)), D)
 
 
 def split(form: balance.Coordinates, D: Array) -> Residues:

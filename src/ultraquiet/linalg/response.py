@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import schur
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.even import UNEVEN, evened
 
 NEAR = 2**17  # complex numbers that stay near the processor: 2 MB
 PANEL = 16  # rows of a triangular system solved before the others take what they know
@@ -24,6 +25,8 @@ def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArra
     triangular systems of all points are then solved side by side, one row at a time.
     """
     n, (ny, nu) = A.shape[0], D.shape
+    # an orthogonal transform of states in units decades apart would leave no digit of the small ones
+    A, B, C = evened(A, B, C, UNEVEN)
     out = np.broadcast_to(D[:, :, None], (ny, nu, z.size)).astype(np.complex128)
     if n == 0 or z.size == 0:
         return out

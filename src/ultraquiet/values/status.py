@@ -40,6 +40,10 @@ class StatusWord(StrEnum):
     NOT_SYMMETRIC = "not symmetric", "The struts differ by more than noise explains; identify each function by itself."
     UNKNOWN_IN_PART = "unknown in part", "The model's error reaches its whole size somewhere; nothing is known there."
 
+    FRAGILE = (
+        "fragile",
+        "The loop is stable and keeps less margin than was asked, at an end of the plant that is named.",
+    )
     NOT_ROBUST = "not robust", "The loop is stable, not for every plant within the uncertainty that was stated."
     SHORT = "short", "The best that was found misses a requirement; the sentence says which and by how much."
     LIMITED = "limited", "Commands of the adaptive law stand at their limit; the tone is only made smaller."

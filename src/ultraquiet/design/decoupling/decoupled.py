@@ -13,6 +13,7 @@ from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
@@ -27,7 +28,7 @@ TWICE = 1e-6  # relative difference below which two loops are one, used twice
 
 @register("design", "decoupled")
 @dataclass(frozen=True)
-class Decoupled:
+class Decoupled(StatedRobustness):
     """K = Tu diag(K1, K2, ...) Ty', each Ki designed for its own block of Ty' G Tu by any registered method.
 
     Args:
@@ -55,6 +56,7 @@ class Decoupled:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         rising_band("Decoupled", self.band_hz)
         between("Decoupled", "tolerance", self.tolerance, 0.0, 1.0)
 

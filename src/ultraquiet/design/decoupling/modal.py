@@ -11,6 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.fixed_structure.specification import Specification
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.state_space import StateSpace
@@ -20,7 +21,7 @@ NEAR = 1e-6  # relative: an eigenvalue this near to where a mode was is that mod
 
 @register("design", "modal")
 @dataclass(frozen=True)
-class Modal:
+class Modal(StatedRobustness):
     """Damping of chosen modes by state feedback, each moved without the others, on a Kalman filter's states.
 
     A mode with left vectors W (W A = L W) is moved by u = d f W x alone: all other eigenvalues stay. d is the
@@ -47,6 +48,7 @@ class Modal:
     sensor_noise: float = 1e-2
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         positive("Modal", "disturbance", self.disturbance)
         positive("Modal", "sensor_noise", self.sensor_noise)
         if isinstance(self.zeta, list):

@@ -16,6 +16,7 @@ from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.fixed_structure.tuning import InitialLaw, posed, tuned, worded
 from ultraquiet.design.result import DesignResult
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, REPEATED, structure_word
 from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
@@ -27,7 +28,7 @@ ALLOWED = 0.98  # of what is hard
 
 
 @dataclass(frozen=True)
-class ClassicalMethod:
+class ClassicalMethod(StatedRobustness):
     """Settings that all methods of classical sections share, and their verb."""
 
     gain: float | tuple[float, ...] | None = None
@@ -40,6 +41,7 @@ class ClassicalMethod:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         word = structure_word(type(self).__name__, self.structure, (REPEATED, DECENTRALISED))
         object.__setattr__(self, "structure", word)
         object.__setattr__(self, "specification", specified(self.specification))

@@ -18,6 +18,7 @@ from ultraquiet.design.fixed_structure.specification import Specification, speci
 from ultraquiet.design.fixed_structure.tuning import ROUNDS, STEPS, InitialLaw, calmed, posed, tuned
 from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.result import DesignResult
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, structure_word
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
@@ -28,7 +29,7 @@ STRUCTURES = (REPEATED, DECENTRALISED, FULL)
 
 @register("design", "fixed-structure")
 @dataclass(frozen=True)
-class FixedStructure:
+class FixedStructure(StatedRobustness):
     """The best law of a few states, the same on every channel or one for each, for a specification.
 
     min over theta of max over f of sigma(S) / s(f), subject to sigma(S) <= peak, sigma(K S) <= limit, ...
@@ -59,6 +60,7 @@ class FixedStructure:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         who = "FixedStructure"
         object.__setattr__(self, "structure", structure_word(who, self.structure, STRUCTURES))
         whole(who, "states", self.states, 0)

@@ -14,6 +14,7 @@ from ultraquiet.design.fixed_structure.minimax import lowest
 from ultraquiet.design.fixed_structure.problem import Requirement, TuningProblem
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.values.interconnect import lft
@@ -23,7 +24,7 @@ STEPS, ROUNDS = 200, 4
 
 
 @dataclass(frozen=True)
-class _Settings:
+class _Settings(StatedRobustness):
     states: int
     stable: bool
     starts: int

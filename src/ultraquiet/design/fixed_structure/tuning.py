@@ -11,7 +11,7 @@ from ultraquiet.design.fixed_structure.controller_structure import ControllerStr
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
 from ultraquiet.design.fixed_structure.problem import TuningProblem
 from ultraquiet.design.fixed_structure.specification import Specification
-from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -106,8 +106,11 @@ def posed(plant: StateSpace, structure: ControllerStructure, wanted: Specificati
 def worded(result: DesignResult, score: Any, demanded: bool) -> DesignResult:
     """Say in the status whether a specification is met; what is only wished cannot fail."""
     missing = {k for k, v in score.shortfall.items() if v > 0}
-    if not result.status.ok or not (missing if demanded else missing - {"attenuation_db"}):
+    short = missing if demanded else missing - {"attenuation_db"}
+    if result.status.word not in STABLE_WORDS or not short:
         return result
+    if not result.status.ok:
+        return replace(result, status=Status(result.status.word, f"{result.status.sentence} {score.sentence}"))
     return replace(result, status=Status(StatusWord.SHORT, f"{score.sentence} This is the best found."))
 
 

@@ -22,6 +22,7 @@ from ultraquiet.design.h2.lqg_problem import (
 from ultraquiet.design.h2.riccati import H2Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.stabilisability import lost_modes, stable_weight
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
@@ -37,7 +38,7 @@ RISE = 10.0  # in gain, of the weight on u above `control_hz`
 
 @register("design", "lqg")
 @dataclass(frozen=True, eq=False)
-class Lqg:
+class Lqg(StatedRobustness):
     """The controller of least mean square weighted output and control, for disturbance and sensor noise of any colour.
 
     min E[|W y|^2 + |Wu u|^2] with x+ = A x + B (u + d), y = C x + D (u + d) + v.
@@ -97,6 +98,7 @@ class Lqg:
     noise_model: StateSpace | FloatArray | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("control_weight", "disturbance", "sensor_noise"):
             positive("Lqg", name, getattr(self, name))
         between("Lqg", "recovery", self.recovery, 1.0, np.finfo(float).max)

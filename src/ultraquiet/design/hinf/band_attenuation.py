@@ -13,6 +13,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED, structure_word
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
@@ -34,7 +35,7 @@ NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the sca
 
 @register("design", "band-attenuation")
 @dataclass(frozen=True)
-class BandAttenuation:
+class BandAttenuation(StatedRobustness):
     """The controller that makes a band quiet in every direction, at a price in amplification outside.
 
     min || [W1 S; W2 K S; W3 T] || with W1 a steep band-pass over a floor, W2 and W3 rising at high frequency: W1's
@@ -87,6 +88,7 @@ class BandAttenuation:
     margin: float = 1.05
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "structure", structure_word(WHO, self.structure, (FULL, REPEATED)))
         for name in (
             "height",

@@ -15,7 +15,6 @@ from ultraquiet.linalg.ordered import Array, Matrices
 OPTIMAL = 1e-6  # a margin nearer to one than this asks for the optimal controller
 # Singular values of the optimum's descriptor matrix below this share of its terms are zero; each costs a state.
 DESCRIPTOR_RANK = 1e-9
-SWEEPS = 20  # of the scaling of states; a handful settles it
 
 
 class Stabiliser(NamedTuple):
@@ -107,23 +106,6 @@ def discrete(M: Matrices, margin: float) -> Stabiliser:
     conditions["outputs"], conditions["inputs"] = _rcond(np.eye(ny) + D @ direct), _rcond(np.eye(nu) + direct @ D)
     law = _closed(M, (A + H @ C + B @ feedback, B @ direct - H, feedback, direct))
     return Stabiliser(law, gamma_min, P, Q, residuals, feedback, H, root, conditions)
-
-
-def evened(M: Matrices) -> Matrices:
-    """Return a system whose states are scaled by powers of two until rows of [A B] and columns of [A; C] match."""
-    A, B, C, D = M
-    off = np.abs(A - np.diag(np.diag(A)))
-    b, c = np.abs(B).sum(axis=1), np.abs(C).sum(axis=0)
-    d = np.ones(A.shape[0])
-    for _ in range(SWEEPS):
-        before = d.copy()
-        for k in range(d.size):
-            row, column = (off[k] @ d + b[k]) / d[k], (off[:, k] @ (1 / d) + c[k]) * d[k]
-            if row > 0 and column > 0:
-                d[k] *= np.exp2(np.round(0.5 * np.log2(row / column)))
-        if np.array_equal(before, d):
-            break
-    return A * d / d[:, None], B / d[:, None], C * d, D
 
 
 def _observer(M: Matrices, F: Array, H: Array, direct: Array) -> Matrices:

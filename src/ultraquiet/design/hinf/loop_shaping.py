@@ -15,11 +15,13 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.singular import singular_values
 from ultraquiet.design.hinf import coprime_stabilisation as coprime
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, peak, rational
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
+from ultraquiet.linalg.even import evened
 from ultraquiet.values.generalised import four_block
 from ultraquiet.values.interconnect import append, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
@@ -32,7 +34,7 @@ FALL = 0.1  # what the numbers' weight falls to beyond the roll-off, where it ha
 
 @register("design", "loop-shaping")
 @dataclass(frozen=True)
-class LoopShaping:
+class LoopShaping(StatedRobustness):
     """The controller that keeps a drawn loop shape and stands the largest coprime-factor uncertainty.
 
     Gs = W2 G W1 = M^-1 N, M M* + N N* = I. Ks minimises ||[I; K] (I - Gs K)^-1 M^-1||, whose smallest value is
@@ -82,6 +84,7 @@ class LoopShaping:
     margin: float = 1.1
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("height", "floor", "roll_off_hz", "tone_height", "tone_zeta"):
             positive(WHO, name, getattr(self, name))
         if not positive(WHO, "margin", self.margin) >= 1:
@@ -185,7 +188,7 @@ def _aligning(plant: StateSpace, f_hz: float) -> FloatArray:
 def _even(system: StateSpace) -> StateSpace:
     """Return a system in modal coordinates, whose states all weigh alike, in blocks of repeated poles too."""
     form = modal(system.A, system.B, system.C)
-    return StateSpace(*coprime.evened((form.A, form.B, form.C, system.D)), rate_hz=system.rate_hz)
+    return StateSpace(*evened(form.A, form.B, form.C), system.D, rate_hz=system.rate_hz)
 
 
 def _mapped(M: coprime.Matrices, discrete: bool) -> float:

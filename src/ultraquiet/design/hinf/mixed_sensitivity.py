@@ -14,6 +14,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
@@ -31,7 +32,7 @@ ROLL_OFF = 4.0  # weight on u at high frequency, V/V
 
 @register("design", "mixed-sensitivity")
 @dataclass(frozen=True)
-class MixedSensitivity:
+class MixedSensitivity(StatedRobustness):
     """The controller that minimises the H-infinity norm of weighted closed-loop functions.
 
     four-block: min || [W1; W2 K] (I - G K)^-1 [G Vd, Vn] ||, disturbance at the plant's input and at the sensors.
@@ -94,6 +95,7 @@ class MixedSensitivity:
     margin: float = 1.05
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         one_of(WHO, "form", self.form, FORMS)
         for name in (
             "height",

@@ -12,7 +12,8 @@ from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.mu.scalings import Scaling, constant, fitted, scaled
-from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
@@ -44,7 +45,7 @@ class _Step(NamedTuple):
 
 @register("design", "mu-synthesis")
 @dataclass(frozen=True)
-class MuSynthesis:
+class MuSynthesis(StatedRobustness):
     """The controller that lowers the structured singular value of a loop whose plant is not known exactly.
 
     min over K and D of max over f of ||D F(P, K) D^-1||, by turns: the K-step is an H-infinity synthesis with D held,
@@ -98,6 +99,7 @@ class MuSynthesis:
     margin: float = 1.02
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("height", "floor", "tone_height", "tone_zeta", "roll_off_hz", "margin"):
             positive(WHO, name, getattr(self, name))
         if self.control_limit is not None:
@@ -252,7 +254,7 @@ def _told(
         "mu_lower": bounds.lower,
     }
     result = from_synthesis(plant, best.result, settings, details)
-    return result if not result.status.ok else _with_verdict(result, peak, at, stability, steps)
+    return result if result.status.word not in STABLE_WORDS else _with_verdict(result, peak, at, stability, steps)
 
 
 def _with_verdict(result: DesignResult, peak: float, at: float, stability: float, steps: list[_Step]) -> DesignResult:
@@ -267,4 +269,4 @@ def _with_verdict(result: DesignResult, peak: float, at: float, stability: float
     if peak >= 1:
         share = f"{1 / peak:.0%}"
         worth = f"every plant of the family is stable; {share} of the performance holds for {share} of the errors"
-    return replace(result, status=Status(StatusWord.OK, f"{summary}; {worth}. {result.status.sentence}"))
+    return replace(result, status=Status(result.status.word, f"{summary}; {worth}. {result.status.sentence}"))

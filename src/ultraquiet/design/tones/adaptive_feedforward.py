@@ -10,7 +10,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, posi
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v
 from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design.tones.resonators import SETTLED, facts, quiet_bank, resonators
@@ -29,7 +30,7 @@ TABLE_ERROR = 0.02  # of the inverse half-way between points, relative
 
 @register("design", "adaptive-feedforward")
 @dataclass(frozen=True)
-class AdaptiveFeedforward:
+class AdaptiveFeedforward(StatedRobustness):
     """A law that finds tones in the readings, follows their frequencies and cancels them in every direction.
 
     y0 = y - G u, the readings as they would be without the law; a bank of narrow filters over each tone's span finds
@@ -66,6 +67,7 @@ class AdaptiveFeedforward:
     around: Around = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("settling_s", "track_hz", "find_s", "depth_db", "peak_db"):
             positive("AdaptiveFeedforward", name, getattr(self, name))
         between("AdaptiveFeedforward", "span", self.span, 0.0, 0.5)
@@ -101,7 +103,7 @@ class AdaptiveFeedforward:
             "span_hz": {f: tuple(e) for f, e in zip(tones.tolist(), edges.tolist(), strict=True)},
         }
         result = judged(plant, inner.joined(bank), self, float("nan"), float("nan"), {}, details)
-        if not result.status.ok or result.controller is None:
+        if result.status.word not in STABLE_WORDS or result.controller is None:
             return result
         law = FeedforwardLaw(self, inner, result.controller, tones, edges, speeds, limit)
         return adapting(result, law)

@@ -9,7 +9,8 @@ from ultraquiet._base.constraints import FloatArray, between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.result import DesignResult
+from ultraquiet.design.result import STABLE_WORDS, DesignResult
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
 from ultraquiet.design.verification import judged
@@ -22,7 +23,7 @@ GRID = 512  # frequencies at which the spread of the loop's gains is told
 
 @register("design", "filtered-x")
 @dataclass(frozen=True)
-class FilteredXLms:
+class FilteredXLms(StatedRobustness):
     """Feedforward through adaptive filters W from reference readings x: u = W x, leaky, normalised, all errors at once.
 
     w+ = (1 - leak) w - step F' (F F' + floor)^-1 e, e = y0 + F w: F holds the references filtered by the plant, one
@@ -64,6 +65,7 @@ class FilteredXLms:
     around: Around = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         whole("FilteredXLms", "taps", self.taps, 2)
         between("FilteredXLms", "leak", self.leak, 0.0, 1e3)
         if not positive("FilteredXLms", "step", self.step) < STEP_BOUND:
@@ -104,7 +106,7 @@ class FilteredXLms:
         }
         rest = inner.joined(gain(np.zeros((nu, ny)), G.rate_hz))
         result = judged(plant, rest, self, float("nan"), float("nan"), {}, details)
-        if result.controller is None or not result.status.ok:
+        if result.controller is None or result.status.word not in STABLE_WORDS:
             return result
         law = FilteredXLaw(self, inner, model, (errors, references, drives), limit, result.controller)
         return adapting(result, law)

@@ -13,6 +13,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.inner_loop import Around, Inner, Inverse, checked_tones, inner_loop, inverse
 from ultraquiet.design.verification import judged
 from ultraquiet.values.interconnect import feedback, gain, parallel, sensitivity
@@ -25,7 +26,7 @@ SLOWINGS = 20  # such steps per tone, a factor of a thousand, before a design is
 
 @register("design", "resonators")
 @dataclass(frozen=True)
-class Resonators:
+class Resonators(StatedRobustness):
     """A bank of resonators that cancels steady tones in every direction of a plant, round another law or alone.
 
     u = K0 y + sum over tones of Re(zeta), zeta+ = e^jw (rho zeta - 2 a G(e^jw)^-1 y): each direction of each tone
@@ -58,6 +59,7 @@ class Resonators:
     around: Around = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("settling_s", "depth_db", "peak_db"):
             positive("Resonators", name, getattr(self, name))
         between("Resonators", "weakest", self.weakest, 0.0, 1.0)

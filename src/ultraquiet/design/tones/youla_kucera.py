@@ -8,7 +8,8 @@ from ultraquiet._base.constraints import FloatArray, between, one_of, positive, 
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
+from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.design.verification import judged
@@ -87,7 +88,7 @@ def central_law(plant: StateSpace, control_weight: float, sensor_noise: float) -
 
 @register("design", "youla-kucera")
 @dataclass(frozen=True)
-class YoulaKucera:
+class YoulaKucera(StatedRobustness):
     """A stabilising law whose stable parameter Q learns, by recursive least squares, to cancel what is there.
 
     u = K0 y + v, v = F x + Q e, Q(z) = sum_k theta_k psi_k(z): psi a pair of filters (a damped resonance and its
@@ -134,6 +135,7 @@ class YoulaKucera:
     around: Around = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         one_of("YoulaKucera", "basis", self.basis, ("tones", "laguerre", "fir"))
         one_of("YoulaKucera", "central", self.central, ("lqg", "none"))
         for name in ("memory_s", "leak", "pole_hz", "control_weight", "sensor_noise"):
@@ -174,7 +176,7 @@ class YoulaKucera:
         }
         whole_law = inner.joined(form.controller())
         result = judged(plant, whole_law, self, float("nan"), float("nan"), {}, details)
-        if result.status.ok and result.controller is not None:
+        if result.status.word in STABLE_WORDS and result.controller is not None:
             law = YoulaLaw(self, inner, form, regressors, filters, limit, result.controller)
             return adapting(result, law)
         return result

@@ -1,0 +1,70 @@
+"""What every design states about its loop beyond being stable: disk margins at both ends of the plant."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, log10
+
+from ultraquiet._base.constraints import between
+from ultraquiet.analyse.disk import ENDS, ChannelChange, EndMargins, disk_ranges, end_margins
+from ultraquiet.values.state_space import StateSpace
+
+DISK_MARGIN = 0.2  # 1.7 dB or 11 degrees in every channel at once; several times what calibrated channels drift
+WIDEST = 2.0  # a disk of this size holds every gain from zero to infinity
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedRobustness:
+    """The setting that all designs share.
+
+    Args:
+        disk_margin: what a design called `ok` keeps at the plant's input and at its output, all channels of that end at
+            once (`analyse.disk_margin`); a stable loop with less is `fragile`. 0 asks for nothing but stability.
+    """
+
+    disk_margin: float = DISK_MARGIN
+
+    def __post_init__(self) -> None:
+        between(type(self).__name__, "disk_margin", self.disk_margin, 0.0, WIDEST)
+
+
+def both_ends(plant: StateSpace, controller: StateSpace) -> dict[str, EndMargins]:
+    """Return the margins at the plant's `output` and `input`."""
+    return {side: end_margins(plant, controller, side) for side in reversed(ENDS)}
+
+
+def weaker_end(margins: Mapping[str, EndMargins]) -> str:
+    """Return the end with the smaller disk margin, `input` when both are alike."""
+    return min(ENDS, key=lambda side: margins[side].disk_all)
+
+
+def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float) -> str:
+    """Return one sentence on the end that keeps less than asked, and on the channel whose change upsets the loop."""
+    side = weaker_end(margins)
+    found = margins[side]
+    wires, kind = (plant.actuators, "actuator") if side == "input" else (plant.sensors, "sensor")
+    _, high, degrees = disk_ranges(found.disk_all)
+    said = (
+        f"The loop is stable yet fragile at the plant's {side}: changes of {_db(float(high)):.2g} dB or "
+        f"{float(degrees):.2g} degrees in all {kind}s at once may upset it, near {found.disk_all_hz:.4g} Hz (a disk "
+        f"margin of {found.disk_all:.2g} where {asked:g} is asked)"
+    )
+    change = found.least_change
+    return f"{said}." if change is None else f"{said}; {_told(change, f'{kind} {wires[change.channel].name!r}')}."
+
+
+def stated(margins: Mapping[str, EndMargins]) -> str:
+    """Return the disk margins of both ends in words."""
+    sizes = [f"{margins[side].disk_all:.2g} at the plant's {side}" for side in ENDS]
+    return f"disk margins, all channels at once, are {' and '.join(sizes)}"
+
+
+def _told(change: ChannelChange, channel: str) -> str:
+    if change.kind == "phase":
+        what = f"{change.amount:.2g} degrees of phase"
+    else:
+        what = f"{abs(change.amount):.2g} dB {'more' if change.amount > 0 else 'less'} gain"
+    return f"alone, {what} of {channel} upsets it, at {change.f_hz:.4g} Hz"
+
+
+def _db(factor: float) -> float:
+    return 20 * log10(factor) if factor < inf else inf

@@ -1,0 +1,38 @@
+"""States scaled by powers of two, so that orthogonal transformations of them lose nothing."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+
+SWEEPS = 20  # a handful settles it
+UNEVEN = 2.0**20  # row sums against column sums: below it, rounding costs less than half of the digits
+
+
+def evened(
+    A: FloatArray, B: FloatArray, C: FloatArray, uneven: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C with states scaled by powers of two until rows of [A B] and columns of [A; C] match.
+
+    Args:
+        A: `(n, n)`.
+        B: `(n, nu)`.
+        C: `(ny, n)`.
+        uneven: how far rows and columns may differ, as a ratio of their sums, for the system to be left as it is.
+    """
+    off = np.abs(A - np.diag(np.diag(A)))
+    b, c = np.abs(B).sum(axis=1), np.abs(C).sum(axis=0)
+    rows, columns = off.sum(axis=1) + b, off.sum(axis=0) + c
+    both = (rows > 0) & (columns > 0)
+    ratio = rows[both] / columns[both]
+    if not ratio.size or max(float(ratio.max()), 1 / float(ratio.min())) < uneven:
+        return A, B, C
+    d = np.ones(A.shape[0])
+    for _ in range(SWEEPS):
+        before = d.copy()
+        for k in range(d.size):
+            row, column = (off[k] @ d + b[k]) / d[k], (off[:, k] @ (1 / d) + c[k]) * d[k]
+            if row > 0 and column > 0:
+                d[k] *= np.exp2(np.round(0.5 * np.log2(row / column)))
+        if np.array_equal(before, d):
+            break
+    return A * d / d[:, None], B / d[:, None], C * d

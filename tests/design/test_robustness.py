@@ -1,0 +1,77 @@
+"""The verdict on a design: ok needs a stated disk margin at both ends, less is fragile and says where."""
+
+import numpy as np
+import pytest
+
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import methods
+from ultraquiet.analyse import disk_margin, disk_ranges
+from ultraquiet.design import Lqg
+from ultraquiet.values import StateSpace
+
+RATE = 2000.0
+RESONANT = StateSpace(
+    [[0.98, 0.19], [-0.19, 0.98]], [[0.1], [0.0]], [[1.0, 0.3]], [[0.0]], RATE, ["coil"], ["geophone"]
+)
+CHEAP = {"control_weight": 1e-10, "sensor_noise": 1e-8, "disturbance_at": "input", "band_hz": None}
+
+
+def crossed(plant):
+    """Return a plant of two channels that answers 10 to 1 in its directions, its actuators and sensors named."""
+    turn = np.array([[1.0, 0.9], [0.9, 1.0]])
+    A = np.kron(np.eye(2), plant.A)
+    return StateSpace(
+        A,
+        np.kron(np.eye(2), plant.B),
+        np.kron(turn, plant.C),
+        np.zeros((2, 2)),
+        RATE,
+        ["left", "right"],
+        ["top", "side"],
+    )
+
+
+def test_a_stable_loop_with_less_than_the_default_margin_is_fragile_and_keeps_its_controller():
+    plant = crossed(RESONANT)
+    result = Lqg(**CHEAP, disk_margin=1.2).design(plant)
+    assert result.status.word == "fragile"
+    assert result.controller is not None
+    assert not result.status.ok
+    ends = {side: disk_margin(plant, result.controller, side) for side in ("input", "output")}
+    weaker = min(ends, key=ends.get)
+    assert f"at the plant's {weaker}" in result.status.sentence
+    change = result.margins[weaker].least_change
+    wire = (plant.actuators if weaker == "input" else plant.sensors)[change.channel].name
+    assert f"{'actuator' if weaker == 'input' else 'sensor'} '{wire}'" in result.status.sentence
+    assert f"{20 * np.log10(disk_ranges(ends[weaker])[1]):.2g} dB" in result.status.sentence
+    assert "1.2 is asked" in result.status.sentence
+
+
+@pytest.mark.parametrize("asked", [0.0, 0.1, 0.5, 1.0, 2.0])
+def test_the_word_follows_the_setting(asked):
+    result = Lqg(**CHEAP, disk_margin=asked).design(RESONANT)
+    kept = min(result.margins[side].disk_all for side in ("input", "output"))
+    assert result.status.word == ("ok" if kept >= asked else "fragile")
+    assert (
+        f"{result.margins['input'].disk_all:.2g} at the plant's input" in result.status.sentence or not result.status.ok
+    )
+
+
+@pytest.mark.parametrize("name", sorted(methods("design")))
+def test_every_design_takes_the_margin_and_refuses_one_that_is_none(name):
+    method = methods("design")[name]
+    assert method().disk_margin == 0.2
+    assert method(disk_margin=0.3).disk_margin == 0.3
+    with pytest.raises(InputError, match="disk_margin"):
+        method(disk_margin=-0.1)
+
+
+def test_a_law_that_is_unstable_by_itself_is_said_to_be():
+    plant = StateSpace([[0.9, 1.0], [0.0, 1.05]], [[0.0], [1.0]], [[1.0, -0.2]], [[0.0]], RATE)
+    result = Lqg(control_weight=1e-3, sensor_noise=1e-3, disturbance_at="input", band_hz=None, disk_margin=0.0).design(
+        plant
+    )
+    assert result.status.ok
+    own = "unstable by itself" in result.status.sentence
+    assert own == (not result.controller.is_stable())
+    assert own
