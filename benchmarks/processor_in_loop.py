@@ -29,7 +29,7 @@ def measure() -> Iterator[Row]:
         return
     seed = int(np.random.default_rng().integers(2**30))
     bench = uq.bench.Hexapod(unit="ground", seed=seed)
-    law = uq.design.MixedSensitivity().design(bench.linear_model()).controller
+    law = uq.design.MixedSensitivity(band_hz=(9.0, 108.0), height=12.0).design(bench.linear_model()).controller
     assert law is not None
     with tempfile.TemporaryDirectory() as work:
         made = uq.deploy.generate(law, Path(work) / "code")

@@ -16,7 +16,7 @@ SECTIONS = {
     "notch_widths": (0.6, 0.5),
 }
 METHODS = {
-    "H-infinity, one law of 23 states": BandAttenuation(structure="repeated"),
+    "H-infinity, one law of 23 states": BandAttenuation(band_hz=(9.0, 108.0), structure="repeated"),
     "decoupled, threefold": Decoupled(transform="threefold"),
     "fixed structure, 8 states a strut": FixedStructure(states=8, specification=WANTED),
     "fixed structure, 12 states a strut": FixedStructure(states=12, specification=WANTED),

@@ -21,8 +21,8 @@ Promise = tuple[str, str, str, bool]
 def measure() -> Iterator[Promise]:
     plant = uq.bench.Hexapod(unit="ground").linear_model()
     laws = {
-        "repeated": uq.design.BandAttenuation(structure="repeated").design(plant).controller,
-        "LQG": uq.design.Lqg().design(plant).controller,
+        "repeated": uq.design.BandAttenuation(band_hz=(9.0, 108.0), structure="repeated").design(plant).controller,
+        "LQG": uq.design.Lqg(band_hz=(9.0, 108.0), control_weight=1e-8).design(plant).controller,
     }
     with tempfile.TemporaryDirectory() as work:
         yield from bank(laws["repeated"], plant, Path(work))

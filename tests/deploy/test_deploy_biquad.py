@@ -87,7 +87,7 @@ def test_auto_takes_the_bank_and_it_costs_less(rng, tmp_path):
 
 def test_alike_design_of_the_demo_becomes_a_bank(tmp_path):
     ground = uq.bench.Hexapod(unit="ground").linear_model()
-    law = uq.design.BandAttenuation(structure="repeated").design(ground).controller
+    law = uq.design.BandAttenuation(band_hz=(9.0, 108.0), structure="repeated").design(ground).controller
     made = generate(law, tmp_path / "code", plant=ground)
     dense = kernel_cycles("dense", law.states)
     modal = kernel_cycles("modal", law.states)

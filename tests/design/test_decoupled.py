@@ -32,8 +32,8 @@ def test_threefold_splits_the_hexapod(unit):
 
 @pytest.mark.parametrize("transform", ["threefold", "data"])
 def test_decoupled_is_a_check_on_the_full_design(ground, transform):
-    small = Decoupled(transform=transform).design(ground)
-    full = BandAttenuation().design(ground)
+    small = Decoupled(transform=transform, settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(ground)
+    full = BandAttenuation(band_hz=(9.0, 108.0), height=12.0).design(ground)
     band = np.geomspace(10, 100, 300)
     worst = [-sensitivity_db(ground, r.controller, band).max() for r in (small, full)]
     print(
@@ -49,7 +49,7 @@ def test_decoupled_is_a_check_on_the_full_design(ground, transform):
 
 
 def test_equal_blocks_share_their_law(ground):
-    result = Decoupled(transform="threefold").design(ground)
+    result = Decoupled(transform="threefold", settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(ground)
     loops = result.details["loops"]
     assert loops[2] is loops[3]
 
@@ -62,7 +62,7 @@ def test_a_hidden_transform_is_found(rng):
         StateSpace([[a]], [[1 - a]], [[g]], [[0.0]], rate_hz=3500.0) for a, g in ((0.9, 1.0), (0.95, 3.0), (0.8, 0.3))
     ]
     plant = series(series(gain(T.T, 3500.0), append(*parts)), gain(T, 3500.0))
-    result = Decoupled().design(plant)
+    result = Decoupled(settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(plant)
     print(f"residue {result.details['residue']:.1e}, blocks {result.details['blocks']}")
     assert result.status.ok, result.status
     assert len(result.details["blocks"]) == 3
@@ -70,7 +70,7 @@ def test_a_hidden_transform_is_found(rng):
 
 
 def test_residue_tells_when_no_transform_fits(rng):
-    result = Decoupled(transform="svd").design(bench_like(rng, 6))
+    result = Decoupled(transform="svd", settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(bench_like(rng, 6))
     print(f"a plant without symmetry: residue {result.details['residue']:.2f}, {result.status}")
     assert result.details["residue"] > 0.05
 
@@ -79,7 +79,9 @@ def test_other_methods_and_bad_input(ground):
     result = Decoupled(transform="threefold", method="lqg").design(ground)
     assert result.status.ok, result.status
     with pytest.raises(InputError, match="six struts"):
-        Decoupled(transform="threefold").design(append(*[BandAttenuation().weights(ground)["performance"]] * 2))
+        Decoupled(transform="threefold").design(
+            append(*[BandAttenuation(band_hz=(9.0, 108.0)).weights(ground)["performance"]] * 2)
+        )
     with pytest.raises(InputError, match="orthonormal"):
         Decoupled(transform=((1.0, 1.0), (0.0, 1.0))).design(ground)
     with pytest.raises(InputError, match="no setting 'wrong'"):

@@ -61,7 +61,7 @@ def test_settling_is_what_the_poles_say(ground):
 
 
 def test_bank_around_a_broadband_law(ground):
-    alone = uq.design.BandAttenuation(structure="repeated").design(ground)
+    alone = uq.design.BandAttenuation(band_hz=(9.0, 108.0), structure="repeated").design(ground)
     both = Resonators(tones_hz=(25.0, 60.0), around=alone.controller).design(ground)
     f = np.array([25.0, 60.0])
     more = sensitivity_db(ground, alone.controller, f) - sensitivity_db(ground, both.controller, f)

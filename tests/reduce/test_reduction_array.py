@@ -25,8 +25,8 @@ def array(first_seed):
 @pytest.mark.parametrize(
     ("method", "norm", "states", "allowed"),
     [
-        (uq.design.MixedSensitivity(), "peak", 16, 0.05),
-        (uq.design.Lqg(band_hz=None, disturbance_at="input"), "mean-square", 8, 0.01),
+        (uq.design.MixedSensitivity(band_hz=(9.0, 108.0), height=12.0, disk_margin=0.0), "peak", 16, 0.05),
+        (uq.design.Lqg(control_weight=1e-8, disturbance_at="input", disk_margin=0.0), "mean-square", 8, 0.01),
     ],
     ids=["hinf", "lqg"],
 )

@@ -192,7 +192,7 @@ def test_budget_takes_the_largest_order_that_fits(loop):
 @pytest.fixture(scope="module")
 def heave():
     plant = uq.design.common_mode(uq.bench.Hexapod(unit="ground").linear_model())
-    return plant, uq.design.BandAttenuation().design(plant)
+    return plant, uq.design.BandAttenuation(band_hz=(9.0, 108.0), height=12.0).design(plant)
 
 
 def test_budget_and_loss_together(heave):

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse.margins import Margins, default_grid, grid_given, margins_of
+from ultraquiet.analyse.margins import Margins, default_grid, even_sensitivity, grid_given, margins_of
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
 from ultraquiet.analyse.peaks import Crossings, ends, refined, response_at
 from ultraquiet.values.interconnect import append, gain, sensitivity
@@ -196,7 +196,7 @@ def _seen(who: str, plant: StateSpace, controller: StateSpace, side: str, skew: 
     if side == "both":
         S = _both_sides(plant, controller)
     else:
-        S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
+        S = even_sensitivity(plant, controller, side)
     return StateSpace(S.A, S.B, S.C, S.D + 0.5 * (skew - 1) * np.eye(S.D.shape[0]), S.rate_hz)
 
 
@@ -268,7 +268,7 @@ def end_margins(plant: StateSpace, controller: StateSpace, side: str = "output")
     Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277.
     """
     one_of("end_margins", "side", side, ENDS)
-    S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
+    S = even_sensitivity(plant, controller, side)
     each, crossings = margins_of(S)
     arrays = {field.name: getattr(each, field.name) for field in fields(Margins)}
     if not crossings:

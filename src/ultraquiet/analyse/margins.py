@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_arr
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.peaks import Crossings, channel_crossings, ends, refined, response_at
+from ultraquiet.linalg.even import evened
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -58,7 +59,7 @@ def peak_sensitivity(plant: StateSpace, controller: StateSpace) -> tuple[float, 
     >>> [round(v, 3) for v in peak_sensitivity(G, K)]
     [3.522, 50.0]
     """
-    gain, f_hz = hinf_norm(sensitivity(plant, controller))
+    gain, f_hz = hinf_norm(sensitivity(*_even_inputs(plant, controller)))
     return (20 * float(np.log10(gain)) if np.isfinite(gain) else np.inf), f_hz
 
 
@@ -84,8 +85,41 @@ def loop_margins(
     >>> round(float(loop_margins(G, K).gain_up_db[0]), 2)
     9.54
     """
-    S = sensitivity(plant, controller) if side == "output" else sensitivity(controller, plant)
+    S = even_sensitivity(plant, controller, side)
     return margins_of(S, f_hz)[0]
+
+
+def even_sensitivity(plant: StateSpace, controller: StateSpace, side: str) -> StateSpace:
+    """Return D S D^-1, S = (I - L)^-1 at one end of the plant, with a diagonal D of powers of two that evens channels.
+
+    S_ii and what a change of each channel does are those of S; channels in units decades apart cost no digits.
+    """
+    G, K = _even_inputs(plant, controller)
+    if K.D.shape != G.D.shape[::-1]:
+        return sensitivity(G, K)
+    y = _between(np.hstack([G.C, G.D]), np.vstack([K.B, K.D]).T)
+    G = StateSpace(G.A, G.B, G.C / y[:, None], G.D / y[:, None], G.rate_hz)
+    K = StateSpace(K.A, K.B * y, K.C, K.D * y, K.rate_hz)
+    return sensitivity(G, K) if side == "output" else sensitivity(K, G)
+
+
+def _even_inputs(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, StateSpace]:
+    """Return plant and controller with their states and the plant's inputs evened out, of which S does not depend."""
+    if controller.D.shape != plant.D.shape[::-1]:
+        return plant, controller  # to be refused by who joins them
+    (A, B, C), (a, b, c) = (evened(s.A, s.B, s.C) for s in (plant, controller))
+    u = _between(np.hstack([c, controller.D]), np.vstack([B, plant.D]).T)
+    G = StateSpace(A, B * u, C, plant.D * u, plant.rate_hz)
+    return G, StateSpace(a, b, c / u[:, None], controller.D / u[:, None], controller.rate_hz)
+
+
+def _between(leaving: FloatArray, entering: FloatArray) -> FloatArray:
+    """Return a power of two for each channel that divides what leaves and multiplies what enters: both become alike."""
+    sizes = [np.linalg.norm(rows, axis=1) for rows in (leaving, entering)]
+    both = (sizes[0] > 0) & (sizes[1] > 0)
+    power = np.zeros(both.shape)
+    power[both] = np.round((np.log2(sizes[0][both]) - np.log2(sizes[1][both])) / 2)
+    return np.exp2(power)
 
 
 def margins_of(S: StateSpace, f_hz: ArrayLike | None = None) -> tuple[Margins, list[Crossings]]:

@@ -9,6 +9,7 @@ from ultraquiet.analyse.disk import ENDS, ChannelChange, EndMargins, disk_ranges
 from ultraquiet.values.state_space import StateSpace
 
 DISK_MARGIN = 0.2  # 1.7 dB or 11 degrees in every channel at once; several times what calibrated channels drift
+LEAST_DIGIT = 6  # of a frequency in Hz, below which it is 0 Hz for a reader
 WIDEST = 2.0  # a disk of this size holds every gain from zero to infinity
 
 
@@ -45,7 +46,7 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
     _, high, degrees = disk_ranges(found.disk_all)
     said = (
         f"The loop is stable yet fragile at the plant's {side}: changes of {_db(float(high)):.2g} dB or "
-        f"{float(degrees):.2g} degrees in all {kind}s at once may upset it, near {found.disk_all_hz:.4g} Hz (a disk "
+        f"{float(degrees):.2g} degrees in all {kind}s at once may upset it, near {_hz(found.disk_all_hz)} (a disk "
         f"margin of {found.disk_all:.2g} where {asked:g} is asked)"
     )
     change = found.least_change
@@ -63,7 +64,11 @@ def _told(change: ChannelChange, channel: str) -> str:
         what = f"{change.amount:.2g} degrees of phase"
     else:
         what = f"{abs(change.amount):.2g} dB {'more' if change.amount > 0 else 'less'} gain"
-    return f"alone, {what} of {channel} upsets it, at {change.f_hz:.4g} Hz"
+    return f"alone, {what} of {channel} upsets it, at {_hz(change.f_hz)}"
+
+
+def _hz(f_hz: float) -> str:
+    return f"{round(f_hz, LEAST_DIGIT):.4g} Hz"
 
 
 def _db(factor: float) -> float:

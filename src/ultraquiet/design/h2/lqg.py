@@ -1,6 +1,6 @@
 """Linear-quadratic-Gaussian control in discrete time, with frequency-shaped cost and loop transfer recovery."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
+from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.h2.loop_transfer_recovery import recovery
 from ultraquiet.design.h2.lqg_problem import (
     LqgParts,
@@ -21,6 +22,7 @@ from ultraquiet.design.h2.lqg_problem import (
 )
 from ultraquiet.design.h2.riccati import H2Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
+from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.stabilisability import lost_modes, stable_weight
@@ -31,8 +33,11 @@ from ultraquiet.linalg.norms import peak_gain
 from ultraquiet.values.generalised import full
 from ultraquiet.values.interconnect import append, feedback, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 CHEAP = 1e-6  # weight on u against the gain from u to the cost, below which half of the digits are gone
+# What each of these numbers is where only others are given; with none, the plant is the measure.
+ABSOLUTE = {"control_weight": 1e-8, "disturbance": 1.0, "sensor_noise": 0.01}
 RISE = 10.0  # in gain, of the weight on u above `control_hz`
 
 
@@ -43,16 +48,21 @@ class Lqg(StatedRobustness):
 
     min E[|W y|^2 + |Wu u|^2] with x+ = A x + B (u + d), y = C x + D (u + d) + v.
 
+    By default all is measured by the plant itself: its channels are evened out over its own band (`even_plant`), the
+    disturbance is white at its inputs, and noise and control weigh 1 / g^2 each, g halved from 32 until the loop keeps
+    `disk_margin` at both ends. Who gives one of `control_weight`, `disturbance`, `sensor_noise`, a weight or a model
+    gets exactly what these numbers ask for, in the plant's own units, the others as stated below.
+
     Args:
-        control_weight: rho = Wu^2, squared output units per squared volt.
+        control_weight: rho = Wu^2, squared output units per squared volt; 1e-8 where only others are given.
         control_hz: corner from which on Wu rises, tenfold at most; None for a constant.
         disturbance: variance of d per input (volts squared) when it enters at the plant's input, of the output
-            disturbance (output units squared) when `disturbance_at` is `output`.
-        disturbance_at: `output` or `input`. White noise at the input, as in the paper's section 4.2, is mostly noise at
-            the plant's resonances, and that is where the controller then works; at the output, all frequencies of the
-            band count alike.
-        sensor_noise: variance of v per output. The paper calls 0.01 a covariance; it is the mean standard deviation of
-            its sensors, so their variance would be 1e-4.
+            disturbance (output units squared) when `disturbance_at` is `output`; 1 where only others are given.
+        disturbance_at: `output` or `input`; absent, at the input by default and at the output where numbers are given.
+            White noise at the input, as in the paper's section 4.2, is mostly noise at the plant's resonances, and that
+            is where the controller then works; at the output, all frequencies of the band count alike.
+        sensor_noise: variance of v per output; 0.01 where only others are given. The paper calls 0.01 a covariance; it
+            is the mean standard deviation of its sensors, so their variance would be 1e-4.
         band_hz: corner frequencies of the band-pass W; None weights all frequencies alike.
         band_order: order of W, even.
         floor: gain of W outside the band, one inside it.
@@ -74,15 +84,17 @@ class Lqg(StatedRobustness):
     >>> result = Lqg(control_weight=0.01, band_hz=None).design(plant)
     >>> result.status.ok, abs(result.gamma / result.achieved - 1) < 1e-6
     (True, True)
+    >>> Lqg().design(plant).details["attenuation_rms_db"] > 10
+    True
 
     Kwakernaak and Sivan 1972; recovery: Maciejowski 1985, doi:10.1109/TAC.1985.1103975.
     """
 
-    control_weight: float = 1e-8
-    disturbance: float = 1.0
-    disturbance_at: str = "output"
-    sensor_noise: float = 0.01
-    band_hz: tuple[float, float] | None = (9.0, 108.0)
+    control_weight: float | None = None
+    disturbance: float | None = None
+    disturbance_at: str | None = None
+    sensor_noise: float | None = None
+    band_hz: tuple[float, float] | None = None
     band_order: int = 8
     floor: float = 0.06
     recovery: float = 1.0
@@ -99,11 +111,13 @@ class Lqg(StatedRobustness):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("control_weight", "disturbance", "sensor_noise"):
-            positive("Lqg", name, getattr(self, name))
+        for name in ABSOLUTE:
+            if getattr(self, name) is not None:
+                positive("Lqg", name, getattr(self, name))
         between("Lqg", "recovery", self.recovery, 1.0, np.finfo(float).max)
-        for name in ("disturbance_at", "recovery_at"):
-            one_of("Lqg", name, getattr(self, name), ("input", "output"))
+        one_of("Lqg", "recovery_at", self.recovery_at, ("input", "output"))
+        if self.disturbance_at is not None:
+            one_of("Lqg", "disturbance_at", self.disturbance_at, ("input", "output"))
         one_of("Lqg", "estimator", self.estimator, ("current", "predicted"))
         one_of("Lqg", "band_at", self.band_at, ("cost", "loop"))
         between("Lqg", "floor", self.floor, 0.0, 1.0)
@@ -118,13 +132,41 @@ class Lqg(StatedRobustness):
 
         `gamma` is the standard deviation of the weighted cost that the two Riccati equations promise, `achieved` the H2
         norm of the finished loop, both with what recovery adds; `details["recovery"]` holds
-        sigma(L - L_target) over frequency, `details["weights"]` the weights of one channel.
+        sigma(L - L_target) over frequency, `details["weights"]` the weights, of one channel where numbers are given.
+        By default the two are in the even plant's units, and `details` says which these are (`from_plant`).
 
         Raises:
             InputError: the plant is in continuous time; a weight or a noise model does not fit it, or is not stable.
         """
         if plant.rate_hz is None:
             raise InputError("Lqg: the plant is in continuous time; discretise it first.")
+        sentence = lost_modes("Lqg", plant)
+        if sentence:
+            return refused(sentence)
+        if self._measured_by_the_plant():
+            return from_plant(plant, self, self._attempt, self.band_hz)
+        found = self._found(plant)
+        if found.controller is None:
+            return found
+        law, details = found.controller, found.details
+        return judged(plant, law, self, found.gamma, found.achieved, found.residuals, details)
+
+    def _measured_by_the_plant(self) -> bool:
+        models = (self.output_weight, self.input_weight, self.disturbance_model, self.noise_model)
+        return all(getattr(self, name) is None for name in ABSOLUTE) and all(model is None for model in models)
+
+    def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        """Return what is found for the even plant when noise and control weigh 1 / g^2."""
+        at = self.disturbance_at or "input"
+        numbers = replace(self, control_weight=g**-2, sensor_noise=g**-2, disturbance=1.0, disturbance_at=at)
+        found = numbers._found(even.plant)
+        ny, nu = even.plant.D.shape
+        W = numbers.weights(even.plant)
+        weights = even.weights(append(*[W["performance"]] * ny), append(*[W["control"]] * nu))
+        return replace(found, details={**found.details, "weights": weights})
+
+    def _found(self, plant: StateSpace) -> DesignResult:
+        """Return the controller and what the equations say of it, its loop not yet judged, or a refusal."""
         parts = self.parts(plant)
         sentence = lost_modes("Lqg", plant) or unreachable_integrator("Lqg", plant, parts.loop)
         if sentence:
@@ -154,7 +196,8 @@ class Lqg(StatedRobustness):
             return refused(f"Lqg: {said}{_advice(P, ny, nu)}")
         recovered = recovery(self.recovery_at, even, parts.loop, core, P, solution)
         details = {"recovery": recovered, "weights": self.weights(plant)}
-        return judged(plant, K, self, promised, achieved, solution.residuals, details)
+        status = Status(StatusWord.OK, f"The equations promise a cost of {promised:.6g}, and the loop has it.")
+        return DesignResult(status, K, promised, achieved, residuals=solution.residuals, details=details)
 
     def _solved(
         self, P: StateSpace, true: StateSpace, ny: int, nu: int
@@ -187,15 +230,16 @@ class Lqg(StatedRobustness):
         assert plant.rate_hz is not None
         weights = self.weights(plant)
         at_input = self.disturbance_at == "input"
-        setting = self.disturbance if self.disturbance_model is None else self.disturbance_model
+        variance = _number(self, "disturbance")
+        setting = variance if self.disturbance_model is None else self.disturbance_model
         disturbance = shaped("Lqg", "disturbance_model", setting, nu if at_input else ny, plant.rate_hz)
-        setting = self.sensor_noise if self.noise_model is None else self.noise_model
+        setting = _number(self, "sensor_noise") if self.noise_model is None else self.noise_model
         noise = shaped("Lqg", "noise_model", setting, ny, plant.rate_hz)
         output = stable_weight("Lqg", "output_weight", full(weights["performance"], ny, "output_weight"), plant)
         control = stable_weight("Lqg", "input_weight", full(weights["control"], nu, "input_weight"), plant)
         more, probe = self.recovery - 1, gain(np.zeros((nu, 0)), plant.rate_hz)
         if more and self.recovery_at == "input":
-            probe = gain(np.sqrt(more * self.disturbance) * np.eye(nu), plant.rate_hz)
+            probe = gain(np.sqrt(more * variance) * np.eye(nu), plant.rate_hz)
         elif more:
             # the dual of noise at the input: cost on the output itself, whatever the weight's shape
             both = gain(np.vstack([np.eye(ny), np.sqrt(more) * np.eye(ny)]), plant.rate_hz)
@@ -208,7 +252,7 @@ class Lqg(StatedRobustness):
         """Return the weights: `performance` W and `control` Wu, of one channel unless given for all of them."""
         rate = plant.rate_hz
         one = gain(np.eye(1), rate)
-        size = float(np.sqrt(self.control_weight))
+        size = float(np.sqrt(_number(self, "control_weight")))
         W = one if self.band_hz is None or self.band_at == "loop" else self._band(rate)
         U = gain([[size]], rate)
         if self.control_hz is not None:
@@ -230,6 +274,12 @@ class Lqg(StatedRobustness):
     def _band(self, rate_hz: float | None) -> StateSpace:
         assert self.band_hz is not None
         return band_pass(self.band_hz, 1.0, self.floor, self.band_order, rate_hz)
+
+
+def _number(settings: Lqg, name: str) -> float:
+    """Return a number as given, or what it is where only others are."""
+    given: float | None = getattr(settings, name)
+    return ABSOLUTE[name] if given is None else given
 
 
 def _advice(P: StateSpace, ny: int, nu: int) -> str:

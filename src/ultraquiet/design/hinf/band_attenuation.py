@@ -10,8 +10,11 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.design.gain_search import from_plant
+from ultraquiet.design.hinf.normalised import band_shape, normalised_four_block
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
-from ultraquiet.design.result import DesignResult
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
+from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED, structure_word
@@ -22,14 +25,19 @@ from ultraquiet.linalg import balance
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import append
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 WHO = "BandAttenuation"
+ORDER = 8  # of W1 in absolute weights
+# What each of these numbers is where only others are given; with none, the plant is the measure.
+ABSOLUTE = {"height": 12.0, "floor": 0.6, "control_limit": 1000.0, "control_hz": 400.0, "roll_off_hz": 500.0}
 T_WEIGHT = 0.4  # |T| may reach gamma / 0.4 below the roll-off
 RISE = 10.0  # the weights on KS and T grow by this factor, one decade in frequency
 HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
 HEIGHT_STEPS = 8  # halvings of the logarithm of that range: 2 % in height
 CALMER = (1.1, 1.2)
 WHOLE = 1.1  # a Butterworth edge has lost half of the weight's height at its corner; a tenth inside it is whole
+LOST_DB = 3.0  # of a scalar promise, beyond which the plant has not the one function that the law is for
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the scalar function
 
 
@@ -41,14 +49,22 @@ class BandAttenuation(StatedRobustness):
     min || [W1 S; W2 K S; W3 T] || with W1 a steep band-pass over a floor, W2 and W3 rising at high frequency: W1's
     height asks for attenuation, its floor bounds the amplification elsewhere, W2 bounds |K S|, W3 ends the control.
 
+    By default the plant is the measure: the four-block form with all weights one, on the plant in units of its own
+    (`even_plant`), its loop shaped to be high over the band, its gain halved from 32 until it keeps `disk_margin` at
+    both ends; any number of inputs and outputs. Who gives one of `height`, `floor`, `control_limit`, `control_hz`,
+    `roll_off_hz`, `peak_db`, `uncertainty`, or asks for the structure `repeated`, gets exactly the weights above, in
+    the plant's own units, for a square plant.
+
     Args:
-        band_hz: corners of W1, Hz; a little outside the band to be quiet.
-        height: gain of W1 in the band. Doubling it buys about 4 dB and costs about 2 dB of peak.
-        floor: gain of W1 outside; the peak of S is near gamma / floor.
-        order: states of W1 per channel, even. Steep weights attenuate more at the same peak than high ones.
-        control_limit: largest wanted gain of K S, V/V.
-        control_hz: from where on less is wanted, Hz; 0.4 of the rate at most, like the next.
-        roll_off_hz: where the loop is to end, Hz.
+        band_hz: corners of W1, Hz, a little outside the band to be quiet; the plant's own band when absent.
+        height: gain of W1 in the band, 12 where only others are given. Doubling it buys about 4 dB and costs about 2 dB
+            of peak.
+        floor: gain of W1 outside, 0.6 where only others are given; the peak of S is near gamma / floor.
+        order: states per channel of W1, 8 when absent, or of the default's shape, 2 when absent; even. Steep weights
+            attenuate more at the same peak than high ones.
+        control_limit: largest wanted gain of K S, V/V; 1000 likewise.
+        control_hz: from where on less is wanted, Hz; 400 likewise, 0.4 of the rate at most, as the next.
+        roll_off_hz: where the loop is to end, Hz; 500 likewise.
         tones_hz: frequencies at which W1 has peaks besides, Hz: steady tones inside or outside the band.
         tone_height: extra gain of W1 at each tone; 40 dB of it cost about 0.5 dB of peak when they are narrow.
         tone_zeta: half the relative width of the peaks.
@@ -72,13 +88,13 @@ class BandAttenuation(StatedRobustness):
     Skogestad and Postlethwaite 2005, section 2.8.3.
     """
 
-    band_hz: tuple[float, float] = (9.0, 108.0)
-    height: float = 12.0
-    floor: float = 0.6
-    order: int = 8
-    control_limit: float = 1000.0
-    control_hz: float = 400.0
-    roll_off_hz: float = 500.0
+    band_hz: tuple[float, float] | None = None
+    height: float | None = None
+    floor: float | None = None
+    order: int | None = None
+    control_limit: float | None = None
+    control_hz: float | None = None
+    roll_off_hz: float | None = None
     tones_hz: tuple[float, ...] = ()
     tone_height: float = 100.0
     tone_zeta: float = 0.002
@@ -90,17 +106,11 @@ class BandAttenuation(StatedRobustness):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "structure", structure_word(WHO, self.structure, (FULL, REPEATED)))
-        for name in (
-            "height",
-            "floor",
-            "control_limit",
-            "control_hz",
-            "roll_off_hz",
-            "tone_height",
-            "tone_zeta",
-            "margin",
-        ):
-            positive("BandAttenuation", name, getattr(self, name))
+        for name in ("tone_height", "tone_zeta", "margin"):
+            positive(WHO, name, getattr(self, name))
+        for name in ABSOLUTE:
+            if getattr(self, name) is not None:
+                positive(WHO, name, getattr(self, name))
 
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
@@ -108,11 +118,15 @@ class BandAttenuation(StatedRobustness):
 
         `details` holds `attenuation_db` and `tones_db`, the worst direction over the band and at each tone on the
         design model, the `height` used and the `weights`; with an `uncertainty` also `robust_stability`, max ||W T||,
-        and the status is `not robust` where that is not below one.
+        and the status is `not robust` where that is not below one. A law that is `repeated` is compared with what it
+        promises for the one function it was designed for, `promised_db`: where 3 dB of it are lost in the worst
+        direction of the whole plant, the status is `short`.
 
         Raises:
             InputError: the plant is not square.
         """
+        if self._measured_by_the_plant():
+            return from_plant(plant, self, self._attempt, self.band_hz)
         ny, nu = plant.D.shape
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
@@ -128,8 +142,32 @@ class BandAttenuation(StatedRobustness):
             return replace(self, height=height)
 
         return tallest(
-            plant, bound, self.height, lambda h: of(h)._law(plant, part), lambda h: of(h)._designed(plant, part, self)
+            plant,
+            bound,
+            self._number("height"),
+            lambda h: of(h)._law(plant, part),
+            lambda h: of(h)._designed(plant, part, self),
         )
+
+    def _measured_by_the_plant(self) -> bool:
+        given = (self.peak_db, self.uncertainty, *(getattr(self, name) for name in ABSOLUTE))
+        return self.structure == FULL and all(setting is None for setting in given)
+
+    def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        shape = band_shape(
+            even.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, even.plant.rate_hz, self.order
+        )
+        found = normalised_four_block(even, g, shape, self.margin)
+        if found.controller is None:
+            return found
+        tones = {f: worst_attenuation_db(even.plant, found.controller, (f, f)) for f in self.tones_hz}
+        quiet = worst_attenuation_db(even.plant, found.controller, even.band_hz)
+        return replace(found, details={**found.details, "tones_db": tones, "attenuation_db": quiet})
+
+    def _number(self, name: str) -> float:
+        """Return a number as given, or what it is where only others are."""
+        given: float | None = getattr(self, name)
+        return ABSOLUTE[name] if given is None else given
 
     def _law(self, plant: StateSpace, part: StateSpace) -> StateSpace | None:
         return _spread(self.synthesis(part).controller, plant, part)
@@ -138,11 +176,15 @@ class BandAttenuation(StatedRobustness):
         """Return the design at this height for the part, judged on the plant; `asked` are the caller's settings."""
         synthesised = self.synthesis(part)
         law = _spread(synthesised.controller, plant, part)
-        details: dict[str, Any] = {"height": self.height, "weights": self.weights(plant)}
+        details: dict[str, Any] = {"height": self._number("height"), "weights": self.weights(plant)}
         if law is not None:
             details["tones_db"] = {f: worst_attenuation_db(plant, law, (f, f)) for f in self.tones_hz}
-            details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band())
-        return from_synthesis(plant, synthesised, asked, details, law)
+            details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band(plant))
+        result = from_synthesis(plant, synthesised, asked, details, law)
+        alone = synthesised.controller
+        if law is None or alone is None or part is plant:
+            return result
+        return _compared(result, worst_attenuation_db(part, alone, self._quiet_band(plant)))
 
     def synthesis(self, plant: StateSpace) -> DesignResult:
         """Return the first stable controller over rising margins, or the first one when none is stable."""
@@ -167,12 +209,13 @@ class BandAttenuation(StatedRobustness):
 
         An uncertainty stands beside W3, one more output a channel; given in full size, it stays so.
         """
-        rate, limit = plant.rate_hz, self.control_limit
-        performance = band_pass(self.band_hz, self.height, self.floor, self.order, rate)
-        end = high_pass(below_nyquist(self.roll_off_hz, rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate)
+        rate, limit = plant.rate_hz, self._number("control_limit")
+        height, floor = self._number("height"), self._number("floor")
+        performance = band_pass(self._band(plant), height, floor, self.order or ORDER, rate)
+        end = high_pass(below_nyquist(self._number("roll_off_hz"), rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate)
         return {
             "performance": with_tones(performance, self.tones_hz, self.tone_height, self.tone_zeta),
-            "control": high_pass(below_nyquist(self.control_hz, rate), 1 / limit, RISE / limit, 1, rate),
+            "control": high_pass(below_nyquist(self._number("control_hz"), rate), 1 / limit, RISE / limit, 1, rate),
             "complementary": end if self.uncertainty is None else _both(end, self._bound(plant)),
         }
 
@@ -183,9 +226,28 @@ class BandAttenuation(StatedRobustness):
         full = isinstance(bound, StateSpace) and bound.D.shape != (1, 1)
         return weight(WHO, "uncertainty", bound, plant.D.shape[0] if full else 1, plant.rate_hz)
 
-    def _quiet_band(self) -> tuple[float, float]:
-        one, other = self.band_hz[0] * WHOLE, self.band_hz[1] / WHOLE
+    def _band(self, plant: StateSpace) -> tuple[float, float]:
+        return self.band_hz or even_plant(plant).band_hz
+
+    def _quiet_band(self, plant: StateSpace) -> tuple[float, float]:
+        low, high = self._band(plant)
+        one, other = low * WHOLE, high / WHOLE
         return min(one, other), max(one, other)  # those of a narrow band pass each other
+
+
+def _compared(result: DesignResult, promised: float) -> DesignResult:
+    """Return a law repeated on every channel judged by its scalar promise: what is left of it on the whole plant."""
+    left = float(result.details["attenuation_db"])
+    details = {**result.details, "promised_db": promised}
+    if result.status.word not in STABLE_WORDS or left >= promised - LOST_DB:
+        return replace(result, details=details)
+    sentence = (
+        f"One scalar law for all channels promises {promised:.1f} dB over the band on what the channels share; in the "
+        f"worst direction of the whole plant {left:.1f} dB are left of it, for its directions differ: take the "
+        f"structure 'full'. {result.status.sentence}"
+    )
+    word = StatusWord.SHORT if result.status.ok else result.status.word
+    return replace(result, status=Status(word, sentence), details=details)
 
 
 def common_mode(plant: StateSpace) -> StateSpace:

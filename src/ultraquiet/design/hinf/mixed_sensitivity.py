@@ -11,7 +11,10 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.design.gain_search import from_plant
+from ultraquiet.design.hinf.normalised import band_shape, normalised_four_block
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
@@ -26,6 +29,16 @@ FORMS = ("four-block", "skst", "sks", "paper")
 # Eqs. (16) and (17): W1 = 1e-4 (s + 10) / ((s + 1) (s + 100)), W2 = 1e-5.
 PAPER_W1 = (1e-4, (-10.0,), (-1.0, -100.0))
 PAPER_W2 = 1e-5
+ORDER = 8  # of W1 in absolute weights
+# What each of these numbers is where only others are given; with none, the plant is the measure.
+ABSOLUTE = {
+    "height": 12.0,
+    "floor": 0.6,
+    "control_limit": 1000.0,
+    "roll_off_hz": 500.0,
+    "disturbance": 0.3,
+    "noise": 1.0,
+}
 RISE_HZ = 30.0
 ROLL_OFF = 4.0  # weight on u at high frequency, V/V
 
@@ -43,6 +56,11 @@ class MixedSensitivity(StatedRobustness):
     A weight is a `StateSpace`, `(1, 1)` or in full size, at the plant's rate; or a gain; or `(low, corner_hz, high)`
     with an order behind if it is not one: a gain that leaves `low` for `high` from the corner on.
 
+    By default the four-block form with all weights one, on the plant in units of its own (`even_plant`), its gain
+    halved from 32 until the loop keeps `disk_margin` at both ends; with a `band_hz` or `tones_hz` the loop is shaped to
+    be high there. Who asks for another form, or gives a weight, a height, a floor, a limit, `disturbance` or `noise`,
+    gets exactly that, in the plant's own units, the others as stated below.
+
     Args:
         form: `four-block`, `skst`, `sks` or `paper`. S/KS/T inverts lightly damped modes of the plant, which leaves
             them ringing under disturbances at its input; the four-block form damps them.
@@ -52,17 +70,20 @@ class MixedSensitivity(StatedRobustness):
         uncertainty: a bound on the plant's relative error at its outputs, G_true = (I + E) G with ||E|| <= |W| at each
             frequency, as `validate.from_covariance(...).weight(rate_hz).system` gives it. It is W3 in `skst`. Where W1
             comes from numbers, its height is lowered until the loop stands every such error, ||W T|| < 1.
-        band_hz: corners of the band to be quiet, Hz.
-        height: gain of W1 in the band.
-        floor: gain of W1 outside it.
-        order: states of W1 per channel, even.
+        band_hz: corners of the band to be quiet, Hz; the plant's own band where W1 needs one and none is given.
+        height: gain of W1 in the band, 12 where only others are given.
+        floor: gain of W1 outside it, 0.6 likewise.
+        order: states per channel of W1, 8 when absent, or of the default's shape, 2 when absent; even.
         tones_hz: frequencies at which W1 has peaks besides, Hz, also a W1 that is given.
         tone_height: extra gain of W1 at each tone.
         tone_zeta: half the relative width of the peaks.
-        control_limit: allowed gain from sensor to actuator at low frequency, V/V; W2 is its inverse there and rises.
-        roll_off_hz: where control is to end, Hz (`skst`; the four-block weight rises from 30 Hz with two slopes).
-        disturbance: Vd, volts at every input. At a third of a volt and above, W2 also weights T at the plant's input.
-        noise: Vn, disturbance and noise at every sensor, output units.
+        control_limit: allowed gain from sensor to actuator at low frequency, V/V, 1000 where only others are given; W2
+            is its inverse there and rises.
+        roll_off_hz: where control is to end, Hz, 500 likewise (`skst`; the four-block weight rises from 30 Hz with two
+            slopes).
+        disturbance: Vd, volts at every input, 0.3 where only others are given. At a third of a volt and above, W2 also
+            weights T at the plant's input.
+        noise: Vn, disturbance and noise at every sensor, output units, 1 likewise.
         margin: the controller is formed at margin times the smallest norm.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
@@ -81,34 +102,27 @@ class MixedSensitivity(StatedRobustness):
     control: Weight | None = None
     complementary: Weight | None = None
     uncertainty: Weight | None = None
-    band_hz: tuple[float, float] = (9.0, 108.0)
-    height: float = 12.0
-    floor: float = 0.6
-    order: int = 8
+    band_hz: tuple[float, float] | None = None
+    height: float | None = None
+    floor: float | None = None
+    order: int | None = None
     tones_hz: tuple[float, ...] = ()
     tone_height: float = 100.0
     tone_zeta: float = 0.002
-    control_limit: float = 1000.0
-    roll_off_hz: float = 500.0
-    disturbance: float = 0.3
-    noise: float = 1.0
+    control_limit: float | None = None
+    roll_off_hz: float | None = None
+    disturbance: float | None = None
+    noise: float | None = None
     margin: float = 1.05
 
     def __post_init__(self) -> None:
         super().__post_init__()
         one_of(WHO, "form", self.form, FORMS)
-        for name in (
-            "height",
-            "floor",
-            "tone_height",
-            "tone_zeta",
-            "control_limit",
-            "roll_off_hz",
-            "disturbance",
-            "noise",
-            "margin",
-        ):
+        for name in ("tone_height", "tone_zeta", "margin"):
             positive(WHO, name, getattr(self, name))
+        for name in ABSOLUTE:
+            if getattr(self, name) is not None:
+                positive(WHO, name, getattr(self, name))
         if self.uncertainty is not None and self.form == "skst" and self.complementary is not None:
             raise InputError(f"{WHO}: give 'uncertainty' or 'complementary', both are the weight on T.")
 
@@ -121,6 +135,8 @@ class MixedSensitivity(StatedRobustness):
         `details["robust_stability"]` is max ||W T||, below one where the loop stands it, and `details["height"]` the
         height that was left; a loop that does not stand it has the status `not robust`.
         """
+        if self._measured_by_the_plant():
+            return from_plant(plant, self, self._attempt, self.band_hz)
         bound = self._bound(plant)
         if bound is None or self.performance is not None or self.form == "paper":
             return stands(plant, self._designed(plant), bound)
@@ -128,13 +144,30 @@ class MixedSensitivity(StatedRobustness):
         def of(height: float) -> MixedSensitivity:
             return replace(self, height=height)
 
-        return tallest(plant, bound, self.height, lambda h: of(h)._law(plant), lambda h: of(h)._designed(plant))
+        return tallest(
+            plant, bound, self._number("height"), lambda h: of(h)._law(plant), lambda h: of(h)._designed(plant)
+        )
+
+    def _measured_by_the_plant(self) -> bool:
+        given = (self.performance, self.control, self.complementary, self.uncertainty)
+        numbers = (getattr(self, name) for name in ABSOLUTE)
+        return self.form == FORMS[0] and all(setting is None for setting in (*given, *numbers))
+
+    def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        rate = even.plant.rate_hz
+        shape = band_shape(self.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
+        return normalised_four_block(even, g, shape, self.margin)
+
+    def _number(self, name: str) -> float:
+        """Return a number as given, or what it is where only others are."""
+        given: float | None = getattr(self, name)
+        return ABSOLUTE[name] if given is None else given
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate."""
         ny, nu = plant.D.shape
         settings: Mapping[str, tuple[Weight, int]] = {
-            "performance": (self._performance(plant.rate_hz), ny),
+            "performance": (self._performance(plant), ny),
             "control": (self._control(plant.rate_hz) if self.control is None else self.control, nu),
             "complementary": (self._complementary(plant.rate_hz), ny),
         }
@@ -150,8 +183,8 @@ class MixedSensitivity(StatedRobustness):
                 plant,
                 weights["performance"],
                 weights["control"],
-                disturbance=self.disturbance * np.eye(nu),
-                noise=self.noise * np.eye(ny),
+                disturbance=self._number("disturbance") * np.eye(nu),
+                noise=self._number("noise") * np.eye(ny),
             )
         on_t = None if self.form == "sks" else weights["complementary"]
         return output_shaping(plant, weights["performance"], weights["control"], on_t)
@@ -168,7 +201,7 @@ class MixedSensitivity(StatedRobustness):
         idle = StateSpace(P.A, P.B[:, :-nu], P.C[:-ny], P.D[:-ny, :-nu], P.rate_hz)
         details: dict[str, Any] = {"weights": weights, "norm_without_control": hinf_norm(idle)[0]}
         if self.performance is None and self.form != "paper":
-            details["height"] = self.height
+            details["height"] = self._number("height")
         return from_synthesis(plant, synthesised, self, details)
 
     def _bound(self, plant: StateSpace) -> StateSpace | None:
@@ -176,24 +209,27 @@ class MixedSensitivity(StatedRobustness):
             return None
         return weight(WHO, "uncertainty", self.uncertainty, plant.D.shape[0], plant.rate_hz)
 
-    def _performance(self, rate_hz: float | None) -> Weight:
+    def _performance(self, plant: StateSpace) -> Weight:
         if self.performance is not None:
             return self.performance
         if self.form == "paper":
-            return rational(*PAPER_W1, rate_hz, 1)
-        return band_pass(self.band_hz, self.height, self.floor, self.order, rate_hz)
+            return rational(*PAPER_W1, plant.rate_hz, 1)
+        band_hz = self.band_hz or even_plant(plant).band_hz
+        return band_pass(band_hz, self._number("height"), self._number("floor"), self.order or ORDER, plant.rate_hz)
 
     def _control(self, rate_hz: float | None) -> Weight:
         if self.form == "paper":
             return PAPER_W2
+        limit = self._number("control_limit")
         if self.form in ("skst", "sks"):
-            corner = below_nyquist(self.roll_off_hz, rate_hz)
-            return high_pass(corner, 1 / self.control_limit, 10 / self.control_limit, 1, rate_hz)
+            corner = below_nyquist(self._number("roll_off_hz"), rate_hz)
+            return high_pass(corner, 1 / limit, 10 / limit, 1, rate_hz)
         # without a block for T, the weight on u rises early and far enough to end the loop as well
-        return high_pass(RISE_HZ, 1 / self.control_limit, ROLL_OFF, 2, rate_hz)
+        return high_pass(below_nyquist(RISE_HZ, rate_hz), 1 / limit, ROLL_OFF, 2, rate_hz)
 
     def _complementary(self, rate_hz: float | None) -> Weight:
         if self.form == "paper":
             return 1.0
         setting = self.uncertainty if self.complementary is None else self.complementary
-        return high_pass(below_nyquist(self.roll_off_hz, rate_hz), 0.4, 4.0, 1, rate_hz) if setting is None else setting
+        corner = below_nyquist(self._number("roll_off_hz"), rate_hz)
+        return high_pass(corner, 0.4, 4.0, 1, rate_hz) if setting is None else setting

@@ -1,0 +1,61 @@
+"""The four-block problem with all weights one, on a plant in units of its own whose loop is shaped over a band."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.plant_scale import EvenPlant
+from ultraquiet.design.result import DesignResult
+from ultraquiet.design.weights.filters import HIGHEST, band_pass, with_tones
+from ultraquiet.values.generalised import four_block
+from ultraquiet.values.interconnect import append, gain, series
+from ultraquiet.values.state_space import StateSpace
+
+FLOOR = 0.1  # share of the loop's gain that is asked for outside the band
+EDGES = 2  # states of the shape: one slope on each side
+WIDER = 1.5  # the shape's corners lie outside the band by this factor: its edges are whole inside
+
+
+def normalised_four_block(even: EvenPlant, g: float, shape: StateSpace, margin: float) -> DesignResult:
+    """Return the controller K = Ks W of the even plant that minimises ||[I; Ks] (I - Gs Ks)^-1 [Gs, I]||, Gs = W Ge.
+
+    W is g times the shape on every output. A norm b of this loop keeps, at either end of Gs and in all channels at
+    once, a disk of about 2 / b: gains and phases that move together and apart are one and the same to it.
+
+    Args:
+        even: Ge.
+        g: gain of the loop where the shape is one.
+        shape: one channel, `(1, 1)`.
+        margin: over the smallest norm.
+
+    Glover and McFarlane 1989, doi:10.1109/9.29404.
+    """
+    ny, nu = even.plant.D.shape
+    rate = even.plant.rate_hz
+    one = series(shape, gain([[g]], rate))
+    W = append(*[one] * ny)
+    P = four_block(series(even.plant, W), gain(np.eye(ny), rate), gain(np.eye(nu), rate), np.eye(nu), np.eye(ny))
+    found = synthesize_hinf(P, ny, nu, margin=margin)
+    details = {**found.details, "weights": even.weights(W, gain(np.eye(nu), rate))}
+    law = None if found.controller is None else series(W, found.controller)
+    return replace(found, controller=law, details=details)
+
+
+def band_shape(
+    band_hz: tuple[float, float] | None,
+    tones_hz: tuple[float, ...],
+    tone_height: float,
+    tone_zeta: float,
+    rate_hz: float | None,
+    order: int | None = None,
+) -> StateSpace:
+    """Return a weight of one channel: one over a band, a tenth outside it, with peaks at tones; flat without band."""
+    if band_hz is None:
+        shape = gain([[1.0]], rate_hz)
+    else:
+        low, high = band_hz[0] / WIDER, band_hz[1] * WIDER
+        if rate_hz is not None:
+            high = min(high, max(HIGHEST * rate_hz, (low + rate_hz / 2) / 2))
+        shape = band_pass((low, high), 1.0, FLOOR, order or EDGES, rate_hz)
+    return with_tones(shape, tones_hz, tone_height, tone_zeta)

@@ -1,0 +1,129 @@
+"""What a plant says of itself: the band in which it answers, and the units in which its channels weigh alike."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, rising_band
+from ultraquiet.analyse.margins import default_grid
+from ultraquiet.analyse.peaks import response_at
+from ultraquiet.design.weights.filters import below_nyquist
+from ultraquiet.linalg.even import evened
+from ultraquiet.values.interconnect import gain, series
+from ultraquiet.values.state_space import StateSpace
+
+WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
+ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
+LINES = 200  # over a given band, besides those of the poles
+SWEEPS = 60  # of rows and columns in turn; a matrix of positive powers converges geometrically
+
+
+@dataclass(frozen=True, eq=False)
+class EvenPlant:
+    """A plant in units of its own: Ge = diag(outputs) G diag(inputs), every row and column of mean square one.
+
+    Attributes:
+        plant: Ge.
+        inputs: `(nu,)` what one unit of each input of Ge is in the plant's.
+        outputs: `(ny,)` what one unit of each output of the plant is in those of Ge.
+        band_hz: the plant's own band.
+        f_hz: lines inside it.
+    """
+
+    plant: StateSpace
+    inputs: FloatArray
+    outputs: FloatArray
+    band_hz: tuple[float, float]
+    f_hz: FloatArray
+
+    def law(self, even: StateSpace) -> StateSpace:
+        """Return the controller of the plant from one of Ge: K = diag(inputs) Ke diag(outputs)."""
+        return StateSpace(
+            even.A,
+            even.B * self.outputs,
+            even.C * self.inputs[:, None],
+            even.D * self.outputs * self.inputs[:, None],
+            even.rate_hz,
+        )
+
+    def weights(self, performance: StateSpace, control: StateSpace) -> dict[str, StateSpace]:
+        """Return weights of Ge's signals as weights of the plant's."""
+        rate = self.plant.rate_hz
+        return {
+            "performance": series(gain(np.diag(self.outputs), rate), performance),
+            "control": series(gain(np.diag(1 / self.inputs), rate), control),
+        }
+
+    def rms_reduction_db(self, even: StateSpace) -> float:
+        """Return by how much a law of Ge lowers the RMS of G under white disturbances at its inputs, over the band.
+
+        -20 log10 of the RMS of S G over that of G, Frobenius norm, all in the units of Ge.
+        """
+        G, K = (np.moveaxis(response_at(s)(self.f_hz), 2, 0) for s in (self.plant, even))
+        closed = np.linalg.solve(np.eye(G.shape[1]) - G @ K, G)
+        widths = _widths(self.f_hz)
+        left, had = (float(np.sum(np.abs(g) ** 2 * widths[:, None, None])) for g in (closed, G))
+        return -10 * float(np.log10(left / had)) if left > 0 and had > 0 else 0.0
+
+
+def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None) -> EvenPlant:
+    """Return a plant with its channels evened out over its own band.
+
+    The band reaches from the first to the last frequency at which the largest singular value of Ge is within 20 dB of
+    its maximum, at 0.4 of the rate at most; there the mean square of every row and of every column of Ge is one. Both
+    are sought in turn. Other units of an input, an output or a state give the same Ge and the same band.
+
+    Args:
+        plant: G, continuous or discrete. A channel without any response keeps its unit.
+        band_hz: a band in place of the plant's own.
+
+    Sinkhorn 1964, doi:10.1214/aoms/1177703591 (rows and columns in turn).
+    """
+    f = default_grid(plant)
+    f = f[(f > 0) & (f <= below_nyquist(np.inf, plant.rate_hz))]
+    if band_hz is not None:
+        low, high = rising_band("design", band_hz, plant.rate_hz)
+        f = np.unique(np.concatenate([f[(f > low) & (f < high)], np.geomspace(low, high, LINES)]))
+    G = np.moveaxis(response_at(plant)(f), 2, 0)
+    power, widths = np.abs(G) ** 2, _widths(f)
+    # powers of squares of units many decades apart: the largest of each row and column first
+    y, u = _peaks(power)
+    inside = np.ones(f.size, dtype=bool)
+    for _ in range(ROUNDS):
+        share = inside * widths / np.sum(inside * widths)
+        mean = np.einsum("f,fij->ij", share, power * (y**2)[:, None] * u**2)
+        rows, columns = _sinkhorn(mean)
+        y, u = y * rows, u * columns
+        sizes = np.linalg.norm(G * y[:, None] * u, 2, axis=(1, 2))
+        near = np.flatnonzero(sizes >= WITHIN * sizes.max(initial=0.0))
+        if band_hz is None:
+            inside = (np.arange(f.size) >= near[0]) & (np.arange(f.size) <= near[-1])
+    lines = f[inside]
+    states = evened(plant.A, plant.B * u, plant.C * y[:, None])
+    even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
+    return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines)
+
+
+def _widths(f: FloatArray) -> FloatArray:
+    return np.asarray(np.gradient(f), dtype=np.float64) if f.size > 1 else np.ones(f.size)
+
+
+def _peaks(power: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return scales of rows, then of columns, that bring the largest entry of each to one."""
+    rows = _inverse_root(power.max(axis=(0, 2), initial=0.0))
+    columns = _inverse_root((power * (rows**2)[:, None]).max(axis=(0, 1), initial=0.0))
+    return rows, columns
+
+
+def _sinkhorn(mean: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return scales at which the means of all rows and columns of a matrix of powers are one."""
+    rows, columns = np.ones(mean.shape[0]), np.ones(mean.shape[1])
+    for _ in range(SWEEPS):
+        rows = _inverse_root((mean * columns**2).mean(axis=1))
+        columns = _inverse_root((mean * (rows**2)[:, None]).mean(axis=0))
+    return rows, columns
+
+
+def _inverse_root(power: FloatArray) -> FloatArray:
+    root = np.sqrt(power)
+    return np.divide(1.0, root, out=np.ones_like(root), where=root > 0)

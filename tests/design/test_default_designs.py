@@ -1,0 +1,156 @@
+"""Designs without any setting: robust on ordinary plants, whatever their shape, and the same in any units."""
+
+import numpy as np
+import pytest
+from ordinary_plants import closed_loop_radius, ordinary, with_units
+
+from ultraquiet.analyse import disk_ranges
+from ultraquiet.design import BandAttenuation, Lqg, MixedSensitivity
+from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.values import StateSpace
+
+DESIGNS = [Lqg, MixedSensitivity, BandAttenuation]
+SIDES = ("input", "output")
+DB, DEGREES = 1.0, 5.0  # what a channel of ordinary care may be off by
+QUIETER_DB = 10.0
+PLANTS, DRAWS = 200, 5
+SHARE_OK, SHARE_QUIETER = 0.9, 0.8
+
+
+def channels(plant, side):
+    return plant.D.shape[1] if side == "input" else plant.D.shape[0]
+
+
+def upset_by_one_channel(plant, law):
+    """Return which single changes of 1 dB or 5 degrees leave an unstable loop."""
+    off = []
+    for side in SIDES:
+        count = channels(plant, side)
+        for i in range(count):
+            for name, factor in (
+                (f"+{DB} dB", 10 ** (DB / 20)),
+                (f"-{DB} dB", 10 ** (-DB / 20)),
+                (f"{DEGREES} degrees", np.exp(1j * np.radians(DEGREES))),  # a real loop: minus the phase is the same
+            ):
+                factors = np.ones(count, complex)
+                factors[i] = factor
+                if closed_loop_radius(plant, law, side, factors) >= 1:
+                    off.append(f"{name} of {side} {i + 1}")
+    return off
+
+
+def upset_within_the_disk(rng, plant, law, alpha=0.2, draws=DRAWS):
+    """Return which draws of all channels at once, each on the edge of the disk, leave an unstable loop."""
+    off = []
+    for side in SIDES:
+        for _ in range(draws):
+            d = alpha * np.exp(2j * np.pi * rng.random(channels(plant, side)))
+            if closed_loop_radius(plant, law, side, (2 + d) / (2 - d)) >= 1:
+                off.append(f"disk of {side}s")
+    return off
+
+
+@pytest.mark.parametrize(
+    ("design", "shape"), [(Lqg, (1, 1)), (Lqg, (3, 5)), (MixedSensitivity, (4, 3)), (BandAttenuation, (2, 3))]
+)
+def test_a_default_is_ok_and_quiet_and_stands_what_ok_promises(seed, design, shape):
+    rng = np.random.default_rng(seed)
+    plant = ordinary(rng, shape, modes=4)
+    result = design().design(plant)
+    assert result.status.ok, result.status
+    assert min(result.margins[side].disk_all for side in SIDES) >= 0.2
+    assert result.details["attenuation_rms_db"] > QUIETER_DB
+    assert not upset_by_one_channel(plant, result.controller)
+    assert not upset_within_the_disk(rng, plant, result.controller, draws=20)
+
+
+@pytest.mark.parametrize("design", DESIGNS)
+def test_other_units_change_neither_the_design_nor_the_verdict(seed, design):
+    rng = np.random.default_rng(seed + 20)
+    plant = ordinary(rng, (2, 2), modes=3)
+    first = design().design(plant)
+    f = np.geomspace(1e-3, 0.45, 60) * plant.rate_hz
+    K = first.controller.frequency_response(f)
+    for units in (
+        {"inputs": [1e9, 1e-9]},
+        {"outputs": [1e-9, 1e9]},
+        {"states": 10.0 ** rng.choice([-9, 0, 9], plant.states)},
+    ):
+        other = design().design(with_units(plant, **units))
+        assert other.status.word == first.status.word
+        assert other.details["gain"] == first.details["gain"]
+        back = with_units(other.controller, inputs=units.get("outputs", 1.0), outputs=units.get("inputs", 1.0))
+        assert np.linalg.norm(back.frequency_response(f) - K) < 1e-4 * np.linalg.norm(K)
+        for side in SIDES:
+            assert other.margins[side].disk_all == pytest.approx(first.margins[side].disk_all, rel=1e-3)
+
+
+def test_rows_and_columns_of_an_even_plant_weigh_alike_over_its_own_band(seed):
+    plant = ordinary(np.random.default_rng(seed), (4, 3))
+    even = even_plant(plant)
+    low, high = even.band_hz
+    G = even.plant.frequency_response(even.f_hz)
+    widths = np.gradient(even.f_hz)
+    mean = (np.abs(G) ** 2 * widths).sum(axis=2) / widths.sum()
+    assert np.allclose(mean.mean(axis=0), 1.0, rtol=0.05)
+    assert np.allclose(mean.mean(axis=1), 1.0, rtol=0.05)
+    outside = np.concatenate(
+        [np.geomspace(low / 10, 0.99 * low, 50), np.geomspace(1.01 * high, 0.49 * plant.rate_hz, 50)]
+    )
+    largest = np.linalg.norm(np.moveaxis(G, 2, 0), 2, axis=(1, 2)).max()
+    beyond = np.linalg.norm(np.moveaxis(even.plant.frequency_response(outside), 2, 0), 2, axis=(1, 2))
+    assert beyond.max() < 0.1 * largest
+
+
+def test_a_channel_without_effect_is_left_alone():
+    plant = StateSpace([[0.9]], [[1.0, 0.0]], [[1.0], [0.0]], np.zeros((2, 2)), 100.0)
+    result = Lqg().design(plant)
+    assert result.status.ok
+    assert np.isfinite(result.controller.D).all()
+
+
+def test_numbers_that_are_given_are_what_is_designed_for(seed):
+    plant = ordinary(np.random.default_rng(seed), (2, 2), modes=3)
+    result = Lqg(control_weight=1e-6, sensor_noise=1e-2, disturbance_at="input").design(plant)
+    assert "gain" not in result.details
+    assert result.details["weights"]["control"].D[0, 0] == pytest.approx(1e-3)
+
+
+def test_a_default_asked_for_more_margin_takes_less_gain(seed):
+    plant = ordinary(np.random.default_rng(seed), (2, 2), modes=3)
+    little, much = (Lqg(disk_margin=margin).design(plant) for margin in (0.1, 0.9))
+    assert much.status.ok, much.status
+    assert much.details["gain"] < little.details["gain"]
+    assert much.details["attenuation_rms_db"] < little.details["attenuation_rms_db"]
+    assert disk_ranges(0.9)[0] < disk_ranges(0.1)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("design", DESIGNS)
+def test_defaults_on_two_hundred_plants(seed, design):
+    """Ok on nine of ten, 10 dB less RMS of S G in the band on eight of ten, never ok without standing its promise."""
+    rng = np.random.default_rng(seed)
+    words, reductions, broken, quiet = [], [], [], 0
+    for k in range(PLANTS):
+        plant = ordinary(rng)
+        result = design().design(plant)
+        words.append(str(result.status.word))
+        if result.controller is None:
+            continue
+        reductions.append(result.details["attenuation_rms_db"])
+        quiet += reductions[-1] >= QUIETER_DB
+        own = result.controller.is_stable() or "unstable by itself" in result.status.sentence
+        if not own:
+            broken.append(f"plant {k}: the law is unstable and nobody says so")
+        if result.status.ok:
+            off = upset_by_one_channel(plant, result.controller)
+            off += upset_within_the_disk(rng, plant, result.controller)
+            broken += [f"plant {k}, {plant.D.shape}: {change}" for change in off]
+    print(
+        f"{design.__name__}: {words.count('ok')} of {PLANTS} ok, {words.count('fragile')} fragile, "
+        f"{words.count('refused')} refused; {quiet} quieter by {QUIETER_DB:g} dB, median "
+        f"{np.median(reductions):.1f} dB, least {np.min(reductions):.1f} dB; promises broken: {len(broken)}"
+    )
+    assert not broken, broken[:10]
+    assert words.count("ok") >= SHARE_OK * PLANTS
+    assert quiet >= SHARE_QUIETER * PLANTS

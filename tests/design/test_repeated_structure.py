@@ -1,0 +1,35 @@
+"""One scalar law on every channel: compared, on the whole plant, with what it promises for the function they share."""
+
+import numpy as np
+import pytest
+
+from ultraquiet.design import BandAttenuation
+from ultraquiet.values import StateSpace
+
+RATE = 2000.0
+SETTINGS = {"band_hz": (20.0, 80.0), "height": 6.0, "order": 4, "control_limit": 100.0, "structure": "alike"}
+
+
+def alike_but(spread):
+    """Return three equal channels whose differential directions answer `spread` times as strongly as the shared one."""
+    pole = np.exp(-2 * np.pi * 60.0 / RATE)
+    shared = np.full((3, 3), 1 / 3)
+    directions = shared + spread * (np.eye(3) - shared)
+    return StateSpace(pole * np.eye(3), np.eye(3), (1 - pole) * directions, np.zeros((3, 3)), RATE)
+
+
+def test_channels_that_share_one_function_keep_the_promise():
+    result = BandAttenuation(**SETTINGS).design(alike_but(1.0))
+    assert result.status.ok, result.status
+    assert result.details["attenuation_db"] == pytest.approx(result.details["promised_db"], abs=0.1)
+
+
+@pytest.mark.parametrize("spread", [0.4, 0.1])
+def test_directions_that_answer_less_are_said_to_break_it(spread):
+    result = BandAttenuation(**SETTINGS).design(alike_but(spread))
+    assert result.status.word == "short"
+    assert result.controller is not None
+    left, promised = result.details["attenuation_db"], result.details["promised_db"]
+    assert promised - left > 3.0
+    assert f"{left:.1f} dB are left" in result.status.sentence
+    assert f"{promised:.1f} dB" in result.status.sentence
