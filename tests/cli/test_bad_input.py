@@ -99,7 +99,7 @@ WRONG_SETTINGS = {
     "one corner": ("band_hz=[1]", "band_hz"),
     "a number": ("band_hz=5", "band_hz"),
     "words": ("band_hz=abc", "band_hz"),
-    "falling": ("band_hz=[100.0, 10.0]", "must rise"),
+    "falling": ("band_hz=[100.0, 10.0]", "rising frequencies"),
     "beyond Nyquist": ("band_hz=[10.0, 2000.0]", "1750 Hz"),
     "a tone beyond Nyquist": ("tones_hz=[1e9]", "1750 Hz"),
 }

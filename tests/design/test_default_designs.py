@@ -126,6 +126,7 @@ def test_a_default_asked_for_more_margin_takes_less_gain(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("design", DESIGNS)
 def test_defaults_on_two_hundred_plants(seed, design):
     """Ok on nine of ten, 10 dB less RMS of S G in the band on eight of ten, never ok without standing its promise."""

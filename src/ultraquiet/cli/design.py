@@ -26,6 +26,7 @@ def design(
     from rich.console import Console
 
     from ultraquiet import files
+    from ultraquiet.design.robustness import described
     from ultraquiet.values import StateSpace, StatusWord
 
     model = files.load(plant)
@@ -42,5 +43,7 @@ def design(
     files.save(result.controller, target, overwrite=force)
     console = Console()
     console.print(f"{result.status}", highlight=False, soft_wrap=True)
+    for line in described(system, result.margins):
+        console.print(line, highlight=False, soft_wrap=True)
     console.print(f"{result.controller.states} states\ncontroller: {target}", highlight=False, soft_wrap=True)
     finish(result.status)

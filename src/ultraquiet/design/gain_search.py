@@ -39,7 +39,7 @@ def from_plant(
     `attenuation_rms_db`, by how much the RMS of S G over that band is lower than that of G. Where no gain keeps the
     margin the loop that keeps most is returned, and is judged fragile.
     """
-    even = even_plant(plant, band_hz)
+    even = even_plant(plant, band_hz, type(settings).__name__)
     best: tuple[float, float, DesignResult] | None = None
     refusal, g = "", FIRST
     while g >= LAST:

@@ -66,7 +66,7 @@ class EvenPlant:
         return -10 * float(np.log10(left / had)) if left > 0 and had > 0 else 0.0
 
 
-def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None) -> EvenPlant:
+def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, who: str = "even_plant") -> EvenPlant:
     """Return a plant with its channels evened out over its own band.
 
     The band reaches from the first to the last frequency at which the largest singular value of Ge is within 20 dB of
@@ -76,13 +76,14 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None) ->
     Args:
         plant: G, continuous or discrete. A channel without any response keeps its unit.
         band_hz: a band in place of the plant's own.
+        who: asks, for the sentence of a refusal.
 
     Sinkhorn 1964, doi:10.1214/aoms/1177703591 (rows and columns in turn).
     """
     f = default_grid(plant)
     f = f[(f > 0) & (f <= below_nyquist(np.inf, plant.rate_hz))]
     if band_hz is not None:
-        low, high = rising_band("design", band_hz, plant.rate_hz)
+        low, high = rising_band(who, band_hz, plant.rate_hz)
         f = np.unique(np.concatenate([f[(f > low) & (f < high)], np.geomspace(low, high, LINES)]))
     G = np.moveaxis(response_at(plant)(f), 2, 0)
     power, widths = np.abs(G) ** 2, _widths(f)

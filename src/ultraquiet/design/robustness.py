@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, log10
+from typing import Any
 
 from ultraquiet._base.constraints import between
 from ultraquiet.analyse.disk import ENDS, ChannelChange, EndMargins, disk_ranges, end_margins
+from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 
 DISK_MARGIN = 0.2  # 1.7 dB or 11 degrees in every channel at once; several times what calibrated channels drift
@@ -42,7 +44,7 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
     """Return one sentence on the end that keeps less than asked, and on the channel whose change upsets the loop."""
     side = weaker_end(margins)
     found = margins[side]
-    wires, kind = (plant.actuators, "actuator") if side == "input" else (plant.sensors, "sensor")
+    wires, kind = _wires(plant, side)
     _, high, degrees = disk_ranges(found.disk_all)
     said = (
         f"The loop is stable yet fragile at the plant's {side}: changes of {_db(float(high)):.2g} dB or "
@@ -50,7 +52,25 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
         f"margin of {found.disk_all:.2g} where {asked:g} is asked)"
     )
     change = found.least_change
-    return f"{said}." if change is None else f"{said}; {_told(change, f'{kind} {wires[change.channel].name!r}')}."
+    return f"{said}." if change is None else f"{said}; {_told(change, kind, wires)}."
+
+
+def described(plant: StateSpace, margins: Mapping[str, Any]) -> list[str]:
+    """Return one line an end on its disk margin and on the least change of one channel that upsets the loop."""
+    lines: list[str] = []
+    for side in ENDS:
+        found = margins.get(side)
+        if not isinstance(found, EndMargins):
+            continue
+        wires, kind = _wires(plant, side)
+        change = found.least_change
+        alone = "no change of one channel upsets it" if change is None else _told(change, kind, wires)
+        lines.append(f"margin at the plant's {side}: disk {found.disk_all:.3g}, all {kind}s at once; {alone}")
+    return lines
+
+
+def _wires(plant: StateSpace, side: str) -> tuple[tuple[Channel, ...], str]:
+    return (plant.actuators, "actuator") if side == "input" else (plant.sensors, "sensor")
 
 
 def stated(margins: Mapping[str, EndMargins]) -> str:
@@ -59,7 +79,8 @@ def stated(margins: Mapping[str, EndMargins]) -> str:
     return f"disk margins, all channels at once, are {' and '.join(sizes)}"
 
 
-def _told(change: ChannelChange, channel: str) -> str:
+def _told(change: ChannelChange, kind: str, wires: tuple[Channel, ...]) -> str:
+    channel = f"{kind} {wires[change.channel].name!r}"
     if change.kind == "phase":
         what = f"{change.amount:.2g} degrees of phase"
     else:

@@ -21,6 +21,7 @@ from ultraquiet.pipeline.facts.loops import (
     DeliveredFacts,
     DeploymentFacts,
     DesignFacts,
+    LeastChange,
     LoopFacts,
     LoopMargins,
     NoCode,
@@ -52,9 +53,12 @@ def designed(name: str, plant: StateSpace, settings: Design, loop: ClosedLoop) -
         progress.advance(note=str(result.status))
         law = result.controller
         if law is None:
-            return Outcome(_design_facts(result, settings, None, 0))
+            return Outcome(_design_facts(result, settings, None, 0, {"design": {}, "law": {}}))
         if settings.reduce is None:
-            return Outcome(_design_facts(result, settings, None, law.states), {name: law})
+            margins = _at_ends(result.margins, plant)
+            at_ends = {"design": margins, "law": margins}
+            return Outcome(_design_facts(result, settings, None, law.states, at_ends), {name: law})
+        at_ends = {"design": _at_ends(result.margins, plant)}
         reduced = _reduced(law, plant, result, settings.reduce, loop)
         reduction = _reduction_facts(law, reduced)
         progress.advance(note=reduction.status)
@@ -67,7 +71,8 @@ def designed(name: str, plant: StateSpace, settings: Design, loop: ClosedLoop) -
             )
     if not reduced.status.ok:
         result = replace(result, status=reduced.status)
-    return Outcome(_design_facts(result, settings, reduction, law.states), {name: law})
+    at_ends["law"] = _at_ends(result.margins, plant)
+    return Outcome(_design_facts(result, settings, reduction, law.states, at_ends), {name: law})
 
 
 def _reduced(
@@ -106,7 +111,13 @@ def _delivered(figures: reduce.Delivered | None) -> DeliveredFacts | None:
     )
 
 
-def _design_facts(result: DesignResult, settings: Design, reduction: Reduction | None, states: int) -> DesignFacts:
+def _design_facts(
+    result: DesignResult,
+    settings: Design,
+    reduction: Reduction | None,
+    states: int,
+    margins: Mapping[str, Mapping[str, LoopMargins]],
+) -> DesignFacts:
     recovery = result.recovery
     return DesignFacts(
         method=settings.design.method,
@@ -116,7 +127,8 @@ def _design_facts(result: DesignResult, settings: Design, reduction: Reduction |
         gamma=result.gamma,
         achieved=result.achieved,
         peak_sensitivity_db=result.peak_sensitivity_db,
-        margins={side: _margins(m) for side, m in result.margins.items() if isinstance(m, analyse.Margins)},
+        margins=margins["design"],
+        law_margins=margins["law"],
         residuals={name: float(value) for name, value in result.residuals.items()},
         adaptive=result.law is not None and settings.reduce is None,
         reduction=reduction,
@@ -126,8 +138,18 @@ def _design_facts(result: DesignResult, settings: Design, reduction: Reduction |
     )
 
 
-def _margins(margins: analyse.Margins) -> LoopMargins:
-    return LoopMargins(**{field.name: getattr(margins, field.name) for field in fields(LoopMargins)})
+def _at_ends(margins: Mapping[str, Any], plant: StateSpace) -> dict[str, LoopMargins]:
+    """Return the margins at both ends of a plant as facts, channels by their names."""
+    found: dict[str, LoopMargins] = {}
+    for side, at in margins.items():
+        if isinstance(at, analyse.EndMargins):
+            wires = plant.actuators if side == "input" else plant.sensors
+            figures = {field.name: getattr(at, field.name) for field in fields(LoopMargins)}
+            if at.least_change is not None:
+                named = {**asdict(at.least_change), "channel": wires[at.least_change.channel].name}
+                figures["least_change"] = LeastChange(**named)
+            found[side] = LoopMargins(**figures)
+    return found
 
 
 def adapting(plant: StateSpace, settings: Design) -> Controller | None:

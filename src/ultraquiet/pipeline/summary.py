@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import field, fields
 
 from ultraquiet._base.provenance import versions
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
@@ -10,6 +10,7 @@ from ultraquiet.pipeline.facts.loops import (
     DeploymentFacts,
     DesignFacts,
     DesignSummary,
+    LoopMargins,
     Reduction,
     StableLoop,
     UnstableLoop,
@@ -49,11 +50,12 @@ class LimitSummary:
 
 @fact
 class Summary:
-    """The whole summary; `closed_loop` by controller and unit."""
+    """The whole summary; `closed_loop` by controller and unit, `margins` of the law that runs by controller and end."""
 
     title: str
     identification: IdentificationSummary
     design: Mapping[str, DesignSummary | ReducedDesignSummary]
+    margins: Mapping[str, Mapping[str, LoopMargins]] = field(default_factory=dict[str, Mapping[str, LoopMargins]])
     closed_loop: Mapping[str, Mapping[str, StableLoop | UnstableLoop]]
     deployment: Mapping[str, DeploymentFacts]
     limits: LimitSummary
@@ -89,6 +91,7 @@ def summarise(result: StudyResult) -> Summary:
             plant=result.plant.facts,
         ),
         design={name: _design(outcome.facts) for name, outcome in result.designs.items()},
+        margins={name: outcome.facts.law_margins for name, outcome in result.designs.items()},
         closed_loop={name: outcome.facts.units for name, outcome in result.loops.items()},
         deployment=result.deployment,
         limits=LimitSummary(

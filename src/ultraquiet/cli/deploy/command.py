@@ -56,6 +56,7 @@ def deploy(
 
     from ultraquiet import deploy as room
     from ultraquiet import files
+    from ultraquiet.design.robustness import both_ends, described
     from ultraquiet.values import StateSpace
 
     law = files.load(controller)
@@ -85,6 +86,9 @@ def deploy(
     console.print(table)
     for status in (deployment.status, verified.status):
         console.print(str(status), highlight=False, soft_wrap=True)
+    if system is not None:
+        for line in described(system, both_ends(system, deployment.quantised)):
+            console.print(f"rounded law, {line}", highlight=False, soft_wrap=True)
     if verified.status.word in NEVER_SHIPPED:
         finish(verified.status)
     exported = show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)

@@ -20,14 +20,28 @@ FAULTS = (
 
 
 @fact
+class LeastChange:
+    """The smallest change of one channel that upsets a loop, by the channel's name; see `analyse.ChannelChange`."""
+
+    channel: str
+    kind: Literal["gain", "phase"]
+    amount: float
+    f_hz: float
+    disk: float
+
+
+@fact
 class LoopMargins:
-    """Margins of every loop opened by itself, see `analyse.Margins`; `(loops,)` each."""
+    """Margins at one end of the plant, see `analyse.EndMargins`: of every loop by itself, `(loops,)`, and of all."""
 
     gain_up_db: Vector
     gain_down_db: Vector
     phase_deg: Vector
     delay_s: Vector
     disk: Vector
+    disk_all: float | None = None
+    disk_all_hz: float | None = None
+    least_change: LeastChange | None = None
 
 
 @fact
@@ -78,10 +92,14 @@ class DesignSummary:
 
 @fact
 class DesignFacts(DesignSummary):
-    """Stage `design`. `details` are the method's own numbers, for readers; nothing here is decided by them."""
+    """Stage `design`. `law_margins` are those of the law that runs, after its reduction.
+
+    `details` are the method's own numbers, for readers; nothing here is decided by them.
+    """
 
     residuals: Mapping[str, float]
     adaptive: bool
+    law_margins: Mapping[str, LoopMargins]
     reduction: Reduction | None = None
     norm_without_control: float | None = None
     recovery: RecoveryFacts | None = None

@@ -32,7 +32,7 @@ def design(result: StudyResult) -> Section:
         sentences.append(f"{name}: {' '.join([facts.status, *_remarks(facts)])}")
     columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
     caption = "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction"
-    tables = [Table(caption, columns, rows), *_reductions(result)]
+    tables = [Table(caption, columns, rows), _margins(result), *_reductions(result)]
     return Section("Design", sentences, tables)
 
 
@@ -60,6 +60,31 @@ def _reductions(result: StudyResult) -> list[Table]:
         "disk margins",
     )
     return [Table("What each reduction left, on the design model, dB", columns, rows)] if rows else []
+
+
+def _margins(result: StudyResult) -> Table:
+    """What every law stands at both ends of the design model, as it runs."""
+    rows: list[tuple[object, ...]] = []
+    for name, outcome in result.designs.items():
+        for side, at in outcome.facts.law_margins.items():
+            least = at.least_change
+            said = "none upsets it"
+            if least is not None:
+                amount = f"{least.amount:+.2g} dB" if least.kind == "gain" else f"{least.amount:.2g} degrees"
+                said = f"{amount} of {least.channel}, at {least.f_hz:.4g} Hz"
+            together = "-" if at.disk_all is None else _number(at.disk_all, 2)
+            worst = (min(at.gain_up_db.min(), at.gain_down_db.min()), at.phase_deg.min(), at.disk.min())
+            rows.append((name, side, *(_number(float(w), 3) for w in worst), together, said))
+    columns = (
+        "controller",
+        "end",
+        "gain, dB",
+        "phase, degrees",
+        "disk, each",
+        "disk, all at once",
+        "least change alone",
+    )
+    return Table("Margins at the plant's ends, on the design model, of the law that runs", columns, rows)
 
 
 def _remarks(facts: DesignFacts) -> list[str]:
