@@ -6,8 +6,9 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
-from ultraquiet.simulate.loop import LoopCheck, check_stability, disturb
+from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
+from ultraquiet.simulate.stability import LoopCheck, check_stability
 
 __all__ = [
     "Attenuation",

@@ -28,6 +28,7 @@ class StatusWord(StrEnum):
     OK = "ok", "The result can be used as it is."
     REFUSED = "refused", "The question has no answer as it was put; nothing was computed, and the sentence says why."
     UNSTABLE = "unstable", "A loop or a law is unstable, as it is or once it is reduced or rounded; do not run it."
+    NOT_KNOWN = "not known", "The longest record that was allowed does not tell whether the loop decays."
 
     FEW_DATA = "few data", "The response is usable, its variance is rough: too few realisations or periods."
 

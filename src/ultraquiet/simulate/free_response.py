@@ -1,0 +1,248 @@
+"""The modes that ring on in a free response, each with its growth and how well that is known."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.simulate.frames import FOLD, Frames
+
+# A band rings when its amplitude is so many times that of the noise in it; a mode is visible likewise.
+VISIBLE = 3.0
+# Smallest share of the largest amplitude that double precision lets one see.
+ROUNDING = 1e-12
+MOST_MODES, MOST_BANDS = 40, 24
+# A line of the noise stands out when its power is so many times the median of so many lines to either side; it is a
+# tone when one of constant size has this share of its power: a mode that noise rings has less unless it is slow.
+STANDS_OUT, BROAD, COHERENT = 30.0, 16, 0.7
+REFINEMENTS = 4
+# A mode that shrinks by this from frame to frame is none that rings.
+DEAD = 1e-3
+# Two modes are one when they are nearer than this share of a line of the whole record, and their growths agree.
+RESOLVED, CERTAIN = 10.0, 4.0
+# An error may be as smooth as the modes themselves: a random walk of what noise feeds them, or a mode left out.
+# A deviation is this share of the largest that an error of the size seen could make, whatever its shape.
+ALIGNED = 0.5
+# Whatever is this much smaller than the largest amplitude in its band is not resolved from it.
+RESOLUTION = 1e-6
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of a free response, c exp((growth + 2 pi i f) t): growth in 1/s, its standard deviation, Hz.
+
+    `seen`: largest amplitude in the second half of the record over that of the noise in its band.
+    """
+
+    growth_per_s: float
+    growth_std: float
+    f_hz: float
+    seen: float
+
+    @property
+    def grows(self) -> bool:
+        """Whether noise alone would hardly feign this growth."""
+        return self.growth_per_s > CERTAIN * self.growth_std
+
+    @property
+    def decays(self) -> bool:
+        """Whether noise alone would hardly feign this decay."""
+        return self.growth_per_s < -CERTAIN * self.growth_std
+
+    @property
+    def may_be_told(self) -> bool:
+        """Whether a few more records could decide between growth and decay."""
+        return abs(self.growth_per_s) > CERTAIN / 4 * self.growth_std
+
+
+@dataclass(frozen=True)
+class Ringing:
+    """What is heard of a free response: `modes` visible in the second half of the record, slowest first.
+
+    `tones_hz`: where the noise holds a tone that the response does not: a mode that the burst did not reach, or a tone
+    from elsewhere.
+    """
+
+    modes: tuple[Mode, ...]
+    tones_hz: tuple[float, ...]
+
+
+def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
+    """Return the modes still visible in the second half of a free response.
+
+    y_t = sum_i c_i z_i^t + noise. Bands whose power in the second half exceeds the noise's are taken one by one; in
+    each the amplitude over time is a sum of few exponentials, found by the eigensystem realisation of its Hankel matrix
+    (Juang and Pappa 1985, doi:10.2514/3.20031), its order from the noise's Hankel matrix, and refined by Gauss-Newton.
+
+    Args:
+        response: `(channels, samples)`, nothing driving it but noise.
+        noise: the same loop's answer to noise alone, `(channels, samples)`: says what is visible, and how uncertain.
+        rate_hz: samples per second.
+
+    Returns:
+        Modes with growth, its standard deviation (rounded up: the error may have the worst shape) and frequency; those
+        hidden by noise are not returned.
+    """
+    frames = Frames(response.shape[1], rate_hz)
+    scaled, level = _scaled(response, noise)
+    if not scaled.size:
+        return Ringing((), ())
+    late = frames.count // 2
+    floor = (ROUNDING * np.abs(scaled).max()) ** 2
+    hum = np.maximum(frames.power(level, late), frames.power(level, 0))
+    excess = frames.power(scaled, late) / np.maximum(hum, floor)
+    modes: list[Mode] = []
+    for _ in range(MOST_BANDS):
+        line = int(np.argmax(excess))
+        if excess[line] < VISIBLE**2:
+            break
+        modes += _band_modes(frames, scaled, level, line, float(np.sqrt(floor)))
+        excess[max(0, line - 1) : line + 2] = 0.0
+    apart = rate_hz / (RESOLVED * frames.samples)
+    return Ringing(tuple(_each_once(modes, apart)), _tones(frames, level, frames.power(scaled, 0), hum))
+
+
+def _tones(frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray) -> tuple[float, ...]:
+    """Return the frequencies at which the noise holds a tone that the response does not."""
+    padded = np.pad(hum, BROAD, mode="reflect") if hum.size > BROAD else hum
+    around = np.median(np.lib.stride_tricks.sliding_window_view(padded, padded.size - hum.size + 1), axis=1)
+    found = np.flatnonzero((hum > STANDS_OUT * around) & (heard < VISIBLE**2 * hum))
+    loudest = found[np.argsort(-hum[found] / around[found])][:MOST_BANDS]
+    return tuple(frames.line_hz(line) for line in loudest if _coherent(frames.band(noise, line)) > COHERENT)
+
+
+def _coherent(b: ComplexArray) -> float:
+    """Return the share of a band's power that one tone of constant size has, whatever its frequency."""
+    late = b[:, b.shape[1] // 4 :]
+    steps = late.shape[1]
+    lines = np.sum(np.abs(np.fft.fft(late, 4 * steps, axis=1)) ** 2, axis=0)
+    return float(lines.max() / (steps * np.sum(np.abs(late) ** 2)))
+
+
+def _each_once(modes: list[Mode], apart_hz: float) -> list[Mode]:
+    """Return modes slowest first; of those that two bands share, the one that is known better."""
+    kept: list[Mode] = []
+    for mode in sorted(modes, key=lambda mode: mode.growth_std):
+        if not any(
+            abs(mode.f_hz - other.f_hz) < apart_hz
+            and abs(mode.growth_per_s - other.growth_per_s) < CERTAIN * np.hypot(mode.growth_std, other.growth_std)
+            for other in kept
+        ):
+            kept.append(mode)
+    return sorted(kept, key=lambda mode: -mode.growth_per_s)
+
+
+def _scaled(response: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return both in units of each channel's noise, without channels in which nothing is heard."""
+    size = np.abs(response).max(axis=1)
+    unit = np.maximum(np.sqrt(np.mean(noise**2, axis=1)), ROUNDING * size)
+    heard = size > 0
+    return response[heard] / unit[heard, None], noise[heard] / unit[heard, None]
+
+
+def _band_modes(frames: Frames, signal: FloatArray, noise: FloatArray, line: int, floor: float) -> list[Mode]:
+    skipped = frames.count // 8  # what dies at once is no slow mode
+    b, e = (frames.band(x, line)[:, skipped:] for x in (signal, noise))
+    directions, sizes, _ = np.linalg.svd(b, full_matrices=False)
+    kept = directions[:, sizes > max(1e-9 * sizes[0], floor)][:, :6]
+    b, e = kept.conj().T @ b, kept.conj().T @ e
+    z = _realised(b, e, floor)
+    if not z.size:
+        return []
+    full = z.size == MOST_MODES  # there are more than can be told apart in a record so short
+    floor = max(floor, RESOLUTION * float(np.abs(b).max()))
+    z, c, deviation = _refined(z, b, e, floor)
+    step = np.arange(b.shape[1])
+    rest = b - c @ _powers(z, step)
+    return [
+        mode
+        for i in range(z.size)
+        if (mode := _mode(frames, line, z[i], c[:, i], np.inf if full else deviation[i], (e, rest), floor)) is not None
+    ]
+
+
+def _realised(b: ComplexArray, e: ComplexArray, floor: float) -> ComplexArray:
+    """Return the poles of a band's amplitude per frame, `(modes,)`."""
+    left, sizes, _ = np.linalg.svd(_hankel(b), full_matrices=False)
+    hidden = max(1.5 * np.linalg.norm(_hankel(e), 2), 1e-9 * sizes[0], floor)
+    order = min(int(np.count_nonzero(sizes > hidden)), MOST_MODES)
+    if not order:
+        return np.zeros(0, dtype=np.complex128)
+    u = left[:, :order]
+    q = b.shape[0]
+    z = np.linalg.eigvals(np.linalg.lstsq(u[:-q], u[q:])[0]).astype(np.complex128)
+    return z[np.abs(z) > DEAD]
+
+
+def _hankel(b: ComplexArray) -> ComplexArray:
+    q, count = b.shape
+    rows = count // 2
+    view = np.lib.stride_tricks.sliding_window_view(b, count - rows + 1, axis=1)  # (q, rows, columns)
+    return view.transpose(1, 0, 2).reshape(rows * q, -1)
+
+
+def _powers(z: ComplexArray, step: np.ndarray) -> ComplexArray:
+    return np.exp(np.log(z)[:, None] * step)
+
+
+def _refined(
+    z: ComplexArray, b: ComplexArray, e: ComplexArray, floor: float
+) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+    """Return poles, coefficients `(q, modes)` and the poles' standard deviations, by Gauss-Newton on log z."""
+    step = np.arange(b.shape[1])
+    c, error = _fitted(z, b, step)
+    for _ in range(REFINEMENTS):
+        change = np.linalg.lstsq(_jacobian(z, c, step), (b - c @ _powers(z, step)).reshape(-1))[0][: z.size]
+        if not np.abs(change).max() < 1.0:
+            break
+        tried = z * np.exp(change)
+        c_tried, error_tried = _fitted(tried, b, step)
+        if not error_tried < error:
+            break
+        z, c, error = tried, c_tried, error_tried
+    sensitivity = np.linalg.norm(np.linalg.pinv(_jacobian(z, c, step), rcond=1e-14)[: z.size], axis=1)
+    size = np.sqrt((np.sum(np.abs(e) ** 2) + error**2) / len(b) + step.size * floor**2)
+    return z, c, ALIGNED * size * sensitivity
+
+
+def _fitted(z: ComplexArray, b: ComplexArray, step: np.ndarray) -> tuple[ComplexArray, float]:
+    basis = _powers(z, step)
+    scale = np.abs(basis).max(axis=1)
+    c = np.linalg.lstsq((basis / scale[:, None]).T, b.T)[0].T / scale
+    return c.astype(np.complex128), float(np.linalg.norm(b - c @ basis))
+
+
+def _jacobian(z: ComplexArray, c: ComplexArray, step: np.ndarray) -> ComplexArray:
+    """Return the derivative of c z^k by log z, beside that by c scaled to one, `(q steps, modes + q modes)`."""
+    basis = _powers(z, step)
+    by_pole = (c[:, None, :] * (step[:, None] * basis.T)).reshape(-1, z.size)
+    scaled = basis / np.abs(basis).max(axis=1)[:, None]
+    return np.hstack([by_pole, np.kron(np.eye(len(c)), scaled.T)])
+
+
+def _mode(
+    frames: Frames,
+    line: int,
+    z: complex,
+    c: ComplexArray,
+    deviation: float,
+    errors: tuple[ComplexArray, ComplexArray],
+    floor: float,
+) -> Mode | None:
+    """Return a mode in the units of the caller; None where noise hides it."""
+    size, steps = float(np.linalg.norm(c)), errors[0].shape[1]
+    if size == 0.0:
+        return None
+    toward = (c / size).conj()
+    power = sum(float(np.mean(np.abs(toward @ error) ** 2)) for error in errors)
+    hidden = np.sqrt(power) + floor
+    rate = float(np.log(np.abs(z)))
+    seen = size * max(np.exp(rate * (steps - 1)), np.exp(rate * (steps // 2))) / hidden
+    turned = np.angle(z * np.exp(-2j * np.pi * line * FOLD / frames.length * frames.hop))
+    f_hz = frames.line_hz(line) + turned * frames.rate_hz / (2 * np.pi * frames.hop)
+    beyond = abs(turned) > 0.55 * np.pi  # more than a line away: the next band has it, and better
+    if seen < VISIBLE or beyond:
+        return None
+    per_s = frames.rate_hz / frames.hop
+    folded = abs((float(f_hz) + frames.rate_hz / 2) % frames.rate_hz - frames.rate_hz / 2)
+    return Mode(rate * per_s, float(deviation * per_s), folded, float(seen))

@@ -1,0 +1,175 @@
+"""What sets a loop ringing: a short burst on all actuators, its level and colour from the bench's limits and noise."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.bench import Bench
+from ultraquiet.simulate.loop import disturb
+from ultraquiet.values import Channel, Record, StateSpace
+from ultraquiet.values.channel import at_limits
+from ultraquiet.values.controller import Controller
+
+USED_RANGE = 0.3  # share of every channel's range that a burst may use
+# A burst begins with this share of the actuators' ranges; its colour evens out what the loop makes of it, so far.
+BEGIN, LEAST_COLOUR = 1e-3, 1e-3
+# Where the limits leave it open, a burst is loud enough when readings reach so many times their noise.
+LOUD = 1e4
+RAISES, RAISED_BY, NEAR = 8, 30.0, 1.5
+COLOURS_PER_OCTAVE = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Burst:
+    """Random signs on all actuators, coloured, and tones at `modes_hz`.
+
+    Args:
+        levels: peak on each actuator, `(nu,)`.
+        length: of the burst in samples.
+        samples: of the free response that follows.
+        rate_hz: samples per second.
+        modes_hz: where it is to be louder.
+        random_share, tone_share: the peaks of both parts when there are tones, in `levels`.
+        colour: amplitudes at `colour_hz`; white when empty.
+        seed: of the signs.
+    """
+
+    levels: FloatArray
+    length: int
+    samples: int
+    rate_hz: float
+    modes_hz: tuple[float, ...] = ()
+    random_share: float = 0.5
+    tone_share: float = 0.5
+    colour_hz: tuple[float, ...] = ()
+    colour: tuple[float, ...] = ()
+    seed: int = 0
+
+    def signal(self) -> FloatArray:
+        """Return the disturbance `(nu, length + samples)`."""
+        d = np.zeros((len(self.levels), self.length + self.samples))
+        rng = np.random.default_rng(self.seed)
+        shape = rng.choice([-1.0, 1.0], (len(self.levels), self.length))
+        if self.colour:
+            f = np.fft.rfftfreq(self.length, 1 / self.rate_hz)
+            gain = np.interp(np.log(np.maximum(f, f[1])), np.log(self.colour_hz), self.colour)
+            shape = _peak_one(np.fft.irfft(np.fft.rfft(shape, axis=1) * gain, self.length, axis=1))
+        if self.modes_hz:
+            angle = 2 * np.pi * np.array(self.modes_hz)[:, None] * np.arange(self.length) / self.rate_hz
+            phases = rng.uniform(0, 2 * np.pi, (len(self.levels), len(self.modes_hz), 1))
+            tones = _peak_one(np.sin(angle + phases).sum(axis=1))
+            shape = self.random_share * shape + self.tone_share * tones
+        d[:, : self.length] = self.levels[:, None] * shape
+        return d
+
+
+def _peak_one(signal: FloatArray) -> FloatArray:
+    return signal / np.maximum(np.abs(signal).max(axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeResponse:
+    """Two runs with opposite bursts: half their difference is the response, half their sum the noise.
+
+    Readings and commands `(ny + nu, samples)` after the burst. What does not turn with the burst, an offset or a hum,
+    is counted as noise; both have half the power of the noise of one run.
+    """
+
+    response: FloatArray
+    noise: FloatArray
+    runs: tuple[Record, Record]
+
+    @property
+    def limited(self) -> float:
+        """Largest share of the last quarter that a command stood at its limit."""
+        late = self.response.shape[1] // 4
+        return max(float(at_limits(run.inputs[:, -late:], run.actuators).max()) / late for run in self.runs)
+
+    def beside(self, other: "FreeResponse") -> "FreeResponse":
+        """Return both as one: further channels that ring with the same modes."""
+        response, noise = (np.vstack([getattr(x, part) for x in (self, other)]) for part in ("response", "noise"))
+        return FreeResponse(response, noise, other.runs)
+
+
+def ranges(channels: Sequence[Channel]) -> FloatArray:
+    """Return how far each channel may go to either side of zero, infinite where nothing limits it."""
+    return np.array([min(abs(c.low), abs(c.high)) for c in channels])
+
+
+def kicked(bench: Bench, law: StateSpace | Controller, burst: Burst) -> FreeResponse:
+    """Return the loop's free response to a burst."""
+    d = burst.signal()
+    plus, minus = (disturb(bench, sign * d, law) for sign in (1.0, -1.0))
+    a, b = (np.vstack([run.outputs, run.inputs])[:, burst.length :] for run in (plus, minus))
+    return FreeResponse((a - b) / 2, (a + b) / 2, (plus, minus))
+
+
+def loudest(bench: Bench, law: StateSpace | Controller, length: int, samples: int, seed: int = 0) -> Burst:
+    """Return a burst that fills a share of the ranges of readings, commands and actuators, in every octave alike.
+
+    Begins at a thousandth of the actuators' ranges (one where nothing limits them), is coloured by what the loop made
+    of it, and rises; the loop is taken to answer in proportion. Where neither end is limited, it rises until the
+    readings stand far above their noise.
+    """
+    limits = ranges(bench.actuators)
+    finite = np.isfinite(limits)
+    level = np.where(finite, limits, limits[finite].min()) * BEGIN if finite.any() else np.ones(len(limits))
+    burst = _raised(bench, law, Burst(level, length, samples, bench.rate_hz, seed=seed))
+    found = kicked(bench, law, burst)
+    return _raised(bench, law, _coloured(burst, found, bench))
+
+
+def with_tones(bench: Bench, law: StateSpace | Controller, burst: Burst, modes_hz: tuple[float, ...]) -> Burst:
+    """Return the burst with tones, raised by themselves to what the ranges allow; then both parts are halved."""
+    if not modes_hz:
+        return replace(burst, modes_hz=())
+    alone = _raised(bench, law, replace(burst, modes_hz=modes_hz, random_share=0.0, tone_share=1.0))
+    share = float(alone.levels[0] / burst.levels[0]) if burst.levels[0] else 1.0
+    return replace(burst, modes_hz=modes_hz, random_share=0.5, tone_share=0.5 * share)
+
+
+def _raised(bench: Bench, law: StateSpace | Controller, burst: Burst) -> Burst:
+    """Return the burst at the level that the ranges allow."""
+    for _ in range(RAISES):
+        found = kicked(bench, law, burst)
+        rise = _rise(bench, found, burst.levels)
+        burst = replace(burst, levels=burst.levels * float(np.clip(rise, 1 / RAISED_BY, RAISED_BY)))
+        if 1 / NEAR <= rise <= NEAR:  # noise has its share in what was reached, so that one step may be too short
+            break
+    return burst
+
+
+def _rise(bench: Bench, found: FreeResponse, levels: FloatArray) -> float:
+    """Return by how much the burst may be raised; what is below the noise yet may rise as far as one step goes."""
+    a, b = (np.vstack([run.outputs, run.inputs]) for run in found.runs)
+    noise, size = (np.abs(x).max(axis=1) / 2 for x in (a + b, a - b))
+    reached = np.concatenate([np.maximum(size - noise, 0.0), levels])
+    allowed = USED_RANGE * np.concatenate([ranges(c) for c in (bench.sensors, bench.actuators, bench.actuators)])
+    if np.isfinite(allowed).any():
+        return 1.0 / max(float(np.max(reached / allowed)), 0.1 / RAISED_BY)
+    heard = noise > 0
+    heard[len(bench.sensors) :] = False
+    return float(np.max(LOUD * noise[heard] / np.maximum(size, noise)[heard])) if heard.any() else 1.0
+
+
+def _coloured(burst: Burst, found: FreeResponse, bench: Bench) -> Burst:
+    """Return the burst weaker where the loop answers strongly, so that no resonance uses up the range alone."""
+    y = np.vstack([np.subtract(*(getattr(run, end) for run in found.runs)) / 2 for end in ("outputs", "inputs")])
+    y = y[:, : 2 * burst.length]  # later, what rings longest would count most, and be driven least
+    unit = np.concatenate([ranges(bench.sensors), ranges(bench.actuators)])
+    own = np.abs(y).max(axis=1)
+    unit = np.where(np.isfinite(unit), unit, np.maximum(own, np.finfo(float).tiny))
+    size = np.abs(np.fft.rfft(y / unit[:, None], axis=1)).max(axis=0)[1:]
+    f = np.fft.rfftfreq(y.shape[1], 1 / bench.rate_hz)[1:]
+    octave = np.floor(COLOURS_PER_OCTAVE * np.log2(f / f[0])).astype(int)
+    parts = [octave == k for k in np.unique(octave)]
+    centres = tuple(float(np.sqrt(f[part].min() * f[part].max())) for part in parts)
+    # Equal in every octave: noise that is equal at every hertz has next to nothing where structures are slow.
+    answer = np.array([size[part].max() for part in parts]) * np.sqrt(centres)
+    weakest = LEAST_COLOUR * answer.max()
+    if not weakest > 0:
+        return burst
+    colour = weakest / np.maximum(answer, weakest)
+    return replace(burst, colour_hz=centres, colour=tuple(colour.tolist()))

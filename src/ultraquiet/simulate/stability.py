@@ -1,0 +1,286 @@
+"""Whether a loop on a bench is stable, judged by how its own modes grow or decay."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, positive
+from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet.bench import Bench
+from ultraquiet.simulate.free_response import Mode, ringing
+from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, with_tones
+from ultraquiet.simulate.loop import disturb
+from ultraquiet.values import StateSpace, Status, StatusWord
+from ultraquiet.values.controller import Controller
+from ultraquiet.values.interconnect import feedback
+
+# The first record, and by how much each next one is longer; the longest, whichever is more.
+FIRST_SAMPLES, LONGER, LONGEST_S, LONGEST_SAMPLES, SHORTEST_SAMPLES = 4096, 4, 60.0, 1 << 15, 128
+# Every record begins with a burst of one part in so many, and of so many samples at least.
+BURSTS, SHORTEST_BURST = 16, 4096
+# A loop that was seen to decay is watched once more from near its noise, where friction and hysteresis act otherwise.
+ABOVE_NOISE, QUIETEST = 100.0, 1e-3
+# Shares of a free response that a command stands at its limit: a loop that ran away does so for more than the first;
+# one that does for more than the second is no longer the linear loop whose modes could be judged.
+LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
+# Records of the greatest length that are judged together before nothing is known.
+REPEATS = 4
+# The law's own poles that decay by less than this within a record are given a tone each in the next burst.
+SLOW, MOST_TONES = 10.0, 12
+# Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
+GROWTH_LIMIT = 3.0
+
+
+@dataclass(frozen=True)
+class LoopCheck:
+    """What a closed loop does by itself, and the verdict: `ok`, `unstable` or `not known`.
+
+    Attributes:
+        status: the verdict.
+        sensor_rms_v, command_rms_v: RMS over the last quarter of the last run, `(ny,)` and `(nu,)`, in the channels'
+            units.
+        growth_per_s: growth of the slowest mode that was seen, e-folds a second; negative where it decays, NaN where
+            the loop ran away before a mode could be told.
+        growth_std_per_s: its standard deviation.
+        growth_hz: its frequency in Hz.
+        duration_s: length of the longest record.
+        model_growth_per_s, model_growth_hz: the same of the loop with `model`; None without one.
+    """
+
+    status: Status
+    sensor_rms_v: FloatArray
+    command_rms_v: FloatArray
+    growth_per_s: float
+    growth_std_per_s: float
+    growth_hz: float
+    duration_s: float
+    model_growth_per_s: float | None = None
+    model_growth_hz: float | None = None
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What one record said: a word, or None where it takes a longer one; the slowest mode, and a sentence."""
+
+    word: StatusWord | None
+    mode: Mode | None
+    sentence: str
+    record: FreeResponse
+    modes: tuple[Mode, ...]
+    doubtful_hz: tuple[float, ...]
+    slow: bool = False
+    limited: bool = False
+
+
+def check_stability(
+    bench: Bench,
+    controller: StateSpace | Controller,
+    duration_s: float | None = None,
+    *,
+    model: StateSpace | None = None,
+    seed: int = 0,
+) -> LoopCheck:
+    """Set a closed loop ringing and judge it by the growth of every mode that is seen, and how well that is known.
+
+    Two runs with opposite bursts give the free response and, apart from it, the noise. Modes still visible in the
+    second half of the record are fitted, y_t = sum c_i exp((a_i + 2 pi i f_i) t). The loop is
+
+    * unstable when one a_i exceeds zero by four standard deviations, or commands stay at their limits;
+    * ok when everything was followed down to the noise, decaying: from a third of the channels' ranges, and where that
+      takes longer than the record, again from near the noise;
+    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does.
+
+    A record that does not tell is made four times longer, with a burst at the modes in doubt.
+
+    Args:
+        bench: any bench.
+        controller: acts as u = K y.
+        duration_s: longest record in seconds; when absent 60 s or 32768 samples, whichever is more. Most loops take a
+            few seconds.
+        model: of this bench, identified on it: the loop's slowest pole with it is told beside.
+        seed: of the burst's signs.
+
+    Returns:
+        `LoopCheck`: verdict, growth and frequency of the slowest mode.
+
+    Raises:
+        InputError: a duration too short to see anything; a law or model that does not fit.
+    """
+    longest = _longest(bench.rate_hz, duration_s)
+    disturb(bench, np.zeros((len(bench.actuators), 2)), controller)  # a law that does not fit is refused, not judged
+    beside = (None, None) if model is None else _with_model(model, controller)
+    try:
+        seen = _watched(bench, controller, longest, seed)
+    except UltraquietError as error:
+        silent = [np.full(len(c), np.nan) for c in (bench.sensors, bench.actuators)]
+        status = Status(StatusWord.UNSTABLE, f"The loop runs away on this bench: {error}")
+        return LoopCheck(status, silent[0], silent[1], np.nan, np.nan, np.nan, 0.0, *beside)
+    return _check(bench, seen, beside)
+
+
+def _longest(rate_hz: float, duration_s: float | None) -> int:
+    if duration_s is None:
+        return max(int(LONGEST_S * rate_hz), LONGEST_SAMPLES)
+    samples = int(positive("check_stability", "duration_s", duration_s, "s") * rate_hz)
+    if samples < SHORTEST_SAMPLES:
+        raise InputError(
+            f"check_stability: 'duration_s' = {duration_s:g} s holds {samples} samples; it takes {SHORTEST_SAMPLES} "
+            f"or more, {SHORTEST_SAMPLES / rate_hz:g} s here."
+        )
+    return samples
+
+
+def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int) -> _Seen:
+    """Watch ever longer until the record tells, or there is no longer one; there, several times."""
+    samples = first = min(FIRST_SAMPLES, longest)
+    burst = loudest(bench, law, _burst_length(first), first, seed)
+    tones = _slow_poles_hz(law, first, bench.rate_hz)
+    before: _Seen | None = None
+    while True:
+        short = replace(burst, length=_burst_length(samples))  # its free response matters little for the level
+        burst = replace(with_tones(bench, law, short, tones), samples=samples)
+        seen = _heard(bench, law, burst)
+        if seen.limited and before is not None:
+            return before if before.word is StatusWord.UNSTABLE else replace(seen, mode=before.mode)
+        enough = seen.word is StatusWord.OK and samples > first
+        enough |= seen.word is StatusWord.UNSTABLE and not seen.slow
+        if enough:
+            return seen
+        if samples >= longest:
+            return _repeated(bench, law, burst, seen)
+        tones = tuple(dict.fromkeys((*seen.doubtful_hz, *tones)))[:MOST_TONES]
+        before, samples, burst = seen, min(longest, LONGER * samples), replace(burst, samples=first)
+
+
+def _repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
+    """Return what several records say together, where one alone leaves a doubt that more may end."""
+    for more in range(1, REPEATS):
+        if seen.word is not None or not any(mode.may_be_told for mode in seen.modes if not mode.decays):
+            break
+        record = seen.record.beside(kicked(bench, law, replace(burst, seed=burst.seed + more)))
+        seen = _judged(bench, record)
+    return seen
+
+
+def _heard(bench: Bench, law: StateSpace | Controller, burst: Burst) -> _Seen:
+    """Judge a loud burst, and what still rings after it once more from near the noise."""
+    seen = _judged(bench, kicked(bench, law, burst))
+    if seen.word is StatusWord.OK and seen.modes:
+        share = max(QUIETEST, min(1.0, ABOVE_NOISE / max(mode.seen for mode in seen.modes)))
+        quiet = replace(burst, levels=share * burst.levels, modes_hz=tuple(mode.f_hz for mode in seen.modes))
+        softly = _judged(bench, kicked(bench, law, quiet))
+        return softly if softly.word is not StatusWord.OK else seen
+    return seen
+
+
+def _burst_length(samples: int) -> int:
+    return max(samples // BURSTS, min(samples // 2, SHORTEST_BURST))
+
+
+def _slow_poles_hz(law: StateSpace | Controller, samples: float, rate_hz: float) -> tuple[float, ...]:
+    """Return the frequencies of the law's own poles that hardly decay in so many samples, slowest first.
+
+    A law that undoes a mode which this bench has elsewhere keeps a pole that is hardly heard from outside: only a burst
+    at its own frequency shows what becomes of it.
+    """
+    linear = _linear(law)
+    if linear is None or not linear.states:
+        return ()
+    poles = linear.poles()
+    poles = poles[np.argsort(-np.abs(poles), kind="stable")]
+    slow = poles[np.log(np.maximum(np.abs(poles), np.finfo(float).tiny)) * samples > -SLOW]
+    width = rate_hz / _burst_length(LONGER * int(samples))
+    found: list[float] = []
+    for f in np.abs(np.angle(slow)) * rate_hz / (2 * np.pi):
+        if len(found) < MOST_TONES and all(abs(f - other) > width / 2 for other in found):
+            found.append(float(f))
+    return tuple(found)
+
+
+def _linear(law: StateSpace | Controller) -> StateSpace | None:
+    linear = law if isinstance(law, StateSpace) else getattr(law, "law", None)
+    return linear if isinstance(linear, StateSpace) else None
+
+
+def _judged(bench: Bench, record: FreeResponse) -> _Seen:
+    rate, span = bench.rate_hz, record.response.shape[1] / bench.rate_hz
+    heard = ringing(record.response, record.noise, rate)
+    modes = heard.modes
+    slowest = modes[0] if modes else _slowest_before(record, rate)
+    doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *heard.tones_hz)
+    said = "" if slowest is None else _told(slowest)
+    seen = _Seen(None, slowest, said, record, modes, doubtful)
+    if record.limited > LIMITED_SHARE:
+        sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
+        return replace(seen, word=StatusWord.UNSTABLE, sentence=sentence, limited=True)
+    if record.limited > CLIPPED_SHARE:
+        sentence = f"Noise alone drove a command to its limit for {record.limited:.1%} of the last quarter."
+        return replace(seen, sentence=sentence)
+    growing = next((mode for mode in modes if mode.grows), None)
+    if growing is not None:
+        slow = growing.growth_per_s * span < 1.0
+        return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=_told(growing), slow=slow)
+    grown = _grown(record.noise)
+    if grown > GROWTH_LIMIT:
+        return replace(seen, sentence=f"What noise does to it grew {grown:.3g} times within {span:.3g} s.")
+    if heard.tones_hz:
+        hz = ", ".join(f"{f:.4g}" for f in heard.tones_hz[:3])
+        return replace(seen, sentence=f"It rings near {hz} Hz by itself, no burst allowed is heard above that.")
+    if not doubtful:
+        return replace(seen, word=StatusWord.OK)
+    doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std)
+    return replace(seen, mode=doubted, sentence=_told(doubted))
+
+
+def _slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
+    """Return the slowest mode of a response that died within its record, from its shorter beginning."""
+    samples = record.response.shape[1] // 2
+    while samples >= SHORTEST_SAMPLES:
+        modes = ringing(record.response[:, :samples], record.noise[:, :samples], rate_hz).modes
+        known = next((mode for mode in modes if mode.decays), None)  # what only rises at first is no mode
+        if known is not None:
+            return known
+        samples //= 2
+    return None
+
+
+def _told(mode: Mode) -> str:
+    verb = "grows" if mode.growth_per_s > 0 else "decays"
+    return f"A mode at {mode.f_hz:.4g} Hz {verb} by {abs(mode.growth_per_s):.3g} +- {mode.growth_std:.1g} a second."
+
+
+def _grown(noise: FloatArray) -> float:
+    quarter = noise.shape[1] // 4
+    early, late = _rms(noise[:, quarter : 2 * quarter]), _rms(noise[:, -quarter:])
+    heard = late > 0
+    return float(np.max(late[heard] / np.maximum(early[heard], np.finfo(float).tiny), initial=0.0))
+
+
+def _with_model(model: StateSpace, law: StateSpace | Controller) -> tuple[float | None, float | None]:
+    linear = _linear(law)
+    if linear is None:
+        return None, None
+    poles = feedback(model, linear).poles()
+    slowest = poles[np.argmax(np.abs(poles))]
+    rate = model.rate_hz or float("nan")
+    turned = abs(float(np.angle(slowest))) * rate / (2 * np.pi)
+    return float(np.log(max(np.abs(slowest), np.finfo(float).tiny)) * rate), turned
+
+
+def _check(bench: Bench, seen: _Seen, beside: tuple[float | None, float | None]) -> LoopCheck:
+    last = seen.record.runs[1]
+    rms = [_rms(x[:, -last.samples // 4 :]) for x in (last.outputs, last.inputs)]
+    span = seen.record.response.shape[1] / bench.rate_hz
+    word = seen.word or StatusWord.NOT_KNOWN
+    opening = {
+        StatusWord.OK: f"The loop settles; watched for {span:.3g} s.",
+        StatusWord.UNSTABLE: "The loop is not stable on this bench.",
+    }.get(word, f"{span:.3g} s do not tell whether this loop decays.")
+    told = "" if beside[0] is None else f" With the model: {beside[0]:.3g} a second at {beside[1]:.4g} Hz."
+    status = Status(word, f"{opening} {seen.sentence}{told}".rstrip())
+    mode = seen.mode or Mode(np.nan, np.nan, np.nan, 0.0)
+    return LoopCheck(status, rms[0], rms[1], mode.growth_per_s, mode.growth_std, mode.f_hz, span, *beside)
+
+
+def _rms(signal: FloatArray) -> FloatArray:
+    return np.sqrt(np.mean(signal**2, axis=1))

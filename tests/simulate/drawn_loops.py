@@ -1,0 +1,98 @@
+"""Loops drawn at random whose slowest pair has a modulus that is asked for, as benches."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+import ultraquiet as uq
+
+RATE_HZ = 1000.0
+SHAPES = ((1, 1), (2, 2), (4, 3), (3, 5))
+
+
+@dataclass(frozen=True)
+class DrawnLoop:
+    """A bench, a law that closes it, and the truth: growth per second and frequency of the slowest pole."""
+
+    bench: uq.bench.Wrapped
+    law: uq.StateSpace
+    growth_per_s: float
+    f_hz: float
+
+
+def drawn_loop(rng, modulus, noise=0.0, limited=True, unit=1.0):
+    """Return a loop of drawn size; `noise` and range of a reading are in multiples of `unit`."""
+    ny, nu = SHAPES[rng.integers(len(SHAPES))]
+    while True:
+        A, B, C = modal(rng, ny, nu)
+        K = rng.standard_normal((nu, ny))
+        if (gain := gain_for(A, B, C, K, modulus)) is not None:
+            break
+    poles = np.linalg.eigvals(closed(A, B, C, gain * K))
+    slowest = poles[np.argmax(np.abs(poles))]
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), gain * K / unit, RATE_HZ)
+    bench = wrapped(
+        A,
+        B,
+        unit * C,
+        noise * unit,
+        np.random.default_rng(rng.integers(2**32)),
+        (25.0, 10.0 * unit) if limited else (np.inf, np.inf),
+    )
+    f_hz = abs(np.angle(slowest)) * RATE_HZ / (2 * np.pi)
+    return DrawnLoop(bench, law, np.log(np.abs(slowest)) * RATE_HZ, f_hz)
+
+
+def modal(rng, ny, nu):
+    """Return lightly damped modes with random shapes, about one reading per command at the resonances."""
+    f, zeta = np.exp(rng.uniform(np.log(2.0), np.log(300.0), 4)), np.exp(rng.uniform(np.log(0.005), np.log(0.05), 4))
+    A, B, C = np.zeros((8, 8)), np.zeros((8, nu)), np.zeros((ny, 8))
+    for k, (f_k, zeta_k) in enumerate(zip(f, zeta, strict=True)):
+        s = 2 * np.pi * f_k / RATE_HZ * (-zeta_k + 1j * np.sqrt(1 - zeta_k**2))
+        z = np.exp(s)
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[z.real, z.imag], [-z.imag, z.real]]
+        B[2 * k : 2 * k + 2] = np.sqrt(1 - abs(z)) * rng.standard_normal((2, nu))
+        C[:, 2 * k : 2 * k + 2] = np.sqrt(1 - abs(z)) * rng.standard_normal((ny, 2))
+    return A, B, C
+
+
+def closed(A, B, C, K):
+    """Return the loop's matrix; the command acts one sample late."""
+    nu = B.shape[1]
+    return np.block([[A, B], [K @ C, np.zeros((nu, nu))]])
+
+
+def gain_for(A, B, C, K, modulus):
+    """Return the smallest gain at which the largest pole, a pair, has this modulus; None where there is none."""
+
+    def excess(g):
+        return np.abs(np.linalg.eigvals(closed(A, B, C, g * K))).max() - modulus
+
+    gains = np.geomspace(1e-3, 1e3, 120)
+    values = [excess(g) for g in gains]
+    for low, high, a, b in zip(gains, gains[1:], values, values[1:], strict=False):
+        if a < 0 < b:
+            g = brentq(excess, low, high, xtol=1e-16, rtol=1e-15)
+            poles = np.linalg.eigvals(closed(A, B, C, g * K))
+            return g if abs(poles[np.argmax(np.abs(poles))].imag) > 1e-3 else None
+    return None
+
+
+def wrapped(A, B, C, noise, rng, limits):
+    """Return the plant as a bench with white noise on its readings."""
+    state = np.zeros(len(A))
+
+    def step(u, d):
+        nonlocal state
+        y = C @ state
+        state = A @ state + B @ (u + d)
+        return y + noise * rng.standard_normal(y.size) if noise else y
+
+    def reset():
+        nonlocal state
+        state = np.zeros(len(A))
+
+    actuators = [uq.Channel(f"actuator {i + 1}", "V", -limits[0], limits[0]) for i in range(B.shape[1])]
+    sensors = [uq.Channel(f"sensor {i + 1}", "V", -limits[1], limits[1]) for i in range(C.shape[0])]
+    return uq.bench.Wrapped(step, reset, RATE_HZ, actuators, sensors)

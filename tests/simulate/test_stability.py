@@ -1,0 +1,95 @@
+"""Verdicts of loops whose truth is known: growth however slow is seen, decay however slow is not feared."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawn_loops import RATE_HZ, drawn_loop
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+
+LAW = Path(__file__).parents[1] / "data" / "slow_growth_law.npz"
+LOOPS = 200
+
+
+@pytest.fixture(scope="module")
+def slow_growth_law():
+    with np.load(LAW) as held:
+        return uq.StateSpace(held["A"], held["B"], held["C"], held["D"], float(held["rate_hz"]))
+
+
+def test_growth_within_half_a_minute_is_seen_in_a_minute(slow_growth_law):
+    bench = uq.bench.Hexapod(unit="flight", linear=True)
+    check = uq.simulate.check_stability(bench, slow_growth_law, model=bench.linear_model())
+    print(f"{check.status}; {check.growth_per_s:.5f} +- {check.growth_std_per_s:.1g} at {check.growth_hz:.3f} Hz")
+    assert check.status.word == "unstable"
+    assert check.growth_per_s == pytest.approx(0.0271, abs=0.0005)
+    assert check.growth_hz == pytest.approx(5.71, abs=0.01)
+    assert check.model_growth_per_s == pytest.approx(0.0271, abs=0.0005)
+    assert check.model_growth_hz == pytest.approx(5.71, abs=0.01)
+    assert check.duration_s == 60.0
+
+
+def test_a_limit_cycle_is_not_called_stable(slow_growth_law):
+    check = uq.simulate.check_stability(uq.bench.Hexapod(unit="flight", seed=1, hysteresis=True), slow_growth_law)
+    print(check.status)
+    assert check.status.word in ("unstable", "not known")
+
+
+@pytest.mark.slow
+def test_the_noise_of_the_bench_hides_no_growth(slow_growth_law):
+    check = uq.simulate.check_stability(uq.bench.Hexapod(unit="flight", seed=1), slow_growth_law)
+    print(check.status)
+    assert check.status.word == "unstable"
+    assert check.growth_per_s == pytest.approx(0.0271, abs=4 * check.growth_std_per_s)
+
+
+@pytest.mark.parametrize(("apart", "unit"), [(3e-4, 1e9), (-3e-4, 1e-9)])
+def test_growth_and_decay_are_measured_in_any_unit(apart, unit, rng):
+    loop = drawn_loop(rng, 1 + apart, unit=unit)
+    check = uq.simulate.check_stability(loop.bench, loop.law)
+    print(f"{check.status}; true {loop.growth_per_s:.5f} at {loop.f_hz:.4f} Hz")
+    assert check.status.word == ("unstable" if apart > 0 else "ok")
+    assert check.growth_per_s == pytest.approx(loop.growth_per_s, rel=1e-3)
+    assert check.growth_hz == pytest.approx(loop.f_hz, abs=0.01)
+
+
+def test_what_one_record_cannot_tell_is_not_known(rng):
+    loop = drawn_loop(rng, 1 - 1e-6, noise=0.1)
+    check = uq.simulate.check_stability(loop.bench, loop.law, 4.0)
+    print(check.status)
+    assert check.status.word == "not known"
+    assert check.growth_std_per_s > abs(loop.growth_per_s)
+
+
+def test_refusals(slow_growth_law):
+    bench = uq.bench.Hexapod()
+    with pytest.raises(InputError, match="holds 35 samples; it takes 128"):
+        uq.simulate.check_stability(bench, slow_growth_law, 0.01)
+    with pytest.raises(InputError, match="must take 6 readings"):
+        uq.simulate.check_stability(bench, uq.StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 3500.0))
+
+
+@pytest.mark.slow
+def test_drawn_loops_are_never_judged_wrongly(rng):
+    """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records."""
+    false_ok = false_unstable = unknown = wrongly_unknown = 0
+    for _ in range(LOOPS):
+        apart = 10 ** rng.uniform(-6, -3) * rng.choice([-1, 1])
+        loop = drawn_loop(
+            rng, 1 + apart, rng.choice([0.0, 0.003, 0.03]), rng.random() < 0.7, rng.choice([1.0, 1e-9, 1e9])
+        )
+        check = uq.simulate.check_stability(loop.bench, loop.law)
+        word = check.status.word
+        records = 1 / abs(loop.growth_per_s) / check.duration_s
+        false_ok += word == "ok" and apart > 0
+        false_unstable += word == "unstable" and apart < 0
+        unknown += word == "not known"
+        wrongly_unknown += word == "not known" and records < 10
+        if (word == "unstable") != (apart > 0):
+            print(
+                f"1 {apart:+.1e}, {loop.f_hz:.3g} Hz at {RATE_HZ:g} Hz, {records:.3g} records an e-fold: {check.status}"
+            )
+    print(f"{LOOPS} loops: {false_ok} false ok, {false_unstable} false unstable, {unknown} not known")
+    assert false_ok == false_unstable == wrongly_unknown == 0
