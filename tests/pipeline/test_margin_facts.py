@@ -7,10 +7,11 @@ import numpy as np
 from ultraquiet.pipeline.control import designed
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.report.loops import design
-from ultraquiet.pipeline.study import Design
+from ultraquiet.pipeline.study import ClosedLoop, Design
 from ultraquiet.values import StateSpace
 
 RATE = 2000.0
+LOOP = ClosedLoop(band_hz=(1.0, 10.0), tones_hz=[3.0])
 PLANT = StateSpace(
     np.kron(np.eye(2), [[0.98, 0.19], [-0.19, 0.98]]),
     np.kron(np.eye(2), [[0.1], [0.0]]),
@@ -23,9 +24,9 @@ PLANT = StateSpace(
 
 
 def test_margins_of_the_law_that_runs_stand_in_facts_and_report():
-    plain = designed("plain", PLANT, Design.model_validate({"design": {"method": "lqg"}}))
+    plain = designed("plain", PLANT, Design.model_validate({"design": {"method": "lqg"}}), LOOP)
     reduce = {"method": "closed-loop-weighted", "states": 3}
-    small = designed("small", PLANT, Design.model_validate({"design": {"method": "lqg"}, "reduce": reduce}))
+    small = designed("small", PLANT, Design.model_validate({"design": {"method": "lqg"}, "reduce": reduce}), LOOP)
     assert set(plain.facts.law_margins) == {"input", "output"}
     assert plain.facts.law_margins["input"].disk_all == plain.facts.margins["input"].disk_all
     assert plain.facts.law_margins["input"].least_change.channel in {"left", "right"}
