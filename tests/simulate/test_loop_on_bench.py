@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from drawn_loops import gain_for, modal
+from drawn_loops import wrapped as drawn_bench
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
@@ -109,3 +111,47 @@ def test_a_law_that_runs_away_is_named_by_the_hexapod():
     wild = uq.StateSpace(1.5 * np.eye(6), np.eye(6), np.eye(6), np.zeros((6, 6)), 3500.0)
     with pytest.raises(InputError, match="no longer a finite number"):
         uq.bench.Hexapod().run(np.zeros((6, 7000)), controller=wild)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ny", "nu"), [(4, 3), (3, 5)])
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_sensitivity_of_rectangular_plants(ny, nu, unit, rng):
+    """Tall: the largest |y closed| / |y open| that any disturbance has; wide: the whole matrix."""
+    A, B, C = modal(rng, ny, nu)
+    K = rng.standard_normal((nu, ny))
+    K *= 0.5 * gain_for(A, B, C, K, 1.0)
+    noise = np.random.default_rng(rng.integers(2**32))
+    bench = drawn_bench(A, B, unit * C, 1e-4 * unit, noise, (25.0, 10.0 * unit))
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), K / unit, bench.rate_hz)
+    measured = uq.simulate.measure_sensitivity(bench, law)
+    z = np.exp(2j * np.pi * measured.f_hz / bench.rate_hz)
+    G = np.stack([C @ np.linalg.solve(x * np.eye(len(A)) - A, B) for x in z])
+    closed = np.stack([np.linalg.solve(np.eye(ny) - g @ K / x, g) for x, g in zip(z, G, strict=True)])
+    expected = -20 * np.log10(np.linalg.norm(closed @ np.linalg.pinv(G), 2, axis=(1, 2)))
+    error = np.abs(measured.worst_direction_db() - expected)[~measured.hidden].max()
+    print(f"{ny}x{nu}: {measured.f_hz.size} lines, {error:.3f} dB off; {measured.unresolved()} {measured.reach}")
+    assert error < 0.5
+    assert measured.hidden.mean() < 0.1
+    assert measured.lines_missing == 0
+    assert measured.reach.startswith("3 actuators reach 3 of 4" if nu < ny else "")
+    assert bool(measured.reach) == (nu < ny)
+
+
+def test_lines_asked_for_are_all_there_and_hidden_ones_are_counted_at_their_bound(loop, rng):
+    plant, law, truth = loop
+    bench = wrapped(plant, 3e-2, rng)
+    opened = uq.simulate.OpenLoop(bench)
+    asked = np.arange(5.0, 400.0, 2.5)
+    measured = uq.simulate.measure_sensitivity(bench, law, asked, opened=opened)
+    assert measured.f_hz == pytest.approx(asked)
+    worst = -20 * np.log10(np.linalg.svd(truth(asked).transpose(2, 0, 1), compute_uv=False)[:, 0])
+    print(measured.unresolved(), np.abs(measured.worst_direction_db() - worst).max())
+    assert measured.hidden.any()
+    assert (measured.bound_db < measured.worst_direction_db()).all()
+    assert (measured.bound_db[measured.hidden] < worst[measured.hidden]).mean() > 0.9
+    assert measured.worst_in_band_db(5, 400) == measured.counted_db().min()
+    with pytest.raises(InputError, match="'f_hz' must lie between"):
+        uq.simulate.measure_sensitivity(bench, law, [0.001], opened=opened)
+    with pytest.raises(InputError, match="of another bench"):
+        uq.simulate.measure_sensitivity(wrapped(plant), law, opened=opened)

@@ -7,6 +7,7 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
 from ultraquiet.simulate.stability import LoopCheck, check_stability
 
@@ -14,6 +15,7 @@ __all__ = [
     "Attenuation",
     "LoopCheck",
     "MeasuredSensitivity",
+    "OpenLoop",
     "attenuation",
     "campaign",
     "check_stability",

@@ -3,31 +3,31 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.open_loop import LOWER, Band, OpenLoop, Runs, inverted, largest
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
-# Seconds a period lasts, and so lines a Hz there can be: isolation modes of 6 Hz and 1 % damping are 0.12 Hz wide.
-PERIOD_S = 4
-# Every line up to the first, every whole Hz up to the second, then lines one per cent apart, up to this share of the
-# Nyquist frequency.
-FINE_TO_HZ, DENSE_TO_HZ = 20, 130
-SPACING = 1.01
-HIGHEST_SHARE = 0.97
-# Amplitudes in volts of the dense and of the sparse lines, before the whole is scaled; the lowest are raised as a
-# geophone's response falls, with the square of frequency below its corner, up to a limit.
-DENSE_V, SPARSE_V = 0.2, 0.05
-RAISED_BELOW_HZ, RAISED_TO_V = 15.0, 1.5
-# Largest share of a sensor's range, and largest disturbance in volts, that the open loop may use.
-USED_RANGE, LARGEST_V = 0.6, 25.0
-SETTLE_PERIODS, MEASURED_PERIODS = 2, 3
-# A line is kept when noise moves its largest singular value by less than this share: 1.2 dB.
-TRUSTED = 0.15
+# A line is resolved when noise moves its largest singular value by less than this share: 0.4 dB. One that is not is
+# counted with so many deviations of the noise on top.
+RESOLVED, DEVIATIONS = 0.05, 2.0
+# Passes at most; each is louder where the one before was hidden. Lines that were not asked for one by one lie where the
+# open loop is heard: another pass is made when more than this share of them is hidden.
+PASSES, HIDDEN = 4, 0.25
+# First lines are apart by this share of their frequency; between two whose worst direction differs by more, there are
+# further ones, down to the resolution of a run.
+APART, STEP_DB = 0.003, 0.5
+# Lines are chosen where the open loop by itself would leave an S of size one this much open.
+HEARD = 0.02
+ROUNDING = 1e-9  # what is left of a deviation without noise
+EDGE = 1.05  # where a sweep fades in and out
+# A law's first, short sweeps are so much lower than those of the open loop.
+BEGIN_CLOSED = 0.3
 
 
 @dataclass(frozen=True)
@@ -35,39 +35,68 @@ class MeasuredSensitivity:
     """S = Y closed Y open^-1 at each line, `(ny, ny, nf)`, and the responses from disturbance to sensors behind it.
 
     The largest singular value of S is the amplification in the worst direction, whatever direction the disturbance
-    takes; S is measured with as many runs as there are actuators.
+    takes; S is measured with as many runs as there are directions. With fewer actuators than sensors S is that of the
+    directions which the actuators reach, zero in the others: there nothing can be done and nothing is claimed.
+
+    Attributes:
+        S: at every line that was asked for.
+        opened, closed: from disturbance to sensors, `(ny, nu, nf)`.
+        deviation: of the largest singular value, from noise, `(nf,)`.
+        reach: sentence on directions the actuators do not reach; empty where they reach all.
     """
 
     S: FrequencyResponse
     opened: ComplexArray
     closed: ComplexArray
+    deviation: FloatArray
+    reach: str = ""
 
     @property
     def f_hz(self) -> FloatArray:
-        """Lines in Hz."""
+        """Lines in Hz: all that were asked for."""
         return self.S.f_hz
+
+    @property
+    def hidden(self) -> np.ndarray:
+        """Whether noise hides the worst direction of a line, `(nf,)`: what is counted there is a bound."""
+        return self.deviation > RESOLVED * self._size()
+
+    @property
+    def lines_missing(self) -> int:
+        """Lines asked for that were not measured: none, ever; those that noise hides are counted at its bound."""
+        return int(np.count_nonzero(~np.isfinite(self._size())))
 
     def worst_direction_db(self) -> FloatArray:
         """Reduction in dB of the worst direction at each line, `(nf,)`; negative where it is amplified."""
-        return -20 * np.log10(np.linalg.svd(self.S.values.transpose(2, 0, 1), compute_uv=False)[:, 0])
+        return -20 * np.log10(self._size())
+
+    @property
+    def bound_db(self) -> FloatArray:
+        """Reduction in dB that is certain at each line, `(nf,)`: less than was read by what noise leaves open."""
+        return -20 * np.log10(self._size() + DEVIATIONS * self.deviation)
+
+    def counted_db(self) -> FloatArray:
+        """Return what counts of each line, `(nf,)`: the worst direction where it was resolved, elsewhere the bound."""
+        return np.where(self.hidden, self.bound_db, self.worst_direction_db())
 
     def worst_in_band_db(self, low_hz: float, high_hz: float) -> float:
-        """Smallest worst-direction reduction over a band, in dB."""
-        return float(self.worst_direction_db()[self._band(low_hz, high_hz)].min())
+        """Smallest worst-direction reduction over a band, in dB, hidden lines counted at their bound."""
+        return float(self.counted_db()[self._band(low_hz, high_hz)].min())
 
     def peak_amplification_db(self) -> float:
-        """Largest amplification of any direction at any line, in dB."""
-        return float(-self.worst_direction_db().min())
+        """Largest amplification of any direction at any line, in dB, hidden lines counted at their bound."""
+        return float(-self.counted_db().min())
 
     def mean_log_db(self) -> float:
         """Return the mean over frequency of 20 log10 |det S| / ny: what quiet bands are paid with elsewhere.
 
         For a stable loop with a stable controller and at least one sample of delay the mean over 0 to Nyquist is zero:
         every decibel gained over a hertz is lost over another (Bode's integral in discrete time; Sung and Hara 1988,
-        doi:10.1080/00207178808906305).
+        doi:10.1080/00207178808906305). With fewer actuators than sensors it is that of the directions they reach.
         """
-        size = np.abs(np.linalg.det(np.moveaxis(self.S.values, 2, 0)))
-        level = 20 * np.log10(size) / self.S.values.shape[0]
+        sizes = np.linalg.svd(np.moveaxis(self.S.values, 2, 0), compute_uv=False)
+        count = min(self.opened.shape[:2])
+        level = 20 * np.log10(np.maximum(sizes[:, :count], np.finfo(float).tiny)).mean(axis=1)
         return float(np.trapezoid(level, self.f_hz) / (self.f_hz[-1] - self.f_hz[0]))
 
     def broadband_db(self, low_hz: float, high_hz: float) -> float:
@@ -77,6 +106,21 @@ class MeasuredSensitivity:
         power = [np.sum(np.abs(y[:, :, band]) ** 2 * width, axis=(1, 2)) for y in (self.opened, self.closed)]
         return float(10 * np.log10(np.min(power[0] / power[1])))
 
+    def unresolved(self, low_hz: float = 0.0, high_hz: float = np.inf) -> str:
+        """Return a sentence on the lines of a band that noise hides, in numbers."""
+        band = self._band(low_hz, high_hz)
+        hidden = band & self.hidden
+        if not hidden.any():
+            return f"All {band.sum()} lines were resolved."
+        f = self.f_hz[hidden]
+        return (
+            f"Noise hides {hidden.sum()} of {band.sum()} lines, {f.min():.4g} to {f.max():.4g} Hz; they are counted at "
+            f"the bound it leaves."
+        )
+
+    def _size(self) -> FloatArray:
+        return _largest(self.S.values)
+
     def _band(self, low_hz: float, high_hz: float) -> np.ndarray:
         band = (self.f_hz >= low_hz) & (self.f_hz <= high_hz)
         if not band.any():
@@ -84,94 +128,179 @@ class MeasuredSensitivity:
         return band
 
 
-def measure_sensitivity(bench: Bench, controller: StateSpace | Controller, seed: int = 0) -> MeasuredSensitivity:
-    """Measure S on the bench with a multisine disturbance on one actuator after the other, open and closed loop.
+def measure_sensitivity(
+    bench: Bench,
+    controller: StateSpace | Controller,
+    f_hz: ArrayLike | None = None,
+    *,
+    opened: OpenLoop | None = None,
+) -> MeasuredSensitivity:
+    """Measure S on the bench with swept disturbances in its own directions, open and closed loop.
 
-    Periods of four seconds; the first two settle the loop, the next three are averaged. Lines: every quarter Hz to
-    20 Hz, every Hz to 130 Hz, then 1 % apart. The level is chosen so that the open loop uses at most 60 % of the
-    sensors' range. Lines at which the scatter of the periods would move the worst direction by more than 1.2 dB are
-    left out: the lowest, where a geophone hears nothing.
+    Each run sweeps from the lowest to the highest frequency and then waits until the plant has come to rest, so that
+    Y(f) is the Fourier transform of the whole response and free of leakage at every line of a run. A run drives one
+    right singular vector of the open loop, as loud as ranges allow at each frequency: weak directions stand as far
+    above the noise as strong ones. Lines are where S is: closer together between lines that differ by more than 0.5 dB,
+    down to one over the length of a run. A pass is repeated, louder where noise hid a line, four times at most.
 
     Args:
-        bench: any bench with as many sensors as actuators (S must be square to be inverted).
+        bench: any bench; with fewer sensors than actuators S is full, with more it is that of the reached directions.
         controller: acts as u = K y.
-        seed: of the multisine's phases.
+        f_hz: lines in Hz that are asked for, moved to the nearest of a run; chosen from S itself when absent, over the
+            whole range of the sweep.
+        opened: the open loop of the same bench, measured before; its runs are made once for all laws.
+
+    Returns:
+        `MeasuredSensitivity`, every line asked for in it.
 
     Raises:
-        InputError: the bench is not square.
+        InputError: lines beyond the Nyquist frequency, an open loop of another bench.
     """
-    nu, ny = len(bench.actuators), len(bench.sensors)
-    if nu != ny:
-        raise InputError(f"measure_sensitivity: {nu} actuators and {ny} sensors; S needs equal numbers.")
-    lines = _lines(bench.rate_hz)
-    wave = _wave(lines, bench.rate_hz, seed)
-    wave *= _level(bench, wave)
-    d = np.tile(wave, SETTLE_PERIODS + MEASURED_PERIODS)
-    responses = np.zeros((2, ny, nu, lines.size), dtype=np.complex128)
-    scatter = np.zeros(lines.size)
-    with task("sensitivity on the bench", 2 * nu) as progress:
-        for j in range(nu):
-            disturbance = np.zeros((nu, d.size))
-            disturbance[j] = d
-            for k, law in enumerate((None, controller)):
-                record = disturb(bench, disturbance, law)
-                responses[k, :, j], variance = _at_lines(record.outputs, wave, lines)
-                scatter += variance if law is None else 0.0
-                progress.advance(note=f"actuator {j + 1}")
-    opened, closed = responses
-    S = np.linalg.solve(opened.transpose(2, 1, 0), closed.transpose(2, 1, 0)).transpose(2, 1, 0).astype(np.complex128)
-    trusted = _trusted(S, opened, scatter)
-    if not trusted.any():
+    opened = OpenLoop(bench) if opened is None else opened
+    if opened.bench is not bench and opened.bench != bench:
+        raise InputError("measure_sensitivity: 'opened' is the open loop of another bench.")
+    pairs = [_Pair(band, controller) for band in opened.bands]
+    asked = [None] * len(pairs) if f_hz is None else _asked(opened, f_hz)
+    with task("sensitivity on the bench", len(pairs)) as progress:
+        parts = []
+        for pair, lines in zip(pairs, asked, strict=True):
+            parts.append(pair.at(lines))
+            progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
+    return _joined(opened, parts)
+
+
+def _asked(opened: OpenLoop, f_hz: ArrayLike) -> list[np.ndarray]:
+    """Return the places of the lines asked for among those of each band."""
+    f = np.sort(frequency_array("measure_sensitivity", f_hz))
+    low, high = opened.bands[0].sweep.lines_hz[0], opened.bands[-1].sweep.lines_hz[-1]
+    if f[0] < low or f[-1] > high:
+        raise InputError(
+            f"measure_sensitivity: 'f_hz' must lie between {low:.4g} and {high:.4g} Hz, got {f[0]:g} to {f[-1]:g}; "
+            f"a longer OpenLoop(bench, seconds=...) begins lower."
+        )
+    places, below = [], -np.inf
+    for band in opened.bands:
+        lines, above = band.sweep.lines_hz, band.sweep.high_hz if band is not opened.bands[-1] else np.inf
+        mine = f[(f > below) & (f <= above)]
+        places.append(np.rint((mine - lines[0]) / (lines[1] - lines[0])).astype(int).clip(0, lines.size - 1))
+        below = above
+    return places
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What one band gave: lines in Hz, S, its deviation, both responses."""
+
+    f_hz: FloatArray
+    S: ComplexArray
+    deviation: FloatArray
+    opened: ComplexArray
+    closed: ComplexArray
+
+
+class _Pair:
+    """Open and closed loop of one law over one band; passes are averaged, each with the weight that noise leaves it."""
+
+    def __init__(self, band: Band, law: StateSpace | Controller) -> None:
+        self.band, self._law = band, law
+        quiet = band.quiet(law)
+        self._noise, self._hum = band.noise_of(quiet), band.last_power(quiet)
+        ny, nu = len(band.bench.sensors), len(band.bench.actuators)
+        begin = BEGIN_CLOSED * band.runs.levels
+        self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
+        self._weight = np.zeros(band.sweep.lines.size)
+        self._S = np.zeros((ny, ny, self._weight.size), dtype=np.complex128)
+        self._closed = np.zeros((ny, nu, self._weight.size), dtype=np.complex128)
+
+    def at(self, asked: np.ndarray | None) -> _Part:
+        """Measure, again and louder where noise hides lines, and return these lines or those that S asks for."""
+        places = np.zeros(0, dtype=int)
+        for _ in range(PASSES):
+            self._measure()
+            places = self._dense() if asked is None else asked
+            size = _largest(self._S[:, :, places])
+            hidden = np.count_nonzero(self._deviation[places] > RESOLVED * size)
+            if hidden <= (0 if asked is not None else HIDDEN * places.size):
+                break
+        return _Part(
+            self.band.sweep.lines_hz[places],
+            self._S[:, :, places],
+            self._deviation[places],
+            self.band.response[:, :, places],
+            self._closed[:, :, places],
+        )
+
+    @property
+    def _deviation(self) -> FloatArray:
+        return 1 / np.sqrt(self._weight)
+
+    def _measure(self) -> None:
+        band = self.band
+        closed = band.rested(self._law, self._levels, self._hum)
+        self._levels = closed.better
+        noise = np.sqrt(band.runs.length) * band.noise, np.sqrt(closed.length) * self._noise
+        S, deviation, response = _sensitivity(band.runs, closed, *noise)
+        weight = 1 / np.maximum(deviation, ROUNDING) ** 2
+        total = self._weight + weight
+        share = weight / total
+        self._S += share * (S - self._S)
+        self._closed += share * (response - self._closed)
+        self._weight = total
+
+    def _dense(self) -> np.ndarray:
+        """Return the places of the lines that S asks for, where the open loop is heard."""
+        f, sweep = self.band.sweep.lines_hz, self.band.sweep
+        heard = np.flatnonzero((self.band.deviation < HEARD) & (f > EDGE * sweep.low_hz) & (f < sweep.high_hz / EDGE))
+        if not heard.size:
+            return heard
+        first, last = f[heard[0]], f[heard[-1]]
+        wanted = np.geomspace(first, last, max(2, int(np.log(last / first) / APART)))
+        places = np.unique(np.searchsorted(f, wanted).clip(heard[0], heard[-1]))
+        level = 20 * np.log10(_largest(self._S))
+        while True:
+            steep = (np.abs(np.diff(level[places])) > STEP_DB) & (np.diff(places) > 1)
+            if not steep.any():
+                return places
+            places = np.unique(np.concatenate([places, (places[:-1] + places[1:])[steep] // 2]))
+
+
+def _largest(S: ComplexArray) -> FloatArray:
+    return largest(np.moveaxis(S, 2, 0))
+
+
+def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
+    f = np.concatenate([part.f_hz for part in parts])
+    if not f.size:
         raise NumericalError(
             "measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise."
         )
-    text = f"disturbance to sensors, multisine, {MEASURED_PERIODS} periods of {PERIOD_S} s"
-    response = FrequencyResponse(lines[trusted], S[:, :, trusted], estimator=text)
-    return MeasuredSensitivity(response, opened[:, :, trusted], closed[:, :, trusted])
+    bench = opened.bench
+    ny, nu = len(bench.sensors), len(bench.actuators)
+    reach = f"{nu} actuators reach {nu} of {ny} directions of the sensors; in the others no law does anything."
+    seconds = ", ".join(f"{band.sweep.samples / bench.rate_hz:g}" for band in opened.bands)
+    text = f"disturbance to sensors, sweeps of {seconds} s"
+    S, opened_y, closed_y = (
+        np.concatenate([getattr(part, name) for part in parts], axis=2) for name in ("S", "opened", "closed")
+    )
+    deviation = np.concatenate([part.deviation for part in parts])
+    return MeasuredSensitivity(
+        FrequencyResponse(f, S, estimator=text), opened_y, closed_y, deviation, reach if nu < ny else ""
+    )
 
 
-def _trusted(S: ComplexArray, opened: ComplexArray, scatter: FloatArray) -> np.ndarray:
-    """Return at which lines `(nf,)` noise, S + dS = (Y closed + e) (Y open + e)^-1, leaves the worst direction be.
+def _sensitivity(
+    opened: Runs, closed: Runs, noise: FloatArray, noise_closed: FloatArray
+) -> tuple[ComplexArray, FloatArray, ComplexArray]:
+    """Return S `(ny, ny, lines)`, the deviation of its largest singular value, and the closed response.
 
-    The noise is that of the open loop: scatter of the closed one may be a mode that rings on, which must be shown.
+    Both loops' sweeps differ in level, so the open response is taken to what was sent with the law:
+    S = Yc (Yo Do^+ Dc)^+.
     """
-    worst = np.linalg.svd(np.moveaxis(S, 2, 0), compute_uv=False)[:, 0]
-    weakest = np.linalg.svd(np.moveaxis(opened, 2, 0), compute_uv=False)[:, -1]
-    return np.sqrt((1 + worst**2) * scatter) < TRUSTED * worst * weakest
-
-
-def _lines(rate_hz: float) -> FloatArray:
-    """Return multiples of the period's frequency in Hz."""
-    top = HIGHEST_SHARE * rate_hz / 2
-    fine = np.arange(1, min(FINE_TO_HZ, top) * PERIOD_S) / PERIOD_S
-    dense = np.arange(FINE_TO_HZ, min(DENSE_TO_HZ, top) + 1)
-    count = max(0, int(np.log(top / DENSE_TO_HZ) / np.log(SPACING)))
-    sparse = np.round(DENSE_TO_HZ * SPACING ** np.arange(1, count + 1))
-    return np.unique(np.concatenate([fine, dense, sparse]))
-
-
-def _wave(lines: FloatArray, rate_hz: float, seed: int) -> FloatArray:
-    period = round(PERIOD_S * rate_hz)
-    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, lines.size)
-    raised = np.minimum(DENSE_V * (RAISED_BELOW_HZ / np.minimum(lines, RAISED_BELOW_HZ)) ** 2, RAISED_TO_V)
-    amplitude = np.where(lines <= DENSE_TO_HZ, raised, SPARSE_V)
-    spectrum = np.zeros(period // 2 + 1, dtype=np.complex128)
-    spectrum[np.rint(lines * PERIOD_S).astype(int)] = amplitude * np.exp(1j * phases) * period / 2
-    return np.fft.irfft(spectrum, period)
-
-
-def _level(bench: Bench, wave: FloatArray) -> float:
-    d = np.zeros((len(bench.actuators), wave.size))
-    d[0] = wave
-    used = np.abs(disturb(bench, d).outputs).max(axis=1)
-    ranges = np.array([min(abs(c.low), abs(c.high)) for c in bench.sensors])
-    loudest = LARGEST_V / np.abs(wave).max()
-    return float(min(loudest, np.min(USED_RANGE * ranges / np.maximum(used, np.finfo(float).tiny))))
-
-
-def _at_lines(outputs: FloatArray, wave: FloatArray, lines: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Return sensor volts per disturbance volt at the lines `(ny, nf)`; variance of their mean, summed `(nf,)`."""
-    periods = outputs[:, -MEASURED_PERIODS * wave.size :].reshape(outputs.shape[0], MEASURED_PERIODS, wave.size)
-    bins = np.rint(lines * PERIOD_S).astype(int)
-    gains = np.fft.rfft(periods, axis=2)[:, :, bins] / np.fft.rfft(wave)[bins]
-    return gains.mean(axis=1), gains.var(axis=1, ddof=1).sum(axis=0) / MEASURED_PERIODS
+    Do, Dc, Yo, Yc = (np.moveaxis(x, 2, 0) for x in (opened.sent, closed.sent, opened.heard, closed.heard))
+    turn = inverted(Do) @ Dc
+    inverse = inverted(Yo @ turn)
+    S = Yc @ inverse
+    by_closed = largest(inverse) * np.sqrt(np.sum(noise_closed**2, axis=0))
+    by_open = largest(S) * largest(turn @ inverse) * np.sqrt(np.sum(noise**2, axis=0))
+    response = Yc @ inverted(Dc)
+    return np.moveaxis(S, 0, 2), np.hypot(by_closed, by_open), np.moveaxis(response, 0, 2).astype(np.complex128)

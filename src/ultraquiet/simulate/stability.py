@@ -210,33 +210,28 @@ def _judged(bench: Bench, record: FreeResponse) -> _Seen:
     doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *heard.tones_hz)
     said = "" if slowest is None else _told(slowest)
     seen = _Seen(None, slowest, said, record, modes, doubtful)
-    if (at_limit := _at_limit(seen, record, span)) is not None:
-        return at_limit
     growing = next((mode for mode in modes if mode.grows), None)
-    if growing is not None:
-        slow = growing.growth_per_s * span < 1.0
-        return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=_told(growing), slow=slow)
     grown = _grown(record.noise)
-    if grown > GROWTH_LIMIT:
-        return replace(seen, sentence=f"What noise does to it grew {grown:.3g} times within {span:.3g} s.")
-    if heard.tones_hz:
-        hz = ", ".join(f"{f:.4g}" for f in heard.tones_hz[:3])
-        return replace(seen, sentence=f"It rings near {hz} Hz by itself, no burst allowed is heard above that.")
-    if not doubtful:
-        return replace(seen, word=StatusWord.OK)
-    doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std)
-    return replace(seen, mode=doubted, sentence=_told(doubted))
-
-
-def _at_limit(seen: _Seen, record: FreeResponse, span: float) -> _Seen | None:
-    """Return the verdict of a loop whose commands stood at their limits; None where they hardly did."""
+    doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
     if record.limited > LIMITED_SHARE:
         sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
-        return replace(seen, word=StatusWord.UNSTABLE, sentence=sentence, limited=True)
-    if record.limited > CLIPPED_SHARE:
+        seen = replace(seen, word=StatusWord.UNSTABLE, sentence=sentence, limited=True)
+    elif record.limited > CLIPPED_SHARE:
         sentence = f"Noise alone drove a command to its limit for {record.limited:.1%} of the last quarter."
-        return replace(seen, sentence=sentence)
-    return None
+        seen = replace(seen, sentence=sentence)
+    elif growing is not None:
+        slow = growing.growth_per_s * span < 1.0
+        seen = replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=_told(growing), slow=slow)
+    elif grown > GROWTH_LIMIT:
+        seen = replace(seen, sentence=f"What noise does to it grew {grown:.3g} times within {span:.3g} s.")
+    elif heard.tones_hz:
+        hz = ", ".join(f"{f:.4g}" for f in heard.tones_hz[:3])
+        seen = replace(seen, sentence=f"It rings near {hz} Hz by itself, no burst allowed is heard above that.")
+    elif not doubtful:
+        seen = replace(seen, word=StatusWord.OK)
+    else:
+        seen = replace(seen, mode=doubted, sentence="" if doubted is None else _told(doubted))
+    return seen
 
 
 def _slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:

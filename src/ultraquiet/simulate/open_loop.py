@@ -1,0 +1,285 @@
+"""What a bench does without a law, measured once for all laws: its directions, its noise, and how loud it may be."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.bench import Bench
+from ultraquiet.simulate.kick import ranges
+from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.sweep import Sweep
+from ultraquiet.values import Channel, Record, StateSpace
+from ultraquiet.values.channel import at_limits
+from ultraquiet.values.controller import Controller
+
+# Length of a run: seconds, and the least and most samples to which it is doubled or halved.
+RUN_S, FEWEST, MOST = 16.0, 1 << 13, 1 << 17
+# Periods of the lowest line in a run; the highest as a share of the Nyquist frequency; where the two bands meet, as a
+# share of the octaves; by how much the runs of the faster one are shorter.
+LOWEST_PERIODS, HIGHEST, SPLIT, FASTER = 64.0, 0.96, 0.33, 4
+# Lines between those of a run, in either band: a loop that rings on is listened to for so many times a run.
+FINER, FINER_FAST = 4, 2
+# It rings on when the last part of a run has so many times the power of its noise.
+LAST, RINGS = 8, 10.0
+OVERLAP = 1.1  # of the bands, where each fades
+PER_DECADE = 60  # frequencies at which directions and levels are held
+SHORTER = 4  # the runs that find directions and levels are so much shorter
+# Directions this much weaker than the strongest are driven no more strongly.
+WEAKEST = 1e-3
+# The noise of a line is the mean of so many neighbours to either side.
+NOISE_LINES = 24
+# Shares of the channels' ranges: where the first run begins, and what a run may use; then what it may use with a law,
+# whose amplification is not known yet.
+BEGIN, USED_RANGE, USED_DRIVE = 1e-3, 0.5, 0.9
+# Where nothing limits a channel, readings are made this much larger than their noise.
+LOUD = 1e3
+LEVELLINGS, LEVELLED = 4, 3.0
+# Runs that meet limits are made again, so much lower, so many times.
+LOWER, LOWERED = 0.7, 4
+# Points of the grid to either side that a level heeds: a resonance just passed still rings; the most it is raised by.
+REACH, RAISED_BY = 2, 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """Sweeps in `k` directions: what was sent `(nu, k, lines)` and what came back `(ny, k, lines)`, as spectra.
+
+    `levels` `(k, grid)`: how loud each was; `better`: how loud it may be. `clipped`: points at which a limit was met.
+    `length`: how long they were, in runs. `last`: power at their ends, `(ny, k)`.
+    """
+
+    sent: ComplexArray
+    heard: ComplexArray
+    levels: FloatArray
+    better: FloatArray
+    clipped: int
+    length: float
+    last: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """The open loop over the range of one sweep; runs are made when they are first asked for."""
+
+    bench: Bench
+    sweep: Sweep
+
+    @property
+    def short(self) -> "Band":
+        """The same range, swept in less time: for directions and levels."""
+        return Band(self.bench, replace(self.sweep, samples=self.sweep.samples // SHORTER, finer=1))
+
+    @cached_property
+    def grid_hz(self) -> FloatArray:
+        """Frequencies at which directions and levels are held."""
+        low, high = self.sweep.low_hz, self.sweep.high_hz
+        return np.geomspace(low, high, max(4, int(PER_DECADE * np.log10(high / low))))
+
+    @cached_property
+    def noise(self) -> FloatArray:
+        """Size of the noise in the spectrum of one run, `(ny, lines)`."""
+        return self.noise_of(self.quiet(None))
+
+    def quiet(self, law: StateSpace | Controller | None) -> FloatArray:
+        """Return the readings of a run in which nothing is sent, `(ny, samples)`."""
+        return disturb(self.bench, np.zeros((len(self.bench.actuators), self.sweep.samples)), law).outputs
+
+    def noise_of(self, quiet: FloatArray) -> FloatArray:
+        """Return the size of the noise in the spectrum of one run, `(ny, lines)`, from a run that was quiet."""
+        power = np.abs(self.sweep.transform(quiet - quiet.mean(axis=1, keepdims=True))) ** 2
+        wide = np.ones(2 * NOISE_LINES + 1) / (2 * NOISE_LINES + 1)
+        padded = np.pad(power, ((0, 0), (NOISE_LINES, NOISE_LINES)), mode="reflect")
+        return np.sqrt(np.stack([np.convolve(row, wide, "valid") for row in padded]))
+
+    @cached_property
+    def scale(self) -> FloatArray:
+        """Range of each actuator; one where nothing limits any, `(nu,)`."""
+        own = ranges(self.bench.actuators)
+        finite = np.isfinite(own)
+        return np.where(finite, own, own[finite].min() if finite.any() else 1.0)
+
+    def last_power(self, outputs: FloatArray) -> FloatArray:
+        """Return the power in this band of the last part of a run, each sensor, `(ny,)`."""
+        last = outputs[:, -(outputs.shape[1] // LAST) :]
+        f = np.fft.rfftfreq(last.shape[1], 1 / self.sweep.rate_hz)
+        spectrum = np.fft.rfft((last - last.mean(axis=1, keepdims=True)) * np.hanning(last.shape[1]), axis=1)
+        size = np.abs(outputs).max(axis=1) * last.shape[1]  # of which rounding leaves so much
+        power = np.sum(np.abs(spectrum[:, (f >= self.sweep.low_hz) & (f <= self.sweep.high_hz)]) ** 2, axis=1)
+        return np.maximum(power, (1e-6 * size) ** 2)
+
+    @cached_property
+    def quiet_rms(self) -> FloatArray:
+        """Size of the noise of each sensor, `(ny,)`."""
+        return np.sqrt(np.mean(self.quiet(None) ** 2, axis=1))
+
+    @cached_property
+    def units(self) -> FloatArray:
+        """Range of each sensor; where nothing limits it, so many times its noise, or one."""
+        own = ranges(self.bench.sensors)
+        loud = LOUD * self.quiet_rms
+        return np.where(np.isfinite(own), own, np.where(loud > 0, loud, 1.0))
+
+    @cached_property
+    def shapes(self) -> ComplexArray:
+        """Directions of the disturbance at the grid, `(nu, directions, grid)`: each moves one direction of the sensors.
+
+        Columns of the response's pseudo-inverse in ranges of actuators, so that the weak directions are driven as much
+        stronger as they are weaker; each of size one, and in phase with its neighbour. With more actuators than sensors
+        one actuator after the other.
+        """
+        nu, ny, points = len(self.bench.actuators), len(self.bench.sensors), self.grid_hz.size
+        one_by_one = np.zeros((nu, nu, points), dtype=np.complex128)
+        one_by_one[range(nu), range(nu)] = self.scale[:, None]
+        if nu > ny:  # the sensors do not tell all directions apart: no few of them would do for both loops
+            return one_by_one
+        runs = self.short.run(None, one_by_one, np.full((nu, points), BEGIN), LEVELLINGS)
+        f = self.short.sweep.lines_hz
+        at = np.searchsorted(f, self.grid_hz).clip(0, f.size - 1)
+        G = np.moveaxis(over(runs.heard, runs.sent)[:, :, at], 2, 0) * self.scale / self.units[:, None]
+        u, s, vh = np.linalg.svd(G, full_matrices=False)
+        reached = u @ np.conj(np.swapaxes(u, 1, 2))
+        common = np.linalg.svd(reached.mean(axis=0))[0][:, : min(nu, ny)]
+        inverse = np.conj(np.swapaxes(vh, 1, 2)) / np.maximum(s, WEAKEST * s[:, :1])[:, None, :]
+        w = inverse @ (np.conj(np.swapaxes(u, 1, 2)) @ common)
+        w /= np.linalg.norm(w, axis=1, keepdims=True)
+        for k in range(1, points):
+            turn = np.sum(np.conj(w[k]) * w[k - 1], axis=0)
+            w[k] *= turn / np.maximum(np.abs(turn), np.finfo(float).tiny)
+        return self.scale[:, None, None] * np.moveaxis(w, 0, 2)
+
+    @cached_property
+    def runs(self) -> Runs:
+        """The open loop, as loud as the ranges allow in every direction at every frequency."""
+        level = np.full((self.shapes.shape[1], self.grid_hz.size), BEGIN)
+        levels = self.short.run(None, self.shapes, level, LEVELLINGS).better
+        return self.rested(None, levels, self.last_power(self.quiet(None)))
+
+    def rested(self, law: StateSpace | Controller | None, levels: FloatArray, hum: FloatArray) -> Runs:
+        """Return runs that end at rest, as far as more silence brings them there; lower ones where limits were met.
+
+        `hum`: `last_power` of a run in which nothing is sent.
+        """
+        runs = self.run(law, self.shapes, levels, 1)
+        for _ in range(LOWERED):
+            if not runs.clipped:
+                break
+            levels = np.minimum(levels, LOWER * runs.better)
+            runs = self.run(law, self.shapes, levels, 1)
+        if (runs.last > RINGS * hum[:, None]).any():
+            return self.run(law, self.shapes, levels, 1, longer=True)
+        return runs
+
+    @cached_property
+    def response(self) -> ComplexArray:
+        """Sensors over actuators, `(ny, nu, lines)`."""
+        return over(self.runs.heard, self.runs.sent)
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        """What the open loop's noise leaves open of an S of size one, `(lines,)`, each the median of its neighbours."""
+        inverse = inverted(np.moveaxis(self.runs.heard, 2, 0))
+        deviation = largest(inverse) * np.sqrt(self.runs.length * np.sum(self.noise**2, axis=0))
+        padded = np.pad(deviation, NOISE_LINES, mode="reflect")
+        return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NOISE_LINES + 1), axis=1)
+
+    def run(
+        self,
+        law: StateSpace | Controller | None,
+        shapes: ComplexArray,
+        levels: FloatArray,
+        levellings: int = 1,
+        longer: bool = False,
+    ) -> Runs:
+        """Run one sweep in each direction; anew at better levels until they fit, or so many times."""
+        found = [self._levelled(law, shapes[:, k], levels[k], levellings, longer) for k in range(shapes.shape[1])]
+        sent, heard, level, better, clipped, last = zip(*found, strict=True)
+        length = self.sweep.finer if longer else 1
+        spectra = np.stack(sent, axis=1), np.stack(heard, axis=1)
+        return Runs(*spectra, np.stack(level), np.stack(better), sum(clipped), length, np.stack(last, axis=1))
+
+    def _levelled(
+        self, law: StateSpace | Controller | None, shape: ComplexArray, level: FloatArray, times: int, longer: bool
+    ) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, int, FloatArray]:
+        silence = (self.sweep.finer - 1) * self.sweep.samples if longer else 0
+        while True:
+            d = self.sweep.signal(self.grid_hz, shape, level)
+            record = disturb(self.bench, np.pad(d, ((0, 0), (0, silence))), law)
+            change = self._change(d, record, law is not None)
+            clipped = int(sum(at_limits(*x).sum() for x in _channels(record)))
+            times -= 1
+            if not times or (not clipped and np.median(np.abs(np.log(change))) < np.log(LEVELLED)):
+                y = record.outputs
+                spectra = self.sweep.transform(d), self.sweep.transform(y)
+                return *spectra, level, level * change, clipped, self.last_power(y)
+            level = level * change
+
+    def _change(self, d: FloatArray, record: Record, closed: bool) -> FloatArray:
+        """Return by how much the level may be raised at the grid, `(grid,)`."""
+        drive = USED_RANGE / USED_DRIVE
+        reached = [(record.outputs, self.units), (drive * d, self.scale)]
+        reached += [(drive * record.inputs, self.scale)] if closed else []
+        used = [
+            self.sweep.envelope(row / size, self.grid_hz)
+            for x, unit in reached
+            for row, size in zip(x, unit, strict=True)
+        ]
+        padded = np.pad(np.max(used, axis=0), REACH, mode="edge")
+        around = np.max(np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH + 1), axis=1)
+        return np.clip(USED_RANGE / np.maximum(around, 1e-12), 1 / RAISED_BY, RAISED_BY)
+
+
+@dataclass(frozen=True, eq=False)
+class OpenLoop:
+    """A bench in open loop; runs are made when they are first asked for. Give one object to all laws of a bench.
+
+    Slow and fast frequencies are swept by themselves: fast ones die soon, and noise is heard for less long.
+
+    Args:
+        bench: as it will be closed.
+        seconds: length of each run; 16 s when absent, more or less where the rate asks for it.
+    """
+
+    bench: Bench
+    seconds: float | None = None
+
+    @cached_property
+    def bands(self) -> tuple[Band, Band]:
+        """The slower and the faster half."""
+        seconds, rate = self.seconds or RUN_S, self.bench.rate_hz
+        while self.seconds is None and seconds * rate < FEWEST:
+            seconds *= 2
+        while self.seconds is None and seconds * rate > MOST:
+            seconds /= 2
+        low, high = LOWEST_PERIODS / seconds, HIGHEST * rate / 2
+        between = low * (high / low) ** SPLIT
+        slow = Sweep(round(seconds * rate), rate, low, OVERLAP * between, FINER, even=False)
+        fast = Sweep(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
+        return Band(self.bench, slow), Band(self.bench, fast)
+
+
+def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], ...]:
+    return (record.outputs, record.sensors), (record.inputs, record.actuators)
+
+
+def over(heard: ComplexArray, sent: ComplexArray) -> ComplexArray:
+    """Return heard sent^+ at each line, `(ny, nu, lines)`."""
+    inverse = inverted(np.moveaxis(sent, 2, 0))
+    return np.moveaxis(np.moveaxis(heard, 2, 0) @ inverse, 0, 2).astype(np.complex128)
+
+
+def inverted(matrices: ComplexArray) -> ComplexArray:
+    """Return the inverses, or pseudo-inverses where they are not square, `(lines, columns, rows)`."""
+    square = matrices.shape[1] == matrices.shape[2]
+    try:
+        return (np.linalg.inv(matrices) if square else np.linalg.pinv(matrices)).astype(np.complex128)
+    except np.linalg.LinAlgError:  # a line at which nothing is heard
+        return np.linalg.pinv(matrices).astype(np.complex128)
+
+
+def largest(matrices: ComplexArray) -> FloatArray:
+    """Return the largest singular values, `(lines,)`, from the smaller of both Gram matrices."""
+    turned = np.conj(np.swapaxes(matrices, 1, 2))
+    gram = matrices @ turned if matrices.shape[1] < matrices.shape[2] else turned @ matrices
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(gram)[:, -1], 0.0))
