@@ -89,7 +89,7 @@ def _table(summary: "Summary") -> "Table":
         states = str(summary.design[name].states)
         for unit, loop in units.items():
             if isinstance(loop, UnstableLoop):
-                table.add_row(name, unit, states, "[red]unstable")
+                table.add_row(name, unit, states, f"[red]{loop.word}")
                 continue
             tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in TONES_HZ]
             figures = [*tones, loop.worst_direction_band_db, loop.peak_amplification_db]

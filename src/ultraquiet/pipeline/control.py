@@ -157,8 +157,17 @@ def adapting(plant: StateSpace, settings: Design) -> Controller | None:
     return settings.design.make("design").design(plant).law
 
 
+def opened(bench: Any, settings: ClosedLoop) -> dict[str, simulate.OpenLoop]:
+    """Return the open loop of every unit; its runs are made when the first law asks for them."""
+    return {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in settings.units}
+
+
 def closed(
-    name: str, law: StateSpace | Controller, bench: Any, settings: ClosedLoop, required_hz: Band | None = None
+    name: str,
+    law: StateSpace | Controller,
+    open_loops: Mapping[str, simulate.OpenLoop],
+    settings: ClosedLoop,
+    required_hz: Band | None = None,
 ) -> Outcome[LoopFacts]:
     """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction.
 
@@ -167,19 +176,23 @@ def closed(
     units: dict[str, StableLoop | UnstableLoop] = {}
     values: dict[str, Any] = {}
     for unit in settings.units:
-        on = as_unit(bench, unit)
+        on = open_loops[unit].bench
         check = simulate.check_stability(on, law)
         if not check.status.ok:
-            units[unit] = UnstableLoop(status=str(check.status))
+            units[unit] = UnstableLoop(
+                status=str(check.status),
+                growth_per_s=_known_growth(check.growth_per_s),
+                growth_hz=_known_growth(check.growth_hz),
+            )
             continue
         try:
             tones = simulate.attenuation(on, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
-            matrix = simulate.measure_sensitivity(on, law)
+            matrix = simulate.measure_sensitivity(on, law, opened=open_loops[unit])
         except UltraquietError as error:
             # A law that runs away under a stronger disturbance is a finding about the law.
             units[unit] = UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}")
             continue
-        units[unit] = _measured(str(check.status), tones, matrix, settings, required_hz)
+        units[unit] = _measured(check, tones, matrix, settings, required_hz)
         values[stored.sensitivity(name, unit)] = matrix.S
         if unit == settings.units[0]:
             for f, opened, run in zip(settings.tones_hz, tones.opened, tones.closed, strict=True):
@@ -189,7 +202,7 @@ def closed(
 
 
 def _measured(
-    status: str,
+    check: simulate.LoopCheck,
     tones: simulate.Attenuation,
     matrix: simulate.MeasuredSensitivity,
     settings: ClosedLoop,
@@ -197,7 +210,12 @@ def _measured(
 ) -> StableLoop:
     low, high = settings.band_hz
     return StableLoop(
-        status=status,
+        status=str(check.status),
+        growth_per_s=_known_growth(check.growth_per_s),
+        growth_hz=_known_growth(check.growth_hz),
+        lines=matrix.f_hz.size,
+        lines_missing=matrix.lines_missing,
+        lines_hidden=matrix.unresolved(),
         tones={f"{f:g}": _tone(k, f, tones, matrix) for k, f in enumerate(settings.tones_hz)},
         broadband_5_100_db=matrix.broadband_db(5.0, 100.0),
         broadband_10_60_db=matrix.broadband_db(10.0, 60.0),
@@ -209,17 +227,27 @@ def _measured(
     )
 
 
+def _known_growth(figure: float) -> float | None:
+    return float(figure) if np.isfinite(figure) else None
+
+
 def _tone(k: int, tone_hz: float, tones: simulate.Attenuation, matrix: simulate.MeasuredSensitivity) -> ToneFacts:
     return ToneFacts(
         reduction_db=float(tones.worst_reduction_db[k]),
         paper_db=float(tones.worst_paper_db[k]),
         reduction_db_per_channel=tones.reduction_db[k],
         paper_db_per_channel=tones.paper_db[k],
-        worst_direction_db=matrix.worst_in_band_db(tone_hz, tone_hz) if tone_hz in matrix.f_hz else None,
+        worst_direction_db=_at(matrix, tone_hz),
         open_v=tones.open_v[k],
         closed_v=tones.closed_v[k],
         floor_v=tones.floor_v[k],
     )
+
+
+def _at(matrix: simulate.MeasuredSensitivity, tone_hz: float) -> float | None:
+    """Return what counts in the worst direction at the line next to a tone; None where there is none."""
+    nearest = int(np.argmin(np.abs(matrix.f_hz - tone_hz)))
+    return float(matrix.counted_db()[nearest]) if abs(matrix.f_hz[nearest] - tone_hz) < 0.01 * tone_hz else None
 
 
 def deployed(

@@ -16,6 +16,7 @@ from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts,
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.simulate import OpenLoop
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 Say = Callable[[str], object]
@@ -87,6 +88,10 @@ class Stages:
     def _record_hashes(self) -> dict[str, str]:
         return {name: record.hash for name, record in self.records.items()}
 
+    @cached_property
+    def _open_loops(self) -> dict[str, OpenLoop]:
+        return control.opened(self.bench, self.study.closed_loop)
+
     def _identify(self) -> Outcome[IdentificationFacts]:
         settings = self.study.identify
         compute = partial(identification.identified, self.records, settings)
@@ -137,7 +142,7 @@ class Stages:
 
         def compute() -> Outcome[LoopFacts]:
             acting = control.adapting(plant, design) if adaptive else None
-            return control.closed(name, acting or law, self.bench, settings, required_hz)
+            return control.closed(name, acting or law, self._open_loops, settings, required_hz)
 
         return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
 

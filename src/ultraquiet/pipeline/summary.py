@@ -50,7 +50,10 @@ class LimitSummary:
 
 @fact
 class Summary:
-    """The whole summary; `closed_loop` by controller and unit, `margins` of the law that runs by controller and end."""
+    """The whole summary; `closed_loop` by controller and unit, `margins` of the law that runs by controller and end.
+
+    `lines_missing`: of all sensitivities, not measured.
+    """
 
     title: str
     identification: IdentificationSummary
@@ -61,6 +64,7 @@ class Summary:
     limits: LimitSummary
     versions: Mapping[str, str]
     seed: int
+    lines_missing: int = 0
     requirements: RequirementsFacts | None = None
 
     @property
@@ -100,6 +104,12 @@ def summarise(result: StudyResult) -> Summary:
         versions=versions(),
         seed=result.study.study.seed,
         requirements=result.requirements,
+        lines_missing=sum(
+            loop.lines_missing
+            for outcome in result.loops.values()
+            for loop in outcome.facts.units.values()
+            if isinstance(loop, StableLoop)
+        ),
     )
 
 

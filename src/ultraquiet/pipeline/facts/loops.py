@@ -122,8 +122,9 @@ class ToneFacts:
 
 @fact
 class StableLoop:
-    """A loop that settled on the bench; `tones` by frequency, in Hz.
+    """A loop that settled on the bench; `tones` by frequency, in Hz; growth of its slowest mode, e-folds a second.
 
+    Of `lines` of the sensitivity `lines_missing` were not measured; `lines_hidden` says which count at noise's bound.
     `required_band_db` is the worst direction over the band of the requirements, where that is another one.
     """
 
@@ -137,14 +138,26 @@ class StableLoop:
     peak_amplification_db: float
     mean_log_sensitivity_db: float
     required_band_db: float | None = None
+    growth_per_s: float | None = None
+    growth_hz: float | None = None
+    lines: int | None = None
+    lines_missing: int = 0
+    lines_hidden: str | None = None
 
 
 @fact
 class UnstableLoop:
-    """A loop that ran away, at once or under a disturbance."""
+    """A loop that ran away, at once or under a disturbance, or of which it is not known; `status` begins with which."""
 
     stable: Literal[False] = False
     status: str
+    growth_per_s: float | None = None
+    growth_hz: float | None = None
+
+    @property
+    def word(self) -> str:
+        """The word of the status."""
+        return self.status.partition(":")[0]
 
 
 @fact

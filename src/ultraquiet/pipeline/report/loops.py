@@ -113,6 +113,7 @@ def closed_loop(result: StudyResult) -> Section:
         "had for nothing.",
         f"The paper's simulations: {PAPER_SAYS}.",
         "The worst direction is the largest singular value of the sensitivity matrix measured on the bench.",
+        *_verdicts(result),
         *_noise_limits(result),
     ]
     curves = _curves(result)
@@ -140,6 +141,19 @@ def _requirements(facts: RequirementsFacts | None) -> list[Table]:
     return [Table(caption, ("requirement", "where", "asked", "found", "verdict"), rows)]
 
 
+def _verdicts(result: StudyResult) -> Iterator[str]:
+    """Say of every loop whether it is stable, by what growth, and what of its sensitivity noise hides."""
+    for name, unit, loop in _loops(result):
+        growth = (
+            ""
+            if loop.growth_per_s is None
+            else f"; slowest mode {loop.growth_per_s:+.3g} a second at {loop.growth_hz:.4g} Hz"
+        )
+        word = "stable" if isinstance(loop, StableLoop) else loop.word
+        hidden = f" {loop.lines_hidden}" if isinstance(loop, StableLoop) and loop.lines_hidden else ""
+        yield f"{name}, {unit}: {word}{growth}.{hidden}"
+
+
 def _loops(result: StudyResult) -> Iterator[tuple[str, str, StableLoop | UnstableLoop]]:
     """Yield controller, unit and how the loop did."""
     for name, outcome in result.loops.items():
@@ -151,7 +165,7 @@ def _loop_rows(result: StudyResult) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
     for name, unit, loop in _loops(result):
         if isinstance(loop, UnstableLoop):
-            rows.append((name, unit, loop.status, *[""] * (2 + 2 * len(result.study.closed_loop.tones_hz))))
+            rows.append((name, unit, loop.word, *[""] * (2 + 2 * len(result.study.closed_loop.tones_hz))))
             continue
         tones = [_number(db, 1) for tone in loop.tones.values() for db in (tone.reduction_db, tone.paper_db)]
         rest = (loop.broadband_5_100_db, loop.worst_direction_band_db, loop.peak_amplification_db)
