@@ -14,7 +14,7 @@ ROUNDING = 1e-12
 MOST_MODES, MOST_BANDS = 40, 24
 # A line of the noise stands out when its power is so many times the median of so many lines to either side; it is a
 # tone when one of constant size has this share of its power: a mode that noise rings has less unless it is slow.
-STANDS_OUT, BROAD, COHERENT = 30.0, 16, 0.7
+STANDS_OUT, BROAD, COHERENT = 30.0, 16, 0.45
 REFINEMENTS = 4
 # A mode that shrinks by this from frame to frame is none that rings.
 DEAD = 1e-3

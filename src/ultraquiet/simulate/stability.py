@@ -23,6 +23,8 @@ ABOVE_NOISE, QUIETEST = 100.0, 1e-3
 # Shares of a free response that a command stands at its limit: a loop that ran away does so for more than the first;
 # one that does for more than the second is no longer the linear loop whose modes could be judged.
 LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
+# A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed.
+LOWERED_TO, LOWERED = 0.03, 2
 # Records of the greatest length that are judged together before nothing is known.
 REPEATS = 4
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
@@ -140,6 +142,11 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
         short = replace(burst, length=_burst_length(samples))  # its free response matters little for the level
         burst = replace(with_tones(bench, law, short, tones), samples=samples)
         seen = _heard(bench, law, burst)
+        for _ in range(LOWERED):  # a loop that is stable may yet be thrown into its limits by a burst, and stay there
+            if not seen.limited:
+                break
+            burst = replace(burst, levels=LOWERED_TO * burst.levels)
+            seen = _heard(bench, law, burst)
         if seen.limited and before is not None:
             return before if before.word is StatusWord.UNSTABLE else replace(seen, mode=before.mode)
         enough = seen.word is StatusWord.OK and samples > first
