@@ -64,6 +64,7 @@ def test_a_default_is_ok_and_quiet_and_stands_what_ok_promises(seed, design, sha
     assert not upset_within_the_disk(rng, plant, result.controller, draws=20)
 
 
+@pytest.mark.gate("Lqg")
 @pytest.mark.parametrize("design", DESIGNS)
 def test_other_units_change_neither_the_design_nor_the_verdict(seed, design):
     rng = np.random.default_rng(seed + 20)

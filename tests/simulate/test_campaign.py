@@ -15,6 +15,7 @@ from ultraquiet.values.interconnect import gain, series
 BAND_HZ = (10.0, 60.0)
 
 
+@pytest.mark.slow
 def test_what_the_sensors_say_is_what_the_models_say(seed):
     """Three units of one channel; a law that damps two of them and upsets the third."""
     plant = damped_plant(seed, channels=1)

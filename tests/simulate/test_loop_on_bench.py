@@ -83,6 +83,7 @@ def louder(law):
     return (uq.StateSpace(law.A, law.B, -(2.0**k) * law.C, law.D, law.rate_hz) for k in range(40))
 
 
+@pytest.mark.slow
 def test_a_calm_loop_and_a_wild_one_are_told_apart(loop, rng):
     plant, law, _ = loop
     bench = wrapped(plant, 1e-3, rng)
@@ -138,6 +139,7 @@ def test_sensitivity_of_rectangular_plants(ny, nu, unit, rng):
     assert bool(measured.reach) == (nu < ny)
 
 
+@pytest.mark.slow
 def test_lines_asked_for_are_all_there_and_hidden_ones_are_counted_at_their_bound(loop, rng):
     plant, law, truth = loop
     bench = wrapped(plant, 3e-2, rng)

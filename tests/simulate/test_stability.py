@@ -19,6 +19,7 @@ def slow_growth_law():
         return uq.StateSpace(held["A"], held["B"], held["C"], held["D"], float(held["rate_hz"]))
 
 
+@pytest.mark.slow
 def test_growth_within_half_a_minute_is_seen_in_a_minute(slow_growth_law):
     bench = uq.bench.Hexapod(unit="flight", linear=True)
     check = uq.simulate.check_stability(bench, slow_growth_law, model=bench.linear_model())
@@ -45,6 +46,7 @@ def test_the_noise_of_the_bench_hides_no_growth(slow_growth_law):
     assert check.growth_per_s == pytest.approx(0.0271, abs=4 * check.growth_std_per_s)
 
 
+@pytest.mark.gate("-0.0003-1e-09")
 @pytest.mark.parametrize(("apart", "unit"), [(3e-4, 1e9), (-3e-4, 1e-9)])
 def test_growth_and_decay_are_measured_in_any_unit(apart, unit, rng):
     loop = drawn_loop(rng, 1 + apart, unit=unit)

@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.kick import ranges
 from ultraquiet.simulate.loop import disturb
-from ultraquiet.simulate.sweep import Sweep
+from ultraquiet.simulate.sweep import SweepClock
 from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
@@ -60,16 +60,16 @@ class Runs:
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class OpenBand:
     """The open loop over the range of one sweep; runs are made when they are first asked for."""
 
     bench: Bench
-    sweep: Sweep
+    sweep: SweepClock
 
     @property
-    def short(self) -> "Band":
+    def short(self) -> "OpenBand":
         """The same range, swept in less time: for directions and levels."""
-        return Band(self.bench, replace(self.sweep, samples=self.sweep.samples // SHORTER, finer=1))
+        return OpenBand(self.bench, replace(self.sweep, samples=self.sweep.samples // SHORTER, finer=1))
 
     @cached_property
     def grid_hz(self) -> FloatArray:
@@ -245,7 +245,7 @@ class OpenLoop:
     seconds: float | None = None
 
     @cached_property
-    def bands(self) -> tuple[Band, Band]:
+    def bands(self) -> tuple[OpenBand, OpenBand]:
         """The slower and the faster half."""
         seconds, rate = self.seconds or RUN_S, self.bench.rate_hz
         while self.seconds is None and seconds * rate < FEWEST:
@@ -254,9 +254,9 @@ class OpenLoop:
             seconds /= 2
         low, high = LOWEST_PERIODS / seconds, HIGHEST * rate / 2
         between = low * (high / low) ** SPLIT
-        slow = Sweep(round(seconds * rate), rate, low, OVERLAP * between, FINER, even=False)
-        fast = Sweep(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
-        return Band(self.bench, slow), Band(self.bench, fast)
+        slow = SweepClock(round(seconds * rate), rate, low, OVERLAP * between, FINER, even=False)
+        fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
+        return OpenBand(self.bench, slow), OpenBand(self.bench, fast)
 
 
 def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], ...]:

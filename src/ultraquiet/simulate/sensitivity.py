@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_arr
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
-from ultraquiet.simulate.open_loop import LOWER, Band, OpenLoop, Runs, inverted, largest
+from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -201,7 +201,7 @@ class _Part:
 class _Pair:
     """Open and closed loop of one law over one band; passes are averaged, each with the weight that noise leaves it."""
 
-    def __init__(self, band: Band, law: StateSpace | Controller) -> None:
+    def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
         self.band, self._law = band, law
         quiet = band.quiet(law)
         self._noise, self._hum = band.noise_of(quiet), band.last_power(quiet)

@@ -12,7 +12,7 @@ SWEPT, FADED = 0.625, 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class SweepClock:
     """The clock of a sweep from `low_hz` to `high_hz`: `samples` of a run at `rate_hz`.
 
     Every octave takes as long, or, unless `even`, half as long as the one below. The response dies within the run, so
