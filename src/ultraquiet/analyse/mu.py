@@ -11,12 +11,13 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_arr
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import default_grid, grid_given
 from ultraquiet.analyse.mu_lower import lower_bound
-from ultraquiet.analyse.mu_upper import Upper, highest, upper_bound
+from ultraquiet.analyse.mu_upper import Upper, balanced_norm, highest, lowered, upper_bound
 from ultraquiet.analyse.peaks import ends, refined, response_at
 from ultraquiet.analyse.structure import BlockStructure, PerturbationBlock, structure
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
+FINAL_ROUNDS = 3  # of narrowing with the close bound, around lines that nine rounds with the quick one found
 Blocks = Sequence[int | tuple[int, int] | PerturbationBlock]
 
 
@@ -201,13 +202,27 @@ def _peak(
         assert values is not None
         k = int(np.argmax(values)) if values.size else 0
         return (float(values[k]), float(f[k])) if values.size else (0.0, np.nan)
-    response = response_at(M)
+    response, visited, norms = response_at(M), list[FloatArray](), list[FloatArray]()
 
-    def at(lines: FloatArray) -> FloatArray:
+    def quick(lines: FloatArray) -> FloatArray:
+        visited.append(lines)
+        norms.append(balanced_norm(np.moveaxis(response(lines), 2, 0), blocks))
+        return norms[-1]
+
+    def closely(lines: FloatArray) -> FloatArray:
+        return upper_bound(np.moveaxis(response(lines), 2, 0), blocks).value
+
+    def close(lines: FloatArray) -> FloatArray:
         return highest(np.moveaxis(response(lines), 2, 0), blocks)
 
-    order = np.argsort(f)
-    return refined(at, f[order], (at(f) if values is None else values)[order], beside)
+    grid = np.sort(f)
+    if values is not None:
+        return refined(close, grid, values[np.argsort(f)], beside)
+    # the quick bound leads to the peaks, where the close one then has little way to go
+    refined(quick, grid, quick(grid))
+    lines, first = np.unique(np.concatenate(visited), return_index=True)
+    found = lowered(np.concatenate(norms)[first], lambda few: closely(lines[few]))
+    return refined(close, lines, found, beside, rounds=FINAL_ROUNDS)
 
 
 def _response(

@@ -6,6 +6,7 @@ scalings form a convex set. Its analytic centre is found by Newton steps, t lowe
 centre, and so on (Boyd and El Ghaoui 1993, doi:10.1016/0024-3795(93)90465-Z). All frequencies are treated at once.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -66,14 +67,19 @@ def balanced_norm(M: Array, blocks: BlockStructure) -> Array:
 
 def highest(M: Array, blocks: BlockStructure) -> Array:
     """Return bounds `(nf,)` from above that are as low as `upper_bound` has them wherever the largest may be."""
-    values = balanced_norm(M, blocks)
+    return lowered(balanced_norm(M, blocks), lambda few: upper_bound(M[few], blocks).value)
+
+
+def lowered(values: Array, closely: Callable[[Array], Array]) -> Array:
+    """Return bounds `(nf,)`, those that may be the largest replaced by close ones, `closely` by their numbers."""
+    values = values.copy()
     order, best = np.argsort(-values), 0.0
     for start in range(0, order.size, FEW):
         few = order[start : start + FEW]
         few = few[values[few] > best]
         if not few.size:
             break
-        values[few] = upper_bound(M[few], blocks).value
+        values[few] = closely(few)
         best = max(best, float(values[few].max()))
     return values
 

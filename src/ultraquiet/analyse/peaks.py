@@ -42,7 +42,11 @@ def ends(rate_hz: float | None) -> FloatArray:
 
 
 def refined(
-    values_at: Callable[[FloatArray], FloatArray], f: FloatArray, values: FloatArray, beside: FloatArray | None = None
+    values_at: Callable[[FloatArray], FloatArray],
+    f: FloatArray,
+    values: FloatArray,
+    beside: FloatArray | None = None,
+    rounds: int = ROUNDS,
 ) -> tuple[float, float]:
     """Return the largest value and its frequency, with the grid narrowed around every peak that may be the largest.
 
@@ -51,6 +55,7 @@ def refined(
         f: grid, Hz, ascending.
         values: on the grid.
         beside: single frequencies that count too, the ends of the axis for instance.
+        rounds: of narrowing, each to a quarter.
     """
     k = int(np.argmax(values))
     best, at = float(values[k]), float(f[k])
@@ -65,7 +70,7 @@ def refined(
     tops = tops[np.argsort(-values[tops])][:MOST]
     middle, low, high = f[tops], f[np.maximum(tops - 1, 0)], f[np.minimum(tops + 1, f.size - 1)]
     share = np.linspace(0, 1, INNER + 1, endpoint=False)
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         below = low[:, None] + share * (middle - low)[:, None]
         above = high[:, None] + share * (middle - high)[:, None]
         points = np.concatenate([below, middle[:, None], above[:, ::-1]], axis=1)
