@@ -80,7 +80,7 @@ class BandAttenuation(StatedRobustness):
             which nobody wants to switch on, larger margins up to 1.2 are tried first.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
-    >>> result = BandAttenuation(height=5.0, order=4).design(plant)
+    >>> result = BandAttenuation(band_hz=(9.0, 108.0), height=5.0, order=4).design(plant)
     >>> s = abs(1 / (1 - plant.frequency_response([30.0]) * result.controller.frequency_response([30.0])))
     >>> bool(s[0, 0, 0] < 0.5), result.peak_sensitivity_db < 8
     (True, True)

@@ -90,7 +90,7 @@ class MixedSensitivity(StatedRobustness):
     >>> result = MixedSensitivity(form="paper").design(plant)
     >>> result.achieved < 1.1e-5  # as printed, the optimum is to do nothing
     True
-    >>> robust = MixedSensitivity(form="skst", uncertainty=(0.2, 300.0, 5.0)).design(plant)
+    >>> robust = MixedSensitivity("skst", band_hz=(9.0, 108.0), uncertainty=(0.2, 300.0, 5.0)).design(plant)
     >>> robust.details["robust_stability"] < 1
     True
 
