@@ -11,6 +11,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet.pipeline import reload_study, walk
+from ultraquiet.values import StatusWord
 
 SCHEMA = Path(__file__).parents[2] / "docs" / "summary.schema.json"
 FIRST_TARGET_DB, LARGEST_PEAK_DB = 12.0, 8.0
@@ -58,14 +59,20 @@ def test_every_controller_settles_on_the_bench_and_claims_what_it_achieves(demo)
 
 
 def test_every_controller_flown_unchanged_is_judged_as_the_flight_unit_s_own_model_has_it(demo):
-    """The flight unit is in the whole study; the quick one leaves it out, its controllers are tried here."""
+    """The flight unit is in the whole study; the quick one leaves it out, its controllers are tried here.
+
+    Only what grows or decays by less than an e-fold in ten records may be left open.
+    """
     folder, summary, _ = demo
     flight = uq.bench.Hexapod(unit="flight", seed=summary["seed"])
     for name in summary["closed_loop"]:
         law = uq.files.load(folder / "controllers" / f"{name}.h5")
         verdict = uq.simulate.check_stability(flight, law, model=flight.linear_model())
         print(f"{name} in flight: {verdict.status}")
-        assert verdict.status.ok == (verdict.model_growth_per_s < 0), name
+        if verdict.status.word is StatusWord.NOT_KNOWN:
+            assert abs(verdict.model_growth_per_s) < 1 / (10 * verdict.duration_s), name
+        else:
+            assert verdict.status.ok == (verdict.model_growth_per_s < 0), name
 
 
 def test_the_report_says_what_each_reaches_at_each_tone(demo):
