@@ -45,7 +45,7 @@ def test_every_form_of_a_decentralised_law_is_the_law(rng, form, same):
         assert not off.any()
 
 
-@pytest.mark.gate("alike-True-float32", "different-False-float64", "decoupled-True-float32", "wide-False-float32")
+@pytest.mark.gate("alike-True-float32", "different-False-float64", "wide-False-float32")
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 @pytest.mark.parametrize("anti_windup", [False, True])
 @pytest.mark.parametrize("kind", ["different", "alike", "decoupled", "wide"])

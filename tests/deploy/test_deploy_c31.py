@@ -221,7 +221,7 @@ def test_a_state_that_grows_beyond_all_numbers_sends_no_other_code(rng):
     assert set(codes[2:]) == {2**15 - 1}
 
 
-@pytest.mark.gate("modal")
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["modal", "delta"])
 def test_commands_are_those_of_float64_within_the_c31s_digits(form, rng):
     law = law_in(rng, 16, form, limit_v=1e3)

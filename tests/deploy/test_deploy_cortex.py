@@ -112,6 +112,7 @@ def test_ram_is_the_state_on_the_target(law_of, rng, tmp_path, precision):
     assert made.tables["flash_from"].startswith("arm-none-eabi-gcc")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("target", "cc")
 def test_verification_fills_the_table(law_of, tmp_path):
     made = generate(law_of(10), tmp_path / "code", ramp_s=0.01)

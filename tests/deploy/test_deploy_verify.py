@@ -89,6 +89,7 @@ def test_on_bench_refuses_what_cannot_be_measured(loop, tmp_path):
             on_bench(bench, law, code, **settings)
 
 
+@pytest.mark.slow
 def test_a_law_that_loses_attenuation_is_degraded(loop, seed, tmp_path):
     """A law of half the gain attenuates less: both judges must say so."""
     plant, law = loop

@@ -87,6 +87,7 @@ def test_every_drawn_plant_keeps_what_mu_promises(rng):
     assert worst <= mu * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_discrete_scalings_are_fitted_and_lower_mu():
     plant = problems.damped_plant(0)
     result = MuSynthesis(on_inputs=(0.3, 60.0, 3.0), height=1.5, order=2, iterations=3).design(plant)

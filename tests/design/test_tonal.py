@@ -60,6 +60,7 @@ def test_settling_is_what_the_poles_say(ground):
     assert -4 / slope == pytest.approx(settling, rel=0.2)
 
 
+@pytest.mark.slow
 def test_bank_around_a_broadband_law(ground):
     alone = uq.design.BandAttenuation(band_hz=(9.0, 108.0), structure="repeated").design(ground)
     both = Resonators(tones_hz=(25.0, 60.0), around=alone.controller).design(ground)

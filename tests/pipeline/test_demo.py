@@ -168,6 +168,7 @@ def test_finished_stages_are_reused(demo):
     assert json.loads((folder / "summary.json").read_text()) == summary
 
 
+@pytest.mark.slow
 def test_a_changed_design_leaves_the_rest_alone(demo, tmp_path):
     folder = shutil.copytree(demo[0], tmp_path / "demo")  # copies keep the times of files
     study = reload_study(folder)

@@ -94,6 +94,7 @@ def test_norm_after_is_infinite_only_with_an_unstable_loop(designed):
     assert hinf_norm(feedback(plant, small.controller))[0] < np.inf or not stable
 
 
+@pytest.mark.slow
 def test_six_equal_laws_stay_equal():
     """One law of 24 states on six struts becomes one of 8 on six struts: 48 states, quiet in every direction."""
     plant = uq.bench.Hexapod(unit="ground").linear_model()

@@ -45,6 +45,7 @@ def test_alarms_over_a_thousand_models(rng):
     rates(rng, 1000)
 
 
+@pytest.mark.slow
 @pytest.mark.draws(false_alarm=1.2e-2)  # binomial: more than 12 of 80 at 5 %, more than 4 at 1 %, six times each
 def test_alarms_over_eighty_models(rng):
     rates(rng, 80)
