@@ -157,3 +157,15 @@ def test_lines_asked_for_are_all_there_and_hidden_ones_are_counted_at_their_boun
         uq.simulate.measure_sensitivity(bench, law, [0.001], opened=opened)
     with pytest.raises(InputError, match="of another bench"):
         uq.simulate.measure_sensitivity(wrapped(plant), law, opened=opened)
+
+
+def test_what_a_law_is_measured_at_does_not_hang_on_the_laws_before(rng):
+    opened = uq.simulate.OpenLoop(uq.bench.Hexapod(unit="ground", seed=1), seconds=2.0)
+    d = np.zeros((6, 500))
+    first = uq.simulate.disturb(opened.apart().bench, d)
+    opened.apart().bench.run(rng.standard_normal((6, 500)))
+    again = opened.apart()
+    assert np.array_equal(uq.simulate.disturb(again.bench, d).outputs, first.outputs)
+    for mine, own in zip(again.bands, opened.bands, strict=True):
+        assert mine.bench is again.bench
+        assert mine.response is own.response

@@ -74,6 +74,7 @@ def test_refusals(slow_growth_law):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)  # each loop is stepped in Python for up to a minute of its own time
 def test_drawn_loops_are_never_judged_wrongly(rng):
     """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records."""
     false_ok = false_unstable = unknown = wrongly_unknown = 0

@@ -12,6 +12,7 @@ from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
+from ultraquiet._base.threads import in_threads
 from ultraquiet.design import DesignResult
 from ultraquiet.design.verification import judged
 from ultraquiet.pipeline.cache import Outcome
@@ -157,6 +158,9 @@ def adapting(plant: StateSpace, settings: Design) -> Controller | None:
     return settings.design.make("design").design(plant).law
 
 
+_Runs = tuple[simulate.Attenuation | None, simulate.MeasuredSensitivity | None]
+
+
 def opened(bench: Any, settings: ClosedLoop) -> dict[str, simulate.OpenLoop]:
     """Return the open loop of every unit; its runs are made when the first law asks for them."""
     return {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in settings.units}
@@ -173,32 +177,42 @@ def closed(
 
     `required_hz` is a band that something is required over and that is not the study's own.
     """
-    units: dict[str, StableLoop | UnstableLoop] = {}
+    loops = {unit: open_loops[unit].apart() for unit in settings.units}
+
+    def on_unit(unit: str) -> tuple[StableLoop | UnstableLoop, _Runs]:
+        return _closed_on(law, loops[unit], settings, required_hz)
+
+    # units that are one and the same bench run one after the other
+    benches = {id(open_loops[unit].bench) for unit in settings.units}
+    workers = None if len(benches) == len(settings.units) else 1
+    on_units = in_threads(f"close {name}", on_unit, settings.units, workers)
     values: dict[str, Any] = {}
     for unit in settings.units:
-        on = open_loops[unit].bench
-        check = simulate.check_stability(on, law)
-        if not check.status.ok:
-            units[unit] = UnstableLoop(
-                status=str(check.status),
-                growth_per_s=_known_growth(check.growth_per_s),
-                growth_hz=_known_growth(check.growth_hz),
-            )
-            continue
-        try:
-            tones = simulate.attenuation(on, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
-            matrix = simulate.measure_sensitivity(on, law, opened=open_loops[unit])
-        except UltraquietError as error:
-            # A law that runs away under a stronger disturbance is a finding about the law.
-            units[unit] = UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}")
-            continue
-        units[unit] = _measured(check, tones, matrix, settings, required_hz)
-        values[stored.sensitivity(name, unit)] = matrix.S
-        if unit == settings.units[0]:
+        tones, matrix = on_units[unit][1]
+        if matrix is not None:
+            values[stored.sensitivity(name, unit)] = matrix.S
+        if tones is not None and unit == settings.units[0]:
             for f, opened, run in zip(settings.tones_hz, tones.opened, tones.closed, strict=True):
                 values[stored.under_tone(name, f)] = run
                 values[stored.open_under_tone(f)] = opened
-    return Outcome(LoopFacts(units=units), values)
+    return Outcome(LoopFacts(units={unit: on_units[unit][0] for unit in settings.units}), values)
+
+
+def _closed_on(
+    law: StateSpace | Controller, loop: simulate.OpenLoop, settings: ClosedLoop, required_hz: Band | None
+) -> tuple[StableLoop | UnstableLoop, _Runs]:
+    """Return what a law does on one unit, and its runs and sensitivity where there are any."""
+    check = simulate.check_stability(loop.bench, law)
+    if not check.status.ok:
+        growth, hz = _known_growth(check.growth_per_s), _known_growth(check.growth_hz)
+        return UnstableLoop(status=str(check.status), growth_per_s=growth, growth_hz=hz), (None, None)
+    try:
+        tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
+        matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop)
+    except UltraquietError as error:
+        # A law that runs away under a stronger disturbance is a finding about the law.
+        return UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}"), (None, None)
+    return _measured(check, tones, matrix, settings, required_hz), (tones, matrix)
 
 
 def _measured(

@@ -1,5 +1,6 @@
 """What a bench does without a law, measured once for all laws: its directions, its noise, and how loud it may be."""
 
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -257,6 +258,29 @@ class OpenLoop:
         slow = SweepClock(round(seconds * rate), rate, low, OVERLAP * between, FINER, even=False)
         fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
         return OpenBand(self.bench, slow), OpenBand(self.bench, fast)
+
+    def apart(self) -> "OpenLoop":
+        """Return this open loop, measured, on a copy of its bench as it stands then.
+
+        A bench draws its noise by the number of the run: on a copy of its own no law's figures hang on which other laws
+        ran before. What cannot be copied, a process or hardware, stays what it is.
+        """
+        for band in self.bands:
+            _ = band.response, band.deviation, band.units, band.noise
+        try:
+            bench = deepcopy(self.bench)
+        except (TypeError, ValueError):
+            return self
+        alone = OpenLoop(bench, self.seconds)
+        alone.__dict__["bands"] = tuple(_on(band, bench) for band in self.bands)
+        return alone
+
+
+def _on(band: OpenBand, bench: Bench) -> OpenBand:
+    """Return a band with what was measured of it, on another bench."""
+    other = OpenBand(bench, band.sweep)
+    other.__dict__.update({key: value for key, value in band.__dict__.items() if key not in ("bench", "sweep")})
+    return other
 
 
 def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], ...]:
