@@ -264,6 +264,7 @@ def test_under_nohup_a_run_outlives_its_terminal(laboratory, tmp_path):
     assert re.search(r"long +│ ABORTED", out)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals to processes are POSIX")
 def test_a_wait_in_real_time_is_waited_for_and_can_be_ended(laboratory, tmp_path):
     """And --resume then asks by name before it excites again what was begun, and goes on with what never began."""

@@ -30,6 +30,7 @@ def test_threefold_splits_the_hexapod(unit):
     assert twice < 1e-9
 
 
+@pytest.mark.gate("data")
 @pytest.mark.parametrize("transform", ["threefold", "data"])
 def test_decoupled_is_a_check_on_the_full_design(ground, transform):
     small = Decoupled(transform=transform, settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(ground)

@@ -58,6 +58,7 @@ def test_every_controller_settles_on_the_bench_and_claims_what_it_achieves(demo)
         assert law.rate_hz == 3500.0
 
 
+@pytest.mark.slow
 def test_every_controller_flown_unchanged_is_judged_as_the_flight_unit_s_own_model_has_it(demo):
     """The flight unit is in the whole study; the quick one leaves it out, its controllers are tried here.
 

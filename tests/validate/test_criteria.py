@@ -36,6 +36,7 @@ def rates(record, methods, draws):
     return tally
 
 
+@pytest.mark.gate("suite_rate")
 @pytest.mark.parametrize("name", ["suite_rate", "easy"])
 def test_bic_and_mdl_find_order_five_of_box_jenkins(name, rng):
     methods = [uq.identify.BoxJenkins(order=n) for n in range(3, 7)]
