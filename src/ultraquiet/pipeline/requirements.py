@@ -4,13 +4,13 @@ from collections.abc import Iterator, Mapping
 
 from ultraquiet import analyse
 from ultraquiet._base.errors import InputError
+from ultraquiet.analyse.disk import ENDS
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.study import Band, Requirements
 from ultraquiet.values import StateSpace
 
 Units = Mapping[str, StableLoop | UnstableLoop]
-ENDS = ("input", "output")
 # Each requirement with its unit and whether more of it is better.
 MEASURED = {"attenuation_db": (" dB", True), "peak_db": (" dB", False), "tones_db": (" dB", True)}
 SAYS = {

@@ -10,8 +10,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
-from ultraquiet.reduce.certificate import certified, fits, held, judging_plant
-from ultraquiet.reduce.promises import Promise
+from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -65,4 +64,4 @@ class Balanced:
         small = renamed(joined(reduced, kept), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
         result = certified(controller, small, hankel, P=P_loop, details={"bound": bound})
-        return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
+        return kept_promise(result, controller, plant)

@@ -133,6 +133,11 @@ def held(
     return replace(result, status=status, before=judge.before, after=after, broken=broken)
 
 
+def kept_promise(result: ReductionResult, controller: StateSpace, plant: StateSpace | None) -> ReductionResult:
+    """Return a reduction judged by all that the full law promised on the plant; as it is where no plant is given."""
+    return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
+
+
 def _verdict(controller: StateSpace, proof: Mapping[str, Any], bound: float | None) -> Status:
     cost = f"{proof['multiply_adds']} multiply-adds a step"
     kept = f"{proof['states']} of {controller.states} states kept, {cost}"

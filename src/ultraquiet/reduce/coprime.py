@@ -14,8 +14,7 @@ from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import continuous_riccati, discrete_riccati, lyapunov, stein
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, project, renamed
-from ultraquiet.reduce.certificate import certified, fits, held, judging_plant
-from ultraquiet.reduce.promises import Promise
+from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.values.state_space import StateSpace
 
 SIDES = ("left", "right")
@@ -69,7 +68,7 @@ class CoprimeFactors:
         result = certified(
             controller, small, hankel, P=P_loop, details={"gap_bound": 2 * float(np.sum(hankel[self.states :]))}
         )
-        return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
+        return kept_promise(result, controller, plant)
 
 
 def normalised_left(K: StateSpace) -> Matrices:

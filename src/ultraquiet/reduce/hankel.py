@@ -12,8 +12,7 @@ from ultraquiet.linalg import balance
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.reduce._abstract import ReductionResult, Weights, joined, renamed, split
-from ultraquiet.reduce.certificate import certified, fits, held, judging_plant
-from ultraquiet.reduce.promises import Promise
+from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.values.state_space import StateSpace
 
 MINIMAL = 1e-13  # states with Hankel values below this share of the largest are round-off
@@ -69,7 +68,7 @@ class HankelNorm:
         small = renamed(joined(reduced, kept), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
         result = certified(controller, small, hankel, P=P_loop, details={"bound": bound})
-        return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
+        return kept_promise(result, controller, plant)
 
 
 def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray, float]:

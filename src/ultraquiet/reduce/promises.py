@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.analyse.disk import disk_margin
+from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, peak_sensitivity
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
@@ -15,7 +15,6 @@ LOSS_DB = 0.5  # of the peak, of the band and of each tone: what may be lost una
 MARGIN_SHARE = 0.1  # of a disk margin, likewise
 # Without a stated band: where the loop quietens every direction by half of what it does at best, if that is audible.
 QUIET_SHARE, AUDIBLE_DB = 0.5, 3.0
-ENDS = ("input", "output")
 
 
 @dataclass(frozen=True)

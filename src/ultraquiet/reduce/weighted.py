@@ -13,8 +13,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
-from ultraquiet.reduce.certificate import certified, fits, held, judging_plant
-from ultraquiet.reduce.promises import Promise
+from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.reduce.weighting import input_gramian, output_gramian, static
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
@@ -91,7 +90,7 @@ class FrequencyWeighted:
         P_loop = None if plant is None else judging_plant(plant, weights)
         details = {"weighted_error": _error(stable, reduced, V, W, controller.rate_hz)}
         result = certified(controller, small, hankel, P=P_loop, details=details)
-        return result if plant is None else held(result, controller, plant, Promise.of(controller, plant))
+        return kept_promise(result, controller, plant)
 
     def _weights(self, K: StateSpace, plant: StateSpace | None, weights: Weights) -> tuple[StateSpace, StateSpace]:
         """Return V and W, identities where there is none."""

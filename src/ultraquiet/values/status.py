@@ -64,6 +64,16 @@ class StatusWord(StrEnum):
     BACKGROUND_LATE = "background late", "No step overran its frame, yet too little time was left for background work."
 
 
+# Words of a proof after which code must not run.
+CODE_FAULTS = (
+    StatusWord.NOT_COMPILED,
+    StatusWord.DIFFERS,
+    StatusWord.SELF_TEST_FAILED,
+    StatusWord.UNSAFE,
+    StatusWord.UNSTABLE,
+)
+
+
 @dataclass(frozen=True)
 class Status:
     """Verdict on a result. `ok` is the whole answer for a program, `sentence` for a person.

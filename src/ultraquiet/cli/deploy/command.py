@@ -12,9 +12,7 @@ from ultraquiet.cli.deploy.frame import requested_frame, show_frames
 from ultraquiet.cli.deploy.table import loaded_plant, requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
-
-# Words of a proof after which nothing is made of the code.
-NEVER_SHIPPED = ("not compiled", "differs", "self-test failed", "unsafe", "unstable")
+from ultraquiet.values.status import CODE_FAULTS
 
 
 def deploy(
@@ -89,7 +87,7 @@ def deploy(
     if system is not None:
         for line in described(system, both_ends(system, deployment.quantised)):
             console.print(f"rounded law, {line}", highlight=False, soft_wrap=True)
-    if verified.status.word in NEVER_SHIPPED:
+    if verified.status.word in CODE_FAULTS:
         finish(verified.status)
     exported = show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
     framed = None

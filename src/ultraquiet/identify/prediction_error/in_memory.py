@@ -7,9 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.prediction_error.levenberg_marquardt import FIRST_DAMPING, Ended, minimise
 from ultraquiet.identify.prediction_error.signals import FilteredSignals
-
-# Stages of a point, as `kernels.point` counts them.
-RESIDUAL, GRADIENT, END = 0, 2, 3
+from ultraquiet.identify.prediction_error.structure import END, GRADIENT, RESIDUAL
 
 
 class InMemory:

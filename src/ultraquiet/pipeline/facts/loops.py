@@ -7,16 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from ultraquiet.pipeline.facts.typed import Vector, fact
-from ultraquiet.values.status import StatusWord
-
-# Words of a proof after which code must not run.
-FAULTS = (
-    StatusWord.NOT_COMPILED,
-    StatusWord.DIFFERS,
-    StatusWord.SELF_TEST_FAILED,
-    StatusWord.UNSAFE,
-    StatusWord.UNSTABLE,
-)
+from ultraquiet.values.status import CODE_FAULTS
 
 
 @fact
@@ -209,7 +200,7 @@ class CodeFacts:
     @property
     def failed(self) -> bool:
         """True where the proof found a fault; what could not be run here is none."""
-        return self.verification.partition(":")[0] in FAULTS
+        return self.verification.partition(":")[0] in CODE_FAULTS
 
 
 @fact

@@ -10,8 +10,8 @@ from ultraquiet._base.compiled import compiled
 from ultraquiet.identify.prediction_error.kernels.filters import filtered
 from ultraquiet.identify.prediction_error.kernels.normal_equations import add_products, damped_step, reduced
 from ultraquiet.identify.prediction_error.kernels.table import add_expanded
+from ultraquiet.identify.prediction_error.structure import GRADIENT, PAST
 
-RESIDUAL, PAST, GRADIENT, END = 0, 1, 2, 3
 BLOCK = 512  # samples summed before the sums are: rounding grows with the root of either, not of the record
 
 
