@@ -44,7 +44,8 @@ def main(venv: Path, lock: Path) -> None:
         install = [uv, "pip", "install", "--quiet", "--python", python]
     else:
         create(venv)
-        install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+        # half of pip's time goes into byte code, most of it for modules that nothing here imports
+        install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
     os.environ.pop("PYTHONHOME", None)
     run(*install, "-r", str(lock))
     run(*install, "--no-deps", "--no-build-isolation", "--editable", ".")

@@ -3,6 +3,8 @@
 import os
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import AbstractContextManager
+from contextvars import Context, copy_context
 from functools import wraps
 from importlib import import_module
 from typing import ParamSpec, TypeVar
@@ -15,15 +17,18 @@ Item = TypeVar("Item", bound=Hashable)
 
 
 def in_threads(
-    title: str, work: Callable[[Item], R], items: Sequence[Item], workers: int | None = None
+    title: str, work: Callable[[Item], R], items: Sequence[Item], workers: int | None = None, bars: bool = False
 ) -> dict[Item, R]:
     """Run `work` on every item in threads (the kernels hold no lock), showing progress; the first error is raised.
+
+    Each runs with one BLAS thread: threads inside threads wait for one another, and the sums hang on their number.
 
     Args:
         title: what the progress bar says.
         work: called once an item; what has not begun when one fails is not begun any more.
         items: what to work on, each once.
         workers: threads; as many as processors when absent.
+        bars: show the progress of what the items do, each with a bar of its own.
 
     Returns:
         The result of each item, in the order in which they were done.
@@ -32,8 +37,12 @@ def in_threads(
     [(1, 1), (2, 4), (3, 9)]
     """
     results: dict[Item, R] = {}
-    with task(title, len(items)) as progress, ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        futures = {pool.submit(work, item): item for item in items}
+    with (
+        one_blas_thread(),
+        task(title, len(items)) as progress,
+        ThreadPoolExecutor(workers or os.cpu_count()) as pool,
+    ):
+        futures = {pool.submit(copy_context().run if bars else Context().run, work, item): item for item in items}
         try:
             for future in as_completed(futures):
                 results[futures[future]] = future.result()
@@ -56,9 +65,14 @@ def single_threaded(solver: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(solver)
     def alone(*args: P.args, **kwargs: P.kwargs) -> R:
-        # It ships no types; as a plain module it is what it says.
-        limits = import_module("threadpoolctl").threadpool_limits
-        with limits(limits=1, user_api="blas"):
+        with one_blas_thread():
             return solver(*args, **kwargs)
 
     return alone
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Return a block in which BLAS uses one thread."""
+    # It ships no types; as a plain module it is what it says.
+    limits = import_module("threadpoolctl").threadpool_limits
+    return limits(limits=1, user_api="blas")  # type: ignore[no-any-return]

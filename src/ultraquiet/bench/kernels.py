@@ -4,22 +4,33 @@ import numpy as np
 
 from ultraquiet._base.compiled import compiled
 
+FAINTEST = 1e-200
+
 
 @compiled
-def add_product(At, x, out):
-    """Add A x to out; At is A transposed, so that the inner loop runs along memory."""
+def add_product(A, x, out):
+    """Add A x to out; A as `columns.spanned` lays it out, so that the inner loop runs along memory and past zeros."""
+    columns, first, end = A
     for j in range(x.size):
-        value, row = x[j], At[j]
-        for i in range(out.size):
-            out[i] += row[i] * value
+        value, column = x[j], columns[j]
+        for i in range(first[j], end[j]):
+            out[i] += column[i] * value
 
 
 @compiled
-def read(Ct, x, noise, limits, step, y):
+def take(values, into):
+    """Copy values; what is too faint to matter becomes zero, because processors are slow with still fainter numbers."""
+    for i in range(values.size):
+        value = values[i]
+        into[i] = value if abs(value) >= FAINTEST else 0.0 * value
+
+
+@compiled
+def read(C, x, noise, limits, step, y):
     """Fill y with the readings C x + noise, clipped to +-limits and rounded to multiples of step (0: not rounded)."""
     for i in range(y.size):
         y[i] = noise[i]
-    add_product(Ct, x, y)
+    add_product(C, x, y)
     for i in range(y.size):
         value = min(max(y[i], -limits[i]), limits[i])
         y[i] = step * np.rint(value / step) if step > 0.0 else value
@@ -53,7 +64,7 @@ def slip(thresholds, weights, anchors, values):
 @compiled
 def move(plant, state, disturbance, limits, driven, work, counts):
     """Advance the plant one sample under the held command plus the disturbance, limited to +-limits."""
-    At, Bt, _, thresholds, weights = plant
+    A, B, _, thresholds, weights = plant
     x, held, anchors = state
     for i in range(held.size):
         driven[i] = held[i] + disturbance[i]
@@ -61,22 +72,21 @@ def move(plant, state, disturbance, limits, driven, work, counts):
     slip(thresholds, weights, anchors, driven)
     for i in range(work.size):
         work[i] = 0.0
-    add_product(At, x, work)
-    add_product(Bt, driven, work)
-    for i in range(work.size):
-        x[i] = work[i]
+    add_product(A, x, work)
+    add_product(B, driven, work)
+    take(work, x)
 
 
 @compiled
 def loop(plant, law, signals, limits, state, xk, results):
     """Run on from `state` and the law's state `xk`, both left where the samples end.
 
-    Signals and results are `(samples, channels)`, matrices transposed. plant = (At, Bt, Ct, thresholds and weights of
-    the plays), law = (At, Bt, Ct, Dt), signals = (actuation, disturbance, noise, gain of whatever is sent),
-    limits = (commands, actuators, readings, step of the converter), state = (x, held commands, anchors of the plays),
-    results = (commands, readings, counts of limited commands and actuators), all of them filled here.
+    Signals and results are `(samples, channels)`, matrices as `columns.spanned` lays them out. plant = (A, B, C,
+    thresholds and weights of the plays), law = (A, B, C, D), signals = (actuation, disturbance, noise, gain of whatever
+    is sent), limits = (commands, actuators, readings, step of the converter), state = (x, held commands, anchors of
+    the plays), results = (commands, readings, counts of limited commands and actuators), all of them filled here.
     """
-    Kat, Kbt, Kct, Kdt = law
+    KA, KB, KC, KD = law
     actuation, disturbance, noise, gain = signals
     command, outputs, limited = results
     nu = actuation.shape[1]
@@ -87,18 +97,17 @@ def loop(plant, law, signals, limits, state, xk, results):
         read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
         for i in range(nu):
             asked[i] = actuation[k, i]
-        add_product(Kct, xk, asked)
-        add_product(Kdt, outputs[k], asked)
+        add_product(KC, xk, asked)
+        add_product(KD, outputs[k], asked)
         for i in range(xk.size):
             workk[i] = 0.0
-        add_product(Kat, xk, workk)
-        add_product(Kbt, outputs[k], workk)
-        for i in range(xk.size):
-            xk[i] = workk[i]
+        add_product(KA, xk, workk)
+        add_product(KB, outputs[k], workk)
+        take(workk, xk)
         for i in range(nu):
             asked[i] *= gain[k]
             pushed[i] = gain[k] * disturbance[k, i]
         move(plant, state, pushed, limits[1], driven, work, limited[1])
         clip(asked, limits[0], held, limited[0])
         for i in range(nu):
-            command[k, i] = held[i]
+            command[k, i] = held[i] + 0.0 * asked[i]  # no number where none was asked for

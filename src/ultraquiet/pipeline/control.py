@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -161,15 +162,28 @@ def adapting(plant: StateSpace, settings: Design) -> Controller | None:
 _Runs = tuple[simulate.Attenuation | None, simulate.MeasuredSensitivity | None]
 
 
-def opened(bench: Any, settings: ClosedLoop) -> dict[str, simulate.OpenLoop]:
-    """Return the open loop of every unit; its runs are made when the first law asks for them."""
-    return {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in settings.units}
+class OpenLoops:
+    """The open loop of every unit; measured when the first law asks for them, once for all."""
+
+    def __init__(self, bench: Any, settings: ClosedLoop) -> None:
+        self._by_unit = {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in settings.units}
+        self._one_at_a_time = Lock()
+
+    @property
+    def distinct(self) -> bool:
+        """False where units are one and the same bench, whose runs must not overlap."""
+        return len({id(loop.bench) for loop in self._by_unit.values()}) == len(self._by_unit)
+
+    def apart(self) -> dict[str, simulate.OpenLoop]:
+        """Return them measured, on benches of their own where those can be copied."""
+        with self._one_at_a_time:
+            return {unit: loop.apart() for unit, loop in self._by_unit.items()}
 
 
 def closed(
     name: str,
     law: StateSpace | Controller,
-    open_loops: Mapping[str, simulate.OpenLoop],
+    open_loops: OpenLoops,
     settings: ClosedLoop,
     required_hz: Band | None = None,
 ) -> Outcome[LoopFacts]:
@@ -177,15 +191,12 @@ def closed(
 
     `required_hz` is a band that something is required over and that is not the study's own.
     """
-    loops = {unit: open_loops[unit].apart() for unit in settings.units}
+    loops = open_loops.apart()
 
     def on_unit(unit: str) -> tuple[StableLoop | UnstableLoop, _Runs]:
         return _closed_on(law, loops[unit], settings, required_hz)
 
-    # units that are one and the same bench run one after the other
-    benches = {id(open_loops[unit].bench) for unit in settings.units}
-    workers = None if len(benches) == len(settings.units) else 1
-    on_units = in_threads(f"close {name}", on_unit, settings.units, workers)
+    on_units = in_threads(f"close {name}", on_unit, settings.units, None if open_loops.distinct else 1)
     values: dict[str, Any] = {}
     for unit in settings.units:
         tones, matrix = on_units[unit][1]

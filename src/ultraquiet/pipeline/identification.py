@@ -1,8 +1,7 @@
 """The stages that turn records into models: channel by channel as the paper did, and whole for design."""
 
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -53,7 +52,14 @@ def identified(records: Mapping[str, Record], settings: IdentifyTable) -> Outcom
     paper = lookup("identify", settings.paper_structure)(order=settings.paper_order)
     fits: dict[str, PaperFit] = {}
     for name in settings.paper_records:
-        values[stored.paper(name)], fits[name] = _paper_fit(paper, group(records, name))
+        ranked = ranking.of(paper) if name == settings.records else None
+        if ranked is None:
+            started = time.perf_counter()
+            result = identify.identify_matrix(paper, group(records, name))
+            seconds = time.perf_counter() - started
+        else:
+            result, seconds = ranking.result(ranked), ranked.seconds
+        values[stored.paper(name)], fits[name] = result.model, _paper_fit(result, seconds)
     preferred = PreferredModels(
         structure=best.name,
         order=best.order,
@@ -64,19 +70,16 @@ def identified(records: Mapping[str, Record], settings: IdentifyTable) -> Outcom
     return Outcome(IdentificationFacts(table=table, preferred=preferred, paper=fits), values)
 
 
-def _paper_fit(structure: Any, records: Sequence[Record]) -> tuple[PolynomialMatrix, PaperFit]:
-    started = time.perf_counter()
-    result = identify.identify_matrix(structure, records)
-    fit = PaperFit(
+def _paper_fit(result: identify.MatrixResult, seconds: float) -> PaperFit:
+    return PaperFit(
         median_fit_percent=float(np.median(result.fit_percent)),
         worst_fit_percent=float(np.min(result.fit_percent)),
         status=str(result.status),
         ok=sum(s.ok for row in result.statuses for s in row),
         stable=result.model.is_stable(),
         invertible=result.model.is_invertible(),
-        seconds=time.perf_counter() - started,
+        seconds=seconds,
     )
-    return result.model, fit
 
 
 def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]:

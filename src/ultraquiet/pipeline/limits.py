@@ -1,12 +1,12 @@
 """The stage that says what no controller can reach, and how far each design is from it."""
 
-import os
-from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Hashable, Mapping
+from functools import partial
+from typing import Any
 
 from ultraquiet import limits
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.progress import task
+from ultraquiet._base.threads import in_threads
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
 from ultraquiet.values import StateSpace
@@ -24,17 +24,11 @@ def bounded(plant: StateSpace, laws: Mapping[str, StateSpace], band_hz: tuple[fl
     What has no limit, an unstable plant of several channels for instance, says so in its `status`.
     """
     bands = [BROADEST_HZ, *([band_hz] if band_hz != BROADEST_HZ else [])]
-    with task("limits", len(bands) + len(laws)) as progress, ThreadPoolExecutor(os.cpu_count()) as pool:
-        of_bands = [pool.submit(_of_band, plant, band) for band in bands]
-        of_designs = {name: pool.submit(_of_design, plant, law, band_hz) for name, law in laws.items()}
-        try:
-            for job in (*of_bands, *of_designs.values()):
-                progress.advance(note=job.result().status)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)  # Ctrl-C waits for what runs, not for what was to run
-            raise
-    designs = {name: job.result() for name, job in of_designs.items()}
-    return Outcome(LimitFacts(bands=tuple(job.result() for job in of_bands), designs=designs))
+    jobs: dict[Hashable, Callable[[], Any]] = {band: partial(_of_band, plant, band) for band in bands}
+    jobs |= {name: partial(_of_design, plant, law, band_hz) for name, law in laws.items()}
+    found = in_threads("limits", lambda name: jobs[name](), list(jobs))
+    designs = {name: found[name] for name in laws}
+    return Outcome(LimitFacts(bands=tuple(found[band] for band in bands), designs=designs))
 
 
 def _of_band(plant: StateSpace, band_hz: tuple[float, float]) -> BandLimit | RefusedBand:

@@ -6,6 +6,7 @@ from functools import cached_property, partial
 from typing import Any
 
 from ultraquiet._base.tables import Method
+from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, limits, requirements, validation
 from ultraquiet.pipeline.cache import Cache, Outcome
@@ -16,7 +17,6 @@ from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts,
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Study
-from ultraquiet.simulate import OpenLoop
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 Say = Callable[[str], object]
@@ -40,16 +40,14 @@ class Stages:
         control.require_bench(self.bench, system)
         validated, analysed = self._validate(identified, system), self._analyse(identified, system)
         self.say("validated and analysed")
-        designs: dict[str, Outcome[DesignFacts]] = {}
-        loops: dict[str, Outcome[LoopFacts]] = {}
-        deployment: dict[str, DeploymentFacts] = {}
-        laws: dict[str, StateSpace] = {}
-        for name in self.study.controllers:
-            design = designs[name] = self._design(name, system)
-            if name in design.values:
-                law = laws[name] = design.values[name]
-                loops[name] = self._close(name, law, system, design.facts.adaptive)
-                deployment[name] = self._deploy(name, law, system, design.facts.adaptive)
+        names = list(self.study.controllers)
+        workers = None if getattr(self.bench, "side_by_side", False) else 1
+        asked = self.study.requirements
+        # the law that the study is for comes first, and is not what all the others' threads wait for at the end
+        first = sorted(names, key=lambda name: asked is None or name != asked.law)
+        done = in_threads("controllers", lambda name: self._controller(name, system), first, workers, bars=True)
+        loops = {name: loop for name in names if (loop := done[name].loop) is not None}
+        laws = {name: law for name in names if (law := done[name].law) is not None}
         return StudyResult(
             study=self.study,
             bench=self.bench,
@@ -58,12 +56,21 @@ class Stages:
             plant=plant,
             validation=validated,
             analysis=analysed,
-            designs=designs,
+            designs={name: done[name].design for name in names},
             loops=loops,
-            deployment=deployment,
+            deployment={name: code for name in names if (code := done[name].code) is not None},
             limits=self._limits(system, laws),
             requirements=self._judge(system, laws, loops),
         )
+
+    def _controller(self, name: str, plant: StateSpace) -> "_Controller":
+        """Design one controller, close its loop and turn it into code."""
+        design = self._design(name, plant)
+        if name not in design.values:
+            return _Controller(design)
+        law: StateSpace = design.values[name]
+        loop = self._close(name, law, plant, design.facts.adaptive)
+        return _Controller(design, law, loop, self._deploy(name, law, plant, design.facts.adaptive))
 
     def _required_hz(self, name: str) -> Band | None:
         """Return the band of the requirements of a law where it is not the one that is measured anyway."""
@@ -89,8 +96,8 @@ class Stages:
         return {name: record.hash for name, record in self.records.items()}
 
     @cached_property
-    def _open_loops(self) -> dict[str, OpenLoop]:
-        return control.opened(self.bench, self.study.closed_loop)
+    def _open_loops(self) -> control.OpenLoops:
+        return control.OpenLoops(self.bench, self.study.closed_loop)
 
     def _identify(self) -> Outcome[IdentificationFacts]:
         settings = self.study.identify
@@ -165,6 +172,16 @@ class Stages:
         outcome = self.cache.stage("limits", "models", key, LimitFacts, partial(limits.bounded, plant, laws, band_hz))
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
+
+
+@dataclass(frozen=True)
+class _Controller:
+    """What came of one controller; no law where the design found none."""
+
+    design: Outcome[DesignFacts]
+    law: StateSpace | None = None
+    loop: Outcome[LoopFacts] | None = None
+    code: DeploymentFacts | None = None
 
 
 def _key(method: Method) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from ultraquiet import experiments
 from ultraquiet._base.errors import StorageError
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import lookup
+from ultraquiet._base.threads import single_threaded
 from ultraquiet.files import write_bytes
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
@@ -22,6 +23,7 @@ PACKAGED_LISTS = ("suite",)
 STUDY_FILE = "study.json"
 
 
+@single_threaded
 def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Summary:
     """Run a study and return its summary.
 

@@ -9,6 +9,7 @@ from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, at_temperature
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ
 from ultraquiet.bench.hexapod.physics.parts import HexapodParts, nominal
 from ultraquiet.bench.hexapod.physics.spread import draw
+from ultraquiet.linalg.balance import Coordinates, modal
 
 UNITS_KEPT = 128  # a campaign of a hundred units is put together once
 Sampled = tuple[FloatArray, FloatArray, FloatArray]
@@ -46,6 +47,21 @@ class Model:
             return self.sampled
         parts = at_temperature(self.parts, temperature_c)
         return chain(assemble(parts), parts, self.basis).sampled(RATE_HZ)
+
+    @cached_property
+    def _blocks(self) -> Coordinates:
+        return modal(*self.sampled)
+
+    def stepped_at(self, temperature_c: float) -> Sampled:
+        """Return A, B, C at a temperature, in the states in which A is block-diagonal at the reference temperature.
+
+        A step then costs some thirty times less than with a full A.
+        """
+        blocks = self._blocks
+        if temperature_c == REFERENCE_C:
+            return blocks[:3]
+        A, B, C = self.sampled_at(temperature_c)
+        return blocks.inverse @ A @ blocks.T, blocks.inverse @ B, C @ blocks.T
 
     def response(self, f_hz: FloatArray, temperature_c: float) -> ComplexArray:
         """Return the response between samples `(ny, nu, nf)`, from complex stiffnesses, hold and images."""

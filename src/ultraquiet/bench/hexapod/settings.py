@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, one_of, whole
 from ultraquiet._base.provenance import Provenance
+from ultraquiet.bench.columns import spanned
 from ultraquiet.bench.hexapod.chain import Chain
-from ultraquiet.bench.hexapod.laws import Limits, Matrices, turned
+from ultraquiet.bench.hexapod.laws import Limits, Plant
 from ultraquiet.bench.hexapod.model import Model, built
 from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, weather
 from ultraquiet.bench.hexapod.physics.hysteresis import none, typical
@@ -109,11 +110,11 @@ class HexapodSettings:
         """The linear chain in continuous time, command to sensor volts."""
         return self.model.continuous
 
-    def _matrices(self, temperature_c: float) -> Matrices:
+    def _matrices(self, temperature_c: float) -> Plant:
         """Return the plant as the kernels take it."""
-        A, B, C = self.model.sampled_at(temperature_c)
+        A, B, C = self.model.stepped_at(temperature_c)
         plays = typical() if self.hysteresis and not self.linear else none()
-        return turned(A), turned(B), turned(C), plays.thresholds_v, plays.weights
+        return spanned(A), spanned(B), spanned(C), plays.thresholds_v, plays.weights
 
     @cached_property
     def _limits(self) -> Limits:

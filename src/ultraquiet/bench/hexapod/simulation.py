@@ -7,7 +7,8 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench._abstract import Block, IntArray, fade
-from ultraquiet.bench.hexapod.laws import WHO, FeedbackLaw, Limits, LostError, Matrices, turned
+from ultraquiet.bench.columns import turned
+from ultraquiet.bench.hexapod.laws import WHO, FeedbackLaw, Limits, LostError, Plant
 
 
 class Simulation:
@@ -24,7 +25,7 @@ class Simulation:
 
     def __init__(
         self,
-        plants: Callable[[int], tuple[Matrices, int]],
+        plants: Callable[[int], tuple[Plant, int]],
         law: FeedbackLaw,
         limits: Limits,
         actuation: FloatArray,
@@ -37,7 +38,7 @@ class Simulation:
         self._gain = np.ones(len(self._u))
         plant, _ = plants(0)
         nu = self._u.shape[1]
-        self._state = np.zeros(len(plant[0])), np.zeros(nu), np.zeros((plays_on, plant[4].size))
+        self._state = np.zeros(len(plant[0][0])), np.zeros(nu), np.zeros((plays_on, plant[4].size))
         self._k, self._end = 0, len(self._u)
 
     @property

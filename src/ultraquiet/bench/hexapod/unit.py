@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 from numpy.typing import ArrayLike
 
@@ -12,7 +12,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import in_threads
 from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, Tally, checked_signals
-from ultraquiet.bench.hexapod.laws import Matrices, closing
+from ultraquiet.bench.hexapod.laws import Plant, closing
 from ultraquiet.bench.hexapod.physics.drift import RENEWED_EVERY_S, RUN_EVERY_S
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ, STRUTS
 from ultraquiet.bench.hexapod.settings import HexapodSettings
@@ -60,6 +60,8 @@ class Hexapod(HexapodSettings):
 
     Reference: sections 2 and 3.2 of the paper.
     """
+
+    side_by_side: ClassVar[bool] = True  # copies share nothing: a study may run several at once
 
     @property
     def temperature_c(self) -> float:
@@ -174,12 +176,12 @@ class Hexapod(HexapodSettings):
         law = closing(controller, nu, ny, RATE_HZ, STRUTS)
         return Simulation(self._plants(index), law, self._limits, u, d, self._noise(index), STRUTS)
 
-    def _plants(self, index: int) -> Callable[[int], tuple[Matrices, int]]:
+    def _plants(self, index: int) -> Callable[[int], tuple[Plant, int]]:
         """Return what gives the plant at a sample of a run, and for how many samples it holds."""
         every, celsius = round(RENEWED_EVERY_S * RATE_HZ), self._weather
-        renewed: dict[int, Matrices] = {}  # the matrices of one second, the present one
+        renewed: dict[int, Plant] = {}  # the matrices of one second, the present one
 
-        def at(sample: int) -> tuple[Matrices, int]:
+        def at(sample: int) -> tuple[Plant, int]:
             second = sample // every
             self._clock[1] = RUN_EVERY_S * index + sample / RATE_HZ
             if second not in renewed:

@@ -1,18 +1,16 @@
 """The whole transfer matrix from one record per actuator."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
 
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import in_threads
 from ultraquiet.identify.joint.identify import identify_tied_matrix
 from ultraquiet.identify.joint.ties import same
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
-from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns
+from ultraquiet.identify.prediction_error.result import MatrixResult, columns, whole
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
@@ -68,5 +66,4 @@ def identify_matrix(
 
     fits = in_threads(f"identify {method.name}", one, channels, workers)
     grid = [[fits[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]
-    parents = tuple(record.hash for record in single)
-    return assemble(grid, picked, Provenance(method.name, asdict(method), parents=parents, versions=versions()))
+    return whole(method, grid, single)

@@ -14,7 +14,7 @@ from ultraquiet._base.threads import in_threads
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
-from ultraquiet.identify.prediction_error.result import columns
+from ultraquiet.identify.prediction_error.result import MatrixResult, columns, whole
 from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record, StatusWord
 
@@ -36,7 +36,7 @@ class Candidate:
         fit_percent, loss: the same on the fitted data.
         words: `(ny, nu)` verdicts.
         seconds: processor seconds of all channels' fits.
-        models: `(ny, nu)` the fitted models.
+        fits: `(ny, nu)` the channels' fits.
         samples: of each fitted record (the shortest).
     """
 
@@ -47,8 +47,16 @@ class Candidate:
     loss: FloatArray
     words: np.ndarray[Any, np.dtype[np.str_]]
     seconds: float
-    models: np.ndarray[Any, np.dtype[np.object_]]
+    fits: np.ndarray[Any, np.dtype[np.object_]]
     samples: int
+
+    @property
+    def models(self) -> np.ndarray[Any, np.dtype[np.object_]]:
+        """The fitted models, `(ny, nu)`."""
+        models = np.empty(self.fits.shape, dtype=np.object_)
+        for place, fit in np.ndenumerate(self.fits):
+            models[place] = fit.model
+        return models
 
     def criteria(self) -> information.Criteria:
         """Return FPE, AIC, AICc, BIC and MDL of every channel on the fitted data, `(ny, nu)` each."""
@@ -65,6 +73,15 @@ class Sweep:
     candidates: tuple[Candidate, ...]
     preferred: Candidate
     rank_by: str
+    records: tuple[Record, ...]
+
+    def of(self, method: PolynomialMethod) -> Candidate | None:
+        """Return the candidate of these settings; None where they were not among them."""
+        return next((candidate for candidate in self.candidates if candidate.method == method), None)
+
+    def result(self, candidate: Candidate) -> MatrixResult:
+        """Return what `identify_matrix` would of these records with a candidate's settings."""
+        return whole(candidate.method, candidate.fits.tolist(), self.records)
 
     def by_channel(self) -> tuple[PolynomialMatrix, tuple[tuple[PolynomialMethod, ...], ...], tuple[str, ...]]:
         """Return the matrix in which every channel has the model that its own held-out record prefers.
@@ -154,7 +171,8 @@ def sweep(
     judged = in_threads("compare structures and orders", one, places, workers)
     shape = (len(fitted[0].sensors), len(fitted))
     shortest = min(r.samples for r in fitted)
-    return _ranked([_candidate(m, n, judged, shape, shortest) for n, m in enumerate(methods)], rank_by)
+    candidates = [_candidate(m, n, judged, shape, shortest) for n, m in enumerate(methods)]
+    return _ranked(candidates, rank_by, tuple(records))
 
 
 def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
@@ -189,9 +207,9 @@ def _candidate(
     def table(pick: Callable[[Any], Any]) -> Any:
         return np.array([[pick(found[(i, k)][n]) for k in range(shape[1])] for i in range(shape[0])])
 
-    models = np.empty(shape, dtype=np.object_)
+    fits = np.empty(shape, dtype=np.object_)
     for i, k in np.ndindex(*shape):
-        models[i, k] = found[(i, k)][n][0].model
+        fits[i, k] = found[(i, k)][n][0]
     return Candidate(
         method,
         table(lambda x: x[1]),
@@ -200,16 +218,17 @@ def _candidate(
         table(lambda x: x[0].loss),
         table(lambda x: x[0].status.word),
         float(np.sum(table(lambda x: x[3]))),
-        models,
+        fits,
         samples,
     )
 
 
-def _ranked(candidates: list[Candidate], rank_by: str) -> Sweep:
+def _ranked(candidates: list[Candidate], rank_by: str, records: tuple[Record, ...]) -> Sweep:
     """Order by score, least first; prefer the smallest order of the best structure that scores nearly as well."""
     scores = [_score(c, rank_by) for c in candidates]
     order = sorted(range(len(candidates)), key=lambda k: scores[k])
-    return Sweep(tuple(candidates[k] for k in order), candidates[_smallest_worth(candidates, scores)], rank_by)
+    preferred = candidates[_smallest_worth(candidates, scores)]
+    return Sweep(tuple(candidates[k] for k in order), preferred, rank_by, records)
 
 
 def _smallest_worth(candidates: Sequence[Candidate], scores: Sequence[float]) -> int:

@@ -1,14 +1,14 @@
 """From the fits of single outputs or channels to one result."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result, worst
@@ -96,6 +96,13 @@ def excited(k: int, record: Record, count: int) -> Record:
             f"put the records in the actuators' order."
         )
     return record.pick([k])
+
+
+def whole(method: PolynomialSettings, grid: list[list[Fit]], records: Sequence[Record]) -> MatrixResult:
+    """Put the fits of all channels, made by one method from one record per actuator, into one result."""
+    parents = tuple(record.hash for record in records)
+    made = Provenance(method.name, asdict(method), parents=parents, versions=versions())
+    return assemble(grid, columns(method, records), made)
 
 
 def assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> MatrixResult:
