@@ -59,7 +59,7 @@ class Cache:
             StageError: what `compute` raised, with the stage's name.
             StorageError: the outcome cannot be written.
         """
-        digest = content_hash(key, versions(), _code())
+        digest = _digest(key)
         kept = self._read(name, digest, kind) if needs is None or needs.exists() else None
         if kept is not None:
             return kept
@@ -70,6 +70,13 @@ class Cache:
             raise StageError(f"study: stage '{name}' failed, those before it are kept: {error}") from error
         self._write(name, room, digest, outcome, time.perf_counter() - started)
         return outcome
+
+    def holds(self, name: str, key: Any) -> bool:
+        """Tell whether a stage with this key was finished; what it left may still be unreadable."""
+        try:
+            return bool(json.loads(self._path(name).read_text(encoding="utf-8"))["key"] == _digest(key))
+        except (OSError, ValueError, KeyError, TypeError):
+            return False
 
     def _path(self, name: str) -> Path:
         return self.folder / STAGES / f"{name}.json"
@@ -101,6 +108,10 @@ class Cache:
             raise StorageError(
                 f"study: stage '{name}' could not be written under '{self.folder}' ({error}); earlier stages are kept."
             ) from error
+
+
+def _digest(key: Any) -> str:
+    return content_hash(key, versions(), _code())
 
 
 @cache

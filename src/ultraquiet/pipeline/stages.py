@@ -8,7 +8,7 @@ from typing import Any
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
-from ultraquiet.pipeline import control, identification, limits, requirements, validation
+from ultraquiet.pipeline import ahead, control, identification, limits, requirements, validation
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
@@ -33,19 +33,22 @@ class Stages:
     say: Say
 
     def run(self) -> StudyResult:
-        """Go through all stages in order."""
-        identified = self._identify()
-        plant = self._plant()
-        system: StateSpace = plant.values[stored.PLANT]
-        control.require_bench(self.bench, system)
+        """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
+        several = getattr(self.bench, "side_by_side", False)
+        with ahead.identifying(self.cache.folder, wanted=several and not self._is_identified()) as wait:
+            plant = self._plant()
+            system: StateSpace = plant.values[stored.PLANT]
+            control.require_bench(self.bench, system)
+            names = list(self.study.controllers)
+            first = sorted(names, key=self._is_optional)
+            workers = None if several else 1
+            done = in_threads("controllers", lambda name: self._controller(name, system), first, workers, bars=True)
+            wait()
+        identified = self.identify()
+        best = identified.facts.preferred
+        self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
         validated, analysed = self._validate(identified, system), self._analyse(identified, system)
         self.say("validated and analysed")
-        names = list(self.study.controllers)
-        workers = None if getattr(self.bench, "side_by_side", False) else 1
-        asked = self.study.requirements
-        # the law that the study is for comes first, and is not what all the others' threads wait for at the end
-        first = sorted(names, key=lambda name: asked is None or name != asked.law)
-        done = in_threads("controllers", lambda name: self._controller(name, system), first, workers, bars=True)
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
         laws = {name: law for name in names if (law := done[name].law) is not None}
         return StudyResult(
@@ -62,6 +65,10 @@ class Stages:
             limits=self._limits(system, laws),
             requirements=self._judge(system, laws, loops),
         )
+
+    def _is_optional(self, name: str) -> bool:
+        """Tell whether nothing is required of a controller; one that the study is for comes first."""
+        return self.study.requirements is None or name != self.study.requirements.law
 
     def _controller(self, name: str, plant: StateSpace) -> "_Controller":
         """Design one controller, close its loop and turn it into code."""
@@ -99,14 +106,18 @@ class Stages:
     def _open_loops(self) -> control.OpenLoops:
         return control.OpenLoops(self.bench, self.study.closed_loop)
 
-    def _identify(self) -> Outcome[IdentificationFacts]:
+    @cached_property
+    def _identify_key(self) -> list[Any]:
+        return [self._record_hashes, self.study.identify]
+
+    def _is_identified(self) -> bool:
+        return self.cache.holds("identify", self._identify_key)
+
+    def identify(self) -> Outcome[IdentificationFacts]:
+        """Identify channel by channel."""
         settings = self.study.identify
         compute = partial(identification.identified, self.records, settings)
-        key = [self._record_hashes, settings]
-        outcome = self.cache.stage("identify", "models", key, IdentificationFacts, compute)
-        best = outcome.facts.preferred
-        self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
-        return outcome
+        return self.cache.stage("identify", "models", self._identify_key, IdentificationFacts, compute)
 
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
