@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
+from ultraquiet._base.beside import beside
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
-from ultraquiet.pipeline import ahead, control, identification, limits, requirements, validation
+from ultraquiet.pipeline import control, identification, limits, requirements, validation
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
@@ -19,6 +20,7 @@ from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
+WORKER = "ultraquiet.pipeline.worker"
 Say = Callable[[str], object]
 
 
@@ -35,20 +37,16 @@ class Stages:
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = getattr(self.bench, "side_by_side", False)
-        with ahead.identifying(self.cache.folder, wanted=several and not self._is_identified()) as wait:
+        identify = "compare structures and orders", WORKER, str(self.cache.folder)
+        with beside(*identify, wanted=several and not self._is_identified()) as wait:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
             control.require_bench(self.bench, system)
             names = list(self.study.controllers)
-            first = sorted(names, key=self._is_optional)
-            workers = None if several else 1
-            done = in_threads("controllers", lambda name: self._controller(name, system), first, workers, bars=True)
-            wait()
-        identified = self.identify()
-        best = identified.facts.preferred
-        self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
-        validated, analysed = self._validate(identified, system), self._analyse(identified, system)
-        self.say("validated and analysed")
+            work = {name: partial(self._controller, name, system) for name in sorted(names, key=self._is_optional)}
+            jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, wait)}
+            done = in_threads("study", lambda job: jobs[job](), list(jobs), None if several else 1, bars=True)
+        identified, validated, analysed = done[None]
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
         laws = {name: law for name in names if (law := done[name].law) is not None}
         return StudyResult(
@@ -69,6 +67,16 @@ class Stages:
     def _is_optional(self, name: str) -> bool:
         """Tell whether nothing is required of a controller; one that the study is for comes first."""
         return self.study.requirements is None or name != self.study.requirements.law
+
+    def _models(self, plant: StateSpace, wait: Callable[[], object]) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
+        """Identify channel by channel, and see what all models are worth."""
+        wait()
+        identified = self.identify()
+        best = identified.facts.preferred
+        self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
+        validated, analysed = self._validate(identified, plant), self._analyse(identified, plant)
+        self.say("validated and analysed")
+        return identified, validated, analysed
 
     def _controller(self, name: str, plant: StateSpace) -> "_Controller":
         """Design one controller, close its loop and turn it into code."""

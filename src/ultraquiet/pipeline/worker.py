@@ -5,35 +5,12 @@ from contextlib import suppress
 from pathlib import Path
 
 from ultraquiet import files
+from ultraquiet._base.beside import Ticks
 from ultraquiet._base.progress import listening
-from ultraquiet.pipeline.ahead import TICKS
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import reload_study
 from ultraquiet.values import Record
-
-
-class Ticks:
-    """Prints how many hundredths of the largest task were done since the last line."""
-
-    def __init__(self) -> None:
-        self._total, self._done, self._told = 1, 0, 0
-
-    def start(self, title: str, total: int) -> int:
-        """Begin a task."""
-        self._total = max(self._total, total)
-        return 0
-
-    def advance(self, key: int, steps: int, note: str) -> None:
-        """Move on."""
-        self._done += steps
-        share = min(TICKS, TICKS * self._done // self._total)
-        if share > self._told:
-            print(share - self._told, flush=True)
-            self._told = share
-
-    def finish(self, key: int) -> None:
-        """End a task."""
 
 
 def main(folder: Path) -> None:

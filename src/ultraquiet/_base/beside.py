@@ -1,0 +1,78 @@
+"""Work of a process of its own, its progress shown by this one: threads of Python hold each other up."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from threading import Thread
+
+from ultraquiet._base.progress import Task, task
+
+TICKS = 100  # of the bar
+
+
+@contextmanager
+def beside(title: str, module: str, *words: str, wanted: bool = True) -> Generator[Callable[[], object]]:
+    """Run `python -m module words` for the length of a block, where there is a second processor for it.
+
+    Args:
+        title: what the progress bar says.
+        module: prints its progress as `Ticks` does, and leaves what it makes in files. How it ended is not told: who
+            finds nothing there makes it.
+        words: its arguments.
+        wanted: nothing is run without.
+
+    Yields:
+        What waits until it is done. It is ended with the block.
+    """
+    process = _started(module, *words) if wanted and (os.cpu_count() or 1) > 1 else None
+    if process is None:
+        yield lambda: None
+        return
+    with process, task(title, TICKS) as progress:
+        reader = Thread(target=_follow, args=(process, progress), daemon=True)
+        reader.start()
+        try:
+            yield reader.join
+        finally:
+            process.kill()
+            reader.join()
+
+
+class Ticks:
+    """A listener that prints how many hundredths of the largest task were done since the last line."""
+
+    def __init__(self) -> None:
+        self._total, self._done, self._told = 1, 0, 0
+
+    def start(self, title: str, total: int) -> int:
+        """Begin a task."""
+        self._total = max(self._total, total)
+        return 0
+
+    def advance(self, key: int, steps: int, note: str) -> None:
+        """Move on."""
+        self._done += steps
+        share = min(TICKS, TICKS * self._done // self._total)
+        if share > self._told:
+            print(share - self._told, flush=True)
+            self._told = share
+
+    def finish(self, key: int) -> None:
+        """End a task."""
+
+
+def _started(module: str, *words: str) -> "subprocess.Popen[str] | None":
+    command = [sys.executable, "-m", module, *words]
+    quiet = subprocess.DEVNULL
+    try:
+        return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, text=True)
+    except OSError:
+        return None
+
+
+def _follow(process: "subprocess.Popen[str]", progress: Task) -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        progress.advance(int(line))

@@ -1,0 +1,76 @@
+"""A process beside this one: its progress is shown, it is waited for, and it ends with the block."""
+
+import time
+
+import pytest
+
+from ultraquiet._base.beside import TICKS, Ticks, beside
+from ultraquiet._base.progress import listening
+
+WORK = """
+import sys, time
+from ultraquiet._base.beside import Ticks
+from ultraquiet._base.progress import listening, task
+with listening(Ticks()), task("work", 7) as progress:
+    for _ in range(7):
+        progress.advance()
+time.sleep(float(sys.argv[1]))
+open(sys.argv[2], "w").close()
+"""
+
+
+class Heard:
+    """Adds up what it is told."""
+
+    def __init__(self):
+        self.steps, self.open = 0, 0
+
+    def start(self, title, total):
+        self.open += 1
+        return 0
+
+    def advance(self, key, steps, note):
+        self.steps += steps
+
+    def finish(self, key):
+        self.open -= 1
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch):
+    """Leaves the module `some_work` where Python finds it."""
+    (tmp_path / "some_work.py").write_text(WORK)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return tmp_path / "done"
+
+
+def test_it_is_waited_for_and_its_progress_is_heard(work):
+    heard = Heard()
+    with listening(heard), beside("work", "some_work", "0", str(work)) as wait:
+        wait()
+        assert work.exists()
+    assert (heard.steps, heard.open) == (TICKS, 0)
+
+
+def test_it_ends_with_the_block_whatever_happens_there(work):
+    begun = time.perf_counter()
+    with pytest.raises(ValueError, match="broken"), beside("work", "some_work", "60", str(work)):
+        raise ValueError("broken")
+    assert time.perf_counter() - begun < 20
+    assert not work.exists()
+
+
+def test_what_cannot_be_run_leaves_no_trace_and_no_error(work):
+    with beside("work", "no_such_module") as wait:
+        wait()
+    with beside("work", "some_work", "0", str(work), wanted=False) as wait:
+        wait()
+    assert not work.exists()
+
+
+def test_ticks_never_exceed_the_bar(capsys):
+    ticks = Ticks()
+    for _ in range(3):  # the largest task counts, whatever came before
+        ticks.start("some", 10)
+        ticks.advance(0, 10, "")
+    assert sum(map(int, capsys.readouterr().out.split())) == TICKS
