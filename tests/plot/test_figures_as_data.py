@@ -5,7 +5,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet import spectra
-from ultraquiet.plot import paper
+from ultraquiet.plot import study
 from ultraquiet.plot.evidence import band_figure, residual_figure, uncertainty_figure
 from ultraquiet.plot.figure import MOST_POINTS, thin
 from ultraquiet.plot.frame import frame_figure
@@ -56,8 +56,8 @@ def responses(record):
     return [("first", f_hz[1:], values[:, :, 1:]), ("second", f_hz[1:], 2 * values[:, :, 1:])]
 
 
-def sine(record):
-    return 25 * np.sin(record.time_s)
+def wires(record):
+    return record.actuators, record.sensors
 
 
 FIGURES = {
@@ -77,17 +77,18 @@ FIGURES = {
         uq.validate.from_covariance(result, F_HZ, "entry").weight(RATE_HZ, order=1)
     ),
     "frame": lambda record, result, frames: frame_figure(frames),
-    "test-signals": lambda record, result, frames: paper.test_signals(
-        {"noise": (record.time_s, record.inputs[0], F_HZ, 1 / F_HZ), "sine": (record.time_s, sine(record), F_HZ, F_HZ)}
+    "test-signals": lambda record, result, frames: study.test_signals({"noise": (record, 0), "more": (record, 1)}),
+    "responses": lambda record, result, frames: study.responses("noise", record, 1),
+    "simulation": lambda record, result, frames: study.simulation(
+        "step", record.part(0, 800), {"model": np.ones(800)}, 0, 1
     ),
-    "responses-to-one": lambda record, result, frames: paper.responses_to_one_strut(record, 1),
-    "step": lambda record, result, frames: paper.step_response(record.part(0, 800), {"model": np.ones(800)}, 0),
-    "sine": lambda record, result, frames: paper.sine_response(record.part(0, 800), {"model": np.ones(800)}, 0),
-    "bode": lambda record, result, frames: paper.bode(responses(record), 1, 0, (2.0, 200.0)),
-    "bode-grid": lambda record, result, frames: paper.bode_grid(responses(record), (2.0, 200.0)),
-    "singular-values": lambda record, result, frames: paper.singular_values(F_HZ, {"plant": np.outer([1, 2], F_HZ)}),
-    "closed-loop": lambda record, result, frames: paper.closed_loop("quiet", 25.0, record, record),
-    "sensitivity": lambda record, result, frames: paper.sensitivity({"quiet": (F_HZ, 20 - F_HZ / 5)}, (10.0, 100.0)),
+    "bode": lambda record, result, frames: study.bode(responses(record), wires(record), 1, 0, (2.0, 200.0)),
+    "bode-grid": lambda record, result, frames: study.bode_grid(responses(record), wires(record), (2.0, 200.0)),
+    "singular-values": lambda record, result, frames: study.singular_values(
+        F_HZ, {"plant": np.outer([1, 2], F_HZ)}, wires(record)
+    ),
+    "closed-loop": lambda record, result, frames: study.closed_loop("quiet", 25.0, 2.5, record, record),
+    "sensitivity": lambda record, result, frames: study.sensitivity({"quiet": (F_HZ, 20 - F_HZ / 5)}, (10.0, 100.0)),
 }  # fmt: skip
 
 
@@ -203,30 +204,35 @@ def test_velocities_stand_among_the_vibration_criteria(record):
 
 def test_bode_curves_are_gain_and_phase(record):
     both = responses(record)
-    magnitude, phase = paper.bode(both, 1, 0, (2.0, 200.0)).panels
+    figure = study.bode(both, wires(record), 1, 0, (2.0, 200.0), " (Elsewhere: Fig. 3.)")
+    magnitude, phase = figure.panels
     for k, (name, f_hz, values) in enumerate(both):
         assert magnitude.lines[k].label == name
         assert magnitude.lines[k].x == pytest.approx(f_hz)
         assert magnitude.lines[k].y == pytest.approx(20 * np.log10(np.abs(values[1, 0])))
         turned = np.exp(1j * np.radians(phase.lines[k].y))
         assert turned == pytest.approx(values[1, 0] / np.abs(values[1, 0]))
-    assert magnitude.y_label == "dB re V/V"
+    first, second = record.actuators[0], record.sensors[1]
+    assert first.name in figure.caption
+    assert second.name in figure.caption
+    assert figure.caption.endswith("(Elsewhere: Fig. 3.)")
     assert phase.y_label == "degrees"
     assert magnitude.x_range == phase.x_range == (2.0, 200.0)
 
 
 def test_every_channel_has_its_panel_of_the_transfer_matrix(record):
     both = responses(record)
-    figure = paper.bode_grid(both, (2.0, 200.0))
+    figure = study.bode_grid(both, wires(record), (2.0, 200.0))
     assert figure.columns == 2
-    assert [panel.title for panel in figure.panels] == [f"{j} → {i}" for i in (1, 2, 3, 4) for j in (1, 2)]
+    named = [f"{a.name} → {s.name}" for s in record.sensors for a in record.actuators]
+    assert [panel.title for panel in figure.panels] == named
     assert figure.panels[5].lines[1].y == pytest.approx(20 * np.log10(np.abs(both[1][2][2, 1])))
     assert all(f"{name} (" in figure.caption for name, _, _ in both)
 
 
 def test_a_reduction_is_drawn_as_less_amplification():
     reduction = 20 - F_HZ / 5
-    (panel,) = paper.sensitivity({"quiet": (F_HZ, reduction)}, (10.0, 100.0)).panels
+    (panel,) = study.sensitivity({"quiet": (F_HZ, reduction)}, (10.0, 100.0)).panels
     assert panel.lines[0].y == pytest.approx(-reduction)
     assert panel.lines[0].label == "quiet"
     assert list(panel.spans) == [(10.0, 100.0)]
@@ -235,19 +241,38 @@ def test_a_reduction_is_drawn_as_less_amplification():
 def test_time_responses_show_bench_and_models_on_one_clock(record):
     short = record.part(0, 800)
     model = np.linspace(0, 1, 800)
-    command, reading = paper.step_response(short, {"model": model}, 0).panels
+    command, reading = study.simulation("step", short, {"model": model}, 0, 1).panels
     assert command.lines[0].y == pytest.approx(short.inputs[0])
+    assert command.y_label == short.actuators[0].unit
     assert [line.label for line in reading.lines] == ["bench", "model"]
-    assert reading.lines[0].y == pytest.approx(short.outputs[0])
+    assert reading.lines[0].y == pytest.approx(short.outputs[1])
     assert reading.lines[1].y == pytest.approx(model)
-    (last,) = paper.sine_response(short, {"model": model}, 0, shown_s=0.2).panels
-    assert last.lines[0].x == pytest.approx(short.time_s[-100:])
-    assert last.lines[0].y == pytest.approx(model[-100:])
+    assert reading.y_label == short.sensors[1].unit
+
+
+def test_of_a_long_tone_the_last_periods_are_shown(record):
+    t = np.arange(4000) / RATE_HZ
+    tone = Record(np.sin(2 * np.pi * 25 * t)[None], np.cos(2 * np.pi * 25 * t)[None], RATE_HZ)
+    command, _ = study.simulation("tone", tone, {"model": t}, 0, 0).panels
+    shown_s = np.ptp(command.lines[0].x)
+    assert 10 / 25 < shown_s < 14 / 25
+    assert command.lines[0].x[-1] == pytest.approx(tone.time_s[-1])
+
+
+def test_units_of_gains_and_squares_are_those_of_the_channels():
+    def wire(unit):
+        return [uq.Channel("a", unit)]
+
+    assert study.gain_unit((wire("V"), wire("V"))) == "dB re V/V"
+    assert study.gain_unit((wire("N"), wire("m/s"))) == "dB re (m/s)/N"
+    assert study.gain_unit((wire(""), wire(""))) == "dB"
+    assert study.gain_unit((wire("N") + wire("V"), wire("m"))) == "dB"
+    assert [study.squared(unit) for unit in ("V", "m/s", "")] == ["V²", "(m/s)²", ""]
 
 
 def test_an_open_and_a_closed_loop_are_told_apart(record):
     quiet = Record(record.inputs, 0.1 * record.outputs, RATE_HZ, record.actuators, record.sensors).part(0, 400)
-    figure = paper.closed_loop("fixed / structure", 25.0, quiet, record.part(0, 400))
+    figure = study.closed_loop("fixed / structure", 25.0, 2.5, quiet, record.part(0, 400))
     assert figure.name == "closed_loop_fixed_-_structure_25hz"
     for panel, loud, still in zip(figure.panels, record.outputs, quiet.outputs, strict=True):
         opened, closed = panel.lines

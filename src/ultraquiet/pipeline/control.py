@@ -1,6 +1,6 @@
 """The stages that make controllers, put them on the bench and turn them into code."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from threading import Lock
@@ -33,9 +33,9 @@ from ultraquiet.pipeline.facts.loops import (
     ToneFacts,
     UnstableLoop,
 )
-from ultraquiet.pipeline.preflight import as_unit
-from ultraquiet.pipeline.study import Band, ClosedLoop, Deploy, Design
-from ultraquiet.values import StateSpace, StatusWord
+from ultraquiet.pipeline.preflight import LoopPlan, as_unit
+from ultraquiet.pipeline.study import Band, Deploy, Design
+from ultraquiet.values import Channel, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
 # What a study compares of every controller's code, here and on an emulated Cortex-M7; `ultraquiet deploy` takes more
@@ -43,7 +43,7 @@ from ultraquiet.values.controller import Controller
 COMPARED_STEPS, TARGETS = 5_000, ("cortex-m7",)
 
 
-def designed(name: str, plant: StateSpace, settings: Design, loop: ClosedLoop) -> Outcome[DesignFacts]:
+def designed(name: str, plant: StateSpace, settings: Design, loop: LoopPlan) -> Outcome[DesignFacts]:
     """Design one controller from the identified plant, and reduce it when the study says so.
 
     What a reduction must keep is what the study measures: the worst direction over its band, its tones, the peak, and
@@ -78,7 +78,7 @@ def designed(name: str, plant: StateSpace, settings: Design, loop: ClosedLoop) -
 
 
 def _reduced(
-    law: StateSpace, plant: StateSpace, result: DesignResult, method: Method, loop: ClosedLoop
+    law: StateSpace, plant: StateSpace, result: DesignResult, method: Method, loop: LoopPlan
 ) -> reduce.ReductionResult:
     """Return the law with fewer states, judged by what the study measures of its loop."""
     promised = {"band_hz": loop.band_hz, "tones_hz": tuple(loop.tones_hz)}
@@ -165,7 +165,7 @@ _Runs = tuple[simulate.Attenuation | None, simulate.MeasuredSensitivity | None]
 class OpenLoops:
     """The open loop of every unit; measured when the first law asks for them, once for all."""
 
-    def __init__(self, bench: Any, settings: ClosedLoop) -> None:
+    def __init__(self, bench: Any, settings: LoopPlan) -> None:
         self._by_unit = {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in settings.units}
         self._one_at_a_time = Lock()
 
@@ -184,7 +184,7 @@ def closed(
     name: str,
     law: StateSpace | Controller,
     open_loops: OpenLoops,
-    settings: ClosedLoop,
+    settings: LoopPlan,
     required_hz: Band | None = None,
 ) -> Outcome[LoopFacts]:
     """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction.
@@ -210,7 +210,7 @@ def closed(
 
 
 def _closed_on(
-    law: StateSpace | Controller, loop: simulate.OpenLoop, settings: ClosedLoop, required_hz: Band | None
+    law: StateSpace | Controller, loop: simulate.OpenLoop, settings: LoopPlan, required_hz: Band | None
 ) -> tuple[StableLoop | UnstableLoop, _Runs]:
     """Return what a law does on one unit, and its runs and sensitivity where there are any."""
     check = simulate.check_stability(loop.bench, law)
@@ -218,7 +218,9 @@ def _closed_on(
         growth, hz = _known_growth(check.growth_per_s), _known_growth(check.growth_hz)
         return UnstableLoop(status=str(check.status), growth_per_s=growth, growth_hz=hz), (None, None)
     try:
-        tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude_v, settings.duration_s)
+        tones = None
+        if settings.tones_hz:
+            tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude, settings.duration_s)
         matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop)
     except UltraquietError as error:
         # A law that runs away under a stronger disturbance is a finding about the law.
@@ -228,9 +230,9 @@ def _closed_on(
 
 def _measured(
     check: simulate.LoopCheck,
-    tones: simulate.Attenuation,
+    tones: simulate.Attenuation | None,
     matrix: simulate.MeasuredSensitivity,
-    settings: ClosedLoop,
+    settings: LoopPlan,
     required_hz: Band | None,
 ) -> StableLoop:
     low, high = settings.band_hz
@@ -241,15 +243,24 @@ def _measured(
         lines=matrix.f_hz.size,
         lines_missing=matrix.lines_missing,
         lines_hidden=matrix.unresolved(),
-        tones={f"{f:g}": _tone(k, f, tones, matrix) for k, f in enumerate(settings.tones_hz)},
-        broadband_5_100_db=matrix.broadband_db(5.0, 100.0),
-        broadband_10_60_db=matrix.broadband_db(10.0, 60.0),
+        tones={} if tones is None else {f"{f:g}": _tone(k, f, tones, matrix) for k, f in enumerate(settings.tones_hz)},
+        broadband_5_100_db=_broadband(matrix, (5.0, 100.0)),
+        broadband_10_60_db=_broadband(matrix, (10.0, 60.0)),
+        broadband_db=_broadband(matrix, settings.band_hz),
         band_hz=settings.band_hz,
         worst_direction_band_db=matrix.worst_in_band_db(low, high),
         peak_amplification_db=matrix.peak_amplification_db(),
         mean_log_sensitivity_db=matrix.mean_log_db(),
         required_band_db=None if required_hz is None else matrix.worst_in_band_db(*required_hz),
     )
+
+
+def _broadband(matrix: simulate.MeasuredSensitivity, band_hz: Band) -> float | None:
+    """Return the reduction of the RMS over a band; None where it reaches beyond what was measured."""
+    low, high = band_hz
+    if matrix.f_hz.size < 2 or low < matrix.f_hz[0] or high > matrix.f_hz[-1]:
+        return None
+    return matrix.broadband_db(low, high)
 
 
 def _known_growth(figure: float) -> float | None:
@@ -276,7 +287,7 @@ def _at(matrix: simulate.MeasuredSensitivity, tone_hz: float) -> float | None:
 
 
 def deployed(
-    name: str, law: StateSpace, plant: StateSpace, bench: Any, folder: Path, settings: Deploy
+    name: str, law: StateSpace, plant: StateSpace, actuators: Sequence[Channel], folder: Path, settings: Deploy
 ) -> Outcome[DeploymentFacts]:
     """Generate, compile and compare the controller's code; what cannot be done is said, not raised.
 
@@ -284,7 +295,7 @@ def deployed(
     """
     from ultraquiet import deploy
 
-    limits = np.array([[c.low, c.high] for c in bench.actuators])
+    limits = np.array([[c.low, c.high] for c in actuators])
     try:
         code = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
         verified = code.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0)

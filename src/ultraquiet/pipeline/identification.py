@@ -19,7 +19,7 @@ from ultraquiet.pipeline.facts.models import (
     RecordPlant,
     ResponsePlant,
 )
-from ultraquiet.pipeline.study import IdentifyTable, Plant
+from ultraquiet.pipeline.study import IdentifyTable, Paper, Plant
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
 
 
@@ -34,32 +34,64 @@ def group(records: Mapping[str, Record], name: str) -> list[Record]:
     return [records[key] for key in sorted(members, key=lambda k: int(k.rpartition("-")[2]))]
 
 
-def identified(records: Mapping[str, Record], settings: IdentifyTable) -> Outcome[IdentificationFacts]:
-    """Rank structures and orders on held-out records, and fit the paper's structure to each of its test signals."""
+def sweep_groups(records: Mapping[str, Record], settings: IdentifyTable) -> tuple[str | None, str | None]:
+    """Return the groups of records to fit and to judge by; None where there is none that will do.
+
+    A group does when it drives one actuator after the other, each alone, one record an actuator.
+    """
+    names = dict.fromkeys(key if key == stem or not stem else stem for key in records for stem in [_stem(key, records)])
+    able = [name for name in names if _one_by_one(group(records, name))]
+    fitted = settings.records or next(iter(able), None)
+    judged = settings.held_out or next((name for name in able if name != fitted), None)
+    return fitted, judged
+
+
+def _stem(key: str, records: Mapping[str, Record]) -> str:
+    """Return the group of a record."""
+    stem, _, number = key.rpartition("-")
+    return stem if number.isdigit() and f"{stem}-1" in records else key
+
+
+def _one_by_one(members: list[Record]) -> bool:
+    moving = [np.flatnonzero(np.ptp(record.inputs, axis=1) > 0) for record in members]
+    return len(members) == len(members[0].actuators) and all(m.tolist() == [k] for k, m in enumerate(moving))
+
+
+def identified(
+    records: Mapping[str, Record], settings: IdentifyTable, paper: Paper | None = None
+) -> Outcome[IdentificationFacts]:
+    """Rank structures and orders on held-out records, and fit the paper's structure to each of its test signals.
+
+    Records in which actuators move together only are left to the model of the whole plant: nothing is ranked then.
+    """
+    fitted, judged = sweep_groups(records, settings)
+    if fitted is None:
+        return Outcome(IdentificationFacts(table=(), preferred=None, paper={}))
+    driven = group(records, fitted)
     ranking = identify.sweep(
-        group(records, settings.records),
-        group(records, settings.held_out),
+        driven,
+        None if judged is None else group(records, judged),
         structures=settings.structures,
         orders=settings.orders,
     )
     best = ranking.preferred.method
     matrix, methods, words = ranking.by_channel()
-    driven = group(records, settings.records)
-    actuators = [record.actuators[k] for k, record in enumerate(driven)]
+    actuators = [record.actuators[k if len(record.actuators) > 1 else 0] for k, record in enumerate(driven)]
     values: dict[str, PolynomialMatrix] = {
         stored.PREFERRED: PolynomialMatrix(matrix.rows, actuators, driven[0].sensors)
     }
-    paper = lookup("identify", settings.paper_structure)(order=settings.paper_order)
     fits: dict[str, PaperFit] = {}
-    for name in settings.paper_records:
-        ranked = ranking.of(paper) if name == settings.records else None
-        if ranked is None:
-            started = time.perf_counter()
-            result = identify.identify_matrix(paper, group(records, name))
-            seconds = time.perf_counter() - started
-        else:
-            result, seconds = ranking.result(ranked), ranked.seconds
-        values[stored.paper(name)], fits[name] = result.model, _paper_fit(result, seconds)
+    if paper is not None:
+        structure = lookup("identify", paper.structure)(order=paper.order)
+        for name in paper.records:
+            ranked = ranking.of(structure) if name == fitted else None
+            if ranked is None:
+                started = time.perf_counter()
+                result = identify.identify_matrix(structure, group(records, name))
+                seconds = time.perf_counter() - started
+            else:
+                result, seconds = ranking.result(ranked), ranked.seconds
+            values[stored.paper(name)], fits[name] = result.model, _paper_fit(result, seconds)
     preferred = PreferredModels(
         structure=best.name,
         order=best.order,

@@ -1,32 +1,85 @@
 """What a study asks of its bench and of its experiment list, checked before anything moves."""
 
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
-from ultraquiet._base.errors import UltraquietError
+import numpy as np
+
+from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
-from ultraquiet.experiments import ExperimentList
-from ultraquiet.pipeline.study import Study, StudyError
+from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.pipeline.study import Band, ClosedLoop, Study, StudyError
+from ultraquiet.values import StateSpace
+
+ONLY = "bench"  # the name of the one unit of a bench that knows no units
+SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of the lowest
+AMPLITUDE_SHARE = 0.1  # of the smallest range of an actuator
 
 
-def check(study: Study, bench: Any, experiment: ExperimentList) -> None:
-    """Refuse units and tones that the bench does not have, and records that the experiment does not leave.
+def check(study: Study, bench: Any, names: Sequence[str]) -> None:
+    """Refuse units and tones that the bench does not have, and records that neither experiment nor files leave.
 
     Raises:
         StudyError: every mistake, in one message.
     """
     mistakes = study.mistakes()
-    _closed_loop(study, bench, mistakes)
-    _records(study, experiment, mistakes)
+    if bench is not None:
+        _closed_loop(study, bench, mistakes)
+    _records(study, names, mistakes)
     mistakes.refuse(StudyError, "study")
 
 
+@dataclass(frozen=True)
+class LoopPlan:
+    """What is measured of every law, all of it known: `[closed_loop]` with what the bench and the plant add.
+
+    `amplitude` is in the actuators' unit.
+    """
+
+    units: tuple[str, ...]
+    tones_hz: tuple[float, ...]
+    amplitude: float
+    duration_s: float
+    band_hz: Band
+
+
+def loop_plan(settings: ClosedLoop, bench: Any, plant: StateSpace) -> LoopPlan:
+    """Return `[closed_loop]` with everything that it leaves to the bench and to the plant."""
+    tones = tuple(settings.tones_hz)
+    return LoopPlan(
+        units=units_of(settings, bench),
+        tones_hz=tones,
+        amplitude=settings.amplitude or _amplitude(bench),
+        duration_s=settings.duration_s or max(SHORTEST_S, PERIODS / min(tones, default=PERIODS)),
+        band_hz=settings.band_hz or even_plant(plant, who="closed_loop").band_hz,
+    )
+
+
+def units_of(settings: ClosedLoop, bench: Any) -> tuple[str, ...]:
+    """Return the names of the units that are measured; the bench as it stands where the study names none."""
+    return tuple(settings.units) or (getattr(bench, "unit", ONLY),)
+
+
 def as_unit(bench: Any, unit: str) -> Any:
-    """Return the bench as another unit of its kind; a bench that knows no units stands for itself."""
+    """Return the bench as another unit of its kind.
+
+    Raises:
+        InputError: the bench knows no units, or not this one.
+    """
     if is_dataclass(bench) and not isinstance(bench, type) and any(f.name == "unit" for f in fields(bench)):
         return replace(bench, unit=unit)
+    if unit != ONLY:
+        raise InputError(f"this bench knows no units, so none is '{unit}'; leave 'units' away.")
     return bench
+
+
+def _amplitude(bench: Any) -> float:
+    """Return a share of the smallest range of the actuators; one where none has limits."""
+    ranges = [(c.high - c.low) / 2 for c in getattr(bench, "actuators", ())]
+    finite = [r for r in ranges if np.isfinite(r) and r > 0]
+    return AMPLITUDE_SHARE * min(finite) if finite else 1.0
 
 
 def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
@@ -41,16 +94,15 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
             mistakes.add(("closed_loop", "tones_hz", k), f"closed_loop.tones_hz: {fault}")
 
 
-def _records(study: Study, experiment: ExperimentList, mistakes: Mistakes) -> None:
-    names = [m.name for m in experiment.measurements]
-    known = dict.fromkeys([*names, *(name.rpartition("-")[0] for name in names)])
+def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:
+    groups = dict.fromkeys(name.rpartition("-")[0] or name for name in names)
+    known = dict.fromkeys([*names, *groups])
     asked: list[tuple[Place, str]] = [
-        (("identify", "records"), study.identify.records),
-        (("identify", "held_out"), study.identify.held_out),
-        *((("identify", "paper_records", k), name) for k, name in enumerate(study.identify.paper_records)),
+        *((("identify", key), name) for key in ("records", "held_out") if (name := getattr(study.identify, key))),
+        *((("paper", "records", k), name) for k, name in enumerate(study.paper.records if study.paper else ())),
         *((("plant", "records", k), name) for k, name in enumerate(study.plant.records)),
     ]
     for place, name in asked:
         if name not in known:
-            fault = f"there are no records '{name}'; the experiment leaves {', '.join(experiment.groups)}."
+            fault = f"there are no records '{name}'; there are {', '.join(groups)}."
             mistakes.add(place, f"{place[0]}.{place[1]}: {fault}")

@@ -10,6 +10,7 @@ from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.study import Study
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
 
@@ -20,6 +21,7 @@ class StudyResult:
 
     study: Study
     bench: Any
+    plan: LoopPlan
     records: Mapping[str, Record]
     identification: Outcome[IdentificationFacts]
     plant: Outcome[PlantFacts]
@@ -37,9 +39,9 @@ class StudyResult:
         return self.plant.values[stored.PLANT]
 
     @property
-    def preferred_model(self) -> PolynomialMatrix:
-        """The matrix in which every channel has the model its held-out record prefers."""
-        return self.identification.values[stored.PREFERRED]
+    def preferred_model(self) -> PolynomialMatrix | None:
+        """The matrix in which every channel has the model its held-out record prefers; None where none was ranked."""
+        return self.identification.values.get(stored.PREFERRED)
 
     def paper_model(self, signal: str) -> PolynomialMatrix:
         """Return the paper's structure fitted to a test signal."""

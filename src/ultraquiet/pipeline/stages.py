@@ -16,6 +16,7 @@ from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
@@ -36,15 +37,18 @@ class Stages:
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
-        several = getattr(self.bench, "side_by_side", False)
+        several = self.bench is None or getattr(self.bench, "side_by_side", False)
         identify = "compare structures and orders", WORKER, str(self.cache.folder)
         with beside(*identify, wanted=several and not self._is_identified()) as wait:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
-            control.require_bench(self.bench, system)
+            if self.bench is not None:
+                control.require_bench(self.bench, system)
+            plan = loop_plan(self.study.closed_loop, self.bench, system)
             names = list(self.study.controllers)
-            work = {name: partial(self._controller, name, system) for name in sorted(names, key=self._is_optional)}
-            jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, wait)}
+            first = sorted(names, key=self._is_optional)
+            work = {name: partial(self._controller, name, system, plan) for name in first}
+            jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, plan, wait)}
             done = in_threads("study", lambda job: jobs[job](), list(jobs), None if several else 1, bars=True)
         identified, validated, analysed = done[None]
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
@@ -52,6 +56,7 @@ class Stages:
         return StudyResult(
             study=self.study,
             bench=self.bench,
+            plan=plan,
             records=self.records,
             identification=identified,
             plant=plant,
@@ -60,42 +65,51 @@ class Stages:
             designs={name: done[name].design for name in names},
             loops=loops,
             deployment={name: code for name in names if (code := done[name].code) is not None},
-            limits=self._limits(system, laws),
-            requirements=self._judge(system, laws, loops),
+            limits=self._limits(system, laws, plan),
+            requirements=self._judge(system, laws, loops, plan),
         )
 
     def _is_optional(self, name: str) -> bool:
         """Tell whether nothing is required of a controller; one that the study is for comes first."""
         return self.study.requirements is None or name != self.study.requirements.law
 
-    def _models(self, plant: StateSpace, wait: Callable[[], object]) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
+    def _models(
+        self, plant: StateSpace, plan: LoopPlan, wait: Callable[[], object]
+    ) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
         """Identify channel by channel, and see what all models are worth."""
         wait()
         identified = self.identify()
         best = identified.facts.preferred
-        self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
-        validated, analysed = self._validate(identified, plant), self._analyse(identified, plant)
+        if best is None:
+            self.say("not ranked: no records drive one actuator after the other")
+        else:
+            self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
+        validated, analysed = self._validate(identified, plant, plan), self._analyse(identified, plant)
         self.say("validated and analysed")
         return identified, validated, analysed
 
-    def _controller(self, name: str, plant: StateSpace) -> "_Controller":
+    def _controller(self, name: str, plant: StateSpace, plan: LoopPlan) -> "_Controller":
         """Design one controller, close its loop and turn it into code."""
-        design = self._design(name, plant)
+        design = self._design(name, plant, plan)
         if name not in design.values:
             return _Controller(design)
         law: StateSpace = design.values[name]
-        loop = self._close(name, law, plant, design.facts.adaptive)
+        loop = None if self.bench is None else self._close(name, law, plant, plan, design.facts.adaptive)
         return _Controller(design, law, loop, self._deploy(name, law, plant, design.facts.adaptive))
 
-    def _required_hz(self, name: str) -> Band | None:
+    def _required_hz(self, name: str, plan: LoopPlan) -> Band | None:
         """Return the band of the requirements of a law where it is not the one that is measured anyway."""
         asked = self.study.requirements
-        if asked is None or asked.law != name or asked.band_hz in (None, self.study.closed_loop.band_hz):
+        if asked is None or asked.law != name or asked.band_hz in (None, plan.band_hz):
             return None
         return asked.band_hz
 
     def _judge(
-        self, plant: StateSpace, laws: Mapping[str, StateSpace], loops: Mapping[str, Outcome[LoopFacts]]
+        self,
+        plant: StateSpace,
+        laws: Mapping[str, StateSpace],
+        loops: Mapping[str, Outcome[LoopFacts]],
+        plan: LoopPlan,
     ) -> RequirementsFacts | None:
         """Return what came of the study's requirements, None where it has none."""
         asked = self.study.requirements
@@ -103,20 +117,24 @@ class Stages:
             return None
         loop, law = loops.get(asked.law), laws.get(asked.law)
         disk = requirements.margins_of(plant, law) if law is not None and asked.disk_margin is not None else {}
-        band_hz = asked.band_hz or self.study.closed_loop.band_hz
+        band_hz = asked.band_hz or plan.band_hz
         return requirements.judge(asked, band_hz, None if loop is None else loop.facts.units, disk)
 
     @cached_property
     def _record_hashes(self) -> dict[str, str]:
         return {name: record.hash for name, record in self.records.items()}
 
+    def _open_loops(self, plan: LoopPlan) -> control.OpenLoops:
+        """Return the open loops of this plan, the same ones to all who ask."""
+        return self._kept_open_loops.setdefault(plan, control.OpenLoops(self.bench, plan))
+
     @cached_property
-    def _open_loops(self) -> control.OpenLoops:
-        return control.OpenLoops(self.bench, self.study.closed_loop)
+    def _kept_open_loops(self) -> dict[LoopPlan, control.OpenLoops]:
+        return {}
 
     @cached_property
     def _identify_key(self) -> list[Any]:
-        return [self._record_hashes, self.study.identify]
+        return [self._record_hashes, self.study.identify, self.study.paper]
 
     def _is_identified(self) -> bool:
         return self.cache.holds("identify", self._identify_key)
@@ -124,7 +142,7 @@ class Stages:
     def identify(self) -> Outcome[IdentificationFacts]:
         """Identify channel by channel."""
         settings = self.study.identify
-        compute = partial(identification.identified, self.records, settings)
+        compute = partial(identification.identified, self.records, settings, self.study.paper)
         return self.cache.stage("identify", "models", self._identify_key, IdentificationFacts, compute)
 
     def _plant(self) -> Outcome[PlantFacts]:
@@ -138,20 +156,29 @@ class Stages:
     def _models_key(self, plant: StateSpace) -> list[Any]:
         return [self._record_hashes, self.study.identify, self.bench, plant.hash]
 
-    def _validate(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[ValidationFacts]:
+    def _validate(
+        self, identified: Outcome[IdentificationFacts], plant: StateSpace, plan: LoopPlan
+    ) -> Outcome[ValidationFacts]:
         models = {k: v for k, v in identified.values.items() if isinstance(v, PolynomialMatrix)}
-        compute = partial(validation.validated, self.records, models, plant, self.bench)
-        return self.cache.stage("validate", "models", self._models_key(plant), ValidationFacts, compute)
+        paper, held_out = self.study.paper, identification.sweep_groups(self.records, self.study.identify)[1]
+        shown = tuple(paper.simulated) if paper else validation.worth_showing(self.records, held_out)
+        judge = validation.Judge(held_out, shown, paper.band_hz if paper else plan.band_hz, plan.band_hz)
+        compute = partial(validation.validated, self.records, models, plant, self.bench, judge)
+        key = [*self._models_key(plant), judge]
+        return self.cache.stage("validate", "models", key, ValidationFacts, compute)
 
     def _analyse(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[AnalysisFacts]:
-        paper = identified.values[stored.paper(self.study.identify.paper_records[0])]
-        compute = partial(validation.analysed, plant, paper)
-        return self.cache.stage("analyse", "models", self._models_key(plant), AnalysisFacts, compute)
+        asked = self.study.paper
+        paper = None if asked is None else identified.values.get(stored.paper(asked.records[0]))
+        rate_hz = next(iter(self.records.values())).rate_hz
+        f_hz = validation.shown_hz(rate_hz, max(record.duration_s for record in self.records.values()))
+        compute = partial(validation.analysed, plant, paper, f_hz)
+        key = [*self._models_key(plant), self.study.paper]
+        return self.cache.stage("analyse", "models", key, AnalysisFacts, compute)
 
-    def _design(self, name: str, plant: StateSpace) -> Outcome[DesignFacts]:
+    def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
-        loop = self.study.closed_loop
         promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
         key = [plant.hash, _key(settings.design), promised]
         compute = partial(control.designed, name, plant, settings, loop)
@@ -159,16 +186,17 @@ class Stages:
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
 
-    def _close(self, name: str, law: StateSpace, plant: StateSpace, adaptive: bool) -> Outcome[LoopFacts]:
+    def _close(
+        self, name: str, law: StateSpace, plant: StateSpace, plan: LoopPlan, adaptive: bool
+    ) -> Outcome[LoopFacts]:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
-        design, settings = self.study.controllers[name], self.study.closed_loop
-        required_hz = self._required_hz(name)
-        key = [law.hash, self.bench, settings, *([plant.hash, _key(design.design)] if adaptive else [])]
+        design, required_hz = self.study.controllers[name], self._required_hz(name, plan)
+        key = [law.hash, self.bench, plan, *([plant.hash, _key(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
             acting = control.adapting(plant, design) if adaptive else None
-            return control.closed(name, acting or law, self._open_loops, settings, required_hz)
+            return control.closed(name, acting or law, self._open_loops(plan), plan, required_hz)
 
         return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
 
@@ -179,16 +207,18 @@ class Stages:
             sentence = "not generated: the law adapts; C99 is generated from linear laws alone."
             return NoCode(status=sentence, failed=False)
         settings, folder = self.study.deploy, self.cache.folder / "code"
-        key = [law.hash, plant.hash, self.bench.actuators, settings, compiler()]
-        compute = partial(control.deployed, name, law, plant, self.bench, folder, settings)
+        actuators = plant.actuators if self.bench is None else self.bench.actuators
+        key = [law.hash, plant.hash, actuators, settings, compiler()]
+        compute = partial(control.deployed, name, law, plant, actuators, folder, settings)
         facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, folder / name).facts
         self.say(f"closed and deployed {name}: {facts.verdict}")
         return facts
 
-    def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace]) -> Outcome[LimitFacts]:
-        band_hz = self.study.closed_loop.band_hz
-        key = [plant.hash, band_hz, {name: law.hash for name, law in laws.items()}]
-        outcome = self.cache.stage("limits", "models", key, LimitFacts, partial(limits.bounded, plant, laws, band_hz))
+    def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[LimitFacts]:
+        settings = self.study.limits
+        key = [plant.hash, plan.band_hz, settings, {name: law.hash for name, law in laws.items()}]
+        compute = partial(limits.bounded, plant, laws, plan.band_hz, settings)
+        outcome = self.cache.stage("limits", "models", key, LimitFacts, compute)
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
 

@@ -3,9 +3,9 @@
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, cast
 
-from pydantic import AfterValidator, Field, PrivateAttr, ValidationError
+from pydantic import AfterValidator, AliasChoices, ConfigDict, Field, PrivateAttr, ValidationError
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import Place
@@ -50,22 +50,67 @@ class Head(Strict):
     seed: Annotated[int, Field(ge=0)] = 0
 
 
-class Experiment(Strict):
-    """`[experiment]`: the list to execute; "suite" is the packaged one, anything else a file beside the study."""
+class BenchTable(Method):
+    """`[bench]`: a registered bench by its `method`, or `object`, "FILE.py:CALLABLE" beside the study; its settings."""
 
-    list: str = "suite"
+    method: str = ""
+    object: str | None = None
+
+    @property
+    def title(self) -> str:
+        """What the report calls the bench."""
+        return self.method if self.object is None else Path(self.object.rpartition(":")[0]).name
+
+
+class Experiment(Strict):
+    """`[experiment]`: the list to execute; "suite" is the packaged one for the hexapod, anything else a file.
+
+    A file is sought beside the study. Only the hexapod has a list of its own.
+    """
+
+    list: str | None = None
+
+
+class RecordsTable(Strict):
+    """`[records]`: files that were measured elsewhere, in place of an experiment list; see `files.read_record`.
+
+    Each becomes a record by the name of its file; all of them hold the same channels.
+    """
+
+    files: list[str] = Field(min_length=1)
+    rate_hz: Positive | None = None
+    inputs: str | list[str] | None = None
+    outputs: str | list[str] | None = None
+    mapping: str | None = None
 
 
 class IdentifyTable(Strict):
-    """`[identify]`: the channel-by-channel identification and its judges; records are named by their group."""
+    """`[identify]`: the channel-by-channel identification and its judges; records are named by their group.
+
+    Without `records` it is the first group that drives one actuator after the other, and without `held_out` the next
+    of them; where there is no next, the last third of each record is kept back.
+    """
 
     structures: list[str] = Field(default=["arx", "armax", "output-error", "box-jenkins"], min_length=1)
     orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7, 8], min_length=1)
-    records: str = "noise"
-    held_out: str = "judge"
-    paper_structure: str = "box-jenkins"
-    paper_order: Order = 5
-    paper_records: list[str] = Field(default=["chirp", "noise", "prbs"], min_length=1)
+    records: str | None = None
+    held_out: str | None = None
+
+
+class Paper(Strict):
+    """`[paper]`: what a publication reported of this bench, shown beside what the study finds.
+
+    Its structure is fitted to each of its test signals; `channel` is the one whose functions it prints, counted from
+    one; `simulated` are records that models are shown beside; `says` are sentences of the report, as they stand.
+    """
+
+    structure: str = "box-jenkins"
+    order: Order = 5
+    records: list[str] = Field(min_length=1)
+    channel: Annotated[int, Field(ge=1)] = 1
+    simulated: list[str] = Field(default=[])
+    band_hz: Band = (10.0, 250.0)
+    says: list[str] = Field(default=[])
 
 
 class Plant(Method):
@@ -83,13 +128,31 @@ class Design(Strict):
 
 
 class ClosedLoop(Strict):
-    """`[closed_loop]`."""
+    """`[closed_loop]`: what is measured of every law, on the bench.
 
-    units: list[str] = Field(default=["ground"], min_length=1)
-    tones_hz: list[Positive] = Field(default=[5.0, 25.0, 100.0], min_length=1)
-    amplitude_v: Positive = 1.0
-    duration_s: Positive = 2.0
-    band_hz: Band = (10.0, 100.0)
+    Without `units` it is the bench as it stands; without tones none is sent. The amplitude is in the actuators' unit, a
+    tenth of the smallest range when absent; tones last twenty periods of the lowest when absent, two seconds at least.
+    The band is the plant's own when absent, in which it answers.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    units: list[str] = Field(default=[])
+    tones_hz: list[Positive] = Field(default=[])
+    amplitude: Positive | None = Field(default=None, validation_alias=AliasChoices("amplitude", "amplitude_v"))
+    duration_s: Positive | None = None
+    band_hz: Band | None = None
+
+
+class LimitsTable(Strict):
+    """`[limits]`: the price at which bands are compared, and the bands; that of the loop when absent.
+
+    `peak_db` is of |S|, every direction; `control_gain` of |K S|, in units of actuators per unit of sensors.
+    """
+
+    peak_db: Positive = 6.0
+    control_gain: Positive | None = None
+    bands_hz: list[Band] = Field(default=[])
 
 
 class Deploy(Strict):
@@ -118,14 +181,17 @@ class Study(Strict):
     """A whole study file."""
 
     study: Head
-    bench: Method
+    bench: BenchTable | None = None
+    records: RecordsTable | None = None
     experiment: Experiment = Experiment()
     identify: IdentifyTable = IdentifyTable()
+    paper: Paper | None = None
     plant: Plant
     controllers: dict[Name, Design] = Field(min_length=1)
     closed_loop: ClosedLoop = ClosedLoop()
     deploy: Deploy = Deploy()
     requirements: Requirements | None = None
+    limits: LimitsTable = LimitsTable()
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
 
     def at(self, places: Mapping[Place, int]) -> "Study":
@@ -146,10 +212,10 @@ def packaged_study(name: str) -> Study:
 
 def quick_study(study: Study) -> Study:
     """Return the study with two structures and two orders instead of a whole sweep, on its first unit alone."""
-    fewer = {"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS, "paper_records": study.identify.paper_records[:2]}
-    sweep = study.identify.model_copy(update=fewer)
+    sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
+    paper = study.paper and study.paper.model_copy(update={"records": study.paper.records[:1]})
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
-    return study.model_copy(update={"identify": sweep, "closed_loop": loop})
+    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop})
 
 
 def reload_study(folder: Path) -> Study:
@@ -194,7 +260,9 @@ def parse(text: str, name: str = "study") -> Study:
       line 5: there is no key 'precison' here; did you mean 'precision'? Known are precision.
     """
     content, places = read_toml(text, name, StudyError)
+    content, places = _with_paper(content, places)
     mistakes = Mistakes(places)
+    _check_sources(content, mistakes)
     for place, family, table in _methods(content):
         _check_method(place, family, table, mistakes)
     try:
@@ -207,6 +275,46 @@ def parse(text: str, name: str = "study") -> Study:
     return study.at(places)
 
 
+def _with_paper(content: dict[str, Any], places: Mapping[Place, int]) -> tuple[dict[str, Any], Mapping[Place, int]]:
+    """Return the content with the older keys `identify.paper_*` as the table `paper` that they are now."""
+    sweep = content.get("identify")
+    if not isinstance(sweep, dict) or "paper" in content:
+        return content, places
+    older = {
+        key: key.removeprefix("paper_") for key in sweep if key in ("paper_structure", "paper_order", "paper_records")
+    }
+    if not older:
+        return content, places
+    table: dict[str, Any] = {"records": ["chirp", "noise", "prbs"], **{new: sweep[key] for key, new in older.items()}}
+    moved = {("paper", new): places[("identify", key)] for key, new in older.items() if ("identify", key) in places}
+    rest = {key: value for key, value in sweep.items() if key not in older}
+    return {**content, "identify": rest, "paper": table}, {**places, **moved}
+
+
+def _check_sources(content: Mapping[str, Any], mistakes: Mistakes) -> None:
+    """Note where neither a bench nor files give records, or both do."""
+    if "bench" not in content and "records" not in content:
+        mistakes.add((), "'bench' is missing.")
+    if "records" in content and "experiment" in content:
+        mistakes.add(("experiment",), "experiment: the records come from files here; leave one of both tables away.")
+    _check_bench(content.get("bench"), mistakes)
+
+
+def _check_bench(table: Any, mistakes: Mistakes) -> None:
+    """Note a bench that is named twice or not at all."""
+    if not isinstance(table, dict):
+        return
+    named = cast("dict[str, Any]", table)
+    if "method" in named and "object" in named:
+        mistakes.add(("bench", "object"), "bench: give either 'method' or 'object', not both.")
+    elif "method" not in named and "object" not in named:
+        mistakes.add(
+            ("bench",), "bench: give 'method', a registered bench, or 'object', \"FILE.py:CALLABLE\" beside the study."
+        )
+    elif "object" in named and not re.fullmatch(r".+\.py:[A-Za-z_]\w*", str(named["object"])):
+        mistakes.add(("bench", "object"), f"bench: 'object' is \"FILE.py:CALLABLE\", got '{named['object']}'.")
+
+
 def _check_requirements(study: Study, mistakes: Mistakes) -> None:
     """Note a law that the study does not design, and what nothing in it measures."""
     asked = study.requirements
@@ -215,6 +323,14 @@ def _check_requirements(study: Study, mistakes: Mistakes) -> None:
     if asked.law not in study.controllers:
         fault = f"there is no law '{asked.law}' among the controllers {', '.join(study.controllers)}."
         mistakes.add(("requirements", "law"), f"requirements.law: {fault}")
+    if study.bench is None:
+        for key in ("attenuation_db", "peak_db", "tones_db"):
+            if getattr(asked, key) is not None:
+                fault = "the study has no bench, so nothing measures it; leave it away."
+                mistakes.add(("requirements", key), f"requirements.{key}: {fault}")
+    elif asked.tones_db is not None and not study.closed_loop.tones_hz:
+        fault = "the study sends no tones; name them as closed_loop.tones_hz."
+        mistakes.add(("requirements", "tones_db"), f"requirements.tones_db: {fault}")
     if asked.payload_db is not None:
         fault = "the study has no payload table, so nothing measures it; leave it away."
         mistakes.add(("requirements", "payload_db"), f"requirements.payload_db: {fault}")
@@ -227,16 +343,16 @@ def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes:
     except ValidationError:
         return  # the schema notes it
     candidate = settings_object(family, method.method, method.settings, place, mistakes)
-    if candidate is not None and place[0] == "identify" and not isinstance(candidate, PolynomialMethod):
+    if candidate is not None and place[0] in ("identify", "paper") and not isinstance(candidate, PolynomialMethod):
         mistakes.add(place, f"'{method.method}' is no polynomial structure.")
 
 
 def _methods(content: Mapping[str, Any]) -> Iterator[tuple[Place, str, Mapping[str, Any]]]:
     """Yield place, family and table of every method that a study names."""
-    tables: list[tuple[Place, str, Any]] = [
-        (("bench",), "bench", content.get("bench")),
-        (("plant",), "identify", content.get("plant")),
-    ]
+    tables: list[tuple[Place, str, Any]] = [(("plant",), "identify", content.get("plant"))]
+    bench = content.get("bench")
+    if isinstance(bench, dict) and "method" in bench and "object" not in bench:
+        tables.append((("bench",), "bench", bench))
     controllers = content.get("controllers")
     for name, entry in controllers.items() if isinstance(controllers, dict) else ():
         if isinstance(entry, dict):
@@ -246,6 +362,7 @@ def _methods(content: Mapping[str, Any]) -> Iterator[tuple[Place, str, Mapping[s
         structures = sweep.get("structures")
         for k, name in enumerate(structures if isinstance(structures, list) else []):
             tables.append((("identify", "structures", k), "identify", {"method": name}))
-        if "paper_structure" in sweep:
-            tables.append((("identify", "paper_structure"), "identify", {"method": sweep["paper_structure"]}))
+    paper = content.get("paper")
+    if isinstance(paper, dict) and "structure" in paper:
+        tables.append((("paper", "structure"), "identify", {"method": paper["structure"]}))
     return ((place, family, table) for place, family, table in tables if isinstance(table, dict))

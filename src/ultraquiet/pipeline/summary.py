@@ -26,7 +26,7 @@ class IdentificationSummary:
     """The ranking, the paper's structure, each model against the bench, the plant that designs use."""
 
     table: tuple[RankedModel, ...]
-    preferred: PreferredModels
+    preferred: PreferredModels | None
     paper: Mapping[str, PaperFit]
     against_bench: Mapping[str, Agreement] | None
     plant: PlantFacts

@@ -1,6 +1,7 @@
 """The stages that judge models: the paper's validation, and what the transfer matrix looks like."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,59 +20,96 @@ from ultraquiet.pipeline.facts.models import (
     ValidationFacts,
 )
 from ultraquiet.pipeline.identification import group
+from ultraquiet.pipeline.study import Band
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 
-# The band over which the paper compares its excitations, and that of the bench's own response.
-PAPER_BAND_HZ = (10.0, 250.0)
-TRUTH_BAND_HZ = (20.0, 200.0)
-# Records that models are shown beside.
-SIMULATED = ("step", "tone")
-SHOWN_HZ = np.geomspace(1.0, 1700.0, 300)
+# Frequencies at which models are shown, of the Nyquist frequency: from the lowest that a record resolves.
+SHOWN, HIGHEST = 300, 0.97
 
 Model = PolynomialMatrix | StateSpace
 
 
+@dataclass(frozen=True)
+class Judge:
+    """By what models are judged: held-out records, records to be simulated, and bands of two comparisons."""
+
+    held_out: str | None
+    simulated: tuple[str, ...]
+    models_hz: Band
+    bench_hz: Band
+
+
 def validated(
-    records: Mapping[str, Record], models: Mapping[str, PolynomialMatrix], plant: StateSpace, bench: Any
+    records: Mapping[str, Record],
+    models: Mapping[str, PolynomialMatrix],
+    plant: StateSpace,
+    bench: Any,
+    judge: Judge,
 ) -> Outcome[ValidationFacts]:
-    """Compare models with the step, the clipping sine, each other and, on a simulated bench, with its own response."""
+    """Compare models with records, with each other and, on a simulated bench, with its own response."""
     candidates: dict[str, Model] = {**models, stored.PLANT: plant}
-    reference = models[stored.PREFERRED]
-    tests = [validate.residual_test(_column(reference, k), r.pick([k])) for k, r in enumerate(group(records, "judge"))]
     values: dict[str, Record] = {}
     fits: dict[str, RecordFit] = {}
-    for name in (name for name in SIMULATED if name in records):
+    for name in (name for name in judge.simulated if name in records):
         values[stored.simulated(name)], fits[name] = _against_record(records[name], candidates)
+    reference = models.get(stored.PREFERRED)
     others = {name: model for name, model in models.items() if name != stored.PREFERRED}
+    agreement = {} if reference is None else {n: _agreement(reference, m, judge.models_hz) for n, m in others.items()}
     truth = getattr(bench, "linear_model", None)
     facts = ValidationFacts(
         records=fits,
-        agreement={name: _agreement(reference, model, PAPER_BAND_HZ) for name, model in others.items()},
-        residuals=ResidualFacts(
-            whiteness_p_median=float(np.median([t.whiteness_p for t in tests])),
-            correlation_p_median=float(np.median([t.correlation_p for t in tests])),
-        ),
-        against_bench=None if truth is None else _against_bench(truth(), candidates),
+        agreement=agreement,
+        residuals=None if reference is None else _residuals(reference, records, judge),
+        against_bench=None if truth is None else _against_bench(truth(), candidates, judge.bench_hz),
     )
     return Outcome(facts, values)
 
 
+def worth_showing(records: Mapping[str, Record], held_out: str | None) -> tuple[str, ...]:
+    """Return the record that models are shown beside: of what was held out the first, or the first of all."""
+    names = [name for name in records if held_out is not None and name in (held_out, f"{held_out}-1")]
+    return tuple(names[:1] or list(records)[:1])
+
+
+def _residuals(reference: PolynomialMatrix, records: Mapping[str, Record], judge: Judge) -> ResidualFacts | None:
+    """Return what is left of held-out records; None where none are held out."""
+    if judge.held_out is None:
+        return None
+    members = group(records, judge.held_out)
+    tests = [
+        validate.residual_test(_column(reference, k), r if len(r.actuators) == 1 else r.pick([k]))
+        for k, r in enumerate(members)
+    ]
+    return ResidualFacts(
+        whiteness_p_median=float(np.median([t.whiteness_p for t in tests])),
+        correlation_p_median=float(np.median([t.correlation_p for t in tests])),
+    )
+
+
 def _against_record(record: Record, models: Mapping[str, Model]) -> tuple[Record, RecordFit]:
-    """Return simulations of the driven strut, one output a model, and how well each meets the record."""
+    """Return simulations of the sensor that moved most, one output a model, and how well each meets the record."""
     driven = int(np.argmax(np.ptp(record.inputs, axis=1)))
+    heard = int(np.argmax(np.std(record.outputs, axis=1) / _sizes(record)))
     fits = {
-        name: float(validate.compare(model, record, initial="rest", offset=False).fit_percent[driven])
+        name: float(validate.compare(model, record, initial="rest", offset=False).fit_percent[heard])
         for name, model in models.items()
     }
-    outputs = {name: validate.simulated(m, record, "rest", offset=False)[driven] for name, m in models.items()}
+    outputs = {name: validate.simulated(m, record, "rest", offset=False)[heard] for name, m in models.items()}
     # What an unstable model says is no number.
     outputs = {name: output for name, output in outputs.items() if np.isfinite(output).all()}
     simulated = Record(record.inputs, list(outputs.values()), record.rate_hz, record.actuators, list(outputs))
-    return simulated, RecordFit(channel=driven, fit_percent=fits, clipped_samples=record.clipped()[driven])
+    clipped = record.clipped()[heard]
+    return simulated, RecordFit(channel=heard, actuator=driven, fit_percent=fits, clipped_samples=clipped)
 
 
-def _against_bench(truth: StateSpace, models: Mapping[str, Model]) -> dict[str, Agreement]:
-    return {name: _agreement(truth, model, TRUTH_BAND_HZ) for name, model in models.items()}
+def _sizes(record: Record) -> FloatArray:
+    """Return what sensors of unlike units are measured by: their ranges; those without by what they read."""
+    ranges = np.array([(c.high - c.low) / 2 for c in record.sensors])
+    return ranges if np.isfinite(ranges).all() else np.ones(len(record.sensors))
+
+
+def _against_bench(truth: StateSpace, models: Mapping[str, Model], band_hz: Band) -> dict[str, Agreement]:
+    return {name: _agreement(truth, model, band_hz) for name, model in models.items()}
 
 
 def _column(model: PolynomialMatrix, column: int) -> PolynomialMatrix:
@@ -80,7 +118,7 @@ def _column(model: PolynomialMatrix, column: int) -> PolynomialMatrix:
 
 def _agreement(first: Model, second: Model, band_hz: tuple[float, float]) -> Agreement:
     difference = validate.bode_agreement(first, second, band_hz)
-    diagonal = np.arange(difference.worst_gain_db.shape[0])
+    diagonal = np.arange(min(difference.worst_gain_db.shape))
     return Agreement(
         band_hz=band_hz,
         diagonal_gain_db=float(difference.worst_gain_db[diagonal, diagonal].max()),
@@ -89,27 +127,36 @@ def _agreement(first: Model, second: Model, band_hz: tuple[float, float]) -> Agr
     )
 
 
-def analysed(plant: StateSpace, paper: PolynomialMatrix) -> Outcome[AnalysisFacts]:
+def shown_hz(rate_hz: float, longest_s: float) -> FloatArray:
+    """Return the frequencies at which models are shown: what the longest record resolves, up to near Nyquist."""
+    high = HIGHEST * rate_hz / 2
+    return np.geomspace(min(2 / longest_s, high / 10), high, SHOWN)
+
+
+def analysed(plant: StateSpace, paper: PolynomialMatrix | None, f_hz: FloatArray) -> Outcome[AnalysisFacts]:
     """Return poles, zeros, transmission zeros, singular values and symmetry of the design model and the paper's."""
-    G = plant.frequency_response(SHOWN_HZ)
-    paper_gains = np.linalg.svd(np.moveaxis(paper.frequency_response(SHOWN_HZ), 2, 0), compute_uv=False).T
+    G = plant.frequency_response(f_hz)
+    square = G.shape[0] == G.shape[1]
+    gains = None
+    if paper is not None:
+        gains = np.linalg.svd(np.moveaxis(paper.frequency_response(f_hz), 2, 0), compute_uv=False).T.astype(np.float64)
     facts = AnalysisFacts(
-        f_hz=SHOWN_HZ,
-        singular_values=SingularValues(
-            plant=analyse.singular_values(plant, SHOWN_HZ), paper=paper_gains.astype(np.float64)
-        ),
+        f_hz=f_hz,
+        singular_values=SingularValues(plant=analyse.singular_values(plant, f_hz), paper=gains),
         poles=_table(analyse.poles(plant)),
         transmission_zeros=_table(analyse.zeros(plant)),
-        paper_zeros=tuple(_table(analyse.roots(m.zeros(0), m.rate_hz)) for m in _diagonal(paper)),
-        reciprocity_error=analyse.reciprocity_error(G),
-        threefold_error=analyse.threefold_error(G) if G.shape[0] == 6 else None,
-        dominance_db=_dominance(G),
+        paper_zeros=()
+        if paper is None
+        else tuple(_table(analyse.roots(m.zeros(0), m.rate_hz)) for m in _diagonal(paper)),
+        reciprocity_error=analyse.reciprocity_error(G) if square else None,
+        threefold_error=analyse.threefold_error(G) if paper is not None and G.shape[:2] == (6, 6) else None,
+        dominance_db=_dominance(G) if square and G.shape[0] > 1 else None,
     )
     return Outcome(facts)
 
 
 def _diagonal(model: PolynomialMatrix) -> list[PolynomialModel]:
-    return [row[i] for i, row in enumerate(model.rows)]
+    return [row[i] for i, row in enumerate(model.rows) if i < len(row)]
 
 
 def _table(roots: analyse.Roots) -> tuple[Root, ...]:

@@ -116,14 +116,16 @@ class StableLoop:
     """A loop that settled on the bench; `tones` by frequency, in Hz; growth of its slowest mode, e-folds a second.
 
     Of `lines` of the sensitivity `lines_missing` were not measured; `lines_hidden` says which count at noise's bound.
-    `required_band_db` is the worst direction over the band of the requirements, where that is another one.
+    `broadband_db` is of the RMS of the worst sensor over `band_hz`, those with frequencies over theirs where it has
+    lines; `required_band_db` is the worst direction over the band of the requirements, where that is another one.
     """
 
     stable: Literal[True] = True
     status: str
     tones: Mapping[str, ToneFacts]
-    broadband_5_100_db: float
-    broadband_10_60_db: float
+    broadband_5_100_db: float | None
+    broadband_10_60_db: float | None
+    broadband_db: float | None = None
     band_hz: tuple[float, float]
     worst_direction_band_db: float
     peak_amplification_db: float

@@ -51,10 +51,13 @@ class PaperFit:
 
 @fact
 class IdentificationFacts:
-    """Stage `identify`: the ranking, best first, and the paper's structure by test signal."""
+    """Stage `identify`: the ranking, best first, and the paper's structure by test signal.
+
+    Nothing is ranked, and nothing preferred, where no records drive one actuator after the other.
+    """
 
     table: tuple[RankedModel, ...]
-    preferred: PreferredModels
+    preferred: PreferredModels | None
     paper: Mapping[str, PaperFit]
 
 
@@ -83,9 +86,10 @@ PlantFacts = RecordPlant | ResponsePlant
 
 @fact
 class RecordFit:
-    """How well each model simulates one record at the driven `channel` (counted from zero)."""
+    """How well models simulate a record at `channel`, the sensor that moved most; `actuator` drives it (from 0)."""
 
     channel: int
+    actuator: int = 0
     fit_percent: Mapping[str, float]
     clipped_samples: int
 
@@ -114,7 +118,7 @@ class ValidationFacts:
 
     records: Mapping[str, RecordFit]
     agreement: Mapping[str, Agreement]
-    residuals: ResidualFacts
+    residuals: ResidualFacts | None
     against_bench: Mapping[str, Agreement] | None = None
 
 
@@ -134,18 +138,18 @@ class SingularValues:
     """Singular values `(k, nf)` of the design plant and of the paper's structure."""
 
     plant: Matrix
-    paper: Matrix
+    paper: Matrix | None = None
 
 
 @fact
 class AnalysisFacts:
-    """Stage `analyse`; errors of symmetry and `dominance_db` are `(nf,)` over `f_hz`."""
+    """Stage `analyse`; errors of symmetry and `dominance_db` are `(nf,)` over `f_hz`, of square plants alone."""
 
     f_hz: Vector
     singular_values: SingularValues
     poles: tuple[Root, ...]
     transmission_zeros: tuple[Root, ...]
-    paper_zeros: tuple[tuple[Root, ...], ...]
-    reciprocity_error: Vector
+    paper_zeros: tuple[tuple[Root, ...], ...] = ()
+    reciprocity_error: Vector | None
     threefold_error: Vector | None
-    dominance_db: Vector
+    dominance_db: Vector | None

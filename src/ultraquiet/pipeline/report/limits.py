@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
 from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.plot import study
 from ultraquiet.report import Section, Table
 
 # A difference between two bands that is worth a sentence.
@@ -25,15 +26,25 @@ def limits(result: StudyResult) -> Section:
     """What no linear controller can reach on the identified plant, and what each design leaves of it."""
     facts = result.limits.facts
     rows = [(name, *_figures(limit)) for name, limit in facts.designs.items()]
+    unit = _unit_of_control(result)
     text = [
         "On the identified plant, along the direction that it moves least: what cannot be reached there cannot be "
         "reached in the worst direction. A bound holds for every linear controller at that peak and that gain, of any "
         "order, without margin for errors of the model; a design that is to work in practice stays below it.",
-        *(_of_band(limit) for limit in facts.bands),
+        *(_of_band(limit, unit) for limit in facts.bands),
         *_lower_end(facts.bands),
     ]
-    low, high = result.study.closed_loop.band_hz
+    low, high = result.plan.band_hz
     return Section("Limits", text, [Table(f"Each design beside its own limit over {low:g}-{high:g} Hz", COLUMNS, rows)])
+
+
+def _unit_of_control(result: StudyResult) -> str:
+    """Return the unit of |K S|; none where channels have different ones."""
+    plant = result.design_plant
+    over, under = ({c.unit for c in wires} for wires in (plant.actuators, plant.sensors))
+    if len(over) > 1 or len(under) > 1:
+        return ""
+    return f" {study.quotient(next(iter(over), ''), next(iter(under), ''))}"
 
 
 def _figures(limit: DesignLimit | NoDistance) -> list[str]:
@@ -43,12 +54,12 @@ def _figures(limit: DesignLimit | NoDistance) -> list[str]:
     return [_number(figure) for figure in figures]
 
 
-def _of_band(limit: BandLimit | RefusedBand) -> str:
+def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
     low, high = limit.band_hz
     if isinstance(limit, RefusedBand) or not np.isfinite(limit.bound_db):
         return f"{low:g}-{high:g} Hz: {limit.status}"
     return (
-        f"{low:g}-{high:g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:g} V/V: "
+        f"{low:g}-{high:g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.3g}{unit}: "
         f"{limit.attenuation_db:.1f} dB can be reached, {limit.bound_db:.1f} dB cannot be exceeded."
     )
 

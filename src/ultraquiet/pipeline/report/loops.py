@@ -8,10 +8,9 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.plot import Figure, paper
+from ultraquiet.plot import Figure, study
 from ultraquiet.report import Section, Table
 
-PAPER_SAYS = "33 dB at 5 Hz, 12 dB (abstract) or 13 dB (text) at 25 Hz, nothing satisfactory at 100 Hz (section 4.2)"
 # A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
 IDLE = 1e-3
 # A response is drawn for each controller at the tone it attenuates most, if it attenuates at all.
@@ -102,24 +101,36 @@ def _remarks(facts: DesignFacts) -> list[str]:
 
 def closed_loop(result: StudyResult) -> Section:
     """Each loop on the bench of every unit."""
-    settings = result.study.closed_loop
-    low, high = settings.band_hz
-    heads = [h for t in settings.tones_hz for h in (f"{t:g} Hz", f"{t:g} Hz paper_db")]
-    columns = ("controller", "unit", *heads, "5-100 Hz rms", f"worst direction {low:g}-{high:g} Hz", "peak")
+    plan, paper = result.plan, result.study.paper
+    low, high = plan.band_hz
+    heads = [h for t in plan.tones_hz for h in (f"{t:g} Hz", *([f"{t:g} Hz paper_db"] if paper else []))]
+    columns = ("controller", "unit", *heads, f"{low:g}-{high:g} Hz rms", f"worst direction {low:g}-{high:g} Hz", "peak")
     table = Table("On the bench, dB, positive is quieter; peak is amplification", columns, _loop_rows(result))
     text = [
-        "A column headed by a tone is reduction_db = -20 log10(|y closed| / |y open|) of the worst channel. paper_db = "
-        "-20 log10(|y closed| / |d|) counts the plant's own gain as well: the row 'no control' shows how much of it is "
-        "had for nothing.",
-        f"The paper's simulations: {PAPER_SAYS}.",
+        *_about_tones(result),
         "The worst direction is the largest singular value of the sensitivity matrix measured on the bench.",
         *_verdicts(result),
         *_noise_limits(result),
     ]
     curves = _curves(result)
-    figures = [paper.sensitivity(curves, settings.band_hz)] if curves else []
+    figures = [study.sensitivity(curves, plan.band_hz)] if curves else []
     tables = [table, *_requirements(result.requirements)]
     return Section("Closed loop", text, tables, [*figures, *_time_responses(result)])
+
+
+def _about_tones(result: StudyResult) -> list[str]:
+    """Say what the columns of tones mean, and what a paper reported of its own."""
+    if not result.plan.tones_hz:
+        return []
+    text = "A column headed by a tone is reduction_db = -20 log10(|y closed| / |y open|) of the worst channel."
+    paper = result.study.paper
+    if paper is None:
+        return [text]
+    counted = (
+        " paper_db = -20 log10(|y closed| / |d|) counts the plant's own gain as well: the row 'no control' shows how "
+        "much of it is had for nothing."
+    )
+    return [text + counted, *(f"The paper's simulations: {said}." for said in paper.says)]
 
 
 def _requirements(facts: RequirementsFacts | None) -> list[Table]:
@@ -163,14 +174,15 @@ def _loops(result: StudyResult) -> Iterator[tuple[str, str, StableLoop | Unstabl
 
 def _loop_rows(result: StudyResult) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
+    columns = 1 if result.study.paper is None else 2
     for name, unit, loop in _loops(result):
         if isinstance(loop, UnstableLoop):
-            rows.append((name, unit, loop.word, *[""] * (2 + 2 * len(result.study.closed_loop.tones_hz))))
+            rows.append((name, unit, loop.word, *[""] * (2 + columns * len(result.plan.tones_hz))))
             continue
-        tones = [_number(db, 1) for tone in loop.tones.values() for db in (tone.reduction_db, tone.paper_db)]
-        rest = (loop.broadband_5_100_db, loop.worst_direction_band_db, loop.peak_amplification_db)
-        rows.append((name, unit, *tones, *(_number(db, 1) for db in rest)))
-    return [*_idle_rows(result), *rows]
+        tones = [_number(db, 1) for tone in loop.tones.values() for db in (tone.reduction_db, tone.paper_db)[:columns]]
+        rest = (loop.broadband_db, loop.worst_direction_band_db, loop.peak_amplification_db)
+        rows.append((name, unit, *tones, *("-" if db is None else _number(db, 1) for db in rest)))
+    return [*(_idle_rows(result) if result.study.paper else []), *rows]
 
 
 def _idle_rows(result: StudyResult) -> list[tuple[object, ...]]:
@@ -178,7 +190,7 @@ def _idle_rows(result: StudyResult) -> list[tuple[object, ...]]:
     rows: dict[str, tuple[object, ...]] = {}
     for _, unit, loop in _loops(result):
         if isinstance(loop, StableLoop) and unit not in rows:
-            d = result.study.closed_loop.amplitude_v
+            d = result.plan.amplitude
             own = [20 * np.log10(d / tone.open_v.max()) for tone in loop.tones.values()]
             rows[unit] = ("no control", unit, *(c for v in own for c in ("0", _number(v, 1))), "0", "0", "0")
     return list(rows.values())
@@ -187,7 +199,7 @@ def _idle_rows(result: StudyResult) -> list[tuple[object, ...]]:
 def _noise_limits(result: StudyResult) -> list[str]:
     """Say at which tones noise hides more than a controller may have reached."""
     for _, _, loop in _loops(result):
-        if isinstance(loop, StableLoop):
+        if isinstance(loop, StableLoop) and loop.tones:
             limits = [
                 f"{20 * np.log10(tone.open_v.min() / tone.floor_v.max()):.0f} dB at {f} Hz"
                 for f, tone in loop.tones.items()
@@ -199,7 +211,7 @@ def _noise_limits(result: StudyResult) -> list[str]:
 def _curves(result: StudyResult) -> dict[str, tuple[FloatArray, FloatArray]]:
     curves: dict[str, tuple[FloatArray, FloatArray]] = {}
     for name in result.loops:
-        S = result.sensitivity(name, result.study.closed_loop.units[0])
+        S = result.sensitivity(name, result.plan.units[0])
         if S is not None:
             size = np.linalg.svd(np.moveaxis(S.values, 2, 0), compute_uv=False)[:, 0]
             curves[name] = (S.f_hz, -20 * np.log10(size))
@@ -208,14 +220,15 @@ def _curves(result: StudyResult) -> dict[str, tuple[FloatArray, FloatArray]]:
 
 def _time_responses(result: StudyResult) -> list[Figure]:
     figures: list[Figure] = []
-    first = result.study.closed_loop.units[0]
+    first = result.plan.units[0]
     for name, unit, loop in _loops(result):
-        if unit != first or isinstance(loop, UnstableLoop):
+        if unit != first or isinstance(loop, UnstableLoop) or not loop.tones:
             continue
         tone, best = max(loop.tones.items(), key=lambda item: item[1].reduction_db)
         records = result.under_tone(name, float(tone))
         if best.reduction_db > DRAWN_ABOVE_DB and records is not None:
-            figures.append(paper.closed_loop(name, float(tone), *records))
+            note = "" if result.study.paper is None else " (Paper: Figs. 14 and 15.)"
+            figures.append(study.closed_loop(name, float(tone), result.plan.amplitude, *records, note))
     return figures
 
 

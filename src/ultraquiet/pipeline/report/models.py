@@ -15,54 +15,88 @@ from ultraquiet.pipeline.facts.models import (
     Root,
 )
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.validation import SHOWN_HZ
-from ultraquiet.plot import Figure, paper
+from ultraquiet.plot import Figure, study
 from ultraquiet.report import Section, Table
-from ultraquiet.spectra import psd
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
-SHOWN_SIGNALS = ("chirp", "noise", "prbs")
-# Strut 2 is the one whose functions the paper prints, eqs. (11) and (12).
-PAPER_STRUT = 1
-# Zeros nearer to 0 Hz than this are those at z = 1, spread by rounding: a triple root is good to its cube root.
-AT_DC_HZ = 0.1
-# Below this the paper's fifth-order zeros are compared with physics, which has none.
-LOW_HZ = 50.0
+# Zeros nearer to 0 Hz than this share of the Nyquist frequency are those at z = 1, spread by rounding: a triple root is
+# good to its cube root.
+AT_DC = 1e-4
+# Below so many times the band's lower end the zeros of the paper's low order are compared with those of the plant.
+LOW = 5.0
+MOST_SIGNALS = 4  # of different test signals that are drawn
+WIDER = 5.0  # what is drawn of a response, beyond either end of the band
 
 
 def excitation(result: StudyResult) -> Section:
     """Test signals, and the responses to one of them."""
-    shown = {}
-    for name in SHOWN_SIGNALS:
-        if f"{name}-1" in result.records:
-            r = result.records[f"{name}-1"]
-            power = psd(r.inputs[0], r.rate_hz)
-            shown[name] = (r.time_s, r.inputs[0], power.f_hz, power.values.ravel())
-    figures: list[Figure] = [paper.test_signals(shown)] if shown else []
-    if "chirp-1" in result.records:
-        figures.append(paper.responses_to_one_strut(result.records["chirp-1"], 0))
+    shown = _signals(result)
+    note = _note(result, "Fig. 6")
+    figures: list[Figure] = [study.test_signals(shown, note)] if shown else []
+    for name, (record, actuator) in list(shown.items())[:1]:
+        figures.append(study.responses(name, record, actuator, _note(result, "Fig. 7")))
     clipped = {name: max(r.clipped()) for name, r in result.records.items() if max(r.clipped())}
     words = ", ".join(f"{name} ({count} samples)" for name, count in clipped.items()) or "none"
     return Section("Excitation", [f"Records in which a sensor stood at its limits: {words}."], figures=figures)
 
 
+def _signals(result: StudyResult) -> dict[str, tuple[Record, int]]:
+    """Return the test signals that are drawn, each with a record of it and the actuator that sent it."""
+    paper = result.study.paper
+    groups: dict[str, Record] = {}
+    for name, record in result.records.items():
+        stem, _, number = name.rpartition("-")
+        groups.setdefault(stem if number.isdigit() and stem else name, record)
+    asked = [name for name in paper.records if name in groups] if paper else list(groups)[:MOST_SIGNALS]
+    return {name: (groups[name], int(np.argmax(np.ptp(groups[name].inputs, axis=1)))) for name in asked}
+
+
+def _note(result: StudyResult, where: str) -> str:
+    """Return where the paper shows the same, if this is the study of a paper."""
+    return "" if result.study.paper is None else f" (Paper: {where}.)"
+
+
+def _wires(result: StudyResult) -> study.Wires:
+    return result.design_plant.actuators, result.design_plant.sensors
+
+
+def _span(result: StudyResult) -> tuple[float, float]:
+    """Return the frequencies over which responses are drawn."""
+    low, high = result.plan.band_hz
+    f = result.analysis.facts.f_hz
+    return max(low / WIDER, float(f[0])), min(high * WIDER, float(f[-1]))
+
+
 def identification(result: StudyResult) -> Section:
     """The ranking of structures and orders, the paper's structure, the plant for design."""
-    facts, settings = result.identification.facts, result.study.identify
-    best, plant = facts.preferred, result.plant.facts
-    sentences = [
-        f"For all channels alike held-out records prefer {best.structure} of order {best.order}. The preferred "
-        f"matrix takes what each channel's own record prefers: {_counted(best)}.",
+    facts, plant = result.identification.facts, result.plant.facts
+    best, paper = facts.preferred, result.study.paper
+    units = dict.fromkeys(study.squared(c.unit) for c in result.design_plant.sensors)
+    sentences, tables = [], []
+    if best is None:
+        sentences.append(
+            "No records drive one actuator after the other, so no structures were ranked channel by channel."
+        )
+    else:
+        sentences.append(
+            f"For all channels alike held-out records prefer {best.structure} of order {best.order}. The preferred "
+            f"matrix takes what each channel's own record prefers: {_counted(best)}."
+        )
+        loss = f"median loss {', '.join(filter(None, units))}".strip() if len(units) == 1 else "median loss"
+        columns = ("structure", "order", "median fit %", "worst fit %", loss, "ok", "CPU s")
+        title = "All channels, judged on records no model has seen; best first"
+        tables.append(Table(title, columns, _ranking(facts.table)))
+    sentences.append(
         f"The plant that designs use is the whole matrix at once ({result.study.plant.method}), {plant.states} states."
-        f" {plant.status}",
-    ]
-    columns = ("structure", "order", "median fit %", "worst fit %", "median loss V²", "ok", "CPU s")
-    ranking = Table("All channels, judged on records no model has seen; best first", columns, _ranking(facts.table))
-    title = f"The paper's structure ({settings.paper_structure}, order {settings.paper_order}) from each test signal"
-    heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
-    fifth = Table(title, heads, _by_signal(facts.paper))
-    responses = [(name, SHOWN_HZ, m.frequency_response(SHOWN_HZ)) for name, m in _shown_models(result).items()]
-    return Section("Identification", sentences, [ranking, fifth], [paper.bode_grid(responses, (2.0, 500.0))])
+        f" {plant.status}"
+    )
+    if paper is not None and facts.paper:
+        title = f"The paper's structure ({paper.structure}, order {paper.order}) from each test signal"
+        heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
+        tables.append(Table(title, heads, _by_signal(facts.paper)))
+    f = result.analysis.facts.f_hz
+    responses = [(name, f, m.frequency_response(f)) for name, m in _shown_models(result).items()]
+    return Section("Identification", sentences, tables, [study.bode_grid(responses, _wires(result), _span(result))])
 
 
 def _counted(best: PreferredModels) -> str:
@@ -103,30 +137,34 @@ def _by_signal(fits: Mapping[str, PaperFit]) -> list[tuple[object, ...]]:
 
 
 def _shown_models(result: StudyResult) -> dict[str, StateSpace | PolynomialMatrix]:
-    first = result.study.identify.paper_records[0]
-    return {
-        "design plant": result.design_plant,
-        "preferred": result.preferred_model,
-        f"order {result.study.identify.paper_order}, {first}": result.paper_model(first),
-    }
+    shown: dict[str, StateSpace | PolynomialMatrix] = {"design plant": result.design_plant}
+    if result.preferred_model is not None:
+        shown["preferred"] = result.preferred_model
+    paper = result.study.paper
+    if paper is not None and stored.paper(paper.records[0]) in result.identification.values:
+        shown[f"order {paper.order}, {paper.records[0]}"] = result.paper_model(paper.records[0])
+    return shown
 
 
 def validation(result: StudyResult) -> Section:
-    """The paper's step, sine and Bode comparisons, and the bench's own response where there is one."""
-    facts = result.validation.facts
-    names = result.study.identify.paper_records
-    figures = _time_figures(result, (stored.paper(names[0]), stored.PLANT))
-    responses = [(n, SHOWN_HZ, result.paper_model(n).frequency_response(SHOWN_HZ)) for n in names]
-    figures.append(paper.bode(responses, PAPER_STRUT, PAPER_STRUT, (5.0, 250.0)))
+    """Models beside records, beside each other, and beside the bench's own response where there is one."""
+    facts, paper = result.validation.facts, result.study.paper
+    first = stored.PREFERRED if paper is None else stored.paper(paper.records[0])
+    figures = _time_figures(result, (first, stored.PLANT))
+    if paper is not None and result.identification.facts.paper:
+        f, k = result.analysis.facts.f_hz, paper.channel - 1
+        responses = [(n, f, result.paper_model(n).frequency_response(f)) for n in paper.records]
+        figures.append(study.bode(responses, _wires(result), k, k, paper.band_hz, _note(result, "Fig. 11")))
     tables = [_fits(facts.records)] if facts.records else []
     if facts.against_bench:
         tables.append(_against_bench(facts.against_bench))
-    p = facts.residuals
-    sentence = (
-        f"Residuals of the preferred model on held-out records: median p-value {p.whiteness_p_median:.2g} that they "
-        f"are white, {p.correlation_p_median:.2g} that they are free of the input."
-    )
-    return Section("Validation", [sentence], tables, figures)
+    p, sentences = facts.residuals, list[str]()
+    if p is not None:
+        sentences.append(
+            f"Residuals of the preferred model on held-out records: median p-value {p.whiteness_p_median:.2g} that "
+            f"they are white, {p.correlation_p_median:.2g} that they are free of the input."
+        )
+    return Section("Validation", sentences, tables, figures)
 
 
 def _against_bench(agreements: Mapping[str, Agreement]) -> Table:
@@ -138,12 +176,13 @@ def _against_bench(agreements: Mapping[str, Agreement]) -> Table:
 
 def _time_figures(result: StudyResult, models: tuple[str, ...]) -> list[Figure]:
     figures: list[Figure] = []
-    for name, draw in (("step", paper.step_response), ("tone", paper.sine_response)):
+    for name, fit in result.validation.facts.records.items():
         simulated = result.simulated(name)
         if simulated is not None:
             rows = dict(zip((c.name for c in simulated.sensors), simulated.outputs, strict=True))
-            channel = result.validation.facts.records[name].channel
-            figures.append(draw(result.records[name], {key: rows[key] for key in models if key in rows}, channel))
+            shown = {key: rows[key] for key in models if key in rows}
+            note = _note(result, "Figs. 8 to 10")
+            figures.append(study.simulation(name, result.records[name], shown, fit.actuator, fit.channel, note))
     return figures
 
 
@@ -154,7 +193,7 @@ def _fits(records: Mapping[str, RecordFit]) -> Table:
         for name, fit in records.items()
     ]
     return Table(
-        "Simulated fit in % on the driven strut, clipped like its sensor", ("record", *models, "clipped"), rows
+        "Simulated fit in % of the sensor that moved most, clipped as it is", ("record", *models, "clipped"), rows
     )
 
 
@@ -165,45 +204,53 @@ def _fit(percent: float) -> str:
 def analysis(result: StudyResult) -> Section:
     """Singular values, poles, zeros, symmetry."""
     facts = result.analysis.facts
-    bands = {"design plant": facts.singular_values.plant, "the paper's structure": facts.singular_values.paper}
-    low = [(k + 1, _frequencies(zeros, 0.0, LOW_HZ)) for k, zeros in enumerate(facts.paper_zeros)]
+    bands = {"design plant": facts.singular_values.plant}
+    if facts.singular_values.paper is not None:
+        bands["the paper's structure"] = facts.singular_values.paper
+    nyquist = next(iter(result.records.values())).rate_hz / 2
     poles = [(f"{p.frequency_hz:.2f}", f"{p.zeta:.4f}", "unstable" if p.outside else "") for p in facts.poles]
-    tables = [
-        Table(f"Zeros outside the unit circle below {LOW_HZ:g} Hz, paper's structure", ("strut", "Hz"), low),
-        Table("Poles of the design plant", ("Hz", "damping", ""), _merged(poles)),
-    ]
-    sentences = [_about_zeros(facts.transmission_zeros, result.records), _about_symmetry(facts)]
-    sentences.append(_about_low_zeros(facts))
-    return Section("Analysis", sentences, tables, [paper.singular_values(facts.f_hz, bands)])
+    tables = [Table("Poles of the design plant", ("Hz", "damping", ""), _merged(poles))]
+    sentences = [_about_zeros(facts.transmission_zeros, nyquist), *_about_symmetry(facts)]
+    if facts.paper_zeros:
+        low_hz = LOW * result.plan.band_hz[0]
+        low = [(k + 1, _frequencies(zeros, 0.0, low_hz)) for k, zeros in enumerate(facts.paper_zeros)]
+        caption = f"Zeros outside the unit circle below {low_hz:g} Hz, paper's structure"
+        tables.insert(0, Table(caption, ("channel", "Hz"), low))
+        sentences.append(_about_low_zeros(facts, low_hz, AT_DC * nyquist))
+    figure = study.singular_values(facts.f_hz, bands, _wires(result), _note(result, "Fig. 12"))
+    return Section("Analysis", sentences, tables, [figure])
 
 
-def _about_zeros(zeros: Sequence[Root], records: Mapping[str, Record]) -> str:
-    nyquist = next(iter(records.values())).rate_hz / 2
-    at_dc = sum(z.frequency_hz < AT_DC_HZ for z in zeros)
+def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
+    dc_hz = AT_DC * nyquist
+    at_dc = sum(z.frequency_hz < dc_hz for z in zeros)
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)
     return (
         f"The design plant has {len(zeros)} transmission zeros (conjugates counted once): {at_dc} at 0 Hz, outside the "
-        f"unit circle between {AT_DC_HZ:g} Hz and Nyquist {_frequencies(zeros, AT_DC_HZ, nyquist)}, and {beyond} real "
+        f"unit circle between {dc_hz:.2g} Hz and Nyquist {_frequencies(zeros, dc_hz, nyquist)}, and {beyond} real "
         f"ones beyond Nyquist, as sampling makes them."
     )
 
 
-def _about_low_zeros(facts: AnalysisFacts) -> str:
-    own = _frequencies(facts.transmission_zeros, AT_DC_HZ, LOW_HZ)
+def _about_low_zeros(facts: AnalysisFacts, low_hz: float, dc_hz: float) -> str:
+    own = _frequencies(facts.transmission_zeros, dc_hz, low_hz)
     return (
-        f"Outside the unit circle below {LOW_HZ:g} Hz the paper's fifth-order structure has the zeros of the table, "
-        f"the design plant has: {own}. The physics, eq. (10), has its zeros at 0 Hz: what a model of order five adds "
-        f"there comes from its order."
+        f"Outside the unit circle below {low_hz:g} Hz the paper's structure has the zeros of the table, the design "
+        f"plant has: {own}. The physics, eq. (10), has its zeros at 0 Hz: what a model of low order adds there comes "
+        f"from its order."
     )
 
 
-def _about_symmetry(facts: AnalysisFacts) -> str:
+def _about_symmetry(facts: AnalysisFacts) -> list[str]:
+    """Say what a square plant's symmetries and diagonal are worth."""
+    if facts.reciprocity_error is None or facts.dominance_db is None:
+        return []
     threefold = facts.threefold_error
     turned = "" if threefold is None else f", from itself turned by 120 degrees by {np.median(threefold):.1%}"
-    return (
+    return [
         f"G differs from its transpose by {np.median(facts.reciprocity_error):.1%} (median over frequency){turned}; "
         f"the weakest diagonal gain stands {np.median(facts.dominance_db):.0f} dB above the rest of its column."
-    )
+    ]
 
 
 def _frequencies(roots: Sequence[Root], low_hz: float, high_hz: float) -> str:

@@ -1,0 +1,193 @@
+"""The figures of a study, drawn from its own records and models: names, units and levels are those of its bench.
+
+`note` closes a caption: where a publication shows the same, it says where.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.plot.figure import Figure, Line, Panel
+from ultraquiet.spectra import psd
+from ultraquiet.values import Channel, Record
+
+HZ, SECONDS = "frequency (Hz)", "time (s)"
+Response = tuple[str, FloatArray, ComplexArray]
+Wires = tuple[Sequence[Channel], Sequence[Channel]]  # actuators, sensors
+# A command with this share of its power at one frequency is a tone, of which so many periods are shown.
+ONE_TONE, SHOWN_PERIODS = 0.9, 12.0
+FAINTEST_DB = 120.0  # below the largest gain of a matrix: what is fainter is not drawn
+
+
+def test_signals(signals: Mapping[str, tuple[Record, int]], note: str = "") -> Figure:
+    """Each test signal, the record that sent it and by which actuator, beside its power spectral density."""
+    panels: list[Panel] = []
+    for k, (name, (record, actuator)) in enumerate(signals.items()):
+        unit = record.actuators[actuator].unit
+        power = psd(record.inputs[actuator], record.rate_hz)
+        f, values = power.f_hz[1:], power.values.ravel()[1:]
+        panels.append(Panel([Line.of(record.time_s, record.inputs[actuator], shade=k)], name, SECONDS, unit))
+        db = 10 * np.log10(np.maximum(values, values.max(initial=0.0) * 1e-12 + np.finfo(float).tiny))
+        panels.append(
+            Panel([Line.of(f, db, shade=k)], f"{name}: spectrum", HZ, f"dB re {squared(unit)}/Hz", x_log=True)
+        )
+    caption = f"Test signals as they were sent, and their one-sided power spectral densities.{note}"
+    return Figure("test_signals", "Test signals", caption, panels, 2, (8.0, 1.9 * len(signals)))
+
+
+def responses(name: str, record: Record, actuator: int, note: str = "") -> Figure:
+    """All sensors while one actuator is driven."""
+    panels = [
+        Panel([Line.of(record.time_s, y, shade=0 if i == actuator else 7)], c.name, SECONDS, c.unit)
+        for i, (y, c) in enumerate(zip(record.outputs, record.sensors, strict=True))
+    ]
+    caption = f"Readings of all sensors while {record.actuators[actuator].name} sends '{name}'.{note}"
+    rows = -(-len(panels) // 3)
+    return Figure("responses", f"Responses to {record.actuators[actuator].name}", caption, panels, 3, (8.0, 1.9 * rows))
+
+
+def simulation(
+    name: str, record: Record, simulated: Mapping[str, FloatArray], actuator: int, sensor: int, note: str = ""
+) -> Figure:
+    """A record, and what models `(n,)` say to its command, at one sensor; a strong tone in its last periods alone."""
+    n = _shown(record.inputs[actuator])
+    t, y = record.time_s[-n:], record.outputs[sensor, -n:]
+    command, reading = record.actuators[actuator], record.sensors[sensor]
+    models = [Line.of(t, values[-n:], model, "--", k + 1) for k, (model, values) in enumerate(simulated.items())]
+    panels = [
+        Panel([Line.of(t, record.inputs[actuator, -n:])], f"command, {command.name}", SECONDS, command.unit),
+        Panel([Line.of(t, y, "bench"), *models], f"reading and simulations, {reading.name}", SECONDS, reading.unit),
+    ]
+    clipped = record.clipped()[sensor]
+    limits = (
+        f" The bench clips at {reading.low:g} and {reading.high:g} {reading.unit}, models do not." if clipped else ""
+    )
+    caption = f"'{name}' on {command.name}, and what models say of it.{limits}{note}"
+    return Figure(f"simulated_{name}", f"Response to '{name}'", caption, panels, 1, (8.0, 4.2))
+
+
+def _shown(command: FloatArray) -> int:
+    """Return how many samples are shown, from the end: all, or the last periods of what is one tone."""
+    power = np.abs(np.fft.rfft((command - command.mean()) * np.hanning(command.size))) ** 2
+    peak = int(np.argmax(power))
+    around = power[max(peak - 2, 0) : peak + 3].sum()
+    if peak < 2 * SHOWN_PERIODS or around < ONE_TONE * power.sum():
+        return command.size
+    return int(SHOWN_PERIODS * command.size / peak)
+
+
+def bode(
+    models: Sequence[Response], wires: Wires, output: int, input_: int, span_hz: tuple[float, float], note: str = ""
+) -> Figure:
+    """One channel as several models have it."""
+    styles = ("-", "--", "-.", ":", "-")
+    magnitude = [
+        Line.of(f, decibels(g[output, input_]), name, styles[k % 5], k) for k, (name, f, g) in enumerate(models)
+    ]
+    middle = float(np.sqrt(span_hz[0] * span_hz[1]))
+    phase = [
+        Line.of(f, _phase_deg(f, g[output, input_], middle), "", styles[k % 5], k) for k, (_, f, g) in enumerate(models)
+    ]
+    panels = [
+        Panel(magnitude, "magnitude", "", gain_unit(wires), True, span_hz),
+        Panel(phase, "phase", HZ, "degrees", True, span_hz),
+    ]
+    actuator, sensor = wires[0][input_].name, wires[1][output].name
+    caption = f"From {actuator} to {sensor}: models from different test signals.{note}"
+    return Figure("bode", "Frequency-domain validation", caption, panels, 1, (8.0, 4.8))
+
+
+def _phase_deg(f_hz: FloatArray, gain: ComplexArray, at_hz: float) -> FloatArray:
+    """Return the phase unwrapped from the middle of the span both ways, so that curves can meet."""
+    phase = np.degrees(np.unwrap(np.angle(gain)))
+    k = int(np.argmin(np.abs(f_hz - at_hz)))
+    return phase - 360.0 * np.round(phase[k] / 360.0)
+
+
+def bode_grid(models: Sequence[Response], wires: Wires, span_hz: tuple[float, float]) -> Figure:
+    """All channels of the transfer matrix, magnitude."""
+    actuators, sensors = wires
+    within = [decibels(g[:, :, (f >= span_hz[0]) & (f <= span_hz[1])]) for _, f, g in models]
+    low, top = (float(end([end(g) for g in within])) for end in (np.min, np.max))
+    panels = [
+        Panel(
+            [Line.of(f, decibels(g[i, j]), shade=k) for k, (_, f, g) in enumerate(models)],
+            f"{actuator.name} → {sensor.name}",
+            x_log=True,
+            x_range=span_hz,
+            y_range=(max(low, top - FAINTEST_DB) - 5.0, top + 5.0),
+        )
+        for i, sensor in enumerate(sensors)
+        for j, actuator in enumerate(actuators)
+    ]
+    colours = ("blue", "orange", "green")
+    names = ", ".join(f"{name} ({colour})" for (name, _, _), colour in zip(models, colours, strict=False))
+    caption = f"Magnitude of every channel, actuator → sensor, {gain_unit(wires)}, over Hz: {names}."
+    size = (max(4.0, 1.85 * len(actuators)), max(2.5, 1.6 * len(sensors)))
+    return Figure("bode_grid", "The transfer matrix", caption, panels, len(actuators), size)
+
+
+def singular_values(f_hz: FloatArray, bands: Mapping[str, FloatArray], wires: Wires, note: str = "") -> Figure:
+    """Singular values `(k, nf)` of each named model."""
+    panels = [
+        Panel([Line.of(f_hz, decibels(s), shade=0) for s in values], name, HZ, gain_unit(wires), x_log=True)
+        for name, values in bands.items()
+    ]
+    caption = f"Singular values of the transfer matrix; where they lie close together direction matters little.{note}"
+    return Figure("singular_values", "Singular values", caption, panels, len(panels), (8.0, 3.0))
+
+
+def closed_loop(name: str, tone_hz: float, amplitude: float, record: Record, opened: Record, note: str = "") -> Figure:
+    """Every sensor under a tone at the plant's input, loop open and closed."""
+    panels = [
+        Panel(
+            [Line.of(opened.time_s, o, shade=7), Line.of(record.time_s, c, shade=0)],
+            channel.name,
+            SECONDS,
+            channel.unit,
+        )
+        for channel, o, c in zip(record.sensors, opened.outputs, record.outputs, strict=True)
+    ]
+    units = " ".join(dict.fromkeys(c.unit for c in record.actuators if c.unit))
+    sent = f"{amplitude:g} {units}".strip()
+    caption = f"{name}, {tone_hz:g} Hz, {sent} on all actuators: open (grey) and closed loop (blue).{note}"
+    stem = f"closed_loop_{name}_{tone_hz:g}hz".replace(" ", "_").replace("/", "-")
+    rows = -(-len(panels) // 3)
+    return Figure(stem, f"Closed loop: {name} at {tone_hz:g} Hz", caption, panels, 3, (8.0, 1.9 * rows))
+
+
+def sensitivity(curves: Mapping[str, tuple[FloatArray, FloatArray]], band_hz: tuple[float, float]) -> Figure:
+    """Worst-direction reduction `(f_hz, reduction_db)` of each controller, measured on the bench."""
+    lines = [Line.of(f, -r, name, shade=k) for k, (name, (f, r)) in enumerate(curves.items())]
+    panel = Panel(lines, "", HZ, "amplification (dB)", True, spans=[band_hz])
+    caption = "Largest singular value of the sensitivity measured on the bench: below zero, every direction is quieter."
+    return Figure("sensitivity", "Every direction, every frequency", caption, [panel], 1, (8.0, 3.8))
+
+
+def squared(unit: str) -> str:
+    """Return the unit of a square: V², (m/s)²."""
+    if not unit:
+        return ""
+    return f"({unit})²" if any(sign in unit for sign in " */^²") else f"{unit}²"
+
+
+def gain_unit(wires: Wires) -> str:
+    """Return the reference of a gain in decibels; without one where channels have different units."""
+    actuators, sensors = ({c.unit for c in channels} for channels in wires)
+    if len(actuators) > 1 or len(sensors) > 1:
+        return "dB"
+    return f"dB re {quotient(next(iter(sensors), ''), next(iter(actuators), ''))}".removesuffix(" re 1")
+
+
+def quotient(over: str, under: str) -> str:
+    """Return the unit of a quotient: V/V, (m/s)/N."""
+    if not over and not under:
+        return "1"
+    parts = [f"({unit})" if "/" in unit else unit or "1" for unit in (over, under)]
+    return "/".join(parts)
+
+
+def decibels(gain: ComplexArray | FloatArray) -> FloatArray:
+    """Return 20 log10 |gain|, of zero a very low number."""
+    return 20 * np.log10(np.maximum(np.abs(gain), 1e-300))
