@@ -73,7 +73,8 @@ def test_on_bench_measures_what_simulate_measures(loop, seed, tmp_path):
     _, law = loop
     bench = uq.bench.Hexapod(unit="ground", seed=seed)
     found = on_bench(bench, law, generate(law, tmp_path / "code").controller, tones_hz=(25.0,))
-    fresh = on_bench(lambda: uq.bench.Hexapod(unit="ground", seed=seed), law, generate(law, tmp_path / "b").controller)
+    code = generate(law, tmp_path / "b").controller
+    fresh = on_bench(lambda: uq.bench.Hexapod(unit="ground", seed=seed), law, code, tones_hz=(5.0, 25.0, 100.0))
     assert found.same_noise
     assert np.array_equal(found.code_db[0], fresh.code_db[1])
     other = attenuation(uq.bench.Hexapod(unit="ground", seed=seed), law, tones_hz=(25.0,))
@@ -264,7 +265,7 @@ def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
         "delta",
         "compared here",
         "loop: phase margin",
-        "worst direction at 25 Hz",
+        "worst direction at ",
         "ok: All bits of 2000 steps",
     ):
         assert line in said

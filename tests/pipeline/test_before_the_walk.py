@@ -25,13 +25,13 @@ actuator = 1
 WRONG = {
     "unit": ('units = ["ground", "flight"]', 'units = ["moon"]', "'moon'"),
     "falling band": ("band_hz = [10.0, 100.0]", "band_hz = [100.0, 10.0]", "band_hz"),
-    "tone": ("tones_hz = [5.0, 25.0, 100.0]\nband", "tones_hz = [5000.0]\nband", "5000 Hz"),
+    "tone": ("tones_hz = [5.0, 25.0, 100.0]\namplitude", "tones_hz = [5000.0]\namplitude", "5000 Hz"),
     "records": ('records = "noise"', 'records = "nosie"', "'nosie'"),
     "held out": ('held_out = "judge"', 'held_out = "jugde"', "'jugde'"),
     "paper's records": ('["chirp", "noise", "prbs"]', '["chrip"]', "'chrip'"),
     "plant's records": ('["lowest", "low", "high"]', '["loewst"]', "'loewst'"),
     "structure": ('["arx", "armax", "output-error", "box-jenkins"]', '["rational"]', "'rational'"),
-    "paper's structure": ('paper_structure = "box-jenkins"', 'paper_structure = "box-jenkin"', "'box-jenkin'"),
+    "paper's structure": ('structure = "box-jenkins"', 'structure = "box-jenkin"', "'box-jenkin'"),
     "a path for a name": ("controllers.lqg-ltr", 'controllers."../../x"', "../../x"),
 }
 
@@ -96,7 +96,7 @@ def test_every_mistake_of_a_study_has_its_line():
         3: "no key 'sede' here; did you mean 'seed'? Known are title, seed",
         6: "no method 'hexapodd'; did you mean 'hexapod'?",
         9: "'rational' is no polynomial structure",
-        10: "'paper_structure' should be a valid string, got 5",
+        10: "'structure' should be a valid string, got 5",
         15: "identify 'rational' has no setting 'period'",
         19: "'form' must be one of",
         20: "design 'mixed-sensitivity' has no setting 'tilt'",

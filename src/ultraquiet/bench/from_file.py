@@ -37,6 +37,9 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
         signature = inspect.signature(make)
         if seed is not None and "seed" in signature.parameters and "seed" not in given:
             given["seed"] = seed
+        unknown = [key for key in given if key not in signature.parameters]
+        if unknown and not any(p.kind is p.VAR_KEYWORD for p in signature.parameters.values()):
+            raise TypeError(f"there is no argument '{unknown[0]}'")
         signature.bind(**given)
     except (TypeError, ValueError) as error:
         raise InputError(f"bench '{reference}': {error}; it takes {inspect.signature(make)}.") from error

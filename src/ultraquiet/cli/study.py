@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ultraquiet.pipeline import Study
     from ultraquiet.pipeline.summary import Summary
 
-TONES_HZ = ("5", "25", "100")  # of the paper
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
@@ -65,7 +64,8 @@ def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
     with bars() as console:
         summary = walk(study, folder, beside=beside, say=console.print)
     show = Console()
-    show.print(_table(summary))
+    if summary.closed_loop:
+        show.print(_table(summary))
     show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
     if summary.requirements is not None:
         show.print(f"requirements of {summary.requirements.law}:", highlight=False)
@@ -79,11 +79,13 @@ def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
 def _table(summary: "Summary") -> "Table":
     from rich.table import Table
 
-    from ultraquiet.pipeline.facts.loops import UnstableLoop
+    from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 
+    stable = [loop for units in summary.closed_loop.values() for loop in units.values() if loop.stable]
+    tones_hz = list(dict.fromkeys(f for loop in stable if isinstance(loop, StableLoop) for f in loop.tones))
     table = Table(title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
     table.add_column("controller", no_wrap=True)
-    for head in ("unit", "states", *(f"{f} Hz" for f in TONES_HZ), "band", "peak"):
+    for head in ("unit", "states", *(f"{f} Hz" for f in tones_hz), "band", "peak"):
         table.add_column(head, no_wrap=True, justify="left" if head == "unit" else "right")
     for name, units in summary.closed_loop.items():
         states = str(summary.design[name].states)
@@ -91,7 +93,7 @@ def _table(summary: "Summary") -> "Table":
             if isinstance(loop, UnstableLoop):
                 table.add_row(name, unit, states, f"[red]{loop.word}")
                 continue
-            tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in TONES_HZ]
+            tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in tones_hz]
             figures = [*tones, loop.worst_direction_band_db, loop.peak_amplification_db]
             table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
     return table

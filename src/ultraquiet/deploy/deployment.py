@@ -85,6 +85,7 @@ class Deployment(GeneratedCode):
         bench: Bench | Callable[[], Bench] | None = None,
         targets: Sequence[str] | None = None,
         fuzz_steps: int = FUZZ_STEPS,
+        tones_hz: Sequence[float] | None = None,
     ) -> Verification:
         """Compile the code, compare `steps` samples and the self-test bit by bit, and note the outcome.
 
@@ -99,6 +100,8 @@ class Deployment(GeneratedCode):
             bench: a bench, or a function that makes one, on which float64 law and compiled code reduce tones.
             targets: emulated processors; empty for none, all known ones when absent.
             fuzz_steps: random steps under the compiler's sanitizers; 0 for none.
+            tones_hz: where attenuation is compared, Hz; the ends and the middle of a band when absent, the plant's own
+                for the analysis and the law's own for the bench.
         """
         whole("Deployment.verify", "steps", steps, 1)
         whole("Deployment.verify", "seed", seed, 0)
@@ -108,9 +111,9 @@ class Deployment(GeneratedCode):
         names = tuple(TARGETS) if targets is None else tuple(targets)
         proof = verify_code(self, compiler.compiler(), steps, seed, names, fuzz_steps)
         law = self.quantised if self.designed is None else self.designed
-        loop = None if plant is None else reanalysis(law, self.quantised, plant)
+        loop = None if plant is None else reanalysis(law, self.quantised, plant, tones_hz)
         runs = proof.status.word != StatusWord.NOT_COMPILED
-        measured = on_bench(bench, law, self.instance()) if bench is not None and runs else None
+        measured = on_bench(bench, law, self.instance(), tones_hz) if bench is not None and runs else None
         proof = proof.with_loop(loop, measured)
         self.tables |= proof.figures()
         rewrite(self.folder, self.documents(proof.status))

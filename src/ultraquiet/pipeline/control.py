@@ -1,6 +1,6 @@
 """The stages that make controllers, put them on the bench and turn them into code."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
 from pathlib import Path
 from threading import Lock
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet import analyse, reduce, simulate
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
@@ -35,7 +36,7 @@ from ultraquiet.pipeline.facts.loops import (
 )
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Band, Deploy, Design
-from ultraquiet.values import Channel, StateSpace, StatusWord
+from ultraquiet.values import Channel, Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
 # What a study compares of every controller's code, here and on an emulated Cortex-M7; `ultraquiet deploy` takes more
@@ -286,8 +287,26 @@ def _at(matrix: simulate.MeasuredSensitivity, tone_hz: float) -> float | None:
     return float(matrix.counted_db()[nearest]) if abs(matrix.f_hz[nearest] - tone_hz) < 0.01 * tone_hz else None
 
 
+def command_limits(actuators: Sequence[Channel], records: Iterable[Record], settings: Deploy) -> FloatArray:
+    """Return the limits of commands in code, `(nu, 2)`: the actuators' own, else the study's, else those of records."""
+    own = np.array([[c.low, c.high] for c in actuators])
+    if np.isfinite(own).all():
+        return own
+    if settings.limits is None:
+        largest = np.max([np.abs(record.inputs).max(axis=1) for record in records], axis=0)
+    else:
+        largest = np.broadcast_to(np.asarray(settings.limits, dtype=float), len(own))
+    return np.where(np.isfinite(own), own, np.column_stack([-largest, largest]))
+
+
 def deployed(
-    name: str, law: StateSpace, plant: StateSpace, actuators: Sequence[Channel], folder: Path, settings: Deploy
+    name: str,
+    law: StateSpace,
+    plant: StateSpace,
+    limits: FloatArray,
+    folder: Path,
+    settings: Deploy,
+    tones_hz: Sequence[float],
 ) -> Outcome[DeploymentFacts]:
     """Generate, compile and compare the controller's code; what cannot be done is said, not raised.
 
@@ -295,10 +314,9 @@ def deployed(
     """
     from ultraquiet import deploy
 
-    limits = np.array([[c.low, c.high] for c in actuators])
     try:
         code = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
-        verified = code.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0)
+        verified = code.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0, tones_hz=tones_hz or None)
     except UltraquietError as error:
         return Outcome(NoCode(status=f"refused: {error}"))
     return Outcome(generated(code.tables, str(code.status), str(verified.status)))

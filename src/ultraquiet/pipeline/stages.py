@@ -9,7 +9,8 @@ from ultraquiet._base.beside import beside
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
-from ultraquiet.pipeline import control, identification, limits, requirements, validation
+from ultraquiet.pipeline import control, identification, requirements, validation
+from ultraquiet.pipeline import limits as attainable
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
@@ -95,7 +96,7 @@ class Stages:
             return _Controller(design)
         law: StateSpace = design.values[name]
         loop = None if self.bench is None else self._close(name, law, plant, plan, design.facts.adaptive)
-        return _Controller(design, law, loop, self._deploy(name, law, plant, design.facts.adaptive))
+        return _Controller(design, law, loop, self._deploy(name, law, plant, plan, design.facts.adaptive))
 
     def _required_hz(self, name: str, plan: LoopPlan) -> Band | None:
         """Return the band of the requirements of a law where it is not the one that is measured anyway."""
@@ -162,7 +163,8 @@ class Stages:
         models = {k: v for k, v in identified.values.items() if isinstance(v, PolynomialMatrix)}
         paper, held_out = self.study.paper, identification.sweep_groups(self.records, self.study.identify)[1]
         shown = tuple(paper.simulated) if paper else validation.worth_showing(self.records, held_out)
-        judge = validation.Judge(held_out, shown, paper.band_hz if paper else plan.band_hz, plan.band_hz)
+        beside_hz = self.study.validate_models.band_hz or plan.band_hz
+        judge = validation.JudgedBy(held_out, shown, paper.band_hz if paper else plan.band_hz, beside_hz)
         compute = partial(validation.validated, self.records, models, plant, self.bench, judge)
         key = [*self._models_key(plant), judge]
         return self.cache.stage("validate", "models", key, ValidationFacts, compute)
@@ -200,7 +202,7 @@ class Stages:
 
         return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
 
-    def _deploy(self, name: str, law: StateSpace, plant: StateSpace, adaptive: bool) -> DeploymentFacts:
+    def _deploy(self, name: str, law: StateSpace, plant: StateSpace, plan: LoopPlan, adaptive: bool) -> DeploymentFacts:
         """Turn it into code, unless it adapts."""
         if adaptive:
             self.say(f"closed {name}, which adapts and is not deployed")
@@ -208,8 +210,9 @@ class Stages:
             return NoCode(status=sentence, failed=False)
         settings, folder = self.study.deploy, self.cache.folder / "code"
         actuators = plant.actuators if self.bench is None else self.bench.actuators
-        key = [law.hash, plant.hash, actuators, settings, compiler()]
-        compute = partial(control.deployed, name, law, plant, actuators, folder, settings)
+        limits = control.command_limits(actuators, self.records.values(), settings)
+        key = [law.hash, plant.hash, limits, settings, plan.tones_hz, compiler()]
+        compute = partial(control.deployed, name, law, plant, limits, folder, settings, plan.tones_hz)
         facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, folder / name).facts
         self.say(f"closed and deployed {name}: {facts.verdict}")
         return facts
@@ -217,7 +220,7 @@ class Stages:
     def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[LimitFacts]:
         settings = self.study.limits
         key = [plant.hash, plan.band_hz, settings, {name: law.hash for name, law in laws.items()}]
-        compute = partial(limits.bounded, plant, laws, plan.band_hz, settings)
+        compute = partial(attainable.bounded, plant, laws, plan.band_hz, settings)
         outcome = self.cache.stage("limits", "models", key, LimitFacts, compute)
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome

@@ -144,6 +144,12 @@ class ClosedLoop(Strict):
     band_hz: Band | None = None
 
 
+class ValidateTable(Strict):
+    """`[validate]`: over which band models are held against the bench's own response; that of the loop when absent."""
+
+    band_hz: Band | None = None
+
+
 class LimitsTable(Strict):
     """`[limits]`: the price at which bands are compared, and the bands; that of the loop when absent.
 
@@ -156,9 +162,14 @@ class LimitsTable(Strict):
 
 
 class Deploy(Strict):
-    """`[deploy]`."""
+    """`[deploy]`: how laws become code.
+
+    `limits`: the largest command, one number or one an actuator, in their unit, where actuators have no limits of their
+    own; when absent there, the largest that the records hold: nothing louder was ever tried.
+    """
 
     precision: Literal["float32", "float64"] = "float32"
+    limits: Positive | list[Positive] | None = None
 
 
 class Requirements(Strict):
@@ -181,6 +192,8 @@ class Study(Strict):
     """A whole study file."""
 
     study: Head
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, serialize_by_alias=True)
+
     bench: BenchTable | None = None
     records: RecordsTable | None = None
     experiment: Experiment = Experiment()
@@ -191,6 +204,7 @@ class Study(Strict):
     closed_loop: ClosedLoop = ClosedLoop()
     deploy: Deploy = Deploy()
     requirements: Requirements | None = None
+    validate_models: ValidateTable = Field(default=ValidateTable(), alias="validate")
     limits: LimitsTable = LimitsTable()
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
 

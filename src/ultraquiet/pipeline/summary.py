@@ -71,7 +71,9 @@ class Summary:
     def failures(self) -> tuple[str, ...]:
         """One sentence for each stage that did not come to what comes after it."""
         lawless = [
-            f"design {name}: {each.status}" for name, each in self.design.items() if name not in self.closed_loop
+            f"design {name}: {each.status}"
+            for name, each in self.design.items()
+            if name not in self.closed_loop and name not in self.deployment
         ]
         return (*lawless, *(f"code {name}: {each.verdict}" for name, each in self.deployment.items() if each.failed))
 

@@ -30,7 +30,7 @@ Model = PolynomialMatrix | StateSpace
 
 
 @dataclass(frozen=True)
-class Judge:
+class JudgedBy:
     """By what models are judged: held-out records, records to be simulated, and bands of two comparisons."""
 
     held_out: str | None
@@ -44,7 +44,7 @@ def validated(
     models: Mapping[str, PolynomialMatrix],
     plant: StateSpace,
     bench: Any,
-    judge: Judge,
+    judge: JudgedBy,
 ) -> Outcome[ValidationFacts]:
     """Compare models with records, with each other and, on a simulated bench, with its own response."""
     candidates: dict[str, Model] = {**models, stored.PLANT: plant}
@@ -71,7 +71,7 @@ def worth_showing(records: Mapping[str, Record], held_out: str | None) -> tuple[
     return tuple(names[:1] or list(records)[:1])
 
 
-def _residuals(reference: PolynomialMatrix, records: Mapping[str, Record], judge: Judge) -> ResidualFacts | None:
+def _residuals(reference: PolynomialMatrix, records: Mapping[str, Record], judge: JudgedBy) -> ResidualFacts | None:
     """Return what is left of held-out records; None where none are held out."""
     if judge.held_out is None:
         return None

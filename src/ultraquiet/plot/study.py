@@ -64,7 +64,7 @@ def simulation(
         f" The bench clips at {reading.low:g} and {reading.high:g} {reading.unit}, models do not." if clipped else ""
     )
     caption = f"'{name}' on {command.name}, and what models say of it.{limits}{note}"
-    return Figure(f"simulated_{name}", f"Response to '{name}'", caption, panels, 1, (8.0, 4.2))
+    return Figure(file_stem(name), f"Response to '{name}'", caption, panels, 1, (8.0, 4.2))
 
 
 def _shown(command: FloatArray) -> int:
@@ -152,7 +152,7 @@ def closed_loop(name: str, tone_hz: float, amplitude: float, record: Record, ope
     units = " ".join(dict.fromkeys(c.unit for c in record.actuators if c.unit))
     sent = f"{amplitude:g} {units}".strip()
     caption = f"{name}, {tone_hz:g} Hz, {sent} on all actuators: open (grey) and closed loop (blue).{note}"
-    stem = f"closed_loop_{name}_{tone_hz:g}hz".replace(" ", "_").replace("/", "-")
+    stem = file_stem(f"closed_loop_{name}_{tone_hz:g}hz")
     rows = -(-len(panels) // 3)
     return Figure(stem, f"Closed loop: {name} at {tone_hz:g} Hz", caption, panels, 3, (8.0, 1.9 * rows))
 
@@ -163,6 +163,11 @@ def sensitivity(curves: Mapping[str, tuple[FloatArray, FloatArray]], band_hz: tu
     panel = Panel(lines, "", HZ, "amplification (dB)", True, spans=[band_hz])
     caption = "Largest singular value of the sensitivity measured on the bench: below zero, every direction is quieter."
     return Figure("sensitivity", "Every direction, every frequency", caption, [panel], 1, (8.0, 3.8))
+
+
+def file_stem(name: str) -> str:
+    """Return a name as that of a file."""
+    return name.replace(" ", "_").replace("/", "-")
 
 
 def squared(unit: str) -> str:

@@ -9,13 +9,14 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, between, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench
-from ultraquiet.deploy.verification.rounded_loop import LOSS_DB, TONES_HZ
+from ultraquiet.deploy.verification.rounded_loop import LOSS_DB, own_frequencies
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.record import Record
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 MEASURED_SHARE = 0.5  # of a run; before it the loop settles
+SLOWEST = 2.0  # periods that are measured of the slowest tone nobody asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ def on_bench(
     bench: Bench | Callable[[], Bench],
     law: StateSpace,
     code: Controller,
-    tones_hz: Sequence[float] = TONES_HZ,
+    tones_hz: Sequence[float] | None = None,
     amplitude_v: float = 1.0,
     duration_s: float = 2.0,
 ) -> OnBench:
@@ -71,7 +72,7 @@ def on_bench(
             run, so law and code meet the same noise.
         law: the law as designed; the bench runs it in float64.
         code: what shall be deployed: the compiled code, or a `Processor`.
-        tones_hz: tones in Hz.
+        tones_hz: tones in Hz; ends and middle of the law's own band when absent, as far as runs are long enough.
         amplitude_v: amplitude of each tone in volts at the plant's input.
         duration_s: length of each run; its second half is measured.
 
@@ -83,7 +84,10 @@ def on_bench(
     """
     positive("on_bench", "amplitude_v", amplitude_v, "V")
     positive("on_bench", "duration_s", duration_s, "s")
-    if np.ndim(tones_hz) != 1 or not len(tones_hz):
+    if tones_hz is None:
+        slowest_hz = SLOWEST / (MEASURED_SHARE * duration_s)
+        tones_hz = [max(float(f), slowest_hz) for f in own_frequencies(law)]
+    if np.ndim(tones_hz) != 1 or not tones_hz:
         raise InputError(f"on_bench: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
     fresh, same = _maker(bench)
     rows: list[list[FloatArray]] = []

@@ -7,11 +7,12 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
 from ultraquiet.deploy.law.form_choice import loop_radius
+from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-TONES_HZ = (5.0, 25.0, 100.0)  # the paper's section 4.2
+FREQUENCIES = 3  # of the plant's own band, where none are named: its ends and its middle
 LOSS_DB = 0.5  # attenuation that a law may lose through its code
 
 
@@ -73,7 +74,7 @@ class Reanalysis:
 
 
 def reanalysis(
-    controller: StateSpace, rounded: StateSpace, plant: StateSpace, tones_hz: ArrayLike = TONES_HZ
+    controller: StateSpace, rounded: StateSpace, plant: StateSpace, tones_hz: ArrayLike | None = None
 ) -> Reanalysis:
     """Return stability, margins and worst-direction attenuation of a loop before and after rounding.
 
@@ -81,7 +82,7 @@ def reanalysis(
         controller: the law as designed, u = K y.
         rounded: the law with the code's coefficients, `Deployment.quantised`.
         plant: G of y = G u.
-        tones_hz: where attenuation is stated, Hz.
+        tones_hz: where attenuation is stated, Hz; the ends and the middle of the plant's own band when absent.
 
     Returns:
         `Reanalysis`; its status is `unstable` when rounding upsets the loop, `degraded` when a tone loses half a
@@ -92,14 +93,19 @@ def reanalysis(
 
     >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=1000.0)
     >>> K = StateSpace([[0.9]], [[0.1]], [[-0.5]], [[-0.3]], rate_hz=1000.0)
-    >>> print(reanalysis(K, K, G).status)
-    ok: The loop with the rounded law is stable and loses at most 0.00 dB of attenuation at 5, 25, 100 Hz.
+    >>> print(reanalysis(K, K, G, [5.0, 25.0]).status)
+    ok: The loop with the rounded law is stable and loses at most 0.00 dB of attenuation at 5, 25 Hz.
     """
     same_rate("reanalysis", "the controller", controller.rate_hz, "the plant", plant.rate_hz)
-    f = frequency_array("reanalysis", tones_hz)
+    f = frequency_array("reanalysis", own_frequencies(plant) if tones_hz is None else tones_hz)
     figures = [_figures(law, plant, f) for law in (controller, rounded)]
     comparison = Reanalysis(Status(StatusWord.OK, ""), f, *figures)
     return Reanalysis(_status(comparison), f, *figures)
+
+
+def own_frequencies(plant: StateSpace) -> FloatArray:
+    """Return a few frequencies of the plant's own band in Hz, in three digits."""
+    return np.array([float(f"{f:.3g}") for f in np.geomspace(*even_plant(plant).band_hz, FREQUENCIES)])
 
 
 def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
@@ -128,7 +134,7 @@ def _status(comparison: Reanalysis) -> Status:
             StatusWord.UNSTABLE, "The loop is stable as designed, not with the rounded law; take another form."
         )
     worst = float(comparison.loss_db.max(initial=0.0))
-    tones = ", ".join(f"{f:g}" for f in comparison.tones_hz)
+    tones = ", ".join(f"{f:.4g}" for f in comparison.tones_hz)
     if worst >= LOSS_DB:
         return Status(StatusWord.DEGRADED, f"The rounded law loses up to {worst:.2f} dB of attenuation at {tones} Hz.")
     return Status(
