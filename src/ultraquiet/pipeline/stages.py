@@ -26,19 +26,23 @@ Say = Callable[[str], object]
 
 @dataclass(frozen=True)
 class Stages:
-    """A study, the bench it is made on and its records; `say` is told one line per finished stage."""
+    """A study, the bench it is made on and its records; `say` is told one line per finished stage.
+
+    `bench_key` is what defines the bench (`store.identity`), for the stages that measure on it.
+    """
 
     study: Study
     cache: Cache
     bench: Any
     records: Mapping[str, Record]
     say: Say
+    bench_key: Any = None
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = getattr(self.bench, "side_by_side", False)
         identify = "compare structures and orders", WORKER, str(self.cache.folder)
-        with beside(*identify, wanted=several and not self._is_identified()) as wait:
+        with beside(*identify, wanted=several and not self._is_identified(), holds=self.cache.lock) as wait:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
             control.require_bench(self.bench, system)
@@ -136,7 +140,7 @@ class Stages:
         return outcome
 
     def _models_key(self, plant: StateSpace) -> list[Any]:
-        return [self._record_hashes, self.study.identify, self.bench, plant.hash]
+        return [self._record_hashes, self.study.identify, self.bench_key, plant.hash]
 
     def _validate(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[ValidationFacts]:
         models = {k: v for k, v in identified.values.items() if isinstance(v, PolynomialMatrix)}
@@ -163,7 +167,7 @@ class Stages:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
         design, settings = self.study.controllers[name], self.study.closed_loop
         required_hz = self._required_hz(name)
-        key = [law.hash, self.bench, settings, *([plant.hash, _key(design.design)] if adaptive else [])]
+        key = [law.hash, self.bench_key, settings, *([plant.hash, _key(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
@@ -178,10 +182,14 @@ class Stages:
             self.say(f"closed {name}, which adapts and is not deployed")
             sentence = "not generated: the law adapts; C99 is generated from linear laws alone."
             return NoCode(status=sentence, failed=False)
-        settings, folder = self.study.deploy, self.cache.folder / "code"
+        settings = self.study.deploy
         key = [law.hash, plant.hash, self.bench.actuators, settings, compiler()]
-        compute = partial(control.deployed, name, law, plant, self.bench, folder, settings)
-        facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, folder / name).facts
+
+        def compute() -> Outcome[DeploymentFacts]:
+            place = self.cache.workplace("code", name)
+            return control.deployed(name, law, plant, self.bench, place, settings)
+
+        facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, writes=name).facts
         self.say(f"closed and deployed {name}: {facts.verdict}")
         return facts
 

@@ -1,74 +1,85 @@
 """The walk: a study from its bench to its report, each stage reused when nothing it depends on has changed."""
 
 import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ultraquiet import experiments
-from ultraquiet._base.errors import StorageError
-from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.files import write_bytes
+from ultraquiet.files import reason, write_bytes
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stages import Say, Stages
+from ultraquiet.pipeline.store.identity import identity
+from ultraquiet.pipeline.store.lock import locked
+from ultraquiet.pipeline.store.recorded import Records
+from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
 from ultraquiet.report import write
-from ultraquiet.values import Record
 
 PACKAGED_LISTS = ("suite",)
 STUDY_FILE = "study.json"
 
 
 @single_threaded
-def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Summary:
+def walk(
+    settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print, record_again: bool = False
+) -> Summary:
     """Run a study and return its summary.
+
+    One run at a time works in a folder. What a run leaves is whole: a run that was killed is taken up where it was, and
+    what was changed by hand is said and kept under another name.
 
     Args:
         settings: the checked study.
         folder: where `summary.json`, `report.html`, `records/`, `models/`, `controllers/` and `code/` go.
         beside: folder of the study file, where its experiment list is sought.
         say: told one line per finished stage.
+        record_again: set finished records aside, and measure anew.
 
     Raises:
         UltraquietError: a stage refuses; those before it are kept and reused.
+        StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
     bench = _bench(settings)
     listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     preflight.check(settings, bench, listed)
-    _prepare(settings, folder, beside)
-    records = _recorded(listed, bench, settings, folder)
-    say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
-    result = Stages(settings, Cache(folder), bench, records, say).run()
-    summary = summarise(result)
-    write_bytes(folder / "summary.json", to_json(summary))
-    write(report(result), folder / "report.html")
+    describe = partial(identity, bench, settings.bench.model_dump(), beside)
+    with locked(folder, say) as lock, _on_a_disk(folder):
+        sweep(folder)
+        _require_space(folder)
+        store = Records(listed, bench, describe, folder, say)
+        store.claim(record_again)
+        write_bytes(folder / STUDY_FILE, _located(settings, beside).model_dump_json(indent=1).encode())
+        records = store.take()
+        say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
+        result = Stages(settings, Cache(folder, say, lock), bench, records, say, store.bench_key).run()
+        summary = summarise(result)
+        write_bytes(folder / "summary.json", to_json(summary))
+        write(report(result), folder / "report.html")
+        sweep(folder)
     return summary
 
 
-def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
-    """Return the records of this list on this bench, taking up a run that was broken off; else record anew.
-
-    Records say nothing of the bench's settings that a resumed run could compare, so those of another list or bench go
-    before the new key is written; records that no study left are never touched.
-    """
-    place = folder / "records"
-    digest, key_file = content_hash(listed.hash, bench).encode(), place / "list.key"
-    names = [m.name for m in listed.measurements]
-    present = [name for name in names if (place / f"{name}.h5").exists()]
-    if present and not key_file.exists():
+@contextmanager
+def _on_a_disk(folder: Path) -> Generator[None]:
+    """Turn what a disk refuses, wherever it does, into one sentence."""
+    try:
+        yield
+    except UltraquietError:
+        raise
+    except OSError as error:
         raise StorageError(
-            f"study: '{place}' holds records that no study left ({present[0]}, ...); choose another --out."
-        )
-    place.mkdir(exist_ok=True)
-    if not (key_file.exists() and key_file.read_bytes() == digest):
-        for name in present:
-            (place / f"{name}.h5").unlink()
-        write_bytes(key_file, digest)
-    return experiments.run(listed, place, bench, resume=True, repeat=names)
+            f"study: '{error.filename or folder}' could not be written or read ({reason(error)}); finished stages are "
+            "kept."
+        ) from error
 
 
 def _bench(settings: study.Study) -> Any:
@@ -83,19 +94,14 @@ def _list_of(settings: study.Study, beside: Path | None) -> str:
     return name if name in PACKAGED_LISTS or beside is None else str((beside / name).resolve())
 
 
-def _prepare(settings: study.Study, folder: Path, beside: Path | None) -> None:
-    """Make the folder and leave the study in it, with where its list stands, so that `report` finds both again."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(
-            f"study: '{folder}' cannot be made ({error.strerror}); choose another with --out."
-        ) from error
+def _located(settings: study.Study, beside: Path | None) -> study.Study:
+    """Return the study with where its list stands, so that `report` finds it again."""
+    return settings.model_copy(update={"experiment": study.Experiment(list=_list_of(settings, beside))})
+
+
+def _require_space(folder: Path) -> None:
     if shutil.disk_usage(folder).free < NEEDED_BYTES:
         raise StorageError(f"study: '{folder}' has less than {NEEDED_BYTES >> 20} MB free; nothing was started.")
-    experiment = study.Experiment(list=_list_of(settings, beside))
-    located = settings.model_copy(update={"experiment": experiment})
-    write_bytes(folder / STUDY_FILE, located.model_dump_json(indent=1).encode())
 
 
 # Records, loops and models of the packaged study take about 60 MB.
