@@ -10,6 +10,7 @@ from small_study import TwoMasses
 
 import ultraquiet as uq
 from ultraquiet import experiments
+from ultraquiet._base.provenance import content_hash
 from ultraquiet.bench import Process, Wrapped
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.store.recorded import Records, finished_names
@@ -147,6 +148,20 @@ def test_records_that_no_study_left_are_not_touched(tmp_path):
         with pytest.raises(uq.errors.StorageError, match="no study left"):
             take(tmp_path, bench, again=again)
     assert state(tmp_path) == before
+
+
+def test_records_of_the_version_before_are_taken_up_or_refused(tmp_path):
+    bench, key = TwoMasses(), tmp_path / "records" / "list.key"
+    first = take(tmp_path, bench)["push"]
+    older = content_hash(experiments.parse(LIST, bench).hash, bench).encode()
+    key.write_bytes(older)
+    assert take(tmp_path, bench)["push"].hash == first.hash
+    assert finished_names(tmp_path) == ["push"]
+    for unknown in (older[::-1], b"{", b"[]", b""):
+        key.write_bytes(unknown)
+        with pytest.raises(uq.errors.StorageError, match="cannot be told"):
+            take(tmp_path, bench)
+        assert key.read_bytes() == unknown
 
 
 def test_a_record_that_was_changed_by_hand_is_refused(tmp_path):

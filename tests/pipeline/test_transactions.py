@@ -15,6 +15,7 @@ import ultraquiet as uq
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.store.lock import FILE, locked
 from ultraquiet.pipeline.store.sweep import sweep
+from ultraquiet.pipeline.walk import _on_a_disk
 
 SCRIPT = Path(__file__).with_name("dying_stage.py")
 ENVIRONMENT = {**os.environ, "PYTHONWARNINGS": "ignore"}
@@ -222,6 +223,14 @@ def test_a_full_disk_is_a_sentence_and_no_finding_about_the_law(tmp_path, monkey
 
     with pytest.raises(uq.errors.StorageError):
         Cache(tmp_path).stage("deploy", "code", "key", dict, code)
+
+
+def test_what_a_disk_refuses_is_one_sentence_wherever_it_does(tmp_path):
+    with pytest.raises(uq.errors.StorageError, match=r"'/there/x' could not be written or read \(no space left"):
+        with _on_a_disk(tmp_path):
+            raise OSError(28, "No space left on device", "/there/x")
+    with pytest.raises(uq.errors.StorageError, match="closed"), _on_a_disk(tmp_path):
+        raise uq.errors.StorageError("closed.")
 
 
 def test_a_second_run_beside_a_first_is_refused_and_nothing_is_touched(run, tmp_path):

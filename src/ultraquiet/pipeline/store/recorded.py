@@ -67,8 +67,7 @@ class Records:
             now["bench"] = settled(was["bench"], now["bench"])
             earlier = {name: key for name, key in known.items() if name not in now["measurements"] and name in present}
             now |= {"earlier": earlier} if earlier else {}
-        if was != now:
-            self._write(now)
+        self._write(now)
 
     @property
     def bench_key(self) -> Any:
@@ -148,8 +147,10 @@ class Records:
         )
 
     def _write(self, key: Mapping[str, Any]) -> None:
+        path, text = self._place / KEY, json.dumps(key, indent=1).encode()
         self._place.mkdir(exist_ok=True)
-        write_bytes(self._place / KEY, json.dumps(key, indent=1).encode())
+        if not path.exists() or path.read_bytes() != text:
+            write_bytes(path, text)
 
     def _set_aside(self) -> None:
         for number in count(1):
