@@ -140,6 +140,26 @@ def test_a_broken_off_run_takes_up_no_record_of_another_bench(tmp_path, monkeypa
     assert {p.name for p in tmp_path.iterdir()} == {"records", "records.1"}
 
 
+@pytest.mark.parametrize("repeats", [True, False], ids=["repeats itself", "drifts"])
+def test_what_is_left_of_a_broken_off_record_goes_only_where_it_says_nothing_more(repeats, tmp_path):
+    runs, steps = [], []
+
+    def step(u, d):
+        steps.append(1)
+        if len(steps) == 200:
+            raise KeyboardInterrupt
+        return u * (1 if repeats else len(runs))
+
+    bench = Wrapped(step, lambda: runs.append(1), 100.0, ["force"], ["speed"])
+    with pytest.raises(KeyboardInterrupt):
+        take(tmp_path, bench)
+    record, part = take(tmp_path, bench)["push"], tmp_path / "records" / "push.partial.h5"
+    assert record.samples == 300
+    assert part.exists() != repeats
+    if not repeats:
+        assert np.array_equal(2 * uq.files.load(part).outputs, record.outputs[:, :199])
+
+
 def test_records_that_no_study_left_are_not_touched(tmp_path):
     bench = TwoMasses()
     experiments.run(experiments.parse(LIST, bench), tmp_path / "records", bench)
