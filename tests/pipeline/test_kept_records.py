@@ -57,7 +57,6 @@ def process(tmp_path):
     """Makes the same process bench again and again, as each run of a study does; it notes how often it is stepped."""
     program, steps = tmp_path / "plant.py", tmp_path / "steps"
     program.write_text(PLANT)
-    steps.write_text("")
     return lambda **more: Process((sys.executable, str(program), str(tmp_path / "steps")), **more), program, steps
 
 
@@ -69,12 +68,12 @@ def test_records_of_a_process_are_taken_up_by_the_next_run(process, tmp_path):
     assert b'"steps"' in before["records/list.key"]
     assert before["records/list.key"].count(b"sha256") == 2
     with steps.open("a") as diary:
-        diary.write("")
+        diary.write("x")
     # How long an answer may take decides no number.
     for again in (bench(), bench(timeout_s=33.0)):
         assert take(tmp_path / "out", again)["push"].hash == first.hash
         again.close()
-    assert len(steps.read_text()) == stepped == 300
+    assert len(steps.read_text()) == stepped + 1 == 301
     assert state(tmp_path / "out") == before
 
 
@@ -83,7 +82,7 @@ def test_a_plant_whose_program_was_changed_is_another_bench(process, tmp_path):
     take(tmp_path / "out", bench())
     before = state(tmp_path / "out")
     program.write_text(PLANT.replace("2 *", "3 *"))
-    with pytest.raises(uq.errors.StorageError, match=r"'command' was .*--record-again"):
+    with pytest.raises(uq.errors.StorageError, match=r"'command': plant.py has another content.*--record-again"):
         take(tmp_path / "out", bench())
     assert state(tmp_path / "out") == before
 

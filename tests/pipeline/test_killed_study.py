@@ -99,3 +99,26 @@ def count_changes(study, folder, told):
     words = [sys.executable, str(SCRIPT), str(study), str(folder), str(1 << 30), str(told)]
     subprocess.run(words, check=True, stdout=subprocess.DEVNULL, env=ENVIRONMENT)
     return len(told.read_text().splitlines())
+
+
+@pytest.mark.slow
+def test_a_second_run_of_a_process_study_does_not_move_the_plant(run, tmp_path):
+    """By the command line; the plant keeps a diary of its runs."""
+    plant, diary = SCRIPT.with_name("two_masses_process.py"), tmp_path / "diary"
+    study = small_study.written(tmp_path)
+    process = f'method = "process"\ncommand = ["{sys.executable}", "{plant}", "{diary}"]'
+    study.write_text(study.read_text().replace('method = "two-masses"', process))
+    said = [run("run", study, "--out", "out") for _ in range(2)]
+    assert [code for code, *_ in said] == [0, 0], said
+    first = numbers(tmp_path / "out")
+    runs = diary.read_text().splitlines()
+    said = run("report", "out")
+    assert said[0] == 0, said
+    print(f"{len(runs)} runs of the plant by the first walk, {len(diary.read_text().splitlines()) - len(runs)} later")
+    assert diary.read_text().splitlines() == runs
+    assert numbers(tmp_path / "out") == first
+    # Its program is what it is: another one is another bench.
+    study.write_text(study.read_text().replace(str(plant), str(SCRIPT)))
+    code, _, err = run("run", study, "--out", "out")
+    assert (code, "'command' was" in err) == (2, True)
+    assert numbers(tmp_path / "out") == first

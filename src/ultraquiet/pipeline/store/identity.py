@@ -13,6 +13,7 @@ from ultraquiet.pipeline.store.contents import hash_of
 
 # How long an answer may take decides whether there is one, and no number in it.
 PATIENCE = ("timeout_s", "start_timeout_s")
+SHOWN = 90  # characters of a setting that a sentence quotes
 
 
 def identity(bench: Any, table: Mapping[str, Any], beside: Path | None = None) -> dict[str, Any]:
@@ -59,12 +60,27 @@ def differences(was: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
     >>> differences({"unit": "ground", "seed": 1}, {"unit": "flight", "seed": 1})
     ["'unit' was 'ground' and is 'flight'"]
+    >>> differences({"path": {"file": "a.fmu", "sha256": "1"}}, {"path": {"file": "a.fmu", "sha256": "2"}})
+    ["'path': a.fmu has another content"]
     """
-    return [
-        f"'{name}' was {_shown(was.get(name))} and is {_shown(now.get(name))}"
-        for name in dict.fromkeys((*was, *now))
-        if not _agree(was.get(name), now.get(name))
-    ]
+    found: list[str] = []
+    for name in (key for key in dict.fromkeys((*was, *now)) if not _agree(was.get(key), now.get(key))):
+        files = _changed(was.get(name), now.get(name))
+        one, other = _shown(was.get(name)), _shown(now.get(name))
+        found.append(f"'{name}' was {one} and is {other}" if one != other else f"'{name}': {files} has another content")
+    return found
+
+
+def _changed(one: Any, other: Any) -> str:
+    """Return the name of the first file whose content is another."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping) and not _agree(one, other):
+        mine, its = cast("Mapping[str, Any]", one), cast("Mapping[str, Any]", other)
+        pairs = [(value, its.get(key)) for key, value in mine.items()]
+        return str(mine["file"]) if "file" in mine else next(filter(None, (_changed(*pair) for pair in pairs)), "")
+    if isinstance(one, list) and isinstance(other, list):
+        pairs = zip(cast("list[Any]", one), cast("list[Any]", other), strict=False)
+        return next(filter(None, (_changed(*pair) for pair in pairs)), "")
+    return ""
 
 
 def settled(one: Any, other: Any) -> Any:
@@ -80,8 +96,9 @@ def settled(one: Any, other: Any) -> Any:
         return {key: settled(value, its.get(key)) for key, value in mine.items()}
     if isinstance(one, list) and isinstance(other, list):
         return [settled(*pair) for pair in zip(cast("list[Any]", one), cast("list[Any]", other), strict=True)]
-    # What could be described says more than what could not be found.
-    return other if isinstance(other, Mapping) else one
+    if isinstance(one, str) and isinstance(other, Mapping):  # a file that was not there before
+        return {key: value for key, value in cast("Mapping[str, Any]", other).items() if key != "sha256"}
+    return one
 
 
 def _agree(one: Any, other: Any) -> bool:
@@ -101,8 +118,16 @@ def _agree(one: Any, other: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    text = repr(_named(value))
+    return text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+
+
+def _named(value: Any) -> Any:
+    """Return a description with the names of files in place of their content."""
+    if isinstance(value, Mapping):
+        entries = cast("Mapping[str, Any]", value)
+        return entries["file"] if "file" in entries else {key: _named(each) for key, each in entries.items()}
+    return [_named(each) for each in cast("list[Any]", value)] if isinstance(value, list) else value
 
 
 def _plain(value: Any, places: Sequence[Path]) -> Any:
