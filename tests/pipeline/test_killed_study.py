@@ -117,8 +117,8 @@ def test_a_second_run_of_a_process_study_does_not_move_the_plant(run, tmp_path):
     print(f"{len(runs)} runs of the plant by the first walk, {len(diary.read_text().splitlines()) - len(runs)} later")
     assert diary.read_text().splitlines() == runs
     assert numbers(tmp_path / "out") == first
-    # Its program is what it is: another one is another bench.
-    study.write_text(study.read_text().replace(str(plant), str(SCRIPT)))
+    # Its command is what it is: another one is another bench.
+    study.write_text(study.read_text().replace(str(diary), f'{diary}", "more'))
     code, _, err = run("run", study, "--out", "out")
     assert (code, "'command' was" in err) == (2, True)
     assert numbers(tmp_path / "out") == first
