@@ -1,5 +1,6 @@
 """A study's folder through kills, hands and a second run: the right numbers or a sentence, and no stray file."""
 
+import fcntl
 import json
 import os
 import re
@@ -245,6 +246,18 @@ def test_a_second_run_beside_a_first_is_refused_and_nothing_is_touched(run, tmp_
             assert code == 2
             assert "another run is at work in 'out'" in err
         assert names(tmp_path) == before
+
+
+def test_a_file_system_without_locks_is_told_and_used(tmp_path, monkeypatch):
+    def unknown(*_):
+        raise OSError(95, "Operation not supported")
+
+    said = []
+    monkeypatch.setattr(fcntl, "flock", unknown)
+    with locked(tmp_path, said.append) as handle:
+        assert handle is None
+    assert "without locks (operation not supported)" in said[0]
+    assert not names(tmp_path)
 
 
 def test_one_run_at_a_time(tmp_path):

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from ultraquiet._base.errors import StageError, StorageError, UltraquietError
 from ultraquiet._base.provenance import content_hash, versions
-from ultraquiet.files import archive, reason
+from ultraquiet.files import archive, reason, write_bytes
 from ultraquiet.pipeline.facts.typed import from_plain, to_plain
 from ultraquiet.pipeline.store import entry as entries
 from ultraquiet.pipeline.store.aside import set_aside
@@ -150,7 +150,7 @@ class Cache:
             self._make_way(target, hashes, trusted)
         replaced = {target: hashes for target, hashes in known.items() if target not in left}
         entry = StageEntry(digest, round(seconds, 3), to_plain(outcome.facts), values, left, replaced)
-        entries.write(self.folder, name, entry)
+        write_bytes(entries.path_of(self.folder, name), entries.sealed(entry))
         entries.settle(self.folder, entry)
         if writes is not None:
             entries.remove(_workplace(self.folder, room, writes))

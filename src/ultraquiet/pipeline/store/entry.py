@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import StorageError, UltraquietError
-from ultraquiet.files import write_bytes
 from ultraquiet.pipeline.store.contents import Hashes, hashes_of, place, staged, vouched
 
 STAGES = "stages"
@@ -44,15 +43,10 @@ def path_of(folder: Path, stage: str) -> Path:
     return folder / STAGES / f"{stage}{SUFFIX}"
 
 
-def write(folder: Path, stage: str, entry: StageEntry) -> None:
-    """Write an entry; from then on the stage is what it says, and what waits under hidden names belongs to it.
-
-    Raises:
-        StorageError: the disk refuses; the stage is then what it was before.
-    """
+def sealed(entry: StageEntry) -> bytes:
+    """Return an entry as the bytes of its file; once these have their name, the stage is what they say."""
     content = json.loads(json.dumps(vars(entry)))
-    text = json.dumps({**content, "sha256": _seal(content)}, indent=1)
-    write_bytes(path_of(folder, stage), text.encode())
+    return json.dumps({**content, "sha256": _seal(content)}, indent=1).encode()
 
 
 def read(folder: Path, stage: str) -> StageEntry | None:

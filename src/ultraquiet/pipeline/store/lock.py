@@ -59,37 +59,52 @@ def _taken(folder: Path, say: Callable[[str], object]) -> int | None:
     if os.name == "nt":
         say(f"study: this system knows no locks; see that no second run works in '{folder}'.")
         return None
-    import fcntl
-
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        kept = False
+        taken = False
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            kept = _is_at(path, handle)
-            if kept:
+            # Whoever held the lock may have removed its file meanwhile: then it is that of a file without a name.
+            taken = _try(handle) and _is_at(path, handle)
+            if taken:
                 _sign(handle)
                 return handle
-        except BlockingIOError:
-            holder = _holder(handle)
-            patience_s = DYING_S if _is_gone(holder) else PATIENCE_S
-            if time.monotonic() - started > patience_s:
-                raise StorageError(
-                    f"study: another run is at work in '{folder}'{_named(holder)}; wait until it has ended, or choose "
-                    "another --out."
-                ) from None
-            time.sleep(PAUSE_S)
-        except OSError as error:
-            say(f"study: '{folder}' is on a file system without locks ({reason(error)}); see that no second run works.")
+            _refuse_or_wait(folder, _holder(handle), time.monotonic() - started)
+        except _NoLocksError as error:
+            say(f"study: '{folder}' is on a file system without locks ({error}); see that no second run works there.")
             path.unlink(missing_ok=True)
             return None
         finally:
-            if not kept:
+            if not taken:
                 os.close(handle)
 
 
+class _NoLocksError(Exception):
+    """The file system does not know them."""
+
+
+def _try(handle: int) -> bool:
+    import fcntl
+
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        raise _NoLocksError(reason(error)) from error
+    return True
+
+
+def _refuse_or_wait(folder: Path, holder: dict[str, object], waited_s: float) -> None:
+    if waited_s > (DYING_S if _is_gone(holder) else PATIENCE_S):
+        raise StorageError(
+            f"study: another run is at work in '{folder}'{_named(holder)}; wait until it has ended, or choose another "
+            "--out."
+        )
+    time.sleep(PAUSE_S)
+
+
 def _is_at(path: Path, handle: int) -> bool:
-    """Tell whether an open file still has its name; whoever held it may have removed it meanwhile."""
+    """Tell whether an open file still has its name."""
     try:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:
@@ -99,8 +114,9 @@ def _is_at(path: Path, handle: int) -> bool:
 def _sign(handle: int) -> None:
     since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
     text = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": since})
-    os.ftruncate(handle, 0)
-    os.pwrite(handle, text.encode(), 0)
+    with suppress(OSError):  # on a full disk the lock holds, it only does not say whose it is
+        os.ftruncate(handle, 0)
+        os.pwrite(handle, text.encode(), 0)
 
 
 def _holder(handle: int) -> dict[str, object]:
