@@ -1,5 +1,9 @@
 """A process beside this one: its progress is shown, it is waited for, and it ends with the block."""
 
+import fcntl
+import os
+import subprocess
+import sys
 import time
 
 import pytest
@@ -74,3 +78,48 @@ def test_ticks_never_exceed_the_bar(capsys):
         ticks.start("some", 10)
         ticks.advance(0, 10, "")
     assert sum(map(int, capsys.readouterr().out.split())) == TICKS
+
+
+CHILD = """
+import sys, time
+from ultraquiet._base.beside import end_with_parent
+end_with_parent()
+open(sys.argv[1], "w").close()
+time.sleep(600)
+"""
+PARENT = """
+import fcntl, os, sys
+from ultraquiet._base.beside import beside
+lock = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
+fcntl.flock(lock, fcntl.LOCK_EX)
+with beside("work", "some_child", sys.argv[2], holds=lock) as wait:
+    wait()
+"""
+
+
+def test_a_killed_parent_s_lock_is_held_until_its_child_is_gone_too(tmp_path):
+    (tmp_path / "some_child.py").write_text(CHILD)
+    lock, up = tmp_path / "lock", tmp_path / "up"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    with subprocess.Popen([sys.executable, "-c", PARENT, str(lock), str(up)], env=environment) as parent:
+        wait_for(up.exists)
+        with lock.open("r+") as file:
+            assert not free(file)
+            parent.kill()
+            parent.wait()
+            wait_for(lambda: free(file))
+
+
+def wait_for(happens, seconds=30.0):
+    deadline = time.monotonic() + seconds
+    while not happens():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def free(file):
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True

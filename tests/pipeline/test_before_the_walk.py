@@ -1,17 +1,17 @@
 """What a study refuses before anything moves, and which records it takes for its own."""
 
-import json
-import re
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet import experiments, pipeline
+from ultraquiet import pipeline
 from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline.store import entry as entries
+from ultraquiet.pipeline.store.contents import hashes_of
 from ultraquiet.pipeline.study import StudyError, parse
-from ultraquiet.pipeline.walk import _list_of, _prepare, _recorded, walk
+from ultraquiet.pipeline.walk import _list_of, _located, walk
 
 SUITE = (Path(pipeline.__file__).parent / "suite.toml").read_text()
 LIST = """
@@ -120,47 +120,12 @@ def test_a_study_that_is_no_toml_says_where(text, line):
     assert [at for at, _ in refused.value.mistakes] == [line]
 
 
-def listed(bench):
-    return experiments.parse(LIST, bench)
-
-
-def taken(bench, folder):
-    return _recorded(listed(bench), bench, pipeline.packaged_study("suite"), folder)["push"]
-
-
-def test_a_broken_off_run_takes_up_no_record_of_another_bench(tmp_path, monkeypatch, seed):
-    ground, flight = (uq.bench.Hexapod(unit=unit, seed=seed) for unit in ("ground", "flight"))
-    first = taken(ground, tmp_path)
-    assert taken(ground, tmp_path).hash == first.hash
-
-    def stopped(*_, **__):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(experiments, "run", stopped)
-        with pytest.raises(KeyboardInterrupt):
-            taken(flight, tmp_path)
-    again = taken(flight, tmp_path)
-    assert not np.array_equal(again.outputs, first.outputs)
-    assert again.hash == taken(flight, tmp_path).hash
-
-
-def test_records_that_no_study_left_are_not_touched(tmp_path, seed):
-    bench = uq.bench.Hexapod(seed=seed)
-    experiments.run(listed(bench), tmp_path / "records", bench)
-    before = (tmp_path / "records" / "push.h5").read_bytes()
-    with pytest.raises(uq.errors.StorageError, match=re.escape("no study left")):
-        taken(bench, tmp_path)
-    with pytest.raises(uq.errors.StorageError, match=re.escape("no study left")):
-        taken(bench, tmp_path)
-    assert (tmp_path / "records" / "push.h5").read_bytes() == before
-
-
 def test_report_finds_the_list_that_stands_beside_the_study(tmp_path):
     (tmp_path / "mine.toml").write_text(LIST)
     (tmp_path / "study.toml").write_text(SUITE.replace('list = "suite"', 'list = "mine.toml"'))
-    _prepare(pipeline.load_study(tmp_path / "study.toml"), tmp_path / "out", tmp_path)
-    again = pipeline.reload_study(tmp_path / "out")
+    left = _located(pipeline.load_study(tmp_path / "study.toml"), tmp_path).model_dump_json()
+    (tmp_path / "study.json").write_text(left)
+    again = pipeline.reload_study(tmp_path)
     assert Path(_list_of(again, tmp_path / "out")) == tmp_path / "mine.toml"
 
 
@@ -181,9 +146,11 @@ def test_a_stage_reads_back_nothing_from_outside_its_folder(path, tmp_path):
     take(), take()
     assert len(computed) == 1
     (folder / "models" / "link.h5").symlink_to(outside)
-    facts = folder / "stages" / "plant.json"
-    content = json.loads(facts.read_text())
-    content["values"]["plant"] = str(outside) if path == "{absolute}" else path
-    facts.write_text(json.dumps(content))
+    # Whole and sealed, as nobody writes it by accident.
+    entry = entries.read(folder, "plant")
+    named = str(outside) if path == "{absolute}" else path
+    entry = replace(entry, values={"plant": named}, left={named: hashes_of(outside)})
+    entries.path_of(folder, "plant").write_bytes(entries.sealed(entry))
     assert take().values["plant"].hash == record.hash
     assert len(computed) == 2
+    assert uq.files.load(outside).outputs.max() == 9.0

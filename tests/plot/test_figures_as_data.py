@@ -77,7 +77,7 @@ FIGURES = {
         uq.validate.from_covariance(result, F_HZ, "entry").weight(RATE_HZ, order=1)
     ),
     "frame": lambda record, result, frames: frame_figure(frames),
-    "test-signals": lambda record, result, frames: study.test_signals({"noise": (record, 0), "more": (record, 1)}),
+    "test-signals": lambda record, result, frames: study.excitation_signals({"noise": (record, 0), "more": (record, 1)}),
     "responses": lambda record, result, frames: study.responses("noise", record, 1),
     "simulation": lambda record, result, frames: study.simulation(
         "step", record.part(0, 800), {"model": np.ones(800)}, 0, 1

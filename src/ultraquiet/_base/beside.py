@@ -13,7 +13,9 @@ TICKS = 100  # of the bar
 
 
 @contextmanager
-def beside(title: str, module: str, *words: str, wanted: bool = True) -> Generator[Callable[[], object]]:
+def beside(
+    title: str, module: str, *words: str, wanted: bool = True, holds: int | None = None
+) -> Generator[Callable[[], object]]:
     """Run `python -m module words` for the length of a block, where there is a second processor for it.
 
     Args:
@@ -22,11 +24,12 @@ def beside(title: str, module: str, *words: str, wanted: bool = True) -> Generat
             finds nothing there makes it.
         words: its arguments.
         wanted: nothing is run without.
+        holds: an open file that the process keeps open too, a lock that it works under.
 
     Yields:
         What waits until it is done. It is ended with the block.
     """
-    process = _started(module, *words) if wanted and (os.cpu_count() or 1) > 1 else None
+    process = _started(module, words, holds) if wanted and (os.cpu_count() or 1) > 1 else None
     if process is None:
         yield lambda: None
         return
@@ -63,11 +66,23 @@ class Ticks:
         """End a task."""
 
 
-def _started(module: str, *words: str) -> "subprocess.Popen[str] | None":
+def end_with_parent() -> None:
+    """Let this process, run by `beside`, end as soon as the one that began it is gone, killed or not."""
+
+    def watch() -> None:
+        while os.read(0, 1):  # not through `sys.stdin`, whose lock would hold up the interpreter's own end
+            pass
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
+
+
+def _started(module: str, words: tuple[str, ...], holds: int | None) -> "subprocess.Popen[str] | None":
     command = [sys.executable, "-m", module, *words]
-    quiet = subprocess.DEVNULL
+    out, quiet, kept = subprocess.PIPE, subprocess.DEVNULL, () if holds is None else (holds,)
     try:
-        return subprocess.Popen(command, stdin=quiet, stdout=subprocess.PIPE, stderr=quiet, text=True)
+        # Nothing is ever written to its input: the input's end tells it that this process is gone.
+        return subprocess.Popen(command, stdin=out, stdout=out, stderr=quiet, text=True, pass_fds=kept)
     except OSError:
         return None
 

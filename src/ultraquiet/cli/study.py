@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
+Again = Annotated[bool, typer.Option("--record-again", help="Set the records that are there aside and measure anew.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
 
 
@@ -24,6 +25,7 @@ def demo(
     out: Out = None,
     quick: Quick = False,
     seed: Annotated[int | None, typer.Option(help="Where test signals and sensor noise start.")] = None,
+    record_again: Again = False,
 ) -> None:
     """Run the embedded SUITE study: excite, identify, validate, design, close the loop, generate code, report."""
     from ultraquiet.pipeline import packaged_study, quick_study
@@ -32,19 +34,20 @@ def demo(
     if seed is not None:
         head = study.study.model_copy(update={"seed": whole("demo", "seed", seed, 0)})
         study = study.model_copy(update={"study": head})
-    _walk(quick_study(study) if quick else study, Path("ultraquiet-demo") if out is None else out, None)
+    _walk(quick_study(study) if quick else study, Path("ultraquiet-demo") if out is None else out, None, record_again)
 
 
 def run(
     study: Annotated[Path, typer.Argument(help="The study file (TOML).")],
     out: Out = None,
     quick: Quick = False,
+    record_again: Again = False,
 ) -> None:
     """Run a study file; finished stages are reused."""
     from ultraquiet.pipeline import load_study, quick_study
 
     loaded = load_study(study)
-    _walk(quick_study(loaded) if quick else loaded, out or study.with_suffix(""), study.parent)
+    _walk(quick_study(loaded) if quick else loaded, out or study.with_suffix(""), study.parent, record_again)
 
 
 def report(
@@ -56,13 +59,13 @@ def report(
     _walk(reload_study(folder), folder, folder)
 
 
-def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
+def _walk(study: "Study", folder: Path, beside: Path | None, record_again: bool = False) -> None:
     from rich.console import Console
 
     from ultraquiet.pipeline import walk
 
     with bars() as console:
-        summary = walk(study, folder, beside=beside, say=console.print)
+        summary = walk(study, folder, beside=beside, say=console.print, record_again=record_again)
     show = Console()
     if summary.closed_loop:
         show.print(_table(summary))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
@@ -206,7 +206,7 @@ def closed(
         if tones is not None and unit == settings.units[0]:
             for f, opened, run in zip(settings.tones_hz, tones.opened, tones.closed, strict=True):
                 values[stored.under_tone(name, f)] = run
-                values[stored.open_under_tone(f)] = opened
+                values[stored.open_under_tone(name, f)] = opened
     return Outcome(LoopFacts(units={unit: on_units[unit][0] for unit in settings.units}), values)
 
 
@@ -317,6 +317,8 @@ def deployed(
     try:
         code = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
         verified = code.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0, tones_hz=tones_hz or None)
+    except StorageError:
+        raise  # a full disk says nothing of the law
     except UltraquietError as error:
         return Outcome(NoCode(status=f"refused: {error}"))
     return Outcome(generated(code.tables, str(code.status), str(verified.status)))

@@ -58,5 +58,5 @@ class StudyResult:
     def under_tone(self, controller: str, tone_hz: float) -> tuple[Record, Record] | None:
         """Return the records of the closed and of the open loop under a tone on the first unit, where there are any."""
         values = self.loops[controller].values
-        closed, opened = stored.under_tone(controller, tone_hz), stored.open_under_tone(tone_hz)
+        closed, opened = stored.under_tone(controller, tone_hz), stored.open_under_tone(controller, tone_hz)
         return (values[closed], values[opened]) if closed in values and opened in values else None

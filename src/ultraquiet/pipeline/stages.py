@@ -28,19 +28,23 @@ Say = Callable[[str], object]
 
 @dataclass(frozen=True)
 class Stages:
-    """A study, the bench it is made on and its records; `say` is told one line per finished stage."""
+    """A study, the bench it is made on and its records; `say` is told one line per finished stage.
+
+    `bench_key` is what defines the bench (`store.identity`), for the stages that measure on it.
+    """
 
     study: Study
     cache: Cache
     bench: Any
     records: Mapping[str, Record]
     say: Say
+    bench_key: Any = None
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
         identify = "compare structures and orders", WORKER, str(self.cache.folder)
-        with beside(*identify, wanted=several and not self._is_identified()) as wait:
+        with beside(*identify, wanted=several and not self._is_identified(), holds=self.cache.lock) as wait:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:
@@ -155,7 +159,7 @@ class Stages:
         return outcome
 
     def _models_key(self, plant: StateSpace) -> list[Any]:
-        return [self._record_hashes, self.study.identify, self.bench, plant.hash]
+        return [self._record_hashes, self.study.identify, self.bench_key, plant.hash]
 
     def _validate(
         self, identified: Outcome[IdentificationFacts], plant: StateSpace, plan: LoopPlan
@@ -193,7 +197,7 @@ class Stages:
     ) -> Outcome[LoopFacts]:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
         design, required_hz = self.study.controllers[name], self._required_hz(name, plan)
-        key = [law.hash, self.bench, plan, *([plant.hash, _key(design.design)] if adaptive else [])]
+        key = [law.hash, self.bench_key, plan, *([plant.hash, _key(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
@@ -208,12 +212,16 @@ class Stages:
             self.say(f"closed {name}, which adapts and is not deployed")
             sentence = "not generated: the law adapts; C99 is generated from linear laws alone."
             return NoCode(status=sentence, failed=False)
-        settings, folder = self.study.deploy, self.cache.folder / "code"
+        settings = self.study.deploy
         actuators = plant.actuators if self.bench is None else self.bench.actuators
         limits = control.command_limits(actuators, self.records.values(), settings)
         key = [law.hash, plant.hash, limits, settings, plan.tones_hz, compiler()]
-        compute = partial(control.deployed, name, law, plant, limits, folder, settings, plan.tones_hz)
-        facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, folder / name).facts
+
+        def compute() -> Outcome[DeploymentFacts]:
+            place = self.cache.workplace("code", name)
+            return control.deployed(name, law, plant, limits, place, settings, plan.tones_hz)
+
+        facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, writes=name).facts
         self.say(f"closed and deployed {name}: {facts.verdict}")
         return facts
 

@@ -1,22 +1,27 @@
 """The walk: a study from its bench to its report, each stage reused when nothing it depends on has changed."""
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ultraquiet import experiments
-from ultraquiet._base.errors import InputError, StorageError
-from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.bench.from_file import from_file
-from ultraquiet.files import archive, read_record, write_bytes
+from ultraquiet.files import archive, read_record, reason, write_bytes
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stages import Say, Stages
+from ultraquiet.pipeline.store.identity import identity
+from ultraquiet.pipeline.store.lock import locked
+from ultraquiet.pipeline.store.recorded import Records
+from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
 from ultraquiet.report import write
 from ultraquiet.values import Record
@@ -26,36 +31,65 @@ STUDY_FILE = "study.json"
 
 
 @single_threaded
-def walk(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Summary:
+def walk(
+    settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print, record_again: bool = False
+) -> Summary:
     """Run a study and return its summary.
+
+    One run at a time works in a folder. What a run leaves is whole: a run that was killed is taken up where it was, and
+    what was changed by hand is said and kept under another name.
 
     Args:
         settings: the checked study.
         folder: where `summary.json`, `report.html`, `records/`, `models/`, `controllers/` and `code/` go.
         beside: folder of the study file, where its experiment list is sought.
         say: told one line per finished stage.
+        record_again: set finished records aside, and measure anew.
 
     Raises:
         UltraquietError: a stage refuses; those before it are kept and reused.
+        StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
     bench = _bench(settings, beside)
-    if settings.records is not None:
-        records = _read(settings.records, beside)
-        preflight.check(settings, bench, list(records))
-        _prepare(settings, folder, beside)
-        _keep(records, folder)
-        say(f"read: {len(records)} records")
-    else:
-        listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
-        preflight.check(settings, bench, [m.name for m in listed.measurements])
-        _prepare(settings, folder, beside)
-        records = _recorded(listed, bench, settings, folder)
-        say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
-    result = Stages(settings, Cache(folder), bench, records, say).run()
-    summary = summarise(result)
-    write_bytes(folder / "summary.json", to_json(summary))
-    write(report(result), folder / "report.html")
+    describe = partial(identity, bench, _bench_table(settings), beside)
+    read = {} if settings.records is None else _read(settings.records, beside)
+    listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
+    preflight.check(settings, bench, list(read) if listed is None else [m.name for m in listed.measurements])
+    with locked(folder, say) as lock, _on_a_disk(folder):
+        sweep(folder)
+        _require_space(folder)
+        if listed is None:
+            _write_study(settings, folder, beside)
+            _keep(read, folder)
+            records, bench_key = read, None if bench is None else describe()
+            say(f"read: {len(records)} records")
+        else:
+            store = Records(listed, bench, describe, folder, say)
+            store.claim(record_again)
+            _write_study(settings, folder, beside)
+            records, bench_key = store.take(), store.bench_key
+            say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
+        result = Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key).run()
+        summary = summarise(result)
+        write_bytes(folder / "summary.json", to_json(summary))
+        write(report(result), folder / "report.html")
+        sweep(folder)
     return summary
+
+
+def _bench_table(settings: study.Study) -> dict[str, Any]:
+    """Return `[bench]` with its file by itself, so that the content of it counts."""
+    if settings.bench is None:
+        return {}
+    table = settings.bench.model_dump()
+    if settings.bench.object is not None:
+        table["object"], _, table["callable"] = settings.bench.object.rpartition(":")
+    return table
+
+
+def _write_study(settings: study.Study, folder: Path, beside: Path | None) -> None:
+    """Leave the study in its folder, with where its files stand, so that `report` finds them again."""
+    write_bytes(folder / STUDY_FILE, _located(settings, beside).model_dump_json(indent=1).encode())
 
 
 def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
@@ -87,26 +121,18 @@ def _at(name: str, beside: Path | None) -> Path:
     return Path(name) if beside is None else (beside / name).resolve()
 
 
-def _recorded(listed: experiments.ExperimentList, bench: Any, settings: study.Study, folder: Path) -> dict[str, Record]:
-    """Return the records of this list on this bench, taking up a run that was broken off; else record anew.
-
-    Records say nothing of the bench's settings that a resumed run could compare, so those of another list or bench go
-    before the new key is written; records that no study left are never touched.
-    """
-    place = folder / "records"
-    digest, key_file = content_hash(listed.hash, bench).encode(), place / "list.key"
-    names = [m.name for m in listed.measurements]
-    present = [name for name in names if (place / f"{name}.h5").exists()]
-    if present and not key_file.exists():
+@contextmanager
+def _on_a_disk(folder: Path) -> Generator[None]:
+    """Turn what a disk refuses, wherever it does, into one sentence."""
+    try:
+        yield
+    except UltraquietError:
+        raise
+    except OSError as error:
         raise StorageError(
-            f"study: '{place}' holds records that no study left ({present[0]}, ...); choose another --out."
-        )
-    place.mkdir(exist_ok=True)
-    if not (key_file.exists() and key_file.read_bytes() == digest):
-        for name in present:
-            (place / f"{name}.h5").unlink()
-        write_bytes(key_file, digest)
-    return experiments.run(listed, place, bench, resume=True, repeat=names)
+            f"study: '{error.filename or folder}' could not be written or read ({reason(error)}); finished stages are "
+            "kept."
+        ) from error
 
 
 def _bench(settings: study.Study, beside: Path | None) -> Any:
@@ -145,18 +171,9 @@ def _located(settings: study.Study, beside: Path | None) -> study.Study:
     return settings.model_copy(update=found)
 
 
-def _prepare(settings: study.Study, folder: Path, beside: Path | None) -> None:
-    """Make the folder and leave the study in it, with where its list stands, so that `report` finds both again."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(
-            f"study: '{folder}' cannot be made ({error.strerror}); choose another with --out."
-        ) from error
+def _require_space(folder: Path) -> None:
     if shutil.disk_usage(folder).free < NEEDED_BYTES:
         raise StorageError(f"study: '{folder}' has less than {NEEDED_BYTES >> 20} MB free; nothing was started.")
-    located = _located(settings, beside)
-    write_bytes(folder / STUDY_FILE, located.model_dump_json(indent=1).encode())
 
 
 # Records, loops and models of the packaged study take about 60 MB.

@@ -20,7 +20,7 @@ ONE_TONE, SHOWN_PERIODS = 0.9, 12.0
 FAINTEST_DB = 120.0  # below the largest gain of a matrix: what is fainter is not drawn
 
 
-def test_signals(signals: Mapping[str, tuple[Record, int]], note: str = "") -> Figure:
+def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = "") -> Figure:
     """Each test signal, the record that sent it and by which actuator, beside its power spectral density."""
     panels: list[Panel] = []
     for k, (name, (record, actuator)) in enumerate(signals.items()):

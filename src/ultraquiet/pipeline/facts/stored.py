@@ -23,6 +23,9 @@ def under_tone(controller: str, tone_hz: float) -> str:
     return f"{controller}-{tone_hz:g}hz"
 
 
-def open_under_tone(tone_hz: float) -> str:
-    """Return the name of the record of the open loop under a tone."""
-    return under_tone("open", tone_hz)
+def open_under_tone(controller: str, tone_hz: float) -> str:
+    """Return the name of the record of the open loop under a tone, as it was when the controller was measured.
+
+    Each controller has its own: a bench with noise answers otherwise each time, and facts are those of one answer.
+    """
+    return f"{under_tone(controller, tone_hz)}-open"

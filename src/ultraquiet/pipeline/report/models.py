@@ -32,7 +32,7 @@ def excitation(result: StudyResult) -> Section:
     """Test signals, and the responses to one of them."""
     shown = _signals(result)
     note = _note(result, "Fig. 6")
-    figures: list[Figure] = [study.test_signals(shown, note)] if shown else []
+    figures: list[Figure] = [study.excitation_signals(shown, note)] if shown else []
     for name, (record, actuator) in list(shown.items())[:1]:
         figures.append(study.responses(name, record, actuator, _note(result, "Fig. 7")))
     clipped = {name: max(r.clipped()) for name, r in result.records.items() if max(r.clipped())}

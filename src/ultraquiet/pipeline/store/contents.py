@@ -1,0 +1,58 @@
+"""What stands in the folder of a study, by content: hashes of files and folders, and what was changed by hand."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from ultraquiet.files.names import inside
+
+Hashes = Mapping[str, str]
+
+
+def place(folder: Path, name: str) -> Path:
+    """Return the path of something in the folder of a study by its name there, `models/plant.h5` for instance.
+
+    Raises:
+        StorageError: a name or link that leads out of the folder.
+    """
+    return inside("study", folder, *PurePosixPath(name).parts)
+
+
+def staged(folder: Path, name: str) -> Path:
+    """Return where something waits under a hidden name until its stage is complete."""
+    path = place(folder, name)
+    return path.with_name(f".{path.name}.part")
+
+
+def hash_of(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes; empty where there is no file that can be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""
+
+
+def hashes_of(path: Path) -> dict[str, str]:
+    """Return name -> SHA-256 of every file below a folder, or of a file alone under the empty name."""
+    if path.is_dir() and not path.is_symlink():
+        files = sorted(p for p in path.rglob("*") if p.is_symlink() or not p.is_dir())
+        return {p.relative_to(path).as_posix(): hash_of(p) for p in files}
+    return {"": hash_of(path)} if path.is_symlink() or path.exists() else {}
+
+
+def changes(was: Hashes, found: Hashes) -> str:
+    """Return what was done by hand between two states, as the end of a sentence.
+
+    >>> changes({"a.c": "1", "b.c": "2"}, {"a.c": "3", "d.c": "4"})
+    'a.c edited, b.c deleted, d.c added'
+    """
+    edited = [f"{name} edited" for name in was if name in found and found[name] != was[name]]
+    deleted = [f"{name} deleted" for name in was if name not in found]
+    added = [f"{name} added" for name in found if name not in was]
+    return ", ".join(change.strip() for change in (*edited, *deleted, *added))
+
+
+def vouched(found: Hashes, *known: Hashes) -> bool:
+    """Tell whether everything that is found is known to be this program's own."""
+    return all(any(state.get(name) == digest for state in known) for name, digest in found.items())

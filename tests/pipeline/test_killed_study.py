@@ -1,0 +1,130 @@
+"""A whole study, killed at moments spread over all its stages and run again: the same numbers, and no stray file."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import small_study
+
+import ultraquiet as uq
+
+SCRIPT = Path(__file__).with_name("small_study.py")
+ENVIRONMENT = {**os.environ, "PYTHONWARNINGS": "ignore"}
+STRUCK = {"recording", "plant", "design", "loop", "deploy", "summary and report"}
+# The first of these that a folder lacks was being made. Models are identified beside loop and code.
+MILESTONES = {
+    "study.json": "before it began",
+    "records/all.h5": "recording",
+    "stages/plant.json": "plant",
+    "stages/design-calm.json": "design",
+    "stages/loop-calm.json": "loop",
+    "stages/deploy-calm.json": "deploy",
+    "stages/identify.json": "identify, controllers done",
+    "stages/analyse.json": "validation",
+    "stages/limits.json": "limits",
+    "report.html": "summary and report",
+}
+
+
+def walked(study, folder, death=0, after=None):
+    """Run the study as a process of its own; killed at its `death`-th change of the folder, or after some seconds."""
+    words = [sys.executable, str(SCRIPT), str(study), str(folder), *([str(death)] if death else [])]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=ENVIRONMENT) as process:
+        if after is not None:
+            time.sleep(after)
+            process.send_signal(signal.SIGKILL)
+        _, said = process.communicate()
+    return process.returncode, said.decode()[-500:]
+
+
+def numbers(folder):
+    """Everything a study found out, without how long it took."""
+    summary = json.loads((folder / "summary.json").read_text(), object_pairs_hook=untimed)
+    archives = {p.relative_to(folder).as_posix(): uq.files.load(p) for p in folder.rglob("*.h5")}
+    hashes = {name: getattr(value, "hash", None) or repr(value) for name, value in archives.items()}
+    code = {p.relative_to(folder).as_posix(): p.read_bytes() for p in (folder / "code").rglob("*.[ch]*")}
+    return summary, hashes, code
+
+
+def untimed(pairs):
+    return {key: value for key, value in pairs if "seconds" not in key}
+
+
+def names(folder):
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*")}
+
+
+def moment(folder):
+    """What a killed run was about."""
+    missing = [what for name, what in MILESTONES.items() if not (folder / name).exists()]
+    return missing[0] if missing else "the end"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(5400)
+@pytest.mark.parametrize("count", [40])
+def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, tmp_path, rng):
+    """Half of the kills strike at a change of the folder, evenly spread over all of them, half at any time."""
+    study, told = small_study.written(tmp_path), tmp_path / "told"
+    begun = time.monotonic()
+    code, said = walked(study, tmp_path / "whole", death=1 << 30)
+    took = time.monotonic() - begun
+    assert code == 0, said
+    wanted, files = numbers(tmp_path / "whole"), names(tmp_path / "whole")
+    changes = count_changes(study, tmp_path / "counted", told)
+    deaths = [1 + k * changes // (count // 2) for k in range(count // 2)]
+    kills = [{"death": death} for death in deaths] + [{"after": after} for after in rng.uniform(0, took, count // 2)]
+    struck, identifying, wrong = Counter(), 0, []
+    for number, kill in enumerate(kills):
+        folder = tmp_path / str(number)
+        killed, _ = walked(study, folder, **kill)
+        assert killed in (-9, 0)
+        at = moment(folder) if folder.exists() else "before it began"
+        struck[at if killed else "too late"] += 1
+        identifying += (folder / "records/all.h5").exists() and not (folder / "stages/identify.json").exists()
+        code, said = walked(study, folder)
+        if code != 0 or names(folder) != files or numbers(folder) != wanted:
+            wrong.append((kill, at, code, said, sorted(names(folder) ^ files)))
+    print(
+        f"{count} kills within {changes} changes and {took:.0f} s: {dict(struck)}, of these {identifying} while models "
+        f"were identified; wrong afterwards: {len(wrong)}"
+    )
+    assert not wrong, wrong
+    assert set(struck) >= STRUCK
+    assert identifying > 0
+
+
+def count_changes(study, folder, told):
+    """How often a run changes its folder."""
+    words = [sys.executable, str(SCRIPT), str(study), str(folder), str(1 << 30), str(told)]
+    subprocess.run(words, check=True, stdout=subprocess.DEVNULL, env=ENVIRONMENT)
+    return len(told.read_text().splitlines())
+
+
+@pytest.mark.slow
+def test_a_second_run_of_a_process_study_does_not_move_the_plant(run, tmp_path):
+    """By the command line; the plant keeps a diary of its runs."""
+    plant, diary = SCRIPT.with_name("two_masses_process.py"), tmp_path / "diary"
+    study = small_study.written(tmp_path)
+    process = f'method = "process"\ncommand = ["{sys.executable}", "{plant}", "{diary}"]'
+    study.write_text(study.read_text().replace('method = "two-masses"', process))
+    said = [run("run", study, "--out", "out") for _ in range(2)]
+    assert [code for code, *_ in said] == [0, 0], said
+    first = numbers(tmp_path / "out")
+    runs = diary.read_text().splitlines()
+    said = run("report", "out")
+    assert said[0] == 0, said
+    print(f"{len(runs)} runs of the plant by the first walk, {len(diary.read_text().splitlines()) - len(runs)} later")
+    assert diary.read_text().splitlines() == runs
+    assert numbers(tmp_path / "out") == first
+    # Its command is what it is: another one is another bench.
+    study.write_text(study.read_text().replace(str(diary), f'{diary}", "more'))
+    code, _, err = run("run", study, "--out", "out")
+    assert (code, "'command' was" in err) == (2, True)
+    assert numbers(tmp_path / "out") == first
