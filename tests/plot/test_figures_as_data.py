@@ -173,8 +173,10 @@ def test_densities_are_those_of_the_spectrum(record):
 def test_gains_are_drawn_where_they_are_coherent(record):
     response = spectra.frf(record, segment_samples=SEGMENT)
     figure = response_figure(response)
-    gains, shares = figure.panels[::2], figure.panels[1::2]
-    for i, (gain, share) in enumerate(zip(gains, shares, strict=True)):
+    assert figure.columns == 3
+    gains, phases, shares = (figure.panels[k::3] for k in range(3))
+    for i, (gain, phase, share) in enumerate(zip(gains, phases, shares, strict=True)):
+        assert gain.y_label == "dB re (m/s)/V"
         assert [line.label for line in gain.lines if line.label] == ["push x", "push y"]
         db = 20 * np.log10(np.abs(response.values[i]))
         for j in range(2):
@@ -184,7 +186,10 @@ def test_gains_are_drawn_where_they_are_coherent(record):
             trusted = response.coherence[i, j] > TRUSTED
             assert (db[j][trusted] <= high).all()
             assert (db[j][trusted] >= low).all()
-            assert share.lines[j].y == pytest.approx(response.coherence[i, j])
+            turned = np.exp(1j * np.radians(phase.lines[j].y))
+            assert turned == pytest.approx(response.values[i, j] / np.abs(response.values[i, j]))
+        assert len(share.lines) == 1  # what both explain together: one curve, not the same one twice
+        assert share.lines[0].y == pytest.approx(response.coherence[i, 0])
         assert share.y_range[0] <= 0.0
         assert share.y_range[1] >= 1.0
 
