@@ -1,5 +1,6 @@
 """`ultraquiet demo`, `run` and `report`: whole studies."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +11,7 @@ from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.pipeline import Study
     from ultraquiet.pipeline.summary import Summary
 
@@ -58,40 +58,36 @@ def report(
 
 
 def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
-    from rich.console import Console
-
+    from ultraquiet.cli.output.screen import screen
     from ultraquiet.pipeline import walk
 
     with bars() as console:
         summary = walk(study, folder, beside=beside, say=console.print)
-    show = Console()
-    show.print(_table(summary))
-    show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
+    show = screen()
+    show.table(_table(summary))
+    show.say(f"report: {folder / 'report.html'}", f"numbers: {folder / 'summary.json'}")
     if summary.requirements is not None:
-        show.print(f"requirements of {summary.requirements.law}:", highlight=False)
-        for judged in summary.requirements.judged:
-            show.print(f"  {judged.sentence}", highlight=False, soft_wrap=True, markup=False)
-    for sentence in summary.failures:
-        show.print(f"failed: {sentence}", highlight=False, soft_wrap=True, markup=False)
+        show.say(f"requirements of {summary.requirements.law}:")
+        show.say(*(f"  {judged.sentence}" for judged in summary.requirements.judged))
+    show.say(*(f"failed: {sentence}" for sentence in summary.failures))
+    if show.as_json:
+        show.result(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
     finish(summary)
 
 
-def _table(summary: "Summary") -> "Table":
-    from rich.table import Table
-
+def _table(summary: "Summary") -> "TextTable":
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.pipeline.facts.loops import UnstableLoop
 
-    table = Table(title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
-    table.add_column("controller", no_wrap=True)
-    for head in ("unit", "states", *(f"{f} Hz" for f in TONES_HZ), "band", "peak"):
-        table.add_column(head, no_wrap=True, justify="left" if head == "unit" else "right")
+    title = "reduction on the bench, dB: worst channel at tones, worst direction over the band"
+    grid = TextTable(("controller", "unit", "states", *(f"{f} Hz" for f in TONES_HZ), "band", "peak"), title)
     for name, units in summary.closed_loop.items():
         states = str(summary.design[name].states)
         for unit, loop in units.items():
             if isinstance(loop, UnstableLoop):
-                table.add_row(name, unit, states, f"[red]{loop.word}")
+                grid.add(name, unit, states, loop.word, *["-"] * (len(TONES_HZ) + 1))
                 continue
             tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in TONES_HZ]
             figures = [*tones, loop.worst_direction_band_db, loop.peak_amplification_db]
-            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
-    return table
+            grid.add(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
+    return grid
