@@ -25,11 +25,10 @@ def design(
 ) -> None:
     """Design a controller u = K y; a refusal says why and leaves nothing."""
     from ultraquiet import files
-    from ultraquiet.analyse import band_attenuation
     from ultraquiet.cli.loop.facts import band_sentence, margins_facts
     from ultraquiet.cli.loop.loaded import loaded_plant
     from ultraquiet.cli.output.screen import screen
-    from ultraquiet.design.plant_scale import even_plant
+    from ultraquiet.design.loop_analysis import attenuation_over
     from ultraquiet.design.robustness import described
     from ultraquiet.values import StatusWord
 
@@ -44,8 +43,7 @@ def design(
         error = InputError if result.status.word is StatusWord.REFUSED else NumericalError
         raise error(f"design: {result.status.sentence}")
     files.save(law, target, overwrite=force)
-    band = getattr(settings, "band_hz", None) or even_plant(system).band_hz
-    attenuation_db, at_hz = band_attenuation(system, law, band)
+    attenuation_db, at_hz, band = attenuation_over(system, law, getattr(settings, "band_hz", None))
     show = screen()
     show.say(result.status, *described(system, result.margins), band_sentence(attenuation_db, at_hz, band))
     show.say(f"{law.states} states", f"controller: {target}")

@@ -8,7 +8,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.plot.figure import Figure, Line, Panel
 
 HZ = "frequency (Hz)"
-FLOOR = 1e-300  # what stands for zero on an axis in dB
+FLOOR = 1e-6  # of the largest: what is smaller is rounding, and stands at the foot of the axis
 SPAN = 3.0  # of the plane about the critical point: further out a locus says nothing of stability
 CROSS = 0.08  # size of the mark there
 
@@ -23,8 +23,8 @@ def sensitivity_figure(
     """Singular values `(directions, nf)` of each member of a loop; the band is shaded, `units` follow "dB"."""
     panels = [
         Panel(
-            [Line.of(f_hz, 20 * np.log10(np.maximum(each, FLOOR)), shade=k) for k, each in enumerate(values)],
-            member,
+            [Line.of(f_hz, _db(each, values), shade=k) for k, each in enumerate(values)],
+            f"{member} of {name}",
             HZ,
             f"dB{units.get(member, '')}",
             x_log=True,
@@ -39,8 +39,13 @@ def sensitivity_figure(
     return Figure("sensitivity", f"The loop of {name}", caption, panels, 1, (8.0, 2.6 * len(panels)))
 
 
+def _db(each: FloatArray, values: FloatArray) -> FloatArray:
+    largest = float(values.max(initial=0.0)) or 1.0
+    return 20 * np.log10(np.maximum(each, FLOOR * largest))
+
+
 def nyquist_figure(name: str, loop: ComplexArray) -> Figure:
-    """Eigenvalue loci of -L, L = G K `(channels, channels, nf)` over rising frequencies, about the critical point."""
+    """Eigenvalue loci of -L, L = G K or K G `(channels, channels, nf)` over rising frequencies, about -1."""
     loci = tracked(-np.linalg.eigvals(np.moveaxis(loop, 2, 0)).astype(np.complex128))
     lines = [Line(np.real(each), np.imag(each), f"locus {k + 1}", shade=k) for k, each in enumerate(loci)]
     mark = [

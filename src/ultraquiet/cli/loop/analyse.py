@@ -7,6 +7,8 @@ import typer
 
 from ultraquiet.cli.exits.codes import finish
 
+LINES = 500  # evenly spaced, so that loci are smooth up to the Nyquist frequency
+
 if TYPE_CHECKING:
     from ultraquiet.design.loop_analysis import LoopAnalysis
     from ultraquiet.plot import Figure
@@ -74,8 +76,11 @@ def figures(plant: "StateSpace", law: "StateSpace", found: "LoopAnalysis", name:
     from ultraquiet.plot.loop import nyquist_figure, sensitivity_figure
 
     f, values = found.gang.singular_values()
-    members = {"S": values["So"], "T": values["To"], "KS": found.command_scale * values["KSo"]}
+    reached = min(plant.D.shape)  # of T and of the open loop no other direction is more than rounding
+    members = {"S": values["So"], "T": values["To"][:reached], "KS": found.command_scale * values["KSo"]}
     units = {"KS": f" re {found.peaks['KS'].unit}"} if found.peaks["KS"].unit else {}
-    lines = np.unique(np.concatenate([f, default_grid(plant)]))
-    loop = np.einsum("ijf,jkf->fik", plant.frequency_response(lines), law.frequency_response(lines))
-    return [sensitivity_figure(name, f, members, units, found.band_hz), nyquist_figure(name, np.moveaxis(loop, 0, 2))]
+    grid = default_grid(plant)
+    lines = np.unique(np.concatenate([f, grid, np.linspace(grid[0], grid[-1], LINES)]))
+    first, second = (plant, law) if plant.D.shape[0] == reached else (law, plant)
+    loop = np.einsum("ijf,jkf->ikf", first.frequency_response(lines), second.frequency_response(lines))
+    return [sensitivity_figure(name, f, members, units, found.band_hz), nyquist_figure(name, loop)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import positive, rising_band, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.loop.facts import seconds
+from ultraquiet.cli.loop.facts import decibels, seconds
 from ultraquiet.cli.loop.places import WHO, LoopPlace
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -50,8 +50,8 @@ class Wanted:
         tones_hz = () if asked is None else place.tones_hz if asked == DEFAULT else _tones(asked, place.bench.rate_hz)
         band = place.band_hz if band_hz is None else rising_band(WHO, band_hz, place.bench.rate_hz)
         size = place.amplitude if amplitude is None else positive(WHO, "--amplitude", amplitude)
-        lowest = min([*tones_hz, *([band[0]] if noise else []), PERIODS / place.duration_s])
-        length = PERIODS / lowest if duration_s is None else positive(WHO, "--duration", duration_s, "s")
+        slowest: list[float] = [PERIODS / place.duration_s, *tones_hz, *([band[0]] if noise else [])]
+        length = PERIODS / min(slowest) if duration_s is None else positive(WHO, "--duration", duration_s, "s")
         return cls(tones_hz, noise, step, band, size, length, whole(WHO, "--seed", seed, 0))
 
 
@@ -62,16 +62,17 @@ class LoopMeasured:
     tones: "Attenuation | None"
     noise: "NoiseReduction | None"
     step: "StepReduction | None"
+    amplitude: float
     duration_s: float
 
     def grids(self, place: LoopPlace) -> Iterator[TextTable]:
         """Yield a table for each thing measured."""
         if self.tones is not None:
-            yield _tone_grid(self.tones, place)
+            yield _tone_grid(self.tones, place, self.amplitude)
         if self.noise is not None:
-            yield _noise_grid(self.noise, place)
+            yield _noise_grid(self.noise, place, self.amplitude)
         if self.step is not None:
-            yield _step_grid(self.step, place, self.duration_s)
+            yield _step_grid(self.step, place)
 
     def facts(self, place: LoopPlace) -> dict[str, Any]:
         """Return everything measured by channel name."""
@@ -110,7 +111,7 @@ def measure(place: LoopPlace, law: "StateSpace", wanted: Wanted) -> LoopMeasured
     tones = simulate.attenuation(bench, law, wanted.tones_hz, size, length) if wanted.tones_hz else None
     noise = simulate.noise_reduction(bench, law, wanted.band_hz, size, length, wanted.seed) if wanted.noise else None
     step = simulate.step_reduction(bench, law, size, length) if wanted.step else None
-    return LoopMeasured(tones, noise, step, length)
+    return LoopMeasured(tones, noise, step, size, length)
 
 
 def _tones(text: str, rate_hz: float) -> tuple[float, ...]:
@@ -131,27 +132,27 @@ def _by_name(place: LoopPlace, **columns: Any) -> dict[str, Any]:
     }
 
 
-def _tone_grid(t: "Attenuation", place: LoopPlace) -> TextTable:
+def _tone_grid(t: "Attenuation", place: LoopPlace, size: float) -> TextTable:
     grid = TextTable(
-        ("tone", "sensor", "unit", "open", "closed", "reduction"), "tones at all actuators, amplitude at each"
+        ("tone", "sensor", "unit", "open", "closed", "reduction"), f"tones of {size:g} at all actuators, amplitudes"
     )
     for k, f in enumerate(t.tones_hz):
         for i, sensor in enumerate(place.bench.sensors):
             levels = (f"{t.open_v[k, i]:.4g}", f"{t.closed_v[k, i]:.4g}")
-            grid.add(f"{f:g} Hz", sensor.name, sensor.unit, *levels, f"{t.reduction_db[k, i]:.2f} dB")
+            grid.add(f"{f:g} Hz", sensor.name, sensor.unit, *levels, decibels(t.reduction_db[k, i]))
     return grid
 
 
-def _noise_grid(n: "NoiseReduction", place: LoopPlace) -> TextTable:
-    title = f"noise at all actuators, {n.band_hz[0]:.4g} to {n.band_hz[1]:.4g} Hz, RMS"
+def _noise_grid(n: "NoiseReduction", place: LoopPlace, size: float) -> TextTable:
+    title = f"noise of {size:g} RMS at all actuators, {n.band_hz[0]:.4g} to {n.band_hz[1]:.4g} Hz, RMS"
     grid = TextTable(("sensor", "unit", "open", "closed", "reduction"), title)
     for i, sensor in enumerate(place.bench.sensors):
         levels = (f"{n.open_rms[i]:.4g}", f"{n.closed_rms[i]:.4g}")
-        grid.add(sensor.name, sensor.unit, *levels, f"{n.reduction_db[i]:.2f} dB")
+        grid.add(sensor.name, sensor.unit, *levels, decibels(n.reduction_db[i]))
     return grid
 
 
-def _step_grid(s: "StepReduction", place: LoopPlace, duration_s: float) -> TextTable:
+def _step_grid(s: "StepReduction", place: LoopPlace) -> TextTable:
     heads = ("actuator", "sensor", "unit", "peak open", "peak closed", "settles open", "settles closed")
     grid = TextTable(heads, f"step of {s.amplitude:g} at each actuator, to 2 % of the peak")
     for k, actuator in enumerate(place.bench.actuators):

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.loop.loaded import loaded_plant, require_fit
 
 if TYPE_CHECKING:
     from ultraquiet.bench import Bench
@@ -36,6 +37,8 @@ class LoopPlace:
         from ultraquiet.values import Status, StatusWord
         from ultraquiet.values.interconnect import feedback
 
+        if self.model is not None:
+            require_fit(WHO, self.model, law)
         if self.model is None or any("delay" in note for note in self.notes):
             return check_stability(self.bench, law).status
         if feedback(self.model, law).is_stable():
@@ -58,7 +61,6 @@ def place_of(study: Path | None, model: Path | None, unit: str | None) -> LoopPl
 
 def _of_model(path: Path) -> LoopPlace:
     from ultraquiet.bench import LinearBench
-    from ultraquiet.cli.loop.loaded import loaded_plant
     from ultraquiet.design.plant_scale import even_plant
 
     model = loaded_plant(path, WHO)

@@ -72,7 +72,7 @@ def plain(value: Any) -> Any:
     {'peak_db': 3.0, 'delay_s': [0.1, None]}
     """
     if isinstance(value, float):
-        return value if math.isfinite(value) else None
+        return float(value) if math.isfinite(value) else None
     if value is None or (isinstance(value, bool | int | str) and not isinstance(value, Enum)):
         return value
     return _plain_container(value)

@@ -202,18 +202,32 @@ def chosen_order(method: PolynomialMethod, record: Record, orders: Iterable[int]
     if not methods:
         raise InputError("chosen_order: no orders were given.")
     cut = int(FITTED_SHARE * record.samples)
-    fitted, kept = record.part(0, cut), record.part(cut)
+    fitted = record.part(0, cut)
     for each in methods:
         each.check(fitted)
 
     def losses(i: int) -> list[float]:
         data = ChannelData.of(fitted, i)
-        return [_one_step_loss(kept.outputs[i], kept.inputs, each.fit(data, kept.rate_hz)) for each in methods]
+        return [_loss_after(cut, record, i, each.fit(data, record.rate_hz)) for each in methods]
 
     table = in_threads("compare orders", losses, list(range(len(record.sensors))), None)
     scores = np.exp(np.mean(np.log([table[i] for i in range(len(record.sensors))]), axis=0))
     near = [each.order for each, score in zip(methods, scores, strict=True) if score <= (1 + WORTH) * scores.min()]
     return min(near)
+
+
+def _loss_after(cut: int, record: Record, i: int, fit: Fit) -> float:
+    """Return the variance of the one-step errors behind `cut`.
+
+    The model runs through the whole record: begun at the cut it would be judged by the state that it does not know.
+    """
+    m = fit.model
+    sensor = record.sensors[i]
+    y = record.outputs[i]
+    if sensor.low > -np.inf or sensor.high < np.inf:
+        simulated = prediction.simulate(record.inputs, y, m.b, [m.denominator(j) for j in range(len(m.b))])
+        y = prediction.repaired(y, simulated, sensor.low, sensor.high)
+    return float(np.var(prediction.innovations(record.inputs, y, m.a, m.b, m.f, m.c, m.d)[cut:]))
 
 
 def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
