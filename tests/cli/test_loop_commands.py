@@ -36,6 +36,7 @@ def loop(request, rng, tmp_path):
     return G, K
 
 
+@pytest.mark.gate("(4, 3)")
 def test_what_analyse_says_is_what_the_rooms_below_say(run, loop):
     G, K = loop
     code, out, err = run("analyse", "plant.h5", "law.h5", "--band", "15", "70", "--json")
@@ -64,6 +65,7 @@ def test_what_analyse_says_is_what_the_rooms_below_say(run, loop):
     assert said["attenuation_db"] == pytest.approx(-20 * np.log10(worst), abs=0.02)
 
 
+@pytest.mark.gate("(4, 3)")
 def test_a_readers_table_names_channels_and_units(run, loop):
     G, _ = loop
     out = run("analyse", "plant.h5", "law.h5")[1]
@@ -75,6 +77,7 @@ def test_a_readers_table_names_channels_and_units(run, loop):
     assert "attenuation of the worst direction" in out
 
 
+@pytest.mark.gate("1e-09")
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_other_units_of_the_readings_change_nothing_but_them(rng, unit):
     G, K = plant_and_law(rng, 4, 3)
@@ -102,6 +105,7 @@ def test_channels_of_several_units_are_weighed_alike_whatever_their_units(rng):
     assert other.attenuation_db == pytest.approx(one.attenuation_db, abs=1e-6)
 
 
+@pytest.mark.gate("(4, 3)")
 def test_an_unstable_and_a_fragile_loop_end_with_one(run, loop):
     K = loop[1]
     uq.files.save(uq.StateSpace(K.A, K.B, -40 * K.C, -40 * K.D, RATE), "wild.h5")
@@ -129,6 +133,7 @@ def test_figures_of_one_name_stand_side_by_side(run, loop, tmp_path):
     assert (tmp_path / "figures" / "law-nyquist.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.gate("(4, 3)")
 def test_a_model_simulated_shows_the_loop_that_was_analysed(run, loop):
     """Tones to the sensitivity of the loop, noise to its integral, and a step to its own response."""
     G, K = loop

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from ultraquiet._base.constraints import whole
+from ultraquiet._base.constraints import one_of, whole
 from ultraquiet.cli.deploy.exports import require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
 from ultraquiet.cli.deploy.table import requested_targets, rows
-from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
+from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.values.status import CODE_FAULTS
 
@@ -57,6 +57,7 @@ def deploy(
 
     law = loaded_law(controller, "deploy")
     real_time = requested_frame(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
+    one_of("deploy", "precision", precision, PRECISIONS)
     folder = out or controller.with_suffix("")
     whole("deploy", "steps", steps, 1)
     if word_lengths or precision in FIXED:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from ultraquiet.values import StateSpace, Status
 
 FIXED = ("q31", "q15")
+PRECISIONS = ("float32", "float64", *FIXED)
 HEADS = ("precision", "form", "status", "error", "loop louder, dB", "bound", "noise, V", "multiply-adds", "bytes")
 
 

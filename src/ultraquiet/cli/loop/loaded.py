@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ultraquiet._base import registry
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
 
@@ -21,6 +22,8 @@ def loaded_plant(path: Path, who: str = "deploy") -> "StateSpace":
         raise InputError(
             f"{who}: '{path}' holds a {type(model).__name__}, not a model of a plant; `identify` makes one of a record."
         )
+    if (maker := system.provenance.made_by) in _makers("design"):
+        raise InputError(f"{who}: '{path}' holds a controller, made by {maker}; PLANT comes first, its law after it.")
     return system
 
 
@@ -34,7 +37,15 @@ def loaded_law(path: Path, who: str) -> "StateSpace":
         raise InputError(
             f"{who}: '{path}' holds a {type(law).__name__}, not a controller in state space; `design` makes one."
         )
+    if (maker := law.provenance.made_by) in _makers("identify"):
+        raise InputError(f"{who}: '{path}' holds a plant, identified by {maker}; `design` makes a controller for it.")
     return law
+
+
+def _makers(family: str) -> set[str]:
+    """Return what the values that a family's methods made call their maker."""
+    kinds = registry.methods(family)
+    return {*kinds, *(kind.__name__ for kind in kinds.values())}
 
 
 def require_fit(who: str, plant: "StateSpace", law: "StateSpace") -> None:
@@ -43,8 +54,7 @@ def require_fit(who: str, plant: "StateSpace", law: "StateSpace") -> None:
     ny, nu = plant.D.shape
     if law.D.shape == (nu, ny):
         return
-    swapped = " They stand the other way round: PLANT comes first." if law.D.shape == (ny, nu) else ""
     raise InputError(
         f"{who}: the plant has {nu} inputs and {ny} outputs, so a law must take {ny} readings and give {nu} commands; "
-        f"this one takes {law.D.shape[1]} and gives {law.D.shape[0]}.{swapped}"
+        f"this one takes {law.D.shape[1]} and gives {law.D.shape[0]}."
     )

@@ -20,6 +20,12 @@ def require_format(who: str, form: str) -> str:
     return one_of(who, "--format", form, FORMATS)
 
 
+def require_folder(who: str, folder: Path) -> None:
+    """Refuse a folder that is something else."""
+    if folder.exists() and not folder.is_dir():
+        raise StorageError(f"{who}: '{folder}' is a file, no folder for figures; choose another --out.")
+
+
 def format_of_picture(who: str, path: Path) -> str:
     """Return the format that a picture's suffix says."""
     form = path.suffix.lower().removeprefix(".")
