@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from ultraquiet.pipeline import Study
     from ultraquiet.pipeline.summary import Summary
 
-TONES_HZ = ("5", "25", "100")  # of the paper
-
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
 
@@ -64,7 +62,8 @@ def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
     with bars() as console:
         summary = walk(study, folder, beside=beside, say=console.print)
     show = screen()
-    show.table(_table(summary))
+    if summary.closed_loop:
+        show.table(_table(summary))
     show.say(f"report: {folder / 'report.html'}", f"numbers: {folder / 'summary.json'}")
     if summary.requirements is not None:
         show.say(f"requirements of {summary.requirements.law}:")
@@ -77,17 +76,19 @@ def _walk(study: "Study", folder: Path, beside: Path | None) -> None:
 
 def _table(summary: "Summary") -> "TextTable":
     from ultraquiet.cli.output.text_table import TextTable
-    from ultraquiet.pipeline.facts.loops import UnstableLoop
+    from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 
+    loops = [loop for units in summary.closed_loop.values() for loop in units.values()]
+    tones_hz = list(dict.fromkeys(f for loop in loops if isinstance(loop, StableLoop) for f in loop.tones))
     title = "reduction on the bench, dB: worst channel at tones, worst direction over the band"
-    grid = TextTable(("controller", "unit", "states", *(f"{f} Hz" for f in TONES_HZ), "band", "peak"), title)
+    grid = TextTable(("controller", "unit", "states", *(f"{f} Hz" for f in tones_hz), "band", "peak"), title)
     for name, units in summary.closed_loop.items():
         states = str(summary.design[name].states)
         for unit, loop in units.items():
             if isinstance(loop, UnstableLoop):
-                grid.add(name, unit, states, loop.word, *["-"] * (len(TONES_HZ) + 1))
+                grid.add(name, unit, states, *[loop.word, *["-"] * (len(tones_hz) + 1)])
                 continue
-            tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in TONES_HZ]
+            tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in tones_hz]
             figures = [*tones, loop.worst_direction_band_db, loop.peak_amplification_db]
             grid.add(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
     return grid
