@@ -133,7 +133,8 @@ COMMANDS = {
     "run study.toml --out mine.h5": ("mine.h5", "--out"),
 }  # fmt: skip
 
-TONES = "tones_hz = [5.0, 25.0, 100.0]\nband"
+UNITS = '["ground", "flight"]\n'
+TONES = f"{UNITS}tones_hz = [5.0, 25.0, 100.0]"
 # What is written in the study -> what was written in its place, and what the answer names, its line first.
 STUDIES = {
     "a seed below zero": ("seed = 1", "seed = -1", ("seed", "0")),
@@ -152,8 +153,8 @@ STUDIES = {
     "a design misspelt": ('method = "lqg"', 'method = "lgq"', ("lgq", "lqg")),
     "a setting of a design misspelt": ("control_weight =", "control_wieght =", ("control_wieght", "control_weight")),
     "a band that falls": ("band_hz = [10.0, 100.0]", "band_hz = [100.0, 10.0]", ("band", "rise")),
-    "a tone below zero": (TONES, "tones_hz = [-5.0]\nband", ("tones_hz", "greater than 0")),
-    "a tone beyond Nyquist": (TONES, "tones_hz = [9e3]\nband", ("9000", "1750")),
+    "a tone below zero": (TONES, f"{UNITS}tones_hz = [-5.0]", ("tones_hz", "greater than 0")),
+    "a tone beyond Nyquist": (TONES, f"{UNITS}tones_hz = [9e3]", ("9000", "1750")),
     "a precision nobody knows": ('precision = "float32"', 'precision = "float16"', ("precision", "float32")),
     "a law nobody designs": ('law = "hinf-tones"', 'law = "hinf"', ("hinf", "hinf-tones")),
     "a requirement nobody measures": ("tones_db =", "payload_db =", ("payload_db", "leave it away")),
