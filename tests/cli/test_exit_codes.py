@@ -87,6 +87,8 @@ def folder(tmp_path, rng, monkeypatch):
         uq.files.save(uq.PolynomialMatrix([[model]]), tmp_path / f"{name}-model.h5")
     uq.files.save(uq.StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], RATE_HZ), tmp_path / "plant.h5")
     uq.files.save(uq.StateSpace([[0.9]], [[0.1]], [[0.1]], [[0.0]], RATE_HZ), tmp_path / "law.h5")
+    mild = uq.StateSpace([[0.5]], [[0.1]], [[-0.1]], [[0.0]], RATE_HZ)
+    uq.files.save(mild, tmp_path / "mild-law.h5")
     # Its pole lies so near the circle that float32 puts it there.
     slow = uq.StateSpace([[1.0 - 2e-9]], [[0.1]], [[0.1]], [[0.0]], RATE_HZ)
     uq.files.save(slow, tmp_path / "slow-law.h5")
@@ -110,6 +112,12 @@ CASES = {
         0: "plant.h5 --method verdict --out K.h5",
         1: "plant.h5 --method verdict --set word=short --out K.h5",
         2: "plant.h5 --method verdict --set law=false --set word=refused --out K.h5",
+    },
+    "analyse": {0: "plant.h5 mild-law.h5", 1: "plant.h5 law.h5", 2: "plant.h5 absent.h5"},
+    "simulate": {
+        0: "mild-law.h5 --plant plant.h5 --tones 50 --duration 0.2",
+        1: "law.h5 --plant plant.h5",
+        2: "mild-law.h5",
     },
     "deploy": {
         0: "law.h5 --target none --steps 100 --out code",

@@ -59,10 +59,10 @@ def test_a_dry_run_shows_every_step_and_touches_nothing(run, tmp_path):
     print(out)
     assert code == 0
     for row in (
-        r"7 +│ 0.00 s +│ 0.11 s +│ excite loud +│ strut 2: tone, peak 25 V, RMS 18 V, 43.75-122.5 Hz +│ +│ off",
-        r"12 +│ 0.11 s +│ 3600.00 s +│ wait",
-        r"excite low +│ strut 3: tone, peak 0.01 V",
-        r"3600.23 s +│ 0.11 s +│ record quiet",
+        r"7 +0.00 s +0.11 s +excite loud +strut 2: tone, peak 25 V, RMS 18 V, 43.75-122.5 Hz +off",
+        r"12 +0.11 s +3600.00 s +wait",
+        r"excite low +strut 3: tone, peak 0.01 V",
+        r"3600.23 s +0.11 s +record quiet",
         r"3 records, 3600.3 s on the bench, 3600.0 s of them waits \(simulated: .*\), at most \d+\.\d MB on the disk",
     ):
         assert re.search(row, out), row
@@ -233,7 +233,7 @@ def test_ctrl_c_ramps_to_zero_and_says_where_everything_stands(laboratory, tmp_p
         ("long", "ABORTED", "long.partial.h5"),
         ("never", "NOT STARTED", ""),
     ):
-        assert re.search(rf"│ {name} +│ {state} +│ {file} +│", out), name
+        assert re.search(rf"^{name} +{state} *{file}$", out, re.MULTILINE), name
     assert "Traceback" not in err
     sent = np.array([float(line) for line in (tmp_path / "sent.txt").read_text().split()])
     down = sent[np.flatnonzero(sent == 8.0)[-1] :]
@@ -261,7 +261,7 @@ def test_under_nohup_a_run_outlives_its_terminal(laboratory, tmp_path):
     child.terminate()
     out, err = child.communicate(timeout=60)
     assert child.returncode == 130, err
-    assert re.search(r"long +│ ABORTED", out)
+    assert re.search(r"long +ABORTED", out)
 
 
 @pytest.mark.slow
@@ -276,7 +276,7 @@ def test_a_wait_in_real_time_is_waited_for_and_can_be_ended(laboratory, tmp_path
     child.send_signal(signal.SIGINT)
     out, err = child.communicate(timeout=30)
     assert child.returncode == 130, err
-    assert re.search(r"never +│ NOT STARTED", out)
+    assert re.search(r"never +NOT STARTED", out)
     child = laboratory(SLOW.replace("60000", "100").replace("59.9", "0.05").replace("3600.0", "0.3"), "--resume")
     out, err = child.communicate(timeout=30)
     print(out, err)
@@ -292,8 +292,8 @@ def test_resume_repeats_what_was_broken_off_only_by_name(run, tmp_path):
     print(out, err)
     assert code == 2
     assert "low in 'short' was begun before and left no record" in err
-    assert re.search(r"low +│ ABORTED", out)
-    assert re.search(r"quiet +│ DONE +│ quiet.h5", out)
+    assert re.search(r"low +ABORTED", out)
+    assert re.search(r"quiet +DONE +quiet.h5", out)
     code, out, err = run("experiment", "short.toml", "--resume", "--repeat", "low")
     assert (code, "3 records" in out, "2 records are there already" in err) == (0, True, True)
 
@@ -323,7 +323,7 @@ def test_records_are_found_on_the_command_line(run, tmp_path, monkeypatch):
     print(out)
     assert code == 0
     assert "3 runs" in out
-    assert re.search(r"loud +DONE +hexapod +tone 2 +400 +\d+ +0 +- short/loud.h5", out)
+    assert re.search(r"loud +DONE +hexapod +tone 2 +400 +\d+ +0 +- +short/loud.h5", out)
     assert out.count("three short ones") == 3
     monkeypatch.setenv("COLUMNS", "80")
     narrow = run("records")[1]

@@ -44,7 +44,7 @@ def test_every_kind_says_how_it_was_averaged(run, record, tmp_path, show, words)
 
 def test_the_figures_are_right(run, record):
     printed = run("spectra", record, "--show", "transmissibility", "--base", "base z", "--payload", "payload z")[1]
-    assert -20.1 < float(re.search(r"│\s+(-\d+\.\d+) dB", printed)[1]) < -19.8
+    assert -20.1 < float(re.search(r"  (-\d+\.\d+) dB", printed)[1]) < -19.8
     printed = run("spectra", record, "--show", "octaves", "--segment", 4096)[1]
     # 5 µm/s over 250 Hz leaves 1.36 µm/s in the octave third at 80 Hz; the base has ten times that.
     assert "payload z meets VC-F" in printed
@@ -89,7 +89,7 @@ def test_noise_beyond_the_excitation_is_no_largest_gain(run, rng, tmp_path):
     path = tmp_path / "narrow.h5"
     files.save(Record([u], [y], RATE, ["drive"], ["arm"]), path)
     printed = run("spectra", path, "--show", "response", "--segment", 1024)[1]
-    gain_db, at_hz = map(float, re.search(r"│\s+(-?\d+\.\d+) dB +│ (\S+) Hz", printed).groups())
+    gain_db, at_hz = map(float, re.search(r"  (-?\d+\.\d+) dB +\S+ +(\S+) Hz", printed).groups())
     found = spectra.frf(files.read_record(path), segment_samples=1024).magnitude_db.max()
     print(f"largest trusted gain {gain_db} dB at {at_hz} Hz, 6.02 dB true; the largest of all would be {found:.1f} dB")
     assert gain_db < 9.1  # a coherence of one half leaves the gain within its own size
@@ -103,7 +103,7 @@ def test_channels_by_a_mapping(run, rng, tmp_path):
     (tmp_path / "map.toml").write_text(text)
     code, printed, err = run("spectra", tmp_path / "run.txt", "--mapping", tmp_path / "map.toml")
     assert code == 0, err
-    rms = float(re.search(r"arm +│ (\S+) g", printed)[1])
+    rms = float(re.search(r"arm +(\S+) g", printed)[1])
     assert rms == pytest.approx(2.0, rel=0.15)
 
 
@@ -116,8 +116,8 @@ def test_channels_by_a_mapping(run, rng, tmp_path):
         (["--segment", "100000"], "does not fit into 65536 samples"),
         (["--show", "octaves", "--quantity", "acceleration"], "is in m/s, which is no acceleration"),
         (["--show", "octaves", "--fraction", "0"], "'fraction' must be between 1 and 24, got 0"),
-        (["--out", "absent/picture.svg"], "'absent/picture.svg' could not be written (no such file or directory)"),
-        (["--out", "picture.png"], "'--out' must end in .svg"),
+        (["--out", "absent/picture.svg"], "there is no folder 'absent' for 'picture.svg'"),
+        (["--out", "picture.jpg"], "'--out' must end in .svg or .png"),
     ],
 )
 def test_bad_words_are_one_sentence(run, record, words, sentence):

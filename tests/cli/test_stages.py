@@ -8,7 +8,7 @@ DATA = Path(__file__).parents[1] / "data"
 
 def held_out(printed):
     """The third column of the table: fit on the part of the record that the model has not seen, in percent."""
-    return [float(row[1]) for row in re.findall(r"([-\d.]+) %\s*│\s*([-\d.]+) %", printed)]
+    return [float(row[1]) for row in re.findall(r"([-\d.]+) % +([-\d.]+) %", printed)]
 
 
 def test_two_inertia_bench(run):

@@ -77,7 +77,9 @@ FIGURES = {
         uq.validate.from_covariance(result, F_HZ, "entry").weight(RATE_HZ, order=1)
     ),
     "frame": lambda record, result, frames: frame_figure(frames),
-    "test-signals": lambda record, result, frames: study.excitation_signals({"noise": (record, 0), "more": (record, 1)}),
+    "test-signals": lambda record, result, frames: study.excitation_signals(
+        {"noise": (record, 0), "more": (record, 1)}
+    ),
     "responses": lambda record, result, frames: study.responses("noise", record, 1),
     "simulation": lambda record, result, frames: study.simulation(
         "step", record.part(0, 800), {"model": np.ones(800)}, 0, 1
@@ -174,8 +176,10 @@ def test_densities_are_those_of_the_spectrum(record):
 def test_gains_are_drawn_where_they_are_coherent(record):
     response = spectra.frf(record, segment_samples=SEGMENT)
     figure = response_figure(response)
-    gains, shares = figure.panels[::2], figure.panels[1::2]
-    for i, (gain, share) in enumerate(zip(gains, shares, strict=True)):
+    assert figure.columns == 3
+    gains, phases, shares = (figure.panels[k::3] for k in range(3))
+    for i, (gain, phase, share) in enumerate(zip(gains, phases, shares, strict=True)):
+        assert gain.y_label == "dB re (m/s)/V"
         assert [line.label for line in gain.lines if line.label] == ["push x", "push y"]
         db = 20 * np.log10(np.abs(response.values[i]))
         for j in range(2):
@@ -185,7 +189,10 @@ def test_gains_are_drawn_where_they_are_coherent(record):
             trusted = response.coherence[i, j] > TRUSTED
             assert (db[j][trusted] <= high).all()
             assert (db[j][trusted] >= low).all()
-            assert share.lines[j].y == pytest.approx(response.coherence[i, j])
+            turned = np.exp(1j * np.radians(phase.lines[j].y))
+            assert turned == pytest.approx(response.values[i, j] / np.abs(response.values[i, j]))
+        assert len(share.lines) == 1  # what both explain together: one curve, not the same one twice
+        assert share.lines[0].y == pytest.approx(response.coherence[i, 0])
         assert share.y_range[0] <= 0.0
         assert share.y_range[1] >= 1.0
 
@@ -259,7 +266,7 @@ def test_of_a_long_tone_the_last_periods_are_shown(record):
     assert command.lines[0].x[-1] == pytest.approx(tone.time_s[-1])
 
 
-def test_units_of_gains_and_squares_are_those_of_the_channels():
+def test_units_of_gains_are_those_of_the_channels():
     def wire(unit):
         return [uq.Channel("a", unit)]
 
@@ -267,7 +274,6 @@ def test_units_of_gains_and_squares_are_those_of_the_channels():
     assert study.gain_unit((wire("N"), wire("m/s"))) == "dB re (m/s)/N"
     assert study.gain_unit((wire(""), wire(""))) == "dB"
     assert study.gain_unit((wire("N") + wire("V"), wire("m"))) == "dB"
-    assert [study.squared(unit) for unit in ("V", "m/s", "")] == ["V²", "(m/s)²", ""]
 
 
 def test_an_open_and_a_closed_loop_are_told_apart(record):

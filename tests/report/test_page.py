@@ -57,6 +57,16 @@ def test_each_figure_is_drawn_once_within_its_section(report):
         assert f"title of {name}" in found
 
 
+def test_figures_of_one_name_do_not_take_each_others_place():
+    curves = [Line.of(np.arange(10.0), k * np.arange(10.0), f"curve {k}") for k in range(3)]
+    same = [Figure("same", f"title {k}", f"caption {k}.", [Panel([c], "", "s", "V")]) for k, c in enumerate(curves)]
+    text = render(Report("A", "The lead.", [], [Section("One", [], [], same[:2]), Section("Two", [], [], same[2:])]))
+    assert re.findall(r'<figure id="([^"]+)">', text) == ["same", "same-2", "same-3"]
+    for k, found in enumerate(re.findall(r"<figure id=.*?</figure>", text, re.DOTALL)):
+        assert f"title {k}" in found
+        assert f"curve {k}" in found
+
+
 def test_the_page_fetches_and_runs_nothing(report):
     text = render(report)
     page = Page(text)

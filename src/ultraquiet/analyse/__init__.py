@@ -10,7 +10,7 @@ from ultraquiet.analyse.disk import (
     end_margins,
 )
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_four, gang_of_six, peak_gain
-from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
+from ultraquiet.analyse.margins import Margins, band_attenuation, loop_margins, peak_sensitivity
 from ultraquiet.analyse.monte_carlo import MonteCarlo, monte_carlo, wilson_interval
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak, mu_upper_bound
 from ultraquiet.analyse.norms import h2_norm, hinf_norm, l2_norm
@@ -33,6 +33,7 @@ __all__ = [
     "Peak",
     "PerturbationBlock",
     "Roots",
+    "band_attenuation",
     "disk_margin",
     "disk_margins",
     "disk_ranges",

@@ -5,6 +5,7 @@ from ultraquiet.bench.fmu import Fmu
 from ultraquiet.bench.hardware.bench import Hardware
 from ultraquiet.bench.hardware.interlocks import Interlocks
 from ultraquiet.bench.hexapod import Hexapod
+from ultraquiet.bench.linear import LinearBench
 from ultraquiet.bench.process.bench import Process
 from ultraquiet.bench.replay import Replay
 from ultraquiet.bench.wrapped import Wrapped
@@ -16,6 +17,7 @@ __all__ = [
     "Hardware",
     "Hexapod",
     "Interlocks",
+    "LinearBench",
     "Process",
     "Replay",
     "Streaming",

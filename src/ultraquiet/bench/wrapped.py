@@ -1,7 +1,10 @@
 """A plant from outside, given as a function of one sample."""
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -14,6 +17,9 @@ from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant, checked_readi
 from ultraquiet.values import Channel
 from ultraquiet.values.channel import channels
 
+NUMBER = "run_index"
+POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
 
 @register("bench", "wrapped")
 @dataclass(frozen=True, init=False)
@@ -25,7 +31,8 @@ class Wrapped(Stepped):
 
     Args:
         step: the plant, one sample on.
-        reset: returns the plant to rest; called before every run.
+        reset: returns the plant to rest; called before every run. One that takes an argument gets the number of the
+            run, to draw other noise in each: the `run_index` of `run`, or how many runs there were so far.
         rate_hz: samples per second.
         actuators, sensors: channels or names; the commands are limited to the actuators' range.
 
@@ -39,7 +46,7 @@ class Wrapped(Stepped):
     """
 
     step: Callable[[FloatArray, FloatArray], ArrayLike]
-    reset: Callable[[], Any]
+    reset: Callable[..., Any]
     rate_hz: float
     actuators: tuple[Channel, ...]
     sensors: tuple[Channel, ...]
@@ -47,7 +54,7 @@ class Wrapped(Stepped):
     def __init__(
         self,
         step: Callable[[FloatArray, FloatArray], ArrayLike],
-        reset: Callable[[], Any],
+        reset: Callable[..., Any],
         rate_hz: float,
         actuators: Sequence[Channel | str],
         sensors: Sequence[Channel | str],
@@ -68,18 +75,40 @@ class Wrapped(Stepped):
         return Provenance("bench.wrapped", {"rate_hz": self.rate_hz})
 
     def _setup(self) -> Setup:
-        plant = _Called(self.step, self.reset, len(self.sensors))
+        plant = _Called(self.step, _numbered(self.reset), len(self.sensors))
         return Setup("Wrapped.run", plant, self.rate_hz, self.actuators, self.sensors)
+
+    @cached_property
+    def _runs(self) -> Iterator[int]:
+        """Numbers of the runs that nobody numbers: what changes, kept out of the settings."""
+        return count()
+
+    def _next_run(self) -> int:
+        return next(self._runs)
+
+
+def _numbered(reset: Callable[..., Any]) -> Callable[[int], Any]:
+    """Return a function of the run's number that hands it to a reset which takes it."""
+    try:
+        parameters = inspect.signature(reset).parameters
+    except (TypeError, ValueError):  # some of C have no signature
+        return lambda _: reset()
+    if (named := parameters.get(NUMBER)) is not None and named.kind is not named.POSITIONAL_ONLY:
+        return lambda number: reset(**{NUMBER: number})
+    needed = [p for p in parameters.values() if p.kind in POSITIONAL and p.default is p.empty]
+    return reset if needed else lambda _: reset()
 
 
 class _Called(SteppedPlant):
     """Two functions as a plant."""
 
-    def __init__(self, step: Callable[[FloatArray, FloatArray], ArrayLike], reset: Callable[[], Any], ny: int) -> None:
+    def __init__(
+        self, step: Callable[[FloatArray, FloatArray], ArrayLike], reset: Callable[[int], Any], ny: int
+    ) -> None:
         self._step, self._reset, self._ny = step, reset, ny
 
     def start(self, run_index: int) -> None:
-        self._reset()
+        self._reset(run_index)
 
     def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
         # Copies, so that a plant that keeps or changes its arguments cannot spoil the record.

@@ -1,36 +1,66 @@
 """The command line as a whole: its commands, and what an error looks like."""
 
 import sys
+from collections.abc import Callable
+from typing import Annotated
 
 import typer
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.cli import convert, design, doctor, identify, inspect, methods, records, spectra, study, validate
+from ultraquiet._base.provenance import versions
+from ultraquiet.cli import convert, design, doctor, identify, inspect, methods, records, study, validate
 from ultraquiet.cli.deploy import command as deploy
 from ultraquiet.cli.exits.codes import EPILOG, ExitCode, exit_code
 from ultraquiet.cli.experiment import command as experiment
+from ultraquiet.cli.loop import analyse, simulate
+from ultraquiet.cli.output.options import with_options
+from ultraquiet.cli.spectra import command as spectra
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "demo": study.demo,
+    "run": study.run,
+    "report": study.report,
+    "experiment": experiment.experiment,
+    "records": records.records,
+    "identify": identify.identify,
+    "validate": validate.validate,
+    "spectra": spectra.spectra,
+    "design": design.design,
+    "analyse": analyse.analyse,
+    "simulate": simulate.simulate,
+    "deploy": deploy.deploy,
+    "convert": convert.convert,
+    "inspect": inspect.inspect,
+    "methods": methods.methods,
+    "doctor": doctor.doctor,
+}
 
 app = typer.Typer(
     help="From the first excitation of a vibration-isolation bench to verified controller code.",
     epilog=EPILOG,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    rich_markup_mode=None,  # square brackets are words here, not markup
 )
-app.command("demo", epilog=EPILOG)(study.demo)
-app.command("run", epilog=EPILOG)(study.run)
-app.command("report", epilog=EPILOG)(study.report)
-app.command("experiment", epilog=EPILOG)(experiment.experiment)
-app.command("records", epilog=EPILOG)(records.records)
-app.command("identify", epilog=EPILOG)(identify.identify)
-app.command("validate", epilog=EPILOG)(validate.validate)
-app.command("spectra", epilog=EPILOG)(spectra.spectra)
-app.command("design", epilog=EPILOG)(design.design)
-app.command("deploy", epilog=EPILOG)(deploy.deploy)
-app.command("convert", epilog=EPILOG)(convert.convert)
-app.command("inspect", epilog=EPILOG)(inspect.inspect)
-app.command("methods", epilog=EPILOG)(methods.methods)
-app.command("doctor", epilog=EPILOG)(doctor.doctor)
+for _name, _command in COMMANDS.items():
+    app.command(_name, epilog=EPILOG)(with_options(_command))
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"ultraquiet {versions()['ultraquiet']}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
 
 STOPPED = "ultraquiet: stopped; finished stages and records are kept."
 

@@ -29,11 +29,9 @@ def convert(
     force: Annotated[bool, typer.Option("--force", help="Write over an existing file.")] = False,
 ) -> None:
     """Convert a record, or a frequency response; channel names, units and the rate are kept."""
-    from rich.console import Console
-
     from ultraquiet import files
+    from ultraquiet.cli.output.screen import screen
 
-    console = Console()
     if response:
         if mapping or rate_hz is not None or inputs or outputs:
             raise InputError("convert: --response takes no mapping, rate, inputs or outputs.")
@@ -41,10 +39,11 @@ def convert(
         files.export_frf(read, target, overwrite=force, text=text)
         size = f"{len(read.actuators)} to {len(read.sensors)} channels at {read.f_hz.size} frequencies"
     else:
-        record = files.read_record(source, rate_hz, inputs, outputs, mapping)
+        record = files.read_record(source, rate_hz, inputs, outputs, mapping, keep_clock=True)
         files.export_record(record, target, overwrite=force, text=text)
         size = (
             f"{len(record.actuators)} inputs and {len(record.sensors)} outputs, {record.samples} samples at "
             f"{record.rate_hz:g} Hz"
         )
-    console.print(f"{size}\nwritten: {target}", highlight=False, soft_wrap=True, markup=False)
+    screen().say(size, f"written: {target}")
+    screen().result({"written": target, "holds": size})

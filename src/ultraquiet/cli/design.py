@@ -7,6 +7,7 @@ import typer
 
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.cli.exits.codes import finish
+from ultraquiet.cli.output.targets import require_free
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import method as make
 
@@ -23,27 +24,40 @@ def design(
     setting: Annotated[list[str] | None, typer.Option("--set", help="A setting of the method, key=value.")] = None,
 ) -> None:
     """Design a controller u = K y; a refusal says why and leaves nothing."""
-    from rich.console import Console
-
     from ultraquiet import files
+    from ultraquiet.cli.loop.facts import band_sentence, margins_facts
+    from ultraquiet.cli.loop.loaded import loaded_plant
+    from ultraquiet.cli.output.screen import screen
+    from ultraquiet.design.loop_analysis import attenuation_over
     from ultraquiet.design.robustness import described
-    from ultraquiet.values import StateSpace, StatusWord
+    from ultraquiet.values import StatusWord
 
-    model = files.load(plant)
-    system = model if isinstance(model, StateSpace) else getattr(model, "state_space", lambda: None)()
-    if system is None:
-        raise InputError(f"design: '{plant}' holds a {type(model).__name__}, not a model of a plant.")
+    target = out or plant.with_name(f"{plant.stem}-{method}.h5")
+    require_free("design", target, force)
+    system = loaded_plant(plant, "design")
     settings = make("design", method, setting or ())
     with bars():
         result = settings.design(system)
-    if result.controller is None:
+    law = result.controller
+    if law is None:
         error = InputError if result.status.word is StatusWord.REFUSED else NumericalError
         raise error(f"design: {result.status.sentence}")
-    target = out or plant.with_name(f"{plant.stem}-{method}.h5")
-    files.save(result.controller, target, overwrite=force)
-    console = Console()
-    console.print(f"{result.status}", highlight=False, soft_wrap=True)
-    for line in described(system, result.margins):
-        console.print(line, highlight=False, soft_wrap=True)
-    console.print(f"{result.controller.states} states\ncontroller: {target}", highlight=False, soft_wrap=True)
+    files.save(law, target, overwrite=force)
+    attenuation_db, at_hz, band = attenuation_over(system, law, getattr(settings, "band_hz", None))
+    show = screen()
+    show.say(result.status, *described(system, result.margins), band_sentence(attenuation_db, at_hz, band))
+    show.say(f"{law.states} states", f"controller: {target}")
+    ends = {end: found for end, found in result.margins.items() if hasattr(found, "disk_all")}
+    show.result(
+        {
+            "status": result.status,
+            "controller": target,
+            "states": law.states,
+            "margins": margins_facts(system, ends),
+            "peak_sensitivity_db": result.peak_sensitivity_db,
+            "band_hz": band,
+            "attenuation_db": attenuation_db,
+            "attenuation_hz": at_hz,
+        }
+    )
     finish(result.status)

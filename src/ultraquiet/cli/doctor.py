@@ -4,11 +4,10 @@ import os
 import shutil
 from importlib import metadata
 
-from rich.console import Console
-from rich.table import Table
-
 from ultraquiet._base.errors import ToolError
 from ultraquiet._base.provenance import versions
+from ultraquiet.cli.output.screen import screen
+from ultraquiet.cli.output.text_table import TextTable
 
 PYTHON_PARTS = ("numpy", "scipy", "numba", "h5py", "pydantic", "typer", "rich", "jinja2", "matplotlib", "pyuff")
 OPTIONAL_PARTS = (
@@ -25,17 +24,18 @@ TOOLS = (
 
 def doctor() -> None:
     """Say what is installed, what is missing and how to mend it; something missing that is needed ends with 1."""
-    table = Table("part", "found", "for", "to mend")
-    table.add_row("ultraquiet", versions()["ultraquiet"], "Python " + versions()["python"], "")
+    grid = TextTable(("part", "found", "for", "to mend"))
+    grid.add("ultraquiet", versions()["ultraquiet"], "Python " + versions()["python"], "")
     for name in PYTHON_PARTS:
-        table.add_row(name, _version(name) or "[red]missing", "needed", "" if _version(name) else "make demo")
+        grid.add(name, _version(name) or "missing", "needed", "" if _version(name) else "make demo")
     for name, use, mend in OPTIONAL_PARTS:
-        table.add_row(name, _version(name) or "[yellow]missing", use, "" if _version(name) else mend)
+        grid.add(name, _version(name) or "missing", use, "" if _version(name) else mend)
     for name, use, mend in TOOLS:
         path = shutil.which(name)
-        table.add_row(name, path or "[yellow]missing", use, "" if path else mend)
-    table.add_row("cores", str(os.cpu_count()), "identification runs on all of them", "")
-    Console().print(table)
+        grid.add(name, path or "missing", use, "" if path else mend)
+    grid.add("cores", str(os.cpu_count()), "identification runs on all of them", "")
+    screen().table(grid)
+    screen().result(grid.records())
     missing = [name for name in PYTHON_PARTS if _version(name) is None]
     if missing:
         raise ToolError(f"doctor: {', '.join(missing)} missing, and needed; install this package again.")

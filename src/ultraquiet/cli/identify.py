@@ -8,8 +8,9 @@ import typer
 
 from ultraquiet._base.constraints import between
 from ultraquiet.cli.exits.codes import finish
+from ultraquiet.cli.order import AUTO, found_order, of_order
+from ultraquiet.cli.output.targets import require_free
 from ultraquiet.cli.progress import bars
-from ultraquiet.cli.settings import method as make
 
 HELD_OUT = 0.5
 
@@ -19,7 +20,7 @@ def identify(
     method: Annotated[
         str, typer.Option(help="A registered method; see `ultraquiet methods identify`.")
     ] = "box-jenkins",
-    order: Annotated[int | None, typer.Option(help="Order of the model.")] = None,
+    order: Annotated[str | None, typer.Option(help="Order of the model, or auto: what unseen data prefers.")] = None,
     rate: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,
     inputs: Annotated[str | None, typer.Option(help="Names of the inputs in the file, separated by commas.")] = None,
     outputs: Annotated[str | None, typer.Option(help="Names of the outputs in the file, separated by commas.")] = None,
@@ -36,31 +37,47 @@ def identify(
     ] = None,
 ) -> None:
     """Identify a model and judge it on the part of the record it has not seen."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ultraquiet import files, validate
+    from ultraquiet.cli.output.screen import screen
+    from ultraquiet.cli.output.text_table import TextTable
+    from ultraquiet.values.channel import squared
 
     held_out_share = between("identify", "hold-out", hold_out, 0.0, 0.9)
-    data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping)
-    settings = make("identify", method, setting or (), order=order)
+    target = out or record.with_name(f"{record.stem}-{method}.h5")
+    require_free("identify", target, force)
+    data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping, keep_clock=True)
     cut = data.samples - int(held_out_share * data.samples)
+    show = screen()
     with bars():
+        settings = of_order(method, setting or (), order, data.part(0, cut))
         result = settings.identify(data.part(0, cut))
     unseen_percent = np.full(len(data.sensors), np.nan)
     if held_out_share:
         unseen_percent = validate.compare(result.model, data.part(cut)).fit_percent
-    target = out or record.with_name(f"{record.stem}-{method}.h5")
     files.save(result.model, target, overwrite=force)
-    table = Table(
-        "output", "fit, seen", "fit, held out", "loss", title=f"{method} from {cut} samples at {data.rate_hz:g} Hz"
-    )
+    title = f"{method} from {cut} samples at {data.rate_hz:g} Hz"
+    grid = TextTable(("output", "fit, seen", "fit, held out", "loss"), title)
     for channel, seen, unseen, loss in zip(data.sensors, result.fit_percent, unseen_percent, result.loss, strict=True):
-        unit = f" {channel.unit}²" if channel.unit else ""
-        table.add_row(channel.name, f"{seen:.2f} %", f"{unseen:.2f} %" if held_out_share else "-", f"{loss:.4g}{unit}")
-    console = Console()
-    console.print(table)
-    console.print(f"{result.status}\nmodel: {target}", highlight=False, soft_wrap=True)
+        held_out = f"{unseen:.2f} %" if held_out_share else "-"
+        grid.add(channel.name, f"{seen:.2f} %", held_out, f"{loss:.4g} {squared(channel.unit)}".strip())
+    show.table(grid)
+    chosen = found_order(settings, result)
+    if order == AUTO:
+        show.say(f"order {chosen}, chosen on a part of the record that was kept back for it")
+    show.say(result.status, f"model: {target}")
+    names = [channel.name for channel in data.sensors]
+    show.result(
+        {
+            "status": result.status,
+            "model": target,
+            "method": method,
+            "order": chosen,
+            "rate_hz": data.rate_hz,
+            "fit_percent": dict(zip(names, result.fit_percent, strict=True)),
+            "held_out_fit_percent": dict(zip(names, unseen_percent, strict=True)),
+            "loss": dict(zip(names, result.loss, strict=True)),
+        }
+    )
     finish(result.status)
 
 

@@ -13,33 +13,19 @@ def inspect(
     ] = None,
 ) -> None:
     """Show channels, units, rate, duration, levels, clipped samples and gaps."""
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Column, Table
-
     from ultraquiet import files
+    from ultraquiet.cli.output.screen import screen
+    from ultraquiet.cli.output.text_table import TextTable
 
-    survey = files.survey(path, rate_hz)
-    console = Console()
+    survey = files.survey(path, rate_hz, keep_clock=True)
     clock = "rate unknown" if survey.rate_hz is None else f"{survey.rate_hz:.10g} Hz"
     length = "" if survey.duration_s is None else f", {survey.duration_s:g} s"
-    numbers = ("samples", "mean", "rms", "peak", "clipped", "NaN")
-    table = Table(
-        Column("channel", overflow="fold"),
-        *(Column(name, no_wrap=True) for name in ("role", "unit")),
-        *(Column(name, no_wrap=True, justify="right") for name in numbers),
-        title=escape(f"{path.name}: {survey.format}, {survey.size}, {clock}{length}"),
-        box=SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-        collapse_padding=True,
-    )
+    heads = ("channel", "role", "unit", "samples", "mean", "rms", "peak", "clipped", "NaN")
+    grid = TextTable(heads, f"{path.name}: {survey.format}, {survey.size}, {clock}{length}")
     for c in survey.channels:
         levels = (f"{level:.4g}" for level in (c.mean, c.rms, c.peak))
-        table.add_row(
-            escape(c.name), c.role or "-", escape(c.unit), str(c.samples), *levels, str(c.clipped), str(c.missing)
-        )
-    console.print(table)
-    for note in survey.notes:
-        console.print(f"note: {note}", highlight=False, soft_wrap=True, markup=False)
+        grid.add(c.name, c.role or "-", c.unit, c.samples, *levels, c.clipped, c.missing)
+    show = screen()
+    show.table(grid)
+    show.say(*(f"note: {note}" for note in survey.notes))
+    show.result(survey)

@@ -4,11 +4,11 @@ from dataclasses import MISSING, fields
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from ultraquiet._base import registry
 from ultraquiet._base.errors import UnknownMethodError
+from ultraquiet.cli.output.screen import screen
+from ultraquiet.cli.output.text_table import TextTable
 
 
 def methods(
@@ -17,13 +17,13 @@ def methods(
     """List every registered method with its settings and their defaults."""
     if family is not None and family not in registry.FAMILIES:
         raise UnknownMethodError(f"methods: there is no family '{family}', only {', '.join(registry.FAMILIES)}.")
-    table = Table("family", "method", "settings", "what it does")
+    grid = TextTable(("family", "method", "settings", "what it does"))
     for name in [family] if family else registry.FAMILIES:
         for method, kind in registry.methods(name).items():
-            table.add_row(
-                name, method, ", ".join(_setting(f) for f in fields(kind)), (kind.__doc__ or "").split("\n")[0]
-            )
-    Console().print(table)
+            settings = ", ".join(_setting(f) for f in fields(kind))
+            grid.add(name, method, settings, (kind.__doc__ or "").split("\n")[0])
+    screen().table(grid)
+    screen().result(grid.records())
 
 
 def _setting(field: object) -> str:

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from ultraquiet._base.progress import listening
+from ultraquiet.cli.output.screen import screen
 
 
 class Bars:
@@ -35,15 +36,19 @@ class Bars:
 
 @contextmanager
 def bars() -> Iterator[Console]:
-    """Show progress of everything inside the block on stderr; lines printed to the console stay above the bars."""
-    console = Console(stderr=True)
+    """Show progress of everything inside the block on stderr; lines printed to the console stay above the bars.
+
+    Bars are for a terminal; a pipe gets the lines alone, and nothing where silence was asked for.
+    """
+    console = Console(stderr=True, quiet=screen().quiet, markup=False, highlight=False, soft_wrap=True)
     columns = (
         SpinnerColumn(),
-        TextColumn("{task.description:<28}"),
+        TextColumn("{task.description:<28}", markup=False),
         BarColumn(bar_width=30),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TextColumn("[dim]{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", style="dim", markup=False),
     )
-    with Progress(*columns, console=console) as progress, listening(Bars(progress)):
+    disable = not console.is_terminal or screen().quiet
+    with Progress(*columns, console=console, disable=disable) as progress, listening(Bars(progress)):
         yield console

@@ -1,5 +1,6 @@
 """`ultraquiet demo`, `run` and `report`: whole studies."""
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,11 +11,9 @@ from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.pipeline import Study
     from ultraquiet.pipeline.summary import Summary
-
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
 Again = Annotated[bool, typer.Option("--record-again", help="Set the records that are there aside and measure anew.")]
@@ -60,43 +59,39 @@ def report(
 
 
 def _walk(study: "Study", folder: Path, beside: Path | None, record_again: bool = False) -> None:
-    from rich.console import Console
-
+    from ultraquiet.cli.output.screen import screen
     from ultraquiet.pipeline import walk
 
     with bars() as console:
         summary = walk(study, folder, beside=beside, say=console.print, record_again=record_again)
-    show = Console()
+    show = screen()
     if summary.closed_loop:
-        show.print(_table(summary))
-    show.print(f"report: {folder / 'report.html'}\nnumbers: {folder / 'summary.json'}", highlight=False, soft_wrap=True)
+        show.table(_table(summary))
+    show.say(f"report: {folder / 'report.html'}", f"numbers: {folder / 'summary.json'}")
     if summary.requirements is not None:
-        show.print(f"requirements of {summary.requirements.law}:", highlight=False)
-        for judged in summary.requirements.judged:
-            show.print(f"  {judged.sentence}", highlight=False, soft_wrap=True, markup=False)
-    for sentence in summary.failures:
-        show.print(f"failed: {sentence}", highlight=False, soft_wrap=True, markup=False)
+        show.say(f"requirements of {summary.requirements.law}:")
+        show.say(*(f"  {judged.sentence}" for judged in summary.requirements.judged))
+    show.say(*(f"failed: {sentence}" for sentence in summary.failures))
+    if show.as_json:
+        show.result(json.loads((folder / "summary.json").read_text(encoding="utf-8")))
     finish(summary)
 
 
-def _table(summary: "Summary") -> "Table":
-    from rich.table import Table
-
+def _table(summary: "Summary") -> "TextTable":
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 
-    stable = [loop for units in summary.closed_loop.values() for loop in units.values() if loop.stable]
-    tones_hz = list(dict.fromkeys(f for loop in stable if isinstance(loop, StableLoop) for f in loop.tones))
-    table = Table(title="reduction on the bench, dB: worst channel at tones, worst direction over the band")
-    table.add_column("controller", no_wrap=True)
-    for head in ("unit", "states", *(f"{f} Hz" for f in tones_hz), "band", "peak"):
-        table.add_column(head, no_wrap=True, justify="left" if head == "unit" else "right")
+    loops = [loop for units in summary.closed_loop.values() for loop in units.values()]
+    tones_hz = list(dict.fromkeys(f for loop in loops if isinstance(loop, StableLoop) for f in loop.tones))
+    title = "reduction on the bench, dB: worst channel at tones, worst direction over the band"
+    grid = TextTable(("controller", "unit", "states", *(f"{f} Hz" for f in tones_hz), "band", "peak"), title)
     for name, units in summary.closed_loop.items():
         states = str(summary.design[name].states)
         for unit, loop in units.items():
             if isinstance(loop, UnstableLoop):
-                table.add_row(name, unit, states, f"[red]{loop.word}")
+                grid.add(name, unit, states, *[loop.word, *["-"] * (len(tones_hz) + 1)])
                 continue
             tones = [loop.tones[f].reduction_db if f in loop.tones else None for f in tones_hz]
             figures = [*tones, loop.worst_direction_band_db, loop.peak_amplification_db]
-            table.add_row(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
-    return table
+            grid.add(name, unit, states, *("-" if v is None else f"{v:.1f}" for v in figures))
+    return grid

@@ -23,35 +23,34 @@ def validate(
     ] = None,
 ) -> None:
     """Simulate a model with a record's inputs and test what it leaves unexplained."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ultraquiet import files
     from ultraquiet import validate as room
+    from ultraquiet.cli.output.screen import screen
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.values import PolynomialMatrix, PolynomialModel, StateSpace
 
     system = files.load(model)
     if not isinstance(system, PolynomialMatrix | PolynomialModel | StateSpace):
         raise InputError(f"validate: '{model}' holds a {type(system).__name__}, not a model.")
-    data = files.read_record(record, rate, inputs, outputs, mapping)
+    data = files.read_record(record, rate, inputs, outputs, mapping, keep_clock=True)
     comparison = room.compare(system, data)
     residuals = None if isinstance(system, StateSpace) else room.residual_test(system, data)
     ahead = [] if residuals is None else [room.compare(system, data, steps=k).fit_percent for k in STEPS]
     heads = [f"{k} ahead" for k in STEPS]
-    table = Table("output", "simulated fit", *heads, "clipped", *P_VALUES, title=f"{model} on {record}")
+    grid = TextTable(("output", "simulated fit", *heads, "clipped", *P_VALUES), f"{model} on {record}")
     for i, channel in enumerate(data.sensors):
         steps = [f"{fit[i]:.2f} %" for fit in ahead] or ["-"] * len(STEPS)
         tests = ["-"] * len(P_VALUES)
         if residuals is not None:
             values = (residuals.whiteness_p[i], residuals.correlation_p[i].min(), residuals.feedback_p[i].min())
             tests = [f"{p:.3g}" for p in values]
-        table.add_row(channel.name, f"{comparison.fit_percent[i]:.2f} %", *steps, str(comparison.clipped[i]), *tests)
-    console = Console()
-    console.print(table)
+        grid.add(channel.name, f"{comparison.fit_percent[i]:.2f} %", *steps, str(comparison.clipped[i]), *tests)
+    show = screen()
+    show.table(grid)
     if residuals is not None:
-        console.print(f"p-values take the coefficients as fitted to {residuals.origin}.")
-    for advice in room.advise(data, None if isinstance(system, StateSpace) else system):
-        console.print(str(advice), markup=False)
+        show.say(f"p-values take the coefficients as fitted to {residuals.origin}.")
+    advice = [str(each) for each in room.advise(data, None if isinstance(system, StateSpace) else system)]
     status = room.verdict(system, comparison, residuals)
-    console.print(str(status), highlight=False, soft_wrap=True, markup=False)
+    show.say(*advice, status)
+    show.result({"status": status, "outputs": grid.records(), "advice": advice})
     finish(status)

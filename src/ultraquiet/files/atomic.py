@@ -45,7 +45,10 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, overwrite: bool = Tru
 
 def name_taken(path: str | os.PathLike[str]) -> StorageError:
     """Return the refusal to write over an existing file."""
-    return StorageError(f"files: '{path}' exists already and was not asked to be overwritten; choose another name.")
+    return StorageError(
+        f"files: '{path}' exists already and was not asked to be overwritten; choose another name, or ask for it "
+        f"(--force, overwrite=True)."
+    )
 
 
 def reason(error: BaseException) -> str:

@@ -4,13 +4,14 @@ import hashlib
 import os
 from pathlib import Path
 
+from ultraquiet._base.constraints import positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.archive import load_many
 from ultraquiet.files.assemble import assemble
 from ultraquiet.files.formats import ARCHIVES, format_of
 from ultraquiet.files.mapping import Mapping, load_mapping
 from ultraquiet.files.readers.hdf5 import is_ours
-from ultraquiet.files.select import Choice, chosen, inputs_and_outputs
+from ultraquiet.files.select import Choice, Picked, chosen, inputs_and_outputs
 from ultraquiet.files.table import Column, FileTable
 from ultraquiet.files.whole import understanding, whole
 from ultraquiet.values import Record
@@ -24,6 +25,8 @@ def read_record(
     inputs: Choice = None,
     outputs: Choice = None,
     mapping: _Path | Mapping | None = None,
+    *,
+    keep_clock: bool = False,
 ) -> Record:
     r"""Read a record from a file of any format in `ultraquiet.files.formats`.
 
@@ -39,6 +42,8 @@ def read_record(
         inputs: columns by name (`"iq_refx"`, `"motor,load"`, a list) or counted from one (`"1-2"`, `"data:3-30"`).
         outputs: likewise.
         mapping: a TOML file, or what `load_mapping` returns: columns, names, units, scales, limits, rate and cut.
+        keep_clock: refuse a `rate_hz` that contradicts the rate that the file or the mapping states, or the clock that
+            the file keeps; a mapping may still correct the file.
 
     Raises:
         StorageError: the file is missing, empty, cut short, damaged, or too large for the memory.
@@ -59,7 +64,11 @@ def read_record(
         if inputs is not None or outputs is not None:
             raise InputError("read_record: a mapping says what goes in and out; leave inputs and outputs to it.")
         known = mapping if isinstance(mapping, Mapping) else load_mapping(mapping)
-        rate_hz = known.rate_hz if rate_hz is None else rate_hz
+        if keep_clock and rate_hz is not None and known.rate_hz not in (None, rate_hz):
+            raise InputError(
+                f"read_record: the mapping says {known.rate_hz:g} Hz, which a rate of {rate_hz:g} Hz contradicts; "
+                f"leave one of them away."
+            )
     else:
         known = None
     if archived is not None and rate_hz not in (None, archived.rate_hz):
@@ -67,12 +76,23 @@ def read_record(
             f"read_record: '{path}' was recorded at {archived.rate_hz:g} Hz; it cannot be read at {rate_hz:g} Hz."
         )
     if known is not None:
-        return assemble(table, known.pick(table), rate_hz, known.crop_s, parents, {"mapping": known.text})
+        picked = known.pick(table)
+        if keep_clock and known.rate_hz is None:
+            rate_hz = _agreed(table, picked, rate_hz)
+        rate_hz = known.rate_hz if rate_hz is None else rate_hz
+        return assemble(table, picked, rate_hz, known.crop_s, parents, {"mapping": known.text})
     if archived is not None:
         return archived.pick(
             *(_places(table, role, picked) for role, picked in (("input", inputs), ("output", outputs)))
         )
-    return assemble(table, inputs_and_outputs(table, inputs, outputs), rate_hz, parents=parents)
+    picked = inputs_and_outputs(table, inputs, outputs)
+    return assemble(table, picked, _agreed(table, picked, rate_hz) if keep_clock else rate_hz, parents=parents)
+
+
+def _agreed(table: FileTable, picked: Picked, rate_hz: float | None) -> float | None:
+    if rate_hz is None:
+        return None
+    return table.agreed_hz((*picked[0], *picked[1]), positive("read_record", "rate_hz", rate_hz, "Hz"))
 
 
 def read_table(path: _Path) -> FileTable:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.formats import format_of
 from ultraquiet.files.read import read_table
@@ -51,12 +51,13 @@ class Survey:
         return sized(self.size_bytes)
 
 
-def survey(path: str | os.PathLike[str], rate_hz: float | None = None) -> Survey:
+def survey(path: str | os.PathLike[str], rate_hz: float | None = None, *, keep_clock: bool = False) -> Survey:
     r"""Look a file over without choosing inputs and outputs.
 
     Args:
         path: any file that `read_record` reads.
         rate_hz: samples per second, when the file does not say.
+        keep_clock: refuse a `rate_hz` that contradicts the clock of the file.
 
     Raises:
         StorageError, InputError, ToolError: as in `read_record`, when the file cannot be read at all.
@@ -72,7 +73,11 @@ def survey(path: str | os.PathLike[str], rate_hz: float | None = None) -> Survey
     table = read_table(path)
     notes: list[str] = []
     looks = tuple(_look(c) for c in table.signals)
-    rate = rate_hz if rate_hz is not None else _noted(notes, lambda: table.rate_hz(table.signals))
+    if rate_hz is None:
+        rate = _noted(notes, lambda: table.rate_hz(table.signals))
+    else:
+        given_hz = positive("survey", "rate_hz", rate_hz, "Hz")
+        rate = table.agreed_hz(table.signals, given_hz) if keep_clock else given_hz
     lengths = {c.samples for c in looks}
     if len(lengths) > 1:
         notes.append(f"the channels differ in length: {', '.join(f'{c.name} ({c.samples})' for c in looks)}.")

@@ -18,6 +18,7 @@ SPEAKING = {  # names that say themselves what a column is
     "output": re.compile(r"(outputs?|y)[\W_]*\d*", re.IGNORECASE),
 }
 TIME_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
+CLOCKS_AGREE = 1e-3  # two rates nearer than this share are one clock: crystals differ by less, rounded steps too
 JITTER = 0.5  # in samples: a stamp further from an even clock than this belongs to its neighbour
 MOST_DIGITS = 17  # that a float64 needs in decimal
 
@@ -87,6 +88,19 @@ class FileTable:
         if self.time is None:
             raise InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=).")
         return clock_hz(self.path, self.time)
+
+    def agreed_hz(self, columns: Sequence[Column], given_hz: float) -> float:
+        """Return a rate somebody gave, refused where it contradicts a clock that the file keeps itself."""
+        try:
+            own_hz = self.rate_hz(columns)
+        except InputError:  # no clock of its own, or none to go by: then the rate is needed
+            return given_hz
+        if abs(given_hz - own_hz) > CLOCKS_AGREE * own_hz:
+            raise InputError(
+                f"read_record: '{self.path}' keeps a clock of {own_hz:g} Hz; a rate of {given_hz:g} Hz contradicts it. "
+                f"Leave the rate away, or state it in a mapping if the file's clock is wrong."
+            )
+        return given_hz
 
 
 def clock_hz(path: str, time: Column) -> float:

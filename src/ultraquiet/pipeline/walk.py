@@ -50,7 +50,7 @@ def walk(
         UltraquietError: a stage refuses; those before it are kept and reused.
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
-    bench = _bench(settings, beside)
+    bench = bench_of(settings, beside)
     describe = partial(identity, bench, _bench_table(settings), beside)
     read = {} if settings.records is None else _read(settings.records, beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
@@ -135,7 +135,7 @@ def _on_a_disk(folder: Path) -> Generator[None]:
         ) from error
 
 
-def _bench(settings: study.Study, beside: Path | None) -> Any:
+def bench_of(settings: study.Study, beside: Path | None) -> Any:
     """Return the study's bench; one that draws noise starts from the study's seed unless it has its own."""
     table = settings.bench
     if table is None:

@@ -1,10 +1,10 @@
 """Room `plot`: figures as data, and their drawing.
 
-May be changed here: what a figure shows (`paper.py`, `evidence.py`, `spectra.py`, `frame.py`) and how it looks
-(`draw.py`). Nothing is computed here beyond what a picture needs.
+May be changed here: what a figure shows (`paper.py`, `evidence.py`, `spectra.py`, `loop.py`, `frame.py`) and how it
+looks (`draw.py`). Nothing is computed here beyond what a picture needs.
 """
 
-from ultraquiet.plot.draw import draw_svg
+from ultraquiet.plot.draw import draw_png, draw_svg
 from ultraquiet.plot.figure import Figure, Line, Panel
 
-__all__ = ["Figure", "Line", "Panel", "draw_svg"]
+__all__ = ["Figure", "Line", "Panel", "draw_png", "draw_svg"]

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+PNG_DPI = 150
 MOST_INSIDE = 8  # labels; more of them would hide the lines, and stand beside the panel instead
 # Inches beside each panel for numbers and title, for a label besides, and right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
@@ -32,6 +33,16 @@ STYLE: "dict[RcKeyType, Any]" = {
 
 def draw_svg(figure: Figure) -> str:
     """Return a figure as one SVG element that can stand in a page."""
+    text = _drawn(figure, "svg", {"Date": None, "Creator": None}).decode()
+    return text[text.index("<svg") :]
+
+
+def draw_png(figure: Figure) -> bytes:
+    """Return a figure as the bytes of a PNG file."""
+    return _drawn(figure, "png", {"Software": None})
+
+
+def _drawn(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
 
@@ -45,10 +56,9 @@ def draw_svg(figure: Figure) -> str:
                 _panel(axes, figure.panels[k])
             else:
                 axes.set_visible(False)
-        out = io.StringIO()
-        canvas.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    text = out.getvalue()
-    return text[text.index("<svg") :]
+        out = io.BytesIO()
+        canvas.savefig(out, format=form, metadata=metadata, dpi=PNG_DPI)
+    return out.getvalue()
 
 
 def _margins(figure: Figure, rows: int) -> dict[str, float]:

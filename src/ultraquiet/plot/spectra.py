@@ -11,13 +11,15 @@ from ultraquiet.plot.figure import Figure, Line, Panel
 from ultraquiet.spectra import CRITERIA, BandLevels, PowerSpectrum, Transmissibility
 from ultraquiet.spectra.coherence import TRUSTED
 from ultraquiet.spectra.criteria import UNITS_PER_METRE_PER_SECOND
-from ultraquiet.values import FrequencyResponse
+from ultraquiet.values import Channel, FrequencyResponse
+from ultraquiet.values.channel import ratio
 
 HZ = "frequency (Hz)"
 # What stands for zero on an axis in dB.
 FLOOR = 1e-300
 LOWEST_DB = -120.0  # where an interval that reaches down to nothing ends
 MARGIN_DB = 10.0
+PHASE_RANGE = (-185.0, 185.0)  # degrees
 STYLES, COLOURS = ("-", "-.", ":"), 8  # of the palette: then another style of line begins
 PANEL_IN = (4.0, 2.2)
 SIGNATURE_WIDTH = 48
@@ -41,28 +43,48 @@ def density_figure(spectrum: PowerSpectrum, level: float = 0.95) -> Figure:
 
 
 def response_figure(response: FrequencyResponse) -> Figure:
-    """Gain in dB, its standard error below it, and coherence, of each output over all inputs.
+    """Gain in dB with its standard error below it, phase, and coherence, of each output over all inputs.
 
-    Where nothing is coherent the gain is noise, and the axis does not follow it.
+    Where nothing is coherent the gain is noise, and the axis does not follow it. A coherence that all inputs share, the
+    multiple one, is one curve.
     """
     x = response.f_hz
     panels: list[Panel] = []
     for i, sensor in enumerate(response.sensors):
         lines: list[Line] = []
+        references = {_reference(sensor, actuator) for actuator in response.actuators}
         for j, actuator in enumerate(response.actuators):
-            lines.append(Line.of(x, _db(np.abs(response.values[i, j]) ** 2), actuator.name, shade=j))
+            name = actuator.name if len(references) == 1 else f"{actuator.name} (re {_reference(sensor, actuator)})"
+            lines.append(Line.of(x, _db(np.abs(response.values[i, j]) ** 2), name, shade=j))
             if response.variance is not None and np.isfinite(response.variance[i, j]).all():
                 lines.append(Line.of(x, _db(response.variance[i, j]), style=":", shade=j))
         title = f"{sensor.name} (dotted: standard error)"
         span_db = _trusted_range(_db(np.abs(response.values[i]) ** 2), response.coherence, i)
-        panels.append(Panel(lines, title, HZ, "dB", x_log=True, y_range=span_db))
+        unit = f"dB re {references.pop()}" if len(references) == 1 else "dB"
+        panels.append(Panel(lines, title, HZ, unit, x_log=True, y_range=span_db))
+        phases = [Line.of(x, np.degrees(np.angle(g)), shade=j) for j, g in enumerate(response.values[i])]
+        panels.append(Panel(phases, f"{sensor.name}: phase", HZ, "degrees", x_log=True, y_range=PHASE_RANGE))
         if response.coherence is not None:
-            named = enumerate(zip(response.coherence[i], response.actuators, strict=True))
-            coherences = [Line.of(x, share, actuator.name, shade=j) for j, (share, actuator) in named]
-            panels.append(Panel(coherences, "coherence", HZ, x_log=True, y_range=(0.0, 1.05)))
-    columns = 1 if response.coherence is None else 2
+            coherences = _coherences(response, i)
+            panels.append(Panel(coherences, f"{sensor.name}: coherence", HZ, x_log=True, y_range=(0.0, 1.05)))
+    columns = 2 if response.coherence is None else 3
     signed, size = _signed(panels, response.estimator), _size(panels, columns)
     return Figure("response", "Frequency responses", f"{response.estimator}.", signed, columns, size)
+
+
+def _reference(sensor: Channel, actuator: Channel) -> str:
+    """Return what a gain of 0 dB is."""
+    return ratio(sensor.unit, actuator.unit)
+
+
+def _coherences(response: FrequencyResponse, row: int) -> list[Line]:
+    """Return one curve where all inputs share a coherence, else one an input."""
+    assert response.coherence is not None
+    shares = response.coherence[row]
+    if (shares == shares[0]).all():
+        return [Line.of(response.f_hz, shares[0])]
+    named = enumerate(zip(shares, response.actuators, strict=True))
+    return [Line.of(response.f_hz, share, actuator.name, shade=j) for j, (share, actuator) in named]
 
 
 def transmissibility_figure(transmissibility: Transmissibility, level: float = 0.95) -> Figure:

@@ -11,6 +11,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.plot.figure import Figure, Line, Panel
 from ultraquiet.spectra import psd
 from ultraquiet.values import Channel, Record
+from ultraquiet.values.channel import ratio, squared
 
 HZ, SECONDS = "frequency (Hz)", "time (s)"
 Response = tuple[str, FloatArray, ComplexArray]
@@ -170,27 +171,13 @@ def file_stem(name: str) -> str:
     return name.replace(" ", "_").replace("/", "-")
 
 
-def squared(unit: str) -> str:
-    """Return the unit of a square: V², (m/s)²."""
-    if not unit:
-        return ""
-    return f"({unit})²" if any(sign in unit for sign in " */^²") else f"{unit}²"
-
-
 def gain_unit(wires: Wires) -> str:
     """Return the reference of a gain in decibels; without one where channels have different units."""
     actuators, sensors = ({c.unit for c in channels} for channels in wires)
     if len(actuators) > 1 or len(sensors) > 1:
         return "dB"
-    return f"dB re {quotient(next(iter(sensors), ''), next(iter(actuators), ''))}".removesuffix(" re 1")
-
-
-def quotient(over: str, under: str) -> str:
-    """Return the unit of a quotient: V/V, (m/s)/N."""
-    if not over and not under:
-        return "1"
-    parts = [f"({unit})" if "/" in unit else unit or "1" for unit in (over, under)]
-    return "/".join(parts)
+    sensor, actuator = next(iter(sensors), ""), next(iter(actuators), "")
+    return f"dB re {ratio(sensor, actuator)}" if sensor or actuator else "dB"
 
 
 def decibels(gain: ComplexArray | FloatArray) -> FloatArray:

@@ -1,9 +1,11 @@
 """Turn a report into one HTML file that needs nothing beside it."""
 
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 
 from ultraquiet.files import write_bytes
-from ultraquiet.plot import draw_svg
+from ultraquiet.plot import Figure, draw_svg
 from ultraquiet.report.content import Report
 
 
@@ -14,8 +16,23 @@ def render(report: Report) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("ultraquiet.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    drawn = {figure.name: draw_svg(figure) for section in report.sections for figure in section.figures}
-    return environment.get_template("page.html.j2").render(report=report, drawn=drawn)
+    apart = named_apart(report)
+    drawn = {figure.name: draw_svg(figure) for section in apart.sections for figure in section.figures}
+    return environment.get_template("page.html.j2").render(report=apart, drawn=drawn)
+
+
+def named_apart(report: Report) -> Report:
+    """Return the report with a number behind the name of every figure whose name stands on the page already."""
+    taken: set[str] = set()
+
+    def apart(figure: Figure) -> Figure:
+        names = (figure.name if number == 1 else f"{figure.name}-{number}" for number in count(1))
+        name = next(name for name in names if name not in taken)
+        taken.add(name)
+        return replace(figure, name=name)
+
+    sections = [replace(s, figures=[apart(figure) for figure in s.figures]) for s in report.sections]
+    return replace(report, sections=sections)
 
 
 def write(report: Report, path: Path) -> Path:

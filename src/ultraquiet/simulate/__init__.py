@@ -7,19 +7,25 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.noise import NoiseReduction, noise_reduction
 from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
 from ultraquiet.simulate.stability import LoopCheck, check_stability
+from ultraquiet.simulate.step import StepReduction, step_reduction
 
 __all__ = [
     "Attenuation",
     "LoopCheck",
     "MeasuredSensitivity",
+    "NoiseReduction",
     "OpenLoop",
+    "StepReduction",
     "attenuation",
     "campaign",
     "check_stability",
     "disturb",
     "drawn_benches",
     "measure_sensitivity",
+    "noise_reduction",
+    "step_reduction",
 ]

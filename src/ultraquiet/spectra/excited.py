@@ -13,6 +13,8 @@ from ultraquiet.values import Record
 
 # Below this share of the strongest line an input counts as silent: far above rounding, far below any converter's floor.
 SILENT = 1e-12
+# Below this share, 50 dB, a line of an input is what a window leaks and converters round: nobody excited it.
+EXCITED = 1e-5
 # Normalised inputs whose smallest eigenvalue is below this say the same thing: the gains would lose nine of 16 digits.
 COLLINEAR = 1e-9
 # An output this far below the strongest holds rounding, no reading.
@@ -31,6 +33,13 @@ class Group:
         i, o = list(u), list(y)
         uu, yu, yy = (self.cross.block(a, b)[alive] for a, b in ((i, i), (o, i), (o, o)))
         return Spectra(uu, yu, yy, self.cross.averaging.independent)
+
+
+def excited_lines(cross: CrossSpectra) -> NDArray[np.bool_]:
+    """Return the lines at which each input was excited, `(nu, nf)`: within 50 dB of its strongest line, 0 Hz never."""
+    power = cross.power[: len(cross.actuators)]
+    strongest = power.max(axis=1, keepdims=True)
+    return (power >= EXCITED * strongest) & (strongest > 0) & (cross.f_hz > 0)
 
 
 def excited_together(records: Sequence[Record]) -> list[tuple[list[Record], tuple[int, ...]]]:

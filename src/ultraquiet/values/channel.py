@@ -28,6 +28,26 @@ class Channel:
             raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.high:g} {self.unit}.")
 
 
+def squared(unit: str) -> str:
+    """Return the unit of a square.
+
+    >>> squared("V"), squared("m/s"), squared("")
+    ('V²', '(m/s)²', '')
+    """
+    if not unit:
+        return ""
+    return f"{unit}²" if unit.isalpha() else f"({unit})²"
+
+
+def ratio(unit: str, per: str) -> str:
+    """Return the unit of a gain.
+
+    >>> ratio("V", "N"), ratio("N", "m/s"), ratio("m/s", "")
+    ('V/N', 'N/(m/s)', '(m/s)/1')
+    """
+    return "/".join(each if each.isalpha() else f"({each})" if each else "1" for each in (unit, per))
+
+
 def at_limits(samples: FloatArray, wires: Sequence[Channel]) -> NDArray[np.int64]:
     """Return for each channel how many samples of `(channel, sample)` stand at or beyond its limits."""
     low, high = (np.array([getattr(c, end) for c in wires])[:, None] for end in ("low", "high"))

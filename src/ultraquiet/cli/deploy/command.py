@@ -5,12 +5,11 @@ from typing import Annotated
 
 import typer
 
-from ultraquiet._base.constraints import whole
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.constraints import one_of, whole
 from ultraquiet.cli.deploy.exports import require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
-from ultraquiet.cli.deploy.table import loaded_plant, requested_targets, rows
-from ultraquiet.cli.deploy.word_lengths import FIXED, deploy_fixed, refuse_others, show_word_lengths
+from ultraquiet.cli.deploy.table import requested_targets, rows
+from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.values.status import CODE_FAULTS
 
@@ -49,27 +48,25 @@ def deploy(
     overload: Annotated[str | None, typer.Option(help="With --frame: extra work, FIRST:FRAMES:MICROSECONDS.")] = None,
 ) -> None:
     """Generate C99, compile it here and for emulated processors, and compare it bit by bit with Python."""
-    from rich.console import Console
-    from rich.table import Table
-
     from ultraquiet import deploy as room
-    from ultraquiet import files
+    from ultraquiet.cli.loop.facts import margins_facts
+    from ultraquiet.cli.loop.loaded import loaded_law, loaded_plant
+    from ultraquiet.cli.output.screen import plain, screen
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.design.robustness import both_ends, described
-    from ultraquiet.values import StateSpace
 
-    law = files.load(controller)
-    if not isinstance(law, StateSpace):
-        raise InputError(f"deploy: '{controller}' holds a {type(law).__name__}, not a controller in state space.")
+    law = loaded_law(controller, "deploy")
     real_time = requested_frame(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
+    one_of("deploy", "precision", precision, PRECISIONS)
     folder = out or controller.with_suffix("")
     whole("deploy", "steps", steps, 1)
     if word_lengths or precision in FIXED:
         refuse_others(precision, word_lengths, anti_windup, budget, target, fmu, export, project, frame)
         system = None if plant is None else loaded_plant(plant)
         if word_lengths:
-            finish(show_word_lengths(Console(), law, system))
+            finish(show_word_lengths(law, system))
         else:
-            finish(*deploy_fixed(Console(), law, folder, precision, form, system, steps))
+            finish(*deploy_fixed(law, folder, precision, form, system, steps))
         return
     require_writable(law, fmu, fmi, export)
     targets = requested_targets(target)
@@ -77,21 +74,29 @@ def deploy(
     limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}
     deployment = room.generate(law, folder, precision, form=form, anti_windup=anti_windup, plant=system, **limit)
     verified = deployment.verify(steps, targets=targets)
-    table = Table("what", "value", title=f"{folder}")
+    show = screen()
+    grid = TextTable(("what", "value"), f"{folder}")
     for row in rows(deployment, verified):
-        table.add_row(*row)
-    console = Console()
-    console.print(table)
-    for status in (deployment.status, verified.status):
-        console.print(str(status), highlight=False, soft_wrap=True)
+        grid.add(*row)
+    show.table(grid)
+    show.say(deployment.status, verified.status)
+    ends = {} if system is None else both_ends(system, deployment.quantised)
     if system is not None:
-        for line in described(system, both_ends(system, deployment.quantised)):
-            console.print(f"rounded law, {line}", highlight=False, soft_wrap=True)
+        show.say(*(f"rounded law, {line}" for line in described(system, ends)))
+    facts = {
+        "folder": folder,
+        "status": deployment.status,
+        "verified": verified.status,
+        "margins": {} if system is None else margins_facts(system, ends),
+        "tables": plain(deployment.tables),
+    }
     if verified.status.word in CODE_FAULTS:
+        show.result(facts)
         finish(verified.status)
-    exported = show_exports(console, law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
+    exported = show_exports(law, deployment, fmu=fmu, fmi=fmi, export=export, project=project)
     framed = None
     if real_time is not None:
         figure = folder.with_name(f"{folder.name}-frame.svg")
-        framed = show_frames(console, deployment, real_time, frames, frame_on, figure)
+        framed = show_frames(deployment, real_time, frames, frame_on, figure)
+    show.result({**facts, "fmu": exported, "frame": framed})
     finish(deployment.status, verified.status, exported, framed)

@@ -1,14 +1,13 @@
 """What `ultraquiet deploy` writes for other programs beside the code."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.output.screen import screen
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from ultraquiet.deploy import Deployment
     from ultraquiet.values import StateSpace, Status
 
@@ -30,7 +29,6 @@ def require_writable(law: "StateSpace", fmu: Path | None, fmi: str, export: list
 
 
 def show_exports(
-    console: "Console",
     law: "StateSpace",
     deployment: "Deployment",
     *,
@@ -42,14 +40,12 @@ def show_exports(
     """Write what was asked for and say where it is; return the verdict on the FMU, if there is one."""
     from ultraquiet.deploy import export_law, write_fmu, write_project
 
-    def say(*words: Any) -> None:
-        console.print(*words, highlight=False, soft_wrap=True)
-
+    say = screen().say
     status = None
     if fmu is not None:
         unit = write_fmu(deployment, fmu, fmi)
         status = unit.status
-        say(f"{unit.path}: FMI {unit.version}.", status.sentence)
+        say(f"{unit.path}: FMI {unit.version}. {status.sentence}")
     for path in export or []:
         say(f"{export_law(law, path)}: the law's coefficients, in float64.")
     if project is not None:

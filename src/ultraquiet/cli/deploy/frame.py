@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.constraints import one_of
-from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.errors import InputError
+from ultraquiet.cli.output.pictures import save_numbered
+from ultraquiet.cli.output.screen import screen
+from ultraquiet.cli.output.text_table import TextTable
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from ultraquiet.deploy import Deployment, Frame, FrameTimes, Overload
     from ultraquiet.values import Status
 
@@ -31,27 +32,21 @@ def requested_frame(
     return frame
 
 
-def show_frames(
-    console: "Console", deployment: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path
-) -> "Status":
+def show_frames(deployment: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path) -> "Status":
     """Simulate frames of a deployment, print time line, table and verdict, draw `figure` (SVG); return the verdict."""
-    from rich.table import Table
-
     from ultraquiet.plot import draw_svg
     from ultraquiet.plot.frame import frame_figure
 
     simulation = frame.simulate(deployment, frames, times=times_on(deployment, processor))
-    table = Table("what", "value", title="the real-time frame")
+    grid = TextTable(("what", "value"), "the real-time frame")
     for key, value in simulation.table.items():
-        table.add_row(key.replace("_", " "), str(value))
-    console.print(simulation.timeline(), highlight=False, soft_wrap=True, markup=False)
-    console.print(table)
-    console.print(str(simulation.status), highlight=False, soft_wrap=True)
-    try:
-        figure.write_text(draw_svg(frame_figure(simulation)), encoding="utf-8")
-    except OSError as error:
-        raise StorageError(f"deploy: cannot write '{figure}' ({error.strerror}).") from None
-    console.print(f"figure: {figure}", highlight=False, soft_wrap=True)
+        grid.add(key.replace("_", " "), str(value))
+    show = screen()
+    show.say(simulation.timeline())
+    show.table(grid)
+    show.say(simulation.status)
+    drawn = save_numbered(figure, draw_svg(frame_figure(simulation)).encode())
+    show.say(f"figure: {drawn}")
     return simulation.status
 
 

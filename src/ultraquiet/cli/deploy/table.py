@@ -1,28 +1,12 @@
 """The one table of `ultraquiet deploy`: the law, its cost, what proved it, what became of the loop."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from ultraquiet._base.errors import InputError
 
 if TYPE_CHECKING:
     from ultraquiet.deploy import Deployment, Verification
-    from ultraquiet.values import StateSpace
 
 NONE = "none"
-
-
-def loaded_plant(path: Path) -> "StateSpace":
-    """Return the plant that a file holds, a state space or a model of one."""
-    from ultraquiet import files
-    from ultraquiet.values import StateSpace
-
-    model = files.load(path)
-    system = model if isinstance(model, StateSpace) else getattr(model, "state_space", lambda: None)()
-    if system is None:
-        raise InputError(f"deploy: '{path}' holds a {type(model).__name__}, not a model of a plant.")
-    return system
 
 
 def requested_targets(names: list[str] | None) -> tuple[str, ...]:

@@ -4,13 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.output.screen import screen
+from ultraquiet.cli.output.text_table import TextTable
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from ultraquiet.values import StateSpace, Status
 
 FIXED = ("q31", "q15")
+PRECISIONS = ("float32", "float64", *FIXED)
 HEADS = ("precision", "form", "status", "error", "loop louder, dB", "bound", "noise, V", "multiply-adds", "bytes")
 
 
@@ -23,38 +24,37 @@ def refuse_others(precision: str, table: bool, *others: object) -> None:
         )
 
 
-def show_word_lengths(console: "Console", law: "StateSpace", plant: "StateSpace | None") -> "Status":
+def show_word_lengths(law: "StateSpace", plant: "StateSpace | None") -> "Status":
     """Print what each precision and form would make of the law, in the loop when a plant is given; return the best."""
-    from rich.table import Table
-
     from ultraquiet import deploy
 
-    table = Table(*HEADS, title="word lengths")
+    grid = TextTable(HEADS, "word lengths")
     compared = deploy.word_lengths(law, plant)
     for row in compared:
         figures = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
         cells = [
             "-" if value is None else f"{value:.2g}" if isinstance(value, float) else str(value) for value in figures
         ]
-        table.add_row(row.precision, row.form, row.status.word, *cells)
-    console.print(table)
+        grid.add(row.precision, row.form, row.status.word, *cells)
+    screen().table(grid)
+    screen().result(compared)
     return min((row.status for row in compared), key=lambda status: not status.ok)
 
 
 def deploy_fixed(
-    console: "Console", law: "StateSpace", folder: Path, word: str, form: str, plant: "StateSpace | None", steps: int
+    law: "StateSpace", folder: Path, word: str, form: str, plant: "StateSpace | None", steps: int
 ) -> "tuple[Status, Status]":
     """Generate whole-number C99, compare it with its twin, print one table; return what law and code came to."""
-    from rich.table import Table
-
     from ultraquiet import deploy
 
     deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant)
     verified = deployment.verify(steps)
-    table = Table("what", "value", title=f"{folder}")
+    grid = TextTable(("what", "value"), f"{folder}")
     for key, value in deployment.tables.items():
-        table.add_row(key.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else str(value))
-    console.print(table)
-    for status in (deployment.status, verified.status):
-        console.print(str(status), highlight=False, soft_wrap=True)
+        grid.add(key.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else str(value))
+    show = screen()
+    show.table(grid)
+    show.say(deployment.status, verified.status)
+    facts = {"folder": folder, "status": deployment.status, "verified": verified.status}
+    show.result({**facts, "tables": deployment.tables})
     return deployment.status, verified.status

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.experiments import DryRun, DryStep, State
     from ultraquiet.experiments.dry import Sent
 
@@ -28,22 +27,21 @@ def experiment(
 
     Ctrl-C brings the bench to zero, keeps what was measured, and says where each measurement stands (exit code 130).
     """
-    from rich.console import Console
-
     from ultraquiet import experiments
     from ultraquiet._base.errors import UltraquietError
     from ultraquiet.cli.exits.codes import ExitCode
     from ultraquiet.cli.experiment.halt import halting
     from ultraquiet.cli.experiment.watch import watching
+    from ultraquiet.cli.output.screen import screen
 
     listed = experiments.load(commands)
-    console = Console(highlight=False)
+    show = screen()
     if dry_run:
-        _show(console, experiments.dry_run(listed))
+        _show(experiments.dry_run(listed))
         return
     folder = out or Path(commands.stem)
     try:
-        with halting() as halt, watching(halt.requested) as onlooker:
+        with halting() as halt, watching(halt.requested, show.quiet) as onlooker:
             records = experiments.run(
                 listed,
                 folder,
@@ -58,37 +56,38 @@ def experiment(
         with suppress(UltraquietError):  # a folder that cannot be looked into is what the error is about
             states = experiments.states(listed.measurements, folder)
         if any(state.status != "NOT STARTED" for state in states):
-            console.print(_states(states))
+            show.table(_states(states))
+            show.result({"measurements": states})
         if isinstance(error, experiments.StoppedError) and error.asked:
             raise typer.Exit(ExitCode.INTERRUPTED) from error
         raise
     warned = f", {_counted(onlooker.warned, 'warning')}" if onlooker.warned else ""
-    console.print(f"{_counted(len(records), 'record')} in {folder}{warned}", soft_wrap=True)
+    show.say(f"{_counted(len(records), 'record')} in {folder}{warned}")
+    show.result({"records": len(records), "folder": folder, "warnings": onlooker.warned})
 
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
-def _states(states: Sequence["State"]) -> "Table":
-    from rich.table import Table
+def _states(states: Sequence["State"]) -> "TextTable":
+    from ultraquiet.cli.output.text_table import TextTable
 
-    colours = {"DONE": "green", "ABORTED": "red", "NOT STARTED": "dim"}
-    table = Table("measurement", "state", "file")
+    grid = TextTable(("measurement", "state", "file"))
     for state in states:
-        table.add_row(state.name, f"[{colours[state.status]}]{state.status}", state.file)
-    return table
+        grid.add(state.name, state.status, state.file)
+    return grid
 
 
-def _show(console: object, planned: "DryRun") -> None:
-    from rich.console import Console
-    from rich.table import Table
+def _show(planned: "DryRun") -> None:
+    from ultraquiet.cli.output.screen import screen
+    from ultraquiet.cli.output.text_table import TextTable
 
-    assert isinstance(console, Console)
-    table = Table("line", "begins", "lasts", "step", "excitation", "disturbance", "controller", title="nothing moves")
+    heads = ("line", "begins", "lasts", "step", "excitation", "disturbance", "controller")
+    grid = TextTable(heads, "nothing moves")
     for step in planned.steps:
-        table.add_row(
-            str(step.line),
+        grid.add(
+            step.line,
             f"{step.begins_s:.2f} s",
             f"{step.lasts_s:.2f} s",
             f"{step.do} {step.name}".strip(),
@@ -96,14 +95,14 @@ def _show(console: object, planned: "DryRun") -> None:
             _sent(step.disturbance),
             _controller(step),
         )
-    console.print(table)
+    show = screen()
+    show.table(grid)
     count = sum(step.samples > 0 for step in planned.steps)
     kind = "in real time" if planned.real_time else "simulated: waits are skipped, the rest takes what it takes"
     waits = f", {planned.waits_s:.1f} s of them waits" if planned.waits_s else ""
     disk = f"at most {planned.disk_bytes / 1e6:.1f} MB on the disk"
-    console.print(
-        f"{_counted(count, 'record')}, {planned.duration_s:.1f} s on the bench{waits} ({kind}), {disk}", soft_wrap=True
-    )
+    show.say(f"{_counted(count, 'record')}, {planned.duration_s:.1f} s on the bench{waits} ({kind}), {disk}")
+    show.result(planned)
 
 
 def _controller(step: "DryStep") -> str:

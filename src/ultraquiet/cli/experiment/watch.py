@@ -135,8 +135,10 @@ def board(levels: Levels) -> Table:
         colour = "red" if levels.clipped[k] else "yellow" if share > LOUD else "green"
         bar = Text("#" * round(BAR_CELLS * min(share, 1.0)), colour)
         numbers = (levels.last_rms[k], levels.rms[k], levels.peak[k])
-        volts = (f"{value:.3g} {sensor.unit}" for value in numbers)
-        table.add_row(sensor.name, *volts, f"{100 * share:.0f} %" if bounded else "-", bar, str(levels.clipped[k]))
+        volts = (Text(f"{value:.3g} {sensor.unit}") for value in numbers)
+        table.add_row(
+            Text(sensor.name), *volts, f"{100 * share:.0f} %" if bounded else "-", bar, str(levels.clipped[k])
+        )
     return table
 
 
@@ -150,10 +152,10 @@ def loudness(levels: Levels) -> str:
 
 
 @contextmanager
-def watching(stopping: Callable[[], bool]) -> Iterator[Watcher]:
-    """Show a running list on stderr for the length of a block."""
-    console = Steady(stderr=True, highlight=False)
-    if not console.is_terminal:
+def watching(stopping: Callable[[], bool], quiet: bool = False) -> Iterator[Watcher]:
+    """Show a running list on stderr for the length of a block, or nothing."""
+    console = Steady(stderr=True, highlight=False, quiet=quiet)
+    if quiet or not console.is_terminal:
         yield PlainLines(console, stopping)
         return
     with Live(Text(""), console=console, auto_refresh=False, transient=True) as live:

@@ -6,8 +6,8 @@ import numpy as np
 
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.plot import study
 from ultraquiet.report import Section, Table
+from ultraquiet.values.channel import ratio
 
 # A difference between two bands that is worth a sentence.
 MARKED_DB = 3.0
@@ -44,7 +44,7 @@ def _unit_of_control(result: StudyResult) -> str:
     over, under = ({c.unit for c in wires} for wires in (plant.actuators, plant.sensors))
     if len(over) > 1 or len(under) > 1:
         return ""
-    return f" {study.quotient(next(iter(over), ''), next(iter(under), ''))}"
+    return f" {ratio(next(iter(over), ''), next(iter(under), ''))}"
 
 
 def _figures(limit: DesignLimit | NoDistance) -> list[str]:

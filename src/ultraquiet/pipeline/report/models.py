@@ -18,6 +18,7 @@ from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, study
 from ultraquiet.report import Section, Table
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+from ultraquiet.values.channel import squared
 
 # Zeros nearer to 0 Hz than this share of the Nyquist frequency are those at z = 1, spread by rounding: a triple root is
 # good to its cube root.
@@ -71,7 +72,7 @@ def identification(result: StudyResult) -> Section:
     """The ranking of structures and orders, the paper's structure, the plant for design."""
     facts, plant = result.identification.facts, result.plant.facts
     best, paper = facts.preferred, result.study.paper
-    units = dict.fromkeys(study.squared(c.unit) for c in result.design_plant.sensors)
+    units = dict.fromkeys(squared(c.unit) for c in result.design_plant.sensors)
     sentences, tables = [], []
     if best is None:
         sentences.append(

@@ -9,16 +9,24 @@ import typer
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.output.pictures import FORMATS, format_of_picture, picture_bytes
+from ultraquiet.cli.output.screen import screen
+from ultraquiet.cli.output.targets import require_free
+from ultraquiet.cli.output.text_table import TextTable
+from ultraquiet.values.channel import ratio, squared
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    import numpy as np
+    from numpy.typing import NDArray
 
     from ultraquiet._base.constraints import FloatArray
     from ultraquiet.plot import Figure
     from ultraquiet.spectra import BandLevels
-    from ultraquiet.values import Record
+    from ultraquiet.values import FrequencyResponse, Record
 
-    _Display = tuple[list[Table], Figure, list[str]]
+    BoolArray = NDArray[np.bool_]
+
+    _Display = tuple[list[TextTable], Figure, list[str]]
 
 # So many channels stand beside each other in a terminal of 80 columns.
 ABREAST = 4
@@ -60,31 +68,31 @@ def spectra(
         str | None, typer.Option(help="Unit of the outputs, when the file does not say: m/s, g, ...")
     ] = None,
     sensitivity: Annotated[float | None, typer.Option(help="Volts per unit; the outputs are divided by it.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Where the picture goes (SVG).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where the picture goes (.svg or .png).")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over an existing picture.")] = False,
 ) -> None:
     """Estimate spectra of a record; what was averaged, and how, is said with every result."""
-    from rich.console import Console
-
     from ultraquiet import files
-    from ultraquiet.plot import draw_svg
 
     kinds: dict[str, Callable[[Record, _Request], _Display]] = {
         "density": _density, "response": _response, "transmissibility": _transmissibility, "octaves": _octaves,
     }  # fmt: skip
     one_of("spectra", "show", show, tuple(kinds))
-    if out is not None and out.suffix.lower() != ".svg":
-        raise InputError(f"spectra: '--out' must end in .svg, the one kind of picture that is drawn, got '{out}'.")
-    data = _scaled(files.read_record(record, rate, inputs, outputs, mapping), unit, sensitivity)
+    form = None if out is None else format_of_picture("spectra", out)
+    if out is not None:
+        require_free("spectra", out, force, tuple(f".{each}" for each in FORMATS))
+    data = _scaled(files.read_record(record, rate, inputs, outputs, mapping, keep_clock=True), unit, sensitivity)
     averaging = {"segment_samples": segment, "overlap": overlap, "window": window, "detrend": detrend}
     request = _Request(averaging, estimator, base, payload, fraction, quantity)
     tables, figure, words = kinds[show](data, request)
-    if out is not None:
-        files.write_bytes(out, draw_svg(figure).encode())
+    if out is not None and form is not None:
+        files.write_bytes(out, picture_bytes(figure, form), overwrite=force)
         words.append(f"picture: {out}")
-    console = Console()
+    printed = screen()
     for table in tables:
-        console.print(table)
-    console.print("\n".join(words), highlight=False, soft_wrap=True)
+        printed.table(table)
+    printed.say(*words)
+    printed.result({"show": show, "rows": [row for table in tables for row in table.records()], "notes": words})
 
 
 def _scaled(data: "Record", unit: str | None, sensitivity: float | None) -> "Record":
@@ -99,48 +107,47 @@ def _scaled(data: "Record", unit: str | None, sensitivity: float | None) -> "Rec
 
 def _density(data: "Record", request: _Request) -> "_Display":
     import numpy as np
-    from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import density_figure
 
     spectrum = room.psd(data, **request.averaging)
-    table = Table("channel", "rms", "strongest line", "density there", "95 % interval", title="Power spectral density")
+    table = TextTable(("channel", "rms", "strongest line", "density there", "95 % interval"), "Power spectral density")
     low, high = spectrum.interval()
     total = spectrum.rms()
     for k, channel in enumerate(spectrum.channels):
         peak = int(np.argmax(spectrum.values[k]))
         span = f"{low[k, peak]:.3g} to {high[k, peak]:.3g}"
-        density = f"{spectrum.values[k, peak]:.4g} ({channel.unit})²/Hz"
-        table.add_row(channel.name, f"{total[k]:.4g} {channel.unit}", f"{spectrum.f_hz[peak]:.4g} Hz", density, span)
+        density = f"{spectrum.values[k, peak]:.4g} {squared(channel.unit) or 1}/Hz"
+        table.add(channel.name, f"{total[k]:.4g} {channel.unit}", f"{spectrum.f_hz[peak]:.4g} Hz", density, span)
     return [table], density_figure(spectrum), [spectrum.estimator]
 
 
 def _response(data: "Record", request: _Request) -> "_Display":
     import numpy as np
-    from rich.table import Table
 
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import response_figure
 
     response = room.frf(data, estimator=request.estimator, **request.averaging)
     assert response.coherence is not None
-    table = Table("output", "input", "largest gain", "at", "median coherence", title="Frequency response")
+    excited = _excited(data, request, response)
+    table = TextTable(("output", "input", "largest gain", "re", "at", "median coherence"), "Frequency response")
     for i, sensor in enumerate(response.sensors):
         for j, actuator in enumerate(response.actuators):
-            peak = _strongest(np.abs(response.values[i, j]), response.coherence[i, j], response.f_hz)
+            peak = _strongest(np.abs(response.values[i, j]), response.coherence[i, j], excited[j])
+            reference = ratio(sensor.unit, actuator.unit)
             cells = (
-                ("-", "-")
+                ("-", reference, "-")
                 if peak is None
-                else (f"{response.magnitude_db[i, j, peak]:.2f} dB", f"{response.f_hz[peak]:.4g} Hz")
+                else (f"{response.magnitude_db[i, j, peak]:.2f} dB", reference, f"{response.f_hz[peak]:.4g} Hz")
             )
-            table.add_row(sensor.name, actuator.name, *cells, f"{np.median(response.coherence[i, j]):.3f}")
+            coherence = response.coherence[i, j][excited[j]]
+            table.add(sensor.name, actuator.name, *cells, f"{np.median(coherence):.3f}" if coherence.size else "-")
     return [table], response_figure(response), [response.estimator, _where()]
 
 
 def _transmissibility(data: "Record", request: _Request) -> "_Display":
-    from rich.table import Table
-
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import transmissibility_figure
 
@@ -149,40 +156,50 @@ def _transmissibility(data: "Record", request: _Request) -> "_Display":
         raise InputError(f"spectra: transmissibility needs '--base' and '--payload', sensors among {names}.")
     sides = [[name.strip() for name in side.split(",")] for side in (request.base, request.payload)]
     transmissibility = room.transmissibility(data, sides[0], sides[1], estimator=request.estimator, **request.averaging)
-    table = Table("payload", "base", "largest", "at", "95 % interval", title="Transmissibility")
+    table = TextTable(("payload", "base", "largest", "at", "95 % interval"), "Transmissibility")
     low, high = transmissibility.interval_db()
     coherence = transmissibility.response.coherence
     assert coherence is not None
     for i, p in enumerate(transmissibility.response.sensors):
         for j, b in enumerate(transmissibility.response.actuators):
-            peak = _strongest(transmissibility.db[i, j], coherence[i, j], transmissibility.f_hz)
+            peak = _strongest(transmissibility.db[i, j], coherence[i, j], transmissibility.f_hz > 0)
             cells = ("-", "-", "-")
             if peak is not None:
                 span = f"{low[i, j, peak]:.2f} to {high[i, j, peak]:.2f} dB"
                 cells = f"{transmissibility.db[i, j, peak]:.2f} dB", f"{transmissibility.f_hz[peak]:.4g} Hz", span
-            table.add_row(p.name, b.name, *cells)
+            table.add(p.name, b.name, *cells)
     return [table], transmissibility_figure(transmissibility), [transmissibility.estimator, _where()]
 
 
-def _strongest(gain: "FloatArray", coherence: "FloatArray", f_hz: "FloatArray") -> int | None:
-    """Return the line of the largest gain among those that can be trusted; what detrending leaves at 0 Hz cannot."""
+def _excited(data: "Record", request: _Request, response: "FrequencyResponse") -> "BoolArray":
+    """Return at which lines of a response each of its inputs was excited, `(inputs, nf)`."""
+    import numpy as np
+
+    from ultraquiet import spectra as room
+    from ultraquiet.spectra.excited import excited_lines
+
+    cross = room.cross_spectra(data, **request.averaging)
+    rows = [cross.actuators.index(actuator) for actuator in response.actuators]
+    return excited_lines(cross)[rows][:, np.isin(cross.f_hz, response.f_hz)]
+
+
+def _strongest(gain: "FloatArray", coherence: "FloatArray", counted: "BoolArray") -> int | None:
+    """Return the line of the largest gain among those that count and can be trusted."""
     import numpy as np
 
     from ultraquiet.spectra.coherence import TRUSTED
 
-    trusted = (coherence > TRUSTED) & (f_hz > 0)
+    trusted = (coherence > TRUSTED) & counted
     return int(np.argmax(np.where(trusted, gain, -np.inf))) if trusted.any() else None
 
 
 def _where() -> str:
     from ultraquiet.spectra.coherence import TRUSTED
 
-    return f"largest among the lines with a coherence above {TRUSTED:g}"
+    return f"largest among the excited lines with a coherence above {TRUSTED:g}"
 
 
 def _octaves(data: "Record", request: _Request) -> "_Display":
-    from rich.table import Table
-
     from ultraquiet import spectra as room
     from ultraquiet.plot.spectra import bands_figure
 
@@ -190,13 +207,13 @@ def _octaves(data: "Record", request: _Request) -> "_Display":
     if request.quantity is not None:
         spectrum = room.convert_spectrum(spectrum, request.quantity, "velocity")
     levels = room.band_levels(spectrum, request.fraction)
-    tables: list[Table] = []
+    tables: list[TextTable] = []
     for first in range(0, len(levels.channels), ABREAST):
         part = slice(first, first + ABREAST)
         heads = (f"{c.name} ({c.unit})" if c.unit else c.name for c in levels.channels[part])
-        tables.append(Table("band", *heads, title=f"1/{levels.bands.fraction} octaves, rms"))
+        tables.append(TextTable(("band", *heads), f"1/{levels.bands.fraction} octaves, rms"))
         for k, name in enumerate(levels.bands.nominal_hz):
-            tables[-1].add_row(f"{name:g} Hz", *(f"{value:.4g}" for value in levels.rms[part, k]))
+            tables[-1].add(f"{name:g} Hz", *(f"{value:.4g}" for value in levels.rms[part, k]))
     return tables, bands_figure(levels), [levels.estimator, *_judged(levels)]
 
 

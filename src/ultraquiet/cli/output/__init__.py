@@ -1,0 +1,1 @@
+"""What commands share in what they print: options, tables, JSON, figures."""

@@ -1,0 +1,1 @@
+"""The command `spectra` and what it shows."""

@@ -1,0 +1,220 @@
+"""All that can be said of a loop between design and deployment: stability, margins, peaks, attenuation over a band."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray, between
+from ultraquiet.analyse.disk import EndMargins
+from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
+from ultraquiet.analyse.margins import band_attenuation, even_sensitivity
+from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.design.robustness import DISK_MARGIN, WIDEST, both_ends, fragility, stated, weaker_end
+from ultraquiet.values.channel import Channel, ratio
+from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
+
+WHO = "analyse"
+ALIKE = 1e-6  # share of the largest: directions and growths that differ by less are told as the first of them
+
+
+@dataclass(frozen=True)
+class SlowestMode:
+    """The pole of a loop that decays most slowly, or grows: growth in 1/s, frequency in Hz, damping ratio."""
+
+    growth_per_s: float
+    f_hz: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class MemberPeak:
+    """Largest gain of S, T or KS: its size, where, and the channels between which it is largest there.
+
+    `gain` is in output units per input unit; `unit` says which, and is empty for S and T, whose units cancel.
+    """
+
+    gain: float
+    gain_db: float
+    f_hz: float
+    into: str
+    out_of: str
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopAnalysis:
+    """What a loop of a plant and a law keeps.
+
+    Attributes:
+        status: `ok`, `fragile` (less disk margin than `disk_margin` at an end) or `unstable`.
+        slowest: the pole that decays most slowly; None for a loop without states.
+        margins: at the plant's `input` and `output`.
+        peaks: of `S`, `T` and `KS` at the outputs; infinite for an unstable loop.
+        band_hz: where the attenuation counts.
+        attenuation_db, attenuation_hz: of the worst direction over the band, and where; see `band_attenuation`.
+        even: whether channels of several units were weighed by the plant's own scales; then `KS` has no unit.
+        gang: the responses, in the scales in which they were compared.
+        command_scale: what KS of `gang` is multiplied by to be in the channels' units.
+    """
+
+    status: Status
+    slowest: SlowestMode | None
+    margins: Mapping[str, EndMargins]
+    peaks: Mapping[str, MemberPeak]
+    band_hz: tuple[float, float]
+    attenuation_db: float
+    attenuation_hz: float
+    even: bool
+    gang: Gang
+    command_scale: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop is."""
+        return self.gang.stable
+
+
+@dataclass(frozen=True, eq=False)
+class _Scales:
+    """What one unit of each channel is multiplied by before gains in several directions are compared."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    even: bool
+
+    @property
+    def command(self) -> float:
+        """What a command per reading of the scaled plant is in the channels' units, where they share them."""
+        return 1.0 if self.even else float(self.inputs[0] * self.outputs[0])
+
+
+def analyse_loop(
+    plant: StateSpace,
+    controller: StateSpace,
+    band_hz: tuple[float, float] | None = None,
+    disk_margin: float = DISK_MARGIN,
+) -> LoopAnalysis:
+    """Return stability, margins at both ends, peaks of S, T and KS, and the attenuation of the worst direction.
+
+    S = (I - G K)^-1, T = S - I, KS = K S, with u = K y. Where the sensors, or the actuators, are of several units, S,
+    T and KS are those of the plant in units of its own (`even_plant`): a change of a channel's unit changes nothing.
+
+    Args:
+        plant: G, `(ny, nu)`.
+        controller: K, its sign inside.
+        band_hz: (low, high) in Hz; the plant's own band when absent.
+        disk_margin: what a loop called `ok` keeps at both ends, all channels of an end at once.
+
+    Returns:
+        `LoopAnalysis`.
+
+    Raises:
+        InputError: rates or shapes that do not fit, a band that does not rise or ends beyond the Nyquist frequency.
+
+    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
+    >>> found = analyse_loop(G, StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0), (1.0, 5.0))
+    >>> found.status.word.value, round(found.peaks["S"].gain_db, 2), round(found.attenuation_db, 2)
+    ('ok', 3.52, 5.24)
+
+    Reference: Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., sections 3.3 and 9.4.
+    """
+    asked = between(WHO, "disk_margin", disk_margin, 0.0, WIDEST)
+    own = even_plant(plant, band_hz, WHO)
+    band = own.band_hz if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
+    scales = _scales(plant, own.inputs, own.outputs)
+    G, K = _scaled(plant, controller, scales)
+    margins = both_ends(plant, controller)
+    gang = gang_of_six(G, K)
+    attenuation_db, attenuation_hz = band_attenuation(G, K, band)
+    members = {"S": gang.So, "T": gang.To, "KS": gang.KSo}
+    wide = gang.peaks()
+    peaks = {
+        name: _peak(wide[key], plant, scales, name) for name, key in zip(members, ("So", "To", "KSo"), strict=True)
+    }
+    status = _verdict(plant, margins, peaks["S"], gang.stable, asked)
+    slowest = _slowest(even_sensitivity(plant, controller, "output"))
+    return LoopAnalysis(
+        status, slowest, margins, peaks, band, attenuation_db, attenuation_hz, scales.even, gang, scales.command
+    )
+
+
+def attenuation_over(
+    plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float] | None = None
+) -> tuple[float, float, tuple[float, float]]:
+    """Return `band_attenuation` in the scales of `analyse_loop`, its frequency, and the band: the plant's when absent.
+
+    Args:
+        plant: G.
+        controller: K, its sign inside.
+        band_hz: (low, high) in Hz.
+
+    Raises:
+        InputError: as `analyse_loop`.
+    """
+    own = even_plant(plant, band_hz, WHO)
+    band = own.band_hz if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
+    return *band_attenuation(*_scaled(plant, controller, _scales(plant, own.inputs, own.outputs)), band), band
+
+
+def _verdict(
+    plant: StateSpace, margins: Mapping[str, EndMargins], peak: MemberPeak, stable: bool, asked: float
+) -> Status:
+    if not stable:
+        return Status(StatusWord.UNSTABLE, "The loop is unstable; the law must not run on this plant.")
+    # NaN, which no comparison admits, is no margin
+    if margins[weaker_end(margins)].disk_all >= asked:
+        words = f"it amplifies by at most {peak.gain_db:.1f} dB, at {peak.f_hz:.4g} Hz; {stated(margins)}"
+        return Status(StatusWord.OK, f"The loop is stable; {words}.")
+    return Status(StatusWord.FRAGILE, fragility(plant, margins, asked))
+
+
+def _scales(plant: StateSpace, inputs: FloatArray, outputs: FloatArray) -> _Scales:
+    """Return one scale for all channels of an end where they share a unit, else the plant's own."""
+    mixed = any(len({c.unit for c in wires}) > 1 for wires in (plant.actuators, plant.sensors))
+    if mixed:
+        return _Scales(inputs, outputs, True)
+    # powers of two cost no digit, and units decades away from one would
+    common = [np.full(s.shape, np.exp2(np.round(np.median(np.log2(s))))) for s in (inputs, outputs)]
+    return _Scales(common[0], common[1], False)
+
+
+def _scaled(plant: StateSpace, law: StateSpace, s: _Scales) -> tuple[StateSpace, StateSpace]:
+    y, u = s.outputs[:, None], s.inputs
+    G = StateSpace(plant.A, plant.B * u, plant.C * y, plant.D * y * u, plant.rate_hz)
+    K = StateSpace(law.A, law.B / s.outputs, law.C / u[:, None], law.D / u[:, None] / s.outputs, law.rate_hz)
+    return G, K
+
+
+def _peak(found: Peak, plant: StateSpace, s: _Scales, name: str) -> MemberPeak:
+    receivers = plant.actuators if name == "KS" else plant.sensors
+    common = not s.even and name == "KS"
+    gain = found.gain * (s.command if common else 1.0)
+    db = 20 * float(np.log10(gain)) if gain > 0 else -np.inf
+    unit = ratio(receivers[0].unit, plant.sensors[0].unit) if common else ""
+    into, out_of = _strongest(found.inputs, plant.sensors), _strongest(found.outputs, receivers)
+    return MemberPeak(float(gain), db, found.f_hz, into, out_of, unit)
+
+
+def _strongest(direction: np.ndarray, wires: tuple[Channel, ...]) -> str:
+    """Return the channel that a direction has most of, the first of those alike; empty for no direction."""
+    if not direction.size:
+        return ""
+    size = np.abs(direction)
+    return wires[int(np.flatnonzero(size >= (1 - ALIKE) * size.max())[0])].name
+
+
+def _slowest(S: StateSpace) -> SlowestMode | None:
+    poles = S.poles()
+    if not poles.size:
+        return None
+    if S.rate_hz is None:
+        s = poles
+    else:
+        # a pole at zero has decayed at once
+        s = S.rate_hz * np.log(np.maximum(np.abs(poles), np.finfo(float).tiny)) + 1j * S.rate_hz * np.angle(poles)
+    near = np.flatnonzero(s.real >= s.real.max() - ALIKE * np.abs(s.real.max()))
+    slowest = complex(s[near[np.argmin(np.abs(s[near].imag))]])
+    size = abs(slowest)
+    return SlowestMode(slowest.real, abs(slowest.imag) / (2 * np.pi), -slowest.real / size if size else 0.0)

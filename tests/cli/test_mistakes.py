@@ -1,0 +1,208 @@
+"""Natural mistakes at the command line and in study files: named, with what would do, and nothing is touched."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+
+RATE = 1000.0
+SUITE = (Path(uq.__file__).parent / "pipeline" / "suite.toml").read_text()
+
+
+def law(nu, ny, rate_hz=RATE):
+    return uq.StateSpace([[0.5]], 0.1 * np.ones((1, ny)), -0.1 * np.ones((nu, 1)), np.zeros((nu, ny)), rate_hz)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """What a user has around: records, plants, laws, files of other kinds, and some that are dear to somebody."""
+    tmp_path = tmp_path_factory.mktemp("made")
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal((1, 600))
+    plant = uq.StateSpace([[0.8]], [[0.5]], [[1.0]], [[0.0]], RATE)
+    y = plant.simulate(u) + 0.01 * rng.standard_normal((1, 600))
+    wide = uq.StateSpace([[0.8]], np.ones((1, 2)), np.ones((3, 1)), np.zeros((3, 2)), RATE)
+    values = {
+        "record": uq.Record(u, y, RATE), "slow-record": uq.Record(u, y, 500.0), "plant": plant, "wide-plant": wide,
+        "designed": uq.design.Lqg().design(wide).controller, "law": law(1, 1),
+        "wide-law": law(2, 3), "slow-law": law(1, 1, 500.0),
+        "still": uq.Record(np.zeros((1, 600)), y, RATE),
+    }  # fmt: skip
+    for name, value in values.items():
+        uq.files.save(value, tmp_path / f"{name}.h5")
+    table = np.column_stack([np.arange(600) / RATE, u[0], y[0]])
+    for name, rows, head in (
+        ("run", table, "time,u,y"),
+        ("norate", table[:, 1:], "u,y"),
+        ("plain", table, "a,force,b"),
+    ):
+        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header=head, comments="")
+    (tmp_path / "notes.txt").write_text("Nothing but words.\n")
+    for name in ("mine.h5", "mine.svg", "mine.csv"):
+        (tmp_path / name).write_bytes(b"mine")
+    (tmp_path / "study.toml").write_text(SUITE)
+    return tmp_path
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    return shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+
+
+# Words of the command line -> what the answer names: the culprit first, then what would do.
+IDENTIFY = "identify record.h5 --method arx --order 2"
+LOOP = "simulate law.h5 --plant plant.h5"
+COMMANDS = {
+    "identfy record.h5": ("identfy", "identify"),
+    "identify record.h5 --mehtod arx": ("--mehtod", "--method"),
+    "identify": ("record", "-h"),
+    "identify absent.h5": ("absent.h5", "no such file"),
+    "identify record.h5 --method box-jenkin": ("box-jenkin", "box-jenkins"),
+    "identify record.h5 --method arx --order five": ("five", "auto"),
+    "identify record.h5 --method arx --order 0": ("'order'", "between 1 and 30"),
+    "identify record.h5 --method arx --order 500": ("'order'", "between 1 and 30"),
+    "identify record.h5 --method impulse --order auto": ("impulse", "leave --order away"),
+    "identify record.h5 --method recursive-arx --order auto": ("recursive-arx", "a number"),
+    f"{IDENTIFY} --set dleay=1": ("dleay", "delay"),
+    f"{IDENTIFY} --set delay": ("'delay'", "key=value"),
+    f"{IDENTIFY} --hold-out 1.5": ("hold-out", "0.9"),
+    f"{IDENTIFY} --out model.txt": ("model.txt", ".h5"),
+    f"{IDENTIFY} --out mine.h5": ("mine.h5", "--force"),
+    f"{IDENTIFY} --out nowhere/m.h5": ("nowhere", "make it"),
+    "identify run.csv --method arx --rate 500": ("500 Hz", "1000 Hz", "away"),
+    "identify norate.csv --method arx": ("norate.csv", "--rate"),
+    "identify norate.csv --method arx --rate -5": ("rate", "above zero"),
+    "identify plain.csv --method arx --rate 1000": ("plain.csv", "inputs"),
+    "identify plain.csv --method arx --rate 1000 --inputs forse --outputs b": ("forse", "force"),
+    "identify plant.h5 --method arx": ("plant.h5", "record"),
+    "identify still.h5 --method arx": ("input 1", "constant"),
+    "identify notes.txt --method arx --rate 1000": ("notes.txt", "numbers"),
+    "validate record.h5 record.h5": ("Record", "model"),
+    "validate plant.h5 slow-record.h5": ("1000 Hz", "500 Hz"),
+    "design record.h5": ("Record", "model"),
+    "design plant.h5 --method lqgg": ("lqgg", "lqg"),
+    "design plant.h5 --method lqg --set band_hz=[100,10]": ("band_hz", "rising"),
+    "design plant.h5 --method lqg --set band_hz=[10,900]": ("900", "500 Hz"),
+    "design plant.h5 --method lqg --out K.mat": ("K.mat", ".h5"),
+    "design plant.h5 --method lqg --out mine.h5": ("mine.h5", "--force"),
+    "analyse plant.h5": ("law", "-h"),
+    "analyse designed.h5 wide-plant.h5": ("designed.h5", "PLANT comes first"),
+    "analyse plant.h5 wide-law.h5": ("takes 3", "1 readings"),
+    "analyse plant.h5 slow-law.h5": ("500 Hz", "1000 Hz"),
+    "analyse plant.h5 record.h5": ("record.h5", "design"),
+    "analyse plant.h5 law.h5 --band 50 10": ("band_hz", "rising"),
+    "analyse plant.h5 law.h5 --band 10": ("--band", "2"),
+    "analyse plant.h5 law.h5 --out f --format jpg": ("jpg", "png"),
+    "analyse plant.h5 law.h5 --disk-margin 3": ("disk_margin", "2"),
+    "analyse plant.h5 law.h5 --out mine.h5": ("mine.h5", "--out"),
+    "simulate law.h5": ("neither", "--bench", "--plant"),
+    f"{LOOP} --bench study.toml": ("both", "--bench", "--plant"),
+    f"{LOOP} --unit flight": ("flight", "--bench"),
+    f"{LOOP} --tones 5,a": ("5,a", "5,25,100"),
+    f"{LOOP} --tones 700": ("700", "500 Hz"),
+    f"{LOOP} --tones 5 --duration 0.1": ("tones_hz", "20"),
+    f"{LOOP} --amplitude 0": ("--amplitude", "above zero"),
+    "simulate slow-law.h5 --plant plant.h5": ("500 Hz", "1000 Hz"),
+    "simulate law.h5 --plant record.h5": ("record.h5", "identify"),
+    "simulate law.h5 --bench study.toml": ("1000 Hz", "3500 Hz"),
+    "spectra record.h5 --show densty": ("densty", "density"),
+    "spectra record.h5 --out mine.svg": ("mine.svg", "--force"),
+    "spectra record.h5 --out picture.jpg": ("picture.jpg", ".svg"),
+    "spectra record.h5 --window hannn": ("hannn", "window"),
+    "spectra record.h5 --show response --estimator H3": ("H3", "H1"),
+    "deploy record.h5": ("record.h5", "design"),
+    "deploy law.h5 --precision float16": ("float16", "float32", "q31"),
+    "deploy law.h5 --form diagonal": ("diagonal", "modal"),
+    "deploy law.h5 --target cortex-m9": ("cortex-m9", "cortex-m7"),
+    "deploy law.h5 --fmu law.zip": ("law.zip", ".fmu"),
+    "deploy law.h5 --export law.xls": ("law.xls", ".mat"),
+    "convert record.h5 record.xyz": ("xyz", ".csv"),
+    "convert record.h5 mine.csv": ("mine.csv", "--force"),
+    "inspect plant.h5": ("plant.h5", "record"),
+    "methods cooking": ("cooking", "design"),
+    "records nowhere": ("nowhere", "folder"),
+    "records --since tomorrow": ("tomorrow", "2"),
+    "experiment absent.toml": ("absent.toml", "no such file"),
+    "demo --seed -1": ("seed", "at least 0"),
+    "report .": ("'.'", "study"),
+    "run absent.toml": ("absent.toml", "no such file"),
+    "run notes.txt": ("notes.txt", "line 1"),
+    "run study.toml --out mine.h5": ("mine.h5", "--out"),
+}  # fmt: skip
+
+UNITS = '["ground", "flight"]\n'
+TONES = f"{UNITS}tones_hz = [5.0, 25.0, 100.0]"
+# What is written in the study -> what was written in its place, and what the answer names, its line first.
+STUDIES = {
+    "a seed below zero": ("seed = 1", "seed = -1", ("seed", "0")),
+    "a bench misspelt": ('"hexapod"', '"hexapodd"', ("hexapodd", "hexapod")),
+    "a unit nobody has": ('unit = "ground"', 'unit = "moon"', ("moon", "flight")),
+    "a unit of the loop nobody has": ('["ground", "flight"]', '["ground", "moon"]', ("moon", "flight")),
+    "a setting of the bench misspelt": ('unit = "ground"', 'untit = "ground"', ("untit", "unit")),
+    "a table misspelt": ("[closed_loop] ", "[closed_lop] ", ("closed_lop", "closed_loop")),
+    "a key misspelt": ("held_out =", "hold_out =", ("hold_out", "held_out")),
+    "a structure misspelt": ('"armax"', '"armx"', ("armx", "armax")),
+    "no orders": ("orders = [2, 4, 5, 6, 8]", "orders = []", ("orders", "1")),
+    "an order of nothing": ("orders = [2,", "orders = [0,", ("orders", "1")),
+    "a group of records nobody leaves": ('records = "noise"', 'records = "nois"', ("nois", "noise")),
+    "a list that is not there": ('list = "suite"', 'list = "my.toml"', ("my.toml",)),
+    "a period that is no number": ("period_samples = 7000", 'period_samples = "7k"', ("period_samples", "integer")),
+    "a design misspelt": ('method = "lqg"', 'method = "lgq"', ("lgq", "lqg")),
+    "a setting of a design misspelt": ("control_weight =", "control_wieght =", ("control_wieght", "control_weight")),
+    "a band that falls": ("band_hz = [10.0, 100.0]", "band_hz = [100.0, 10.0]", ("band", "rise")),
+    "a tone below zero": (TONES, f"{UNITS}tones_hz = [-5.0]", ("tones_hz", "greater than 0")),
+    "a tone beyond Nyquist": (TONES, f"{UNITS}tones_hz = [9e3]", ("9000", "1750")),
+    "a precision nobody knows": ('precision = "float32"', 'precision = "float16"', ("precision", "float32")),
+    "a law nobody designs": ('law = "hinf-tones"', 'law = "hinf"', ("hinf", "hinf-tones")),
+    "a requirement nobody measures": ("tones_db =", "payload_db =", ("payload_db", "leave it away")),
+    "a name that is no file's": ("[controllers.lqg-ltr.design]", '[controllers."a/b".design]', ("a/b", "letters")),
+    "a bracket forgotten": ("[study]", "[study", ("line", "study.toml")),
+    "a text without quotes": ('unit = "ground"', "unit = ground", ("line 10", "study.toml")),
+    "a design forgotten": ("[controllers.lqg-ltr.design]", "[controllers.lqg-ltr.desing]", ("desing", "design")),
+}  # fmt: skip
+
+
+def state_of(folder):
+    return {
+        path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*") if "sqlite" not in path.name
+    }
+
+
+def graded(run, folder, words, named):
+    """Run the words; the answer must name all of `named`, the exit code be 2, and the folder as it was."""
+    before = state_of(folder)
+    code, out, err = run(*words)
+    said = " ".join(err.split())
+    print(code, said)
+    missed = [word for word in named if word not in said]
+    assert not missed, f"not named: {missed}"
+    assert code == 2
+    assert "Traceback" not in said
+    assert "Errno" not in said
+    assert out == ""
+    assert state_of(folder) == before
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_a_mistake_at_the_command_line(run, folder, words):
+    graded(run, folder, words.split(), COMMANDS[words])
+
+
+@pytest.mark.parametrize("mistake", STUDIES)
+def test_a_mistake_in_a_study_file(run, folder, monkeypatch, mistake):
+    def started(*_, **__):
+        pytest.fail("the study was started")
+
+    monkeypatch.setattr("ultraquiet.experiments.run", started)
+    right, wrong, named = STUDIES[mistake]
+    assert right in SUITE
+    (folder / "study.toml").write_text(SUITE.replace(right, wrong, 1))
+    graded(run, folder, ("run", "study.toml"), named)
+
+
+def test_there_are_sixty_and_more():
+    print(f"{len(COMMANDS)} at the command line, {len(STUDIES)} in study files")
+    assert len(COMMANDS) + len(STUDIES) >= 60
