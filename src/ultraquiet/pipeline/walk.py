@@ -1,7 +1,7 @@
 """The walk: a study from its bench to its report, each stage reused when nothing it depends on has changed."""
 
 import shutil
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial
@@ -13,11 +13,12 @@ from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.bench.from_file import from_file
-from ultraquiet.files import archive, read_record, reason, write_bytes
+from ultraquiet.files import read_record, reason, write_bytes
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stages import Say, Stages
+from ultraquiet.pipeline.store.copies import Copies
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.pipeline.store.recorded import Records
@@ -59,9 +60,10 @@ def walk(
         sweep(folder)
         _require_space(folder)
         if listed is None:
+            copies = Copies(read, folder)
+            copies.claim()
             _write_study(settings, folder, beside)
-            _keep(read, folder)
-            records, bench_key = read, None if bench is None else describe()
+            records, bench_key = copies.take(), None if bench is None else describe()
             say(f"read: {len(records)} records")
         else:
             store = Records(listed, bench, describe, folder, say)
@@ -106,14 +108,6 @@ def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
         if (record.rate_hz, record.actuators, record.sensors) != (first.rate_hz, first.actuators, first.sensors):
             raise InputError(f"study: '{name}' has other channels or another rate than '{next(iter(records))}'.")
     return records
-
-
-def _keep(records: Mapping[str, Record], folder: Path) -> None:
-    """Leave copies of records that were read in the study's folder, as those of a bench are."""
-    place = folder / "records"
-    place.mkdir(exist_ok=True)
-    for name, record in records.items():
-        archive.save(record, place / f"{name}.h5")
 
 
 def _at(name: str, beside: Path | None) -> Path:

@@ -132,7 +132,7 @@ class Records:
             return f"'{self._place}' holds records that no study left ({foreign[0]}, ...); choose another --out."
         if not was:
             return self._refusal("it cannot be told which list and bench they belong to")
-        changed = [f"the bench's {each}" for each in differences(was["bench"], now["bench"])]
+        changed = [f"the bench's {each}" for each in differences(was["bench"] or {}, now["bench"])]
         before: dict[str, Any] = {**was.get("earlier", {}), **was["measurements"]}
         for name in (name for name in present if name in asked):
             if before.get(name) != now["measurements"][name]:
