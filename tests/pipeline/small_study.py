@@ -52,9 +52,6 @@ structures = ["arx"]
 orders = [4]
 records = "noise"
 held_out = "judge"
-paper_structure = "arx"
-paper_order = 4
-paper_records = ["noise"]
 [plant]
 method = "subspace"
 records = ["all"]
