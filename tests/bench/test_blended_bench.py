@@ -1,10 +1,14 @@
 """Benches seen through blending matrices and at a control rate: the same numbers whichever way round."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.bench import Bench, Blended, Decimated, Streaming, Wrapped
+from ultraquiet._base.provenance import content_hash
+from ultraquiet.bench import Bench, Blended, Decimated, Hexapod, Streaming, Wrapped
 from ultraquiet.testing.conformance import _bench
 from ultraquiet.values import Blending, Channel, Decimation, StateSpace, SteppedController
 from ultraquiet.values.interconnect import feedback
@@ -166,6 +170,40 @@ def test_a_linear_model_is_offered_where_the_bench_has_one(rng):
     assert bench.linear_model().rate_hz == 2000.0
     assert bench.linear_model().D.shape == (2, 3)
     assert bench.side_by_side
+
+
+def test_the_hexapod_in_modes_is_its_own_linear_model(rng):
+    """A bench with a model of its own and a fast way of its own to run linear laws."""
+    inner = Hexapod(unit="flight", linear=True)
+    blending = Blending(rng.standard_normal((3, 6)), rng.standard_normal((6, 3)), inner.sensors, inner.actuators)
+    bench = Decimated(Blended(inner, blending), Decimation(2))
+    v = 1e-3 * rng.standard_normal((3, 200))
+    law = law_of(rng, blending, 1750.0)
+    law = StateSpace(law.A, law.B, 0.01 * law.C, 0.01 * law.D, 1750.0)
+    for truth, record in (
+        (bench.linear_model(), bench.run(v)),
+        (feedback(bench.linear_model(), law), bench.run(v, controller=law)),
+    ):
+        expected = truth.simulate(v)
+        assert np.allclose(record.outputs, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+    fast = Blended(inner, blending)
+    law = StateSpace(law.A, law.B, law.C, law.D, 3500.0)
+    stepped = fast.run(v, controller=SteppedController(law)).outputs
+    assert np.allclose(fast.run(v, controller=law).outputs, stepped, rtol=0, atol=1e-9 * np.abs(stepped).max())
+
+
+def test_copies_and_hashes_are_those_of_equal_benches():
+    def made(gain):
+        inner = Hexapod(unit="flight", linear=True)
+        return Decimated(
+            Blended(inner, Blending(gain * np.eye(6), np.eye(6), inner.sensors, inner.actuators)), Decimation(2)
+        )
+
+    bench = made(1.0)
+    for other in (made(1.0), copy.deepcopy(bench), pickle.loads(pickle.dumps(bench))):
+        assert content_hash(other) == content_hash(bench)
+        assert np.array_equal(other.run(np.ones((6, 9))).outputs, bench.run(np.ones((6, 9))).outputs)
+    assert content_hash(made(2.0)) != content_hash(bench)
 
 
 def test_units_are_kept():
