@@ -140,6 +140,15 @@ def test_a_dead_actuator_is_named_alone(unit, rng):
     assert "no sensor answers to it" in health.actuator_statuses[1].sentence
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
+def test_actuators_that_are_driven_together_are_not_blamed_for_it(unit, rng):
+    """Five actuators through three modes: none can be told from the others, all are heard; a dead sensor is named."""
+    u = rng.standard_normal((5, 3)) @ rng.standard_normal((3, 8192))
+    y = readings(rng, u, 3)
+    y[1] = rng.standard_normal(8192)
+    assert channel_health([record(u, y, unit)]).named(StatusWord.DEAD) == (("acc 2",), ())
+
+
 def test_records_of_one_actuator_each_are_judged_together(rng):
     """A sensor may hear one actuator alone; an actuator that no record drives is said."""
     n, system = 4096, plant(rng, 3, 3)

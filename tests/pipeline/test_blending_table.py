@@ -1,5 +1,9 @@
 """`[blending]`: from a table of 20 accelerometers and 4 actuators, one unplugged, to a law that holds on the truth."""
 
+import re
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -7,6 +11,7 @@ from table_of_accelerometers import (
     CONTROL_HZ,
     DRIVEN,
     MODES,
+    RATE_HZ,
     delayed,
     drawn_bench,
     drawn_table,
@@ -90,6 +95,19 @@ def test_records_at_the_bench_rate_come_to_the_same(recorded, first_seed):
     assert np.std(mine.outputs - theirs.outputs) < 0.02 * np.std(theirs.outputs)
 
 
+def test_a_saturated_accelerometer_is_named_and_left_out(recorded, first_seed):
+    """Cut at 1.5 standard deviations at 8 kHz, its limits not declared."""
+    truth, bench, table, seen, records = recorded
+    held = Decimation(4).held(seen.bench.blending.actuator_matrix @ records["noise"].inputs)
+    raw = drawn_bench(truth, first_seed, DEAD).run(held)
+    y = raw.outputs.copy()
+    y[3] = np.clip(y[3], -1.5 * y[3].std(), 1.5 * y[3].std())
+    study = blended_records(bench, table, {"raw": Record(raw.inputs, y, RATE_HZ, raw.actuators, raw.sensors)})
+    print(*study.sentences, sep="\n")
+    assert study.left_out == ("acc 7", "acc 4")
+    assert "'acc 4' is saturated" in study.sentences[0]
+
+
 def test_a_study_may_refuse_instead(recorded):
     _, bench, table, _, records = recorded
     strict = table.model_copy(update={"dead": "refuse"})
@@ -122,6 +140,14 @@ def test_without_a_word_nothing_is_blended(rng):
     assert np.array_equal(study.records["r"].outputs, record.outputs)
     assert (study.bench.sensors, study.bench.actuators) == (bench.sensors, bench.actuators)
     assert study.sentences == ()
+
+
+def test_the_table_of_the_page_is_one():
+    page = (Path(__file__).parents[2] / "docs" / "blending.md").read_text()
+    tables = [tomllib.loads(text) for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL)]
+    table = BlendingTable.model_validate(tables[0]["blending"])
+    assert (table.control_rate_hz, table.dead, len(table.names)) == (2000.0, "leave out", 6)
+    assert set(BlendingTable.model_fields) - set(tables[0]["blending"]) == {"latency_samples"}
 
 
 def test_mistakes_are_named(recorded, tmp_path):

@@ -8,6 +8,7 @@ from ultraquiet.values import Record
 # Segments of a record: so many more than four times its inputs; few and long, for modes that ring long. Fewer samples
 # in one hold too few lines to test.
 SEGMENTS, SHORTEST = 8, 16
+OWN_SHARE = 1e-6  # of an input that the others leave unexplained, of its strongest line: less is rounding
 LEAST_P = 1e-300  # of one line
 
 
@@ -37,8 +38,9 @@ def answers(record: Record) -> tuple[FloatArray, FloatArray]:
     Y = np.stack([_lines(y, segments) for y in record.outputs], axis=2)
     any_p = _together(_explained(U, Y, len(moving)), len(moving), segments - len(moving))
     for k, j in enumerate(moving):
-        last = [i for i in range(len(moving)) if i != k] + [k]
-        each_p[:, j] = _together(_explained(U[:, :, last], Y, 1), 1, segments - len(moving))
+        last = U[:, :, [i for i in range(len(moving)) if i != k] + [k]]
+        # Of inputs that follow from each other none can be told from the rest: what is heard may be each of them.
+        each_p[:, j] = any_p if _follows(last) else _together(_explained(last, Y, 1), 1, segments - len(moving))
     return any_p, each_p
 
 
@@ -60,6 +62,13 @@ def _lines(signal: FloatArray, segments: int) -> ComplexArray:
     # Divided by its size first, so that no unit takes squares out of range.
     scale = np.abs(parts).max()
     return np.fft.rfft(parts / (scale if scale > 0 else 1.0) * np.hanning(size), axis=1)[:, 1 : size // 2].T
+
+
+def _follows(U: ComplexArray) -> bool:
+    """Return whether the last input is a combination of the others at every line."""
+    size = np.sqrt(np.sum(np.abs(U[:, :, -1]) ** 2, axis=1))
+    own = np.abs(np.linalg.qr(U)[1][:, -1, -1])
+    return bool(np.all(own <= OWN_SHARE * size.max()))
 
 
 def _explained(U: ComplexArray, Y: ComplexArray, last: int) -> FloatArray:
