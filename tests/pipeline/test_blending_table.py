@@ -18,7 +18,7 @@ from table_of_accelerometers import (
     matrices,
 )
 
-from ultraquiet import analyse
+from ultraquiet import analyse, experiments
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Decimated, Wrapped
 from ultraquiet.design import Lqg
@@ -93,6 +93,18 @@ def test_records_at_the_bench_rate_come_to_the_same(recorded, first_seed):
     assert study.left_out == ("acc 7",)
     assert np.allclose(mine.inputs, theirs.inputs, rtol=1e-9, atol=1e-12)
     assert np.std(mine.outputs - theirs.outputs) < 0.02 * np.std(theirs.outputs)
+
+
+def test_a_list_drives_one_mode_a_record(recorded, tmp_path):
+    """An experiment list on the bench in modes: each record moves one mode, the others rest to the bit."""
+    _, bench, table, seen, _ = recorded
+    signal = '{ method = "noise", start_hz = 2, stop_hz = 600, peak_v = 0.25 }'
+    text = f'[[commands]]\ndo = "excite"\nname = "noise"\nsamples = 1024\nsignal = {signal}'
+    records = experiments.run(experiments.parse(text, bench=seen), tmp_path, seen)
+    study = blended_records(bench, table, records)
+    assert study.left_out == ("acc 7",)
+    moving = [[bool(np.ptp(u)) for u in record.inputs] for record in study.records.values()]
+    assert np.array_equal(moving, np.eye(4, dtype=bool))
 
 
 def test_a_saturated_accelerometer_is_named_and_left_out(recorded, first_seed):

@@ -69,6 +69,9 @@ def test_records_are_mapped_and_those_driven_otherwise_refused(shape, unit, rng)
     assert np.allclose(modal.inputs, v, rtol=1e-9, atol=1e-12 * unit)
     assert np.allclose(modal.outputs, blending.plant(plant).simulate(v), rtol=1e-9, atol=1e-9 * unit)
     assert [c.unit for c in modal.sensors] == ["m/s^2"] * len(blending.sensor_modes)
+    alone = blending.actuator_matrix @ (v * (np.arange(len(v)) == 0)[:, None])
+    rest = blending.record(Record(alone, record.outputs, 2000.0, plant.actuators, plant.sensors)).inputs[1:]
+    assert not rest.any()
     if len(plant.actuators) > len(blending.actuator_modes):
         loose = Record(rng.standard_normal(u.shape), record.outputs, 2000.0, plant.actuators, plant.sensors)
         with pytest.raises(InputError, match="drive the bench through the"):

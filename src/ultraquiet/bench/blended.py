@@ -22,6 +22,9 @@ from ultraquiet.bench.inner import blocks_of, named_provenance, recorded
 from ultraquiet.values import Blending, Channel, Controller, Record, StateSpace
 from ultraquiet.values.blended.matrices import blend
 
+# Of a command, what a product of matrices and a limit at its very end may change by rounding.
+ROUNDING = 1e-12
+
 
 @dataclass(frozen=True)
 class Blended:
@@ -106,7 +109,7 @@ class Blended:
         law = None if controller is None else self.on_the_bench(controller)
         how = {"run_index": run_index, "block_samples": block_samples, "stop": stop, "ramp_samples": ramp_samples}
         given = None if disturbance is None else blend(Ta, d)
-        return self._modes(blocks_of(self.bench, blend(Ta, allowed), given, law, **how), v != allowed)
+        return self._modes(blocks_of(self.bench, blend(Ta, allowed), given, law, **how), allowed, v != allowed)
 
     def on_the_bench(self, controller: StateSpace | Controller) -> StateSpace | Controller:
         """Return a law of modes as one of the bench's own readings and commands, u = Ta K Ts y."""
@@ -115,7 +118,14 @@ class Blended:
         law = checked_controller("Blended.run", controller, self.rate_hz, len(self.sensors), len(self.actuators))
         return _InModes(law, self.blending, self.rate_hz)
 
-    def _modes(self, blocks: Iterator[Block], limited: "np.ndarray[Any, np.dtype[np.bool_]]") -> Iterator[Block]:
+    def _commands(self, sent: FloatArray, u: FloatArray) -> FloatArray:
+        """Return the modes of commands: what was sent, to the bit, and beside it what a law or a limit has changed."""
+        beside = u - blend(self.blending.actuator_matrix, sent)
+        return sent + self.blending.commands(np.where(np.abs(beside) > ROUNDING * np.abs(u), beside, 0.0))
+
+    def _modes(
+        self, blocks: Iterator[Block], sent: FloatArray, limited: "np.ndarray[Any, np.dtype[np.bool_]]"
+    ) -> Iterator[Block]:
         start = 0
         for block in blocks:
             stop = start + block.command.shape[1]
@@ -124,7 +134,7 @@ class Blended:
             own = np.count_nonzero(limited[:, start:stop], axis=1)
             yield replace(
                 block,
-                command=self.blending.commands(block.command),
+                command=self._commands(sent[:, start:stop], block.command),
                 readings=blend(self.blending.sensor_matrix, block.readings),
                 limited_commands=np.minimum(commands + own, stop - start),
                 limited_readings=_shared(self.blending.sensor_matrix, block.limited_readings),

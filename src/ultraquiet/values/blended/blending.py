@@ -19,6 +19,8 @@ from ultraquiet.values.state_space import StateSpace
 
 # Share of a record's command power that no mode explains, beyond which it was not driven through these modes.
 BESIDE = 1e-12
+# Of each actuator's loudest command, less of what a mode adds to it is rounding.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -123,7 +125,7 @@ class Blending:
             InputError: other channels, or commands that no v explains; the bench must be driven through the modes.
         """
         self.check("record", record.actuators, record.sensors)
-        v = self.commands(record.inputs)
+        v = self._at_rest(self.commands(record.inputs), record.inputs)
         # Judged with every actuator in the units of its own loudest command, so that no unit hides another.
         loudest = np.abs(record.inputs).max(axis=1, keepdims=True)
         miss = (record.inputs - blend(self.actuator_matrix, v)) / np.where(loudest > 0, loudest, 1.0)
@@ -141,6 +143,11 @@ class Blending:
     def commands(self, commands: FloatArray) -> FloatArray:
         """Return the modes v `(modes, n)` nearest to commands u `(actuators, n)`; exact where u = Ta v."""
         return blend(self._inverse, commands)
+
+    def _at_rest(self, v: FloatArray, u: FloatArray) -> FloatArray:
+        """Return modes with zeros where one adds but rounding to every actuator: a mode at rest does not move."""
+        part = np.abs(self.actuator_matrix) / np.where(loud := np.abs(u).max(axis=1), loud, np.inf)[:, None]
+        return np.where(part.max(axis=0)[:, None] * np.abs(v) > ROUNDING, v, 0.0)
 
     @cached_property
     def _inverse(self) -> FloatArray:
