@@ -1,6 +1,8 @@
 """Benches: anything with a rate, channels and the verb `run`, simulated, replayed or wrapped."""
 
 from ultraquiet.bench._abstract import Bench, Block, Streaming, Tally
+from ultraquiet.bench.blended import Blended
+from ultraquiet.bench.decimated import Decimated, HeldController
 from ultraquiet.bench.fmu import Fmu
 from ultraquiet.bench.hardware.bench import Hardware
 from ultraquiet.bench.hardware.interlocks import Interlocks
@@ -12,9 +14,12 @@ from ultraquiet.bench.wrapped import Wrapped
 
 __all__ = [
     "Bench",
+    "Blended",
     "Block",
+    "Decimated",
     "Fmu",
     "Hardware",
+    "HeldController",
     "Hexapod",
     "Interlocks",
     "LinearBench",

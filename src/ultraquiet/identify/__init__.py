@@ -8,6 +8,7 @@ from ultraquiet.identify.grey_box.modal_result import ModalFit
 from ultraquiet.identify.grey_box.strut import Structured
 from ultraquiet.identify.grey_box.strut_result import StructuredFit
 from ultraquiet.identify.grey_box.threefold import Folded, Threefold, ThreefoldFit, fold
+from ultraquiet.identify.health.channels import Health, channel_health
 from ultraquiet.identify.joint.identify import identify_joint
 from ultraquiet.identify.polynomial.matrix import MatrixResult, identify_matrix
 from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, OutputError
@@ -37,6 +38,7 @@ __all__ = [
     "BoxJenkins",
     "Candidate",
     "Folded",
+    "Health",
     "Identification",
     "ImpulseResponse",
     "MatrixResult",
@@ -63,6 +65,7 @@ __all__ = [
     "Trajectory",
     "WeightedFit",
     "WeightedRational",
+    "channel_health",
     "fold",
     "identify_joint",
     "identify_matrix",

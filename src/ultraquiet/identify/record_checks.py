@@ -4,6 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet.identify.health.channels import stuck
 from ultraquiet.values import Record
 
 # Fewer samples a parameter than this leave standard errors of a third and more of the estimate's size.
@@ -64,6 +65,9 @@ def _refuse_copies(who: str, record: Record) -> None:
 
 
 def _refuse_broken_sensors(who: str, record: Record) -> None:
+    dead = stuck(record)
+    if dead is not None:
+        raise InputError(f"{who}: {dead.sentence[0].lower()}{dead.sentence[1:]}")
     for y, wire in zip(record.outputs, record.sensors, strict=True):
         at_limits = np.count_nonzero((y == y.max()) | (y == y.min())) / y.size
         if at_limits > AT_EXTREMES and not np.any((y <= wire.low) | (y >= wire.high)):

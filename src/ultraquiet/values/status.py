@@ -30,6 +30,9 @@ class StatusWord(StrEnum):
     UNSTABLE = "unstable", "A loop or a law is unstable, as it is or once it is reduced or rounded; do not run it."
     NOT_KNOWN = "not known", "The longest record that was allowed does not tell whether the loop decays."
 
+    DEAD = "dead", "The channel carries nothing that has to do with the others; mend it or leave it out."
+    SATURATED = "saturated", "The channel's samples pile up at its limits; what lies beyond is lost."
+
     FEW_DATA = "few data", "The response is usable, its variance is rough: too few realisations or periods."
 
     NOT_CONVERGED = "not converged", "The search ended away from a minimum; the model is no estimate."

@@ -1,0 +1,1 @@
+"""Tables of a study file that stand for themselves, each with the verbs that act on it."""
