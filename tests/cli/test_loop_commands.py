@@ -168,6 +168,7 @@ def test_noise_is_what_the_band_says(rng):
         assert rms == pytest.approx(expected, rel=0.2)  # 220 lines in the measured half
 
 
+@pytest.mark.slow  # the hexapod rings for seconds
 def test_a_bench_of_a_study_file_and_a_unit_of_it(run, tmp_path):
     suite = Path(uq.__file__).parent / "pipeline" / "suite.toml"
     (tmp_path / "study.toml").write_text(suite.read_text())

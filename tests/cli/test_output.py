@@ -1,7 +1,10 @@
 """What every command prints: whole at 60 columns and in a pipe, as JSON, or nothing; brackets are words."""
 
 import json
+import os
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -100,6 +103,21 @@ def test_version_and_completion(run):
     assert (code, out) == (0, f"ultraquiet {uq.__version__}\n" if hasattr(uq, "__version__") else out)
     assert re.fullmatch(r"ultraquiet \d+\.\d+\.\d+\S*\n", out)
     assert "--install-completion" in run("-h")[1]
+
+
+PROGRAM = "import sys; sys.argv[0] = 'ultraquiet'; from ultraquiet.cli import main; main()"
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [("ultraquiet ana", "analyse"), ("ultraquiet design plant.h5 --method lq", "lqg")],
+)
+def test_the_shell_completes_commands_and_methods(words, offered):
+    asked = {"COMP_WORDS": words, "COMP_CWORD": str(len(words.split()) - 1), "_ULTRAQUIET_COMPLETE": "complete_bash"}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM], env={**os.environ, **asked}, capture_output=True, text=True, check=False
+    )
+    assert offered in done.stdout.split(), done
 
 
 def test_a_table_too_wide_for_its_terminal_is_told_cell_by_cell():

@@ -9,13 +9,15 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.output.targets import require_free
 from ultraquiet.cli.progress import bars
+from ultraquiet.cli.settings import completing
 from ultraquiet.cli.settings import method as make
 
 
 def design(
     plant: Annotated[Path, typer.Argument(help="A model or state space (HDF5), as `identify` leaves it.")],
     method: Annotated[
-        str, typer.Option(help="A registered method; see `ultraquiet methods design`.")
+        str,
+        typer.Option(autocompletion=completing("design"), help="A registered method; see `ultraquiet methods design`."),
     ] = "mixed-sensitivity",
     out: Annotated[
         Path | None, typer.Option(help="Where the controller goes (HDF5); default: beside the plant.")

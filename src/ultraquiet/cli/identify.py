@@ -11,6 +11,7 @@ from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.order import AUTO, found_order, of_order
 from ultraquiet.cli.output.targets import require_free
 from ultraquiet.cli.progress import bars
+from ultraquiet.cli.settings import completing
 
 HELD_OUT = 0.5
 
@@ -18,7 +19,10 @@ HELD_OUT = 0.5
 def identify(
     record: Annotated[Path, typer.Argument(help="A record, of any format that `convert` reads.")],
     method: Annotated[
-        str, typer.Option(help="A registered method; see `ultraquiet methods identify`.")
+        str,
+        typer.Option(
+            autocompletion=completing("identify"), help="A registered method; see `ultraquiet methods identify`."
+        ),
     ] = "box-jenkins",
     order: Annotated[str | None, typer.Option(help="Order of the model, or auto: what unseen data prefers.")] = None,
     rate: Annotated[float | None, typer.Option(help="Samples per second, when the file does not say.")] = None,

@@ -1,9 +1,10 @@
 """Settings of a registered method from `--set key=value` words."""
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
+from ultraquiet._base import registry
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.tables import Method
 
@@ -19,6 +20,15 @@ def method(family: str, name: str, assignments: Sequence[str], **options: Any) -
             raise InputError("--set: the method is chosen with --method.")
         settings[key.replace("-", "_")] = _value(value)
     return Method(method=name, **settings).make(family)
+
+
+def completing(family: str) -> Callable[[str], list[str]]:
+    """Return what the shell asks for the names of a family's methods that begin so."""
+
+    def begins(incomplete: str) -> list[str]:
+        return [name for name in registry.methods(family) if name.startswith(incomplete)]
+
+    return begins
 
 
 def _value(text: str) -> Any:

@@ -35,8 +35,8 @@ def finished_in(listed: ExperimentList, place: Path, resume: bool, overwrite: bo
     if present and not overwrite:
         names = ", ".join(m.name for m in present[:5]) + (", ..." if len(present) > 5 else "")
         raise StorageError(
-            f"experiment: '{place}' holds {len(present)} of the records already ({names}); resume, ask to overwrite, "
-            "or choose another folder."
+            f"experiment: '{place}' holds {len(present)} of the records already ({names}); resume (--resume), ask to "
+            f"overwrite (--overwrite), or choose another folder (--out)."
         )
     return {}
 

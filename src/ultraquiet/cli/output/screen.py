@@ -33,7 +33,7 @@ class Screen:
     def say(self, *words: object) -> None:
         """Print one line after another, as they are."""
         if not self.silent:
-            sys.stdout.write("".join(f"{word}\n" for word in words))
+            _write("".join(f"{word}\n" for word in words))
 
     def table(self, grid: TextTable) -> None:
         """Print a table: to the width of a terminal, or that `COLUMNS` asks for; else in whole lines."""
@@ -43,7 +43,16 @@ class Screen:
     def result(self, facts: Any) -> None:
         """Print what was found as JSON, where that was asked for."""
         if self.as_json:
-            sys.stdout.write(json.dumps(plain(facts), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+            _write(json.dumps(plain(facts), indent=1, allow_nan=False) + "\n")
+
+
+def _write(text: str) -> None:
+    """Write what the terminal's characters allow; a square or a degree it does not know becomes a question mark."""
+    try:
+        sys.stdout.write(text)
+    except UnicodeEncodeError:
+        known = sys.stdout.encoding or "ascii"
+        sys.stdout.write(text.encode(known, "replace").decode(known))
 
 
 PLAIN = Screen()

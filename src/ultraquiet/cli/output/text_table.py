@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-GAP = "  "
+GAPS = ("  ", " ")  # between columns; the narrow one where the wide one leaves no room
 LEAST = 14  # columns of words may be folded down to so many characters
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?( ?%| \S+)?|-|inf|nan|", re.IGNORECASE)
 INDENT = 4  # of what continues a line
@@ -46,10 +46,11 @@ class TextTable:
         title = [self.title] if width is None else _wrapped(self.title, width)
         if width is None:
             rows = [tuple("; ".join(filter(None, cell.split("\n"))) for cell in row) for row in self.rows]
-            return [*filter(None, title), *_table(self.heads, rows, self._widths(rows))]
+            return [*filter(None, title), *_table(self.heads, rows, self._widths(rows), GAPS[0])]
         widths = self._widths(self.rows)
-        short = _squeezed(widths, [self._holds_words(k) for k in range(len(widths))], width)
-        body = _blocks(self.heads, self.rows, width) if short is None else _table(self.heads, self.rows, short)
+        gap = next((gap for gap in GAPS if sum(widths) + len(gap) * (len(widths) - 1) <= width), GAPS[-1])
+        short = _squeezed(widths, [self._holds_words(k) for k in range(len(widths))], width, gap)
+        body = _blocks(self.heads, self.rows, width) if short is None else _table(self.heads, self.rows, short, gap)
         return [*filter(None, title), *body]
 
     def records(self) -> list[dict[str, str]]:
@@ -68,10 +69,10 @@ def _numbers(rows: Sequence[tuple[str, ...]], column: int) -> bool:
     return bool(rows) and all(NUMBER.fullmatch(row[column]) for row in rows)
 
 
-def _squeezed(widths: list[int], words: list[bool], width: int) -> list[int] | None:
+def _squeezed(widths: list[int], words: list[bool], width: int, gap: str) -> list[int] | None:
     """Return widths that fit, taken from the widest columns of words; None where they cannot."""
     widths = list(widths)
-    room = width - len(GAP) * (len(widths) - 1)
+    room = width - len(gap) * (len(widths) - 1)
     while sum(widths) > room:
         wide = [k for k, fold in enumerate(words) if fold and widths[k] > LEAST]
         if not wide:
@@ -80,7 +81,7 @@ def _squeezed(widths: list[int], words: list[bool], width: int) -> list[int] | N
     return widths
 
 
-def _table(heads: Sequence[str], rows: Sequence[tuple[str, ...]], widths: Sequence[int]) -> list[str]:
+def _table(heads: Sequence[str], rows: Sequence[tuple[str, ...]], widths: Sequence[int], gap: str) -> list[str]:
     right = [_numbers(rows, k) for k in range(len(widths))]
     lines: list[str] = []
     for row in (tuple(heads), *rows):
@@ -88,7 +89,7 @@ def _table(heads: Sequence[str], rows: Sequence[tuple[str, ...]], widths: Sequen
         for k in range(max(map(len, cells))):
             parts = [cell[k] if k < len(cell) else "" for cell in cells]
             placed = (p.rjust(w) if r else p.ljust(w) for p, w, r in zip(parts, widths, right, strict=True))
-            lines.append(GAP.join(placed).rstrip())
+            lines.append(gap.join(placed).rstrip())
     return lines
 
 
