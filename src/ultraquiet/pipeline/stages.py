@@ -44,7 +44,11 @@ class Stages:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
         identify = "compare structures and orders", WORKER, str(self.cache.folder)
-        with beside(*identify, wanted=several and not self._is_identified(), holds=self.cache.lock) as wait:
+        with beside(
+            *identify,
+            wanted=several and self.study.blending is None and not self._is_identified(),
+            holds=self.cache.lock,
+        ) as wait:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:

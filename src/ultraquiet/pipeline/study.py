@@ -13,6 +13,7 @@ from ultraquiet._base.mistakes import Mistakes, TableError, read_toml
 from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
+from ultraquiet.pipeline.tables.blending import BlendingTable
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.
@@ -197,6 +198,7 @@ class Study(Strict):
     bench: BenchTable | None = None
     records: RecordsTable | None = None
     experiment: Experiment = Experiment()
+    blending: BlendingTable | None = None
     identify: IdentifyTable = IdentifyTable()
     paper: Paper | None = None
     plant: Plant

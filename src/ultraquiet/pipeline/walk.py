@@ -1,7 +1,7 @@
 """The walk: a study from its bench to its report, each stage reused when nothing it depends on has changed."""
 
 import shutil
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from functools import partial
@@ -12,6 +12,7 @@ from ultraquiet import experiments
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.bench import Replay
 from ultraquiet.bench.from_file import from_file
 from ultraquiet.files import read_record, reason, write_bytes
 from ultraquiet.pipeline import preflight, study
@@ -24,6 +25,7 @@ from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.pipeline.store.recorded import Records
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
+from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records
 from ultraquiet.report import write
 from ultraquiet.values import Record
 
@@ -51,8 +53,9 @@ def walk(
         UltraquietError: a stage refuses; those before it are kept and reused.
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
-    bench = bench_of(settings, beside)
-    describe = partial(identity, bench, _bench_table(settings), beside)
+    own = bench_of(settings, beside)
+    bench = own if own is None or settings.blending is None else blended(own, settings.blending, beside)
+    describe = partial(identity, own, _bench_table(settings), beside)
     read = {} if settings.records is None else _read(settings.records, beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     preflight.check(settings, bench, list(read) if listed is None else [m.name for m in listed.measurements])
@@ -71,12 +74,25 @@ def walk(
             _write_study(settings, folder, beside)
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
+        if settings.blending is not None:
+            bench, records = _in_modes(own, settings.blending, records, beside, say)
+            bench_key = [bench_key, settings.blending]
         result = Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key).run()
         summary = summarise(result)
         write_bytes(folder / "summary.json", to_json(summary))
         write(report(result), folder / "report.html")
         sweep(folder)
     return summary
+
+
+def _in_modes(
+    own: Any, table: BlendingTable, records: Mapping[str, Record], beside: Path | None, say: Say
+) -> tuple[Any, Mapping[str, Record]]:
+    """Return the bench, where there is one, and its records in modes; what was noticed of the channels is said."""
+    done = blended_records(Replay(tuple(records.values())) if own is None else own, table, records, beside)
+    for sentence in done.sentences:
+        say(sentence)
+    return None if own is None else done.bench, done.records
 
 
 def _bench_table(settings: study.Study) -> dict[str, Any]:
