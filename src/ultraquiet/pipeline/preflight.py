@@ -45,25 +45,15 @@ class LoopPlan:
     band_hz: Band
 
 
-def loop_plan(settings: ClosedLoop, bench: Any, plant: StateSpace | None) -> LoopPlan:
-    """Return `[closed_loop]` with everything that it leaves to the bench and to the plant, which a band makes needless.
-
-    Raises:
-        InputError: neither a band nor a plant.
-    """
+def loop_plan(settings: ClosedLoop, bench: Any, plant: StateSpace) -> LoopPlan:
+    """Return `[closed_loop]` with everything that it leaves to the bench and to the plant."""
     tones = tuple(settings.tones_hz)
-    band_hz = settings.band_hz
-    if band_hz is None and plant is None:
-        raise InputError("closed_loop: without a plant the band must be named, 'band_hz'.")
-    if band_hz is None and plant is not None:
-        band_hz = even_plant(plant, who="closed_loop").band_hz
-    assert band_hz is not None
     return LoopPlan(
         units=units_of(settings, bench),
         tones_hz=tones,
-        amplitude=settings.amplitude or _amplitude(bench),
+        amplitude=settings.amplitude or usual_amplitude(bench),
         duration_s=settings.duration_s or max(SHORTEST_S, PERIODS / min(tones, default=PERIODS)),
-        band_hz=band_hz,
+        band_hz=settings.band_hz or even_plant(plant, who="closed_loop").band_hz,
     )
 
 
@@ -85,7 +75,7 @@ def as_unit(bench: Any, unit: str) -> Any:
     return bench
 
 
-def _amplitude(bench: Any) -> float:
+def usual_amplitude(bench: Any) -> float:
     """Return a share of the smallest range of the actuators; one where none has limits."""
     ranges = [(c.high - c.low) / 2 for c in getattr(bench, "actuators", ())]
     finite = [r for r in ranges if np.isfinite(r) and r > 0]

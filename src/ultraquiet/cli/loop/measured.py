@@ -27,7 +27,7 @@ class Wanted:
     tones_hz: tuple[float, ...]
     noise: bool
     step: bool
-    band_hz: tuple[float, float]
+    band_hz: tuple[float, float] | None
     amplitude: float
     duration_s: float
     seed: int
@@ -49,8 +49,10 @@ class Wanted:
         asked = otherwise if tones is None else tones
         tones_hz = () if asked is None else place.tones_hz if asked == DEFAULT else _tones(asked, place.bench.rate_hz)
         band = place.band_hz if band_hz is None else rising_band(WHO, band_hz, place.bench.rate_hz)
+        if noise and band is None:
+            raise InputError(f"{WHO}: the study names no band for the noise; give --band LOW HIGH, in Hz.")
         size = place.amplitude if amplitude is None else positive(WHO, "--amplitude", amplitude)
-        slowest: list[float] = [PERIODS / place.duration_s, *tones_hz, *([band[0]] if noise else [])]
+        slowest: list[float] = [PERIODS / place.duration_s, *tones_hz, *([band[0]] if noise and band else [])]
         length = PERIODS / min(slowest) if duration_s is None else positive(WHO, "--duration", duration_s, "s")
         return cls(tones_hz, noise, step, band, size, length, whole(WHO, "--seed", seed, 0))
 
@@ -109,7 +111,11 @@ def measure(place: LoopPlace, law: "StateSpace", wanted: Wanted) -> LoopMeasured
 
     bench, size, length = place.bench, wanted.amplitude, wanted.duration_s
     tones = simulate.attenuation(bench, law, wanted.tones_hz, size, length) if wanted.tones_hz else None
-    noise = simulate.noise_reduction(bench, law, wanted.band_hz, size, length, wanted.seed) if wanted.noise else None
+    noise = (
+        simulate.noise_reduction(bench, law, wanted.band_hz, size, length, wanted.seed)
+        if wanted.noise and wanted.band_hz
+        else None
+    )
     step = simulate.step_reduction(bench, law, size, length) if wanted.step else None
     return LoopMeasured(tones, noise, step, size, length)
 

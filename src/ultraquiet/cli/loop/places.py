@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from ultraquiet.values import StateSpace, Status
 
 WHO = "simulate"
+AMPLITUDE_SHARE, DURATION_S = 0.1, 2.0  # of every disturbance where nobody says: share of the range, seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +25,7 @@ class LoopPlace:
     bench: "Bench"
     name: str
     tones_hz: tuple[float, ...]
-    band_hz: tuple[float, float]
+    band_hz: tuple[float, float] | None
     amplitude: float
     duration_s: float
     model: "StateSpace | None" = None
@@ -61,35 +62,40 @@ def place_of(study: Path | None, model: Path | None, unit: str | None) -> LoopPl
 def _of_model(path: Path) -> LoopPlace:
     from ultraquiet.bench import LinearBench
     from ultraquiet.design.plant_scale import even_plant
+    from ultraquiet.pipeline.preflight import usual_amplitude
 
     model = loaded_plant(path, WHO)
     bench = LinearBench(model)
     low, high = even_plant(model).band_hz
     tones = (low, (low * high) ** 0.5, high)
     notes = ("the model answers within a sample: its loop here has one sample of delay more",) if bench.delayed else ()
-    return LoopPlace(bench, str(path), tuple(map(_three_digits, tones)), (low, high), 1.0, 2.0, model, notes)
+    return LoopPlace(
+        bench,
+        str(path),
+        tuple(map(_three_digits, tones)),
+        (low, high),
+        usual_amplitude(bench),
+        DURATION_S,
+        model,
+        notes,
+    )
 
 
 def _of_study(path: Path, unit: str | None) -> LoopPlace:
     from ultraquiet.pipeline import load_study
-    from ultraquiet.pipeline.preflight import as_unit, loop_plan
+    from ultraquiet.pipeline.preflight import as_unit, usual_amplitude
     from ultraquiet.pipeline.walk import bench_of
 
     study = load_study(path)
-    bench = bench_of(study, path.parent)
+    bench, loop = bench_of(study, path.parent), study.closed_loop
     if bench is None:
-        raise InputError(f"{WHO}: the study '{path}' has no bench; give a model with --plant.")
-    model = getattr(bench, "linear_model", None)
-    if study.closed_loop.band_hz is None and model is None:
-        raise InputError(f"{WHO}: '{path}' names no band and its bench no model; add closed_loop.band_hz.")
-    plan = loop_plan(study.closed_loop, bench, None if model is None else model())
-    chosen = plan.units[0] if unit is None else unit
-    name = f"{path}, unit {chosen}" if hasattr(bench, "unit") else str(path)
-    try:
+        raise InputError(f"{WHO}: '{path}' names records and no bench that could run; take --plant MODEL.")
+    chosen = unit or next(iter(loop.units), None)
+    if chosen is not None:
         bench = as_unit(bench, chosen)
-    except InputError as error:
-        raise InputError(f"{WHO}: {error}") from error
-    return LoopPlace(bench, name, plan.tones_hz, plan.band_hz, plan.amplitude, plan.duration_s)
+    name = str(path) if chosen is None else f"{path}, unit {chosen}"
+    amplitude = loop.amplitude or usual_amplitude(bench)
+    return LoopPlace(bench, name, tuple(loop.tones_hz), loop.band_hz, amplitude, loop.duration_s or DURATION_S)
 
 
 def _three_digits(f_hz: float) -> float:

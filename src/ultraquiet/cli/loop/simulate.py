@@ -31,7 +31,10 @@ def simulate(
         typer.Option(metavar="LOW HIGH", help="Hz, of the noise; default: the study's band, or the model's own."),
     ] = None,
     amplitude: Annotated[
-        float | None, typer.Option(help="Of every disturbance, in the actuators' unit; default: the study's, or 1.")
+        float | None,
+        typer.Option(
+            help="Of every disturbance, in the actuators' unit; default: the study's, or a tenth of the range."
+        ),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds of each run; default: the study's, or 2.")] = None,
     seed: Annotated[int, typer.Option(help="Of the noise.")] = 0,
