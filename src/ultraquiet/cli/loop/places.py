@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ultraquiet.values import StateSpace, Status
 
 WHO = "simulate"
-AMPLITUDE_SHARE, DURATION_S = 0.1, 2.0  # of every disturbance where nobody says: share of the range, seconds
+DURATION_S = 2.0  # of every disturbance where nobody says
 
 
 @dataclass(frozen=True, eq=False)
