@@ -92,6 +92,7 @@ def test_other_units_of_the_readings_change_nothing_but_them(rng, unit):
     assert other.slowest.growth_per_s == pytest.approx(one.slowest.growth_per_s)
 
 
+@pytest.mark.slow
 def test_channels_of_several_units_are_weighed_alike_whatever_their_units(rng):
     G, K = plant_and_law(rng, 3, 3)
     sensors = [uq.Channel("a", "m/s"), uq.Channel("b", "g"), uq.Channel("c", "V")]
@@ -120,6 +121,7 @@ def test_an_unstable_and_a_fragile_loop_end_with_one(run, loop):
     assert (code, json.loads(out)["status"]["word"]) == (1, "fragile")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", [(1, 1)], indirect=True)
 def test_figures_of_one_name_stand_side_by_side(run, loop, tmp_path):
     for _ in range(2):

@@ -50,6 +50,7 @@ def law(tmp_path):
     uq.files.save(K, tmp_path / "law.h5")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("law")
 def test_a_function_is_the_bench(run):
     code, out, err = run("simulate", "law.h5", "--bench", "study.toml", "--tones", "20", "--step", "--json")

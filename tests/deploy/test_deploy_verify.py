@@ -69,6 +69,7 @@ def test_the_whole_proof(loop, seed, tmp_path):
     assert latency < 0.5 / RATE_HZ
 
 
+@pytest.mark.slow
 def test_on_bench_measures_what_simulate_measures(loop, seed, tmp_path):
     _, law = loop
     bench = uq.bench.Hexapod(unit="ground", seed=seed)

@@ -273,7 +273,7 @@ def parse(text: str, name: str = "study") -> Study:
       line 1: 'controllers' is missing.
       line 1: 'plant' is missing.
       line 3: 'seed' should be greater than or equal to 0, got -1.
-      line 5: there is no key 'precison' here; did you mean 'precision'? Known are precision.
+      line 5: there is no key 'precison' here; did you mean 'precision'? Known are precision, limits.
     """
     content, places = read_toml(text, name, StudyError)
     content, places = _with_paper(content, places)
