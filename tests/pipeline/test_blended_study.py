@@ -1,0 +1,86 @@
+"""A study in modes from one file: a dead accelerometer is left out by name, the law runs at a fraction of the rate."""
+
+import json
+
+import numpy as np
+import pytest
+
+BENCH = '''
+import numpy as np
+import ultraquiet as uq
+
+SHAPES = np.array([[0.6, 0.8], [0.8, -0.6], [0.5, 0.5], [0.3, -0.7]])
+DRIVE = np.array([[0.9, 0.3], [0.2, 0.8]])
+
+
+def make_bench(noise, seed):
+    """Two shakers and four accelerometers at 2 kHz, the third of them dead."""
+    rate_hz, w = 2000.0, 2 * np.pi * np.array([9.0, 31.0])
+    blocks = [np.exp(-0.02 * w[k] / rate_hz) * turn(w[k] / rate_hz) for k in range(2)]
+    state, rng = np.zeros((2, 2)), np.random.default_rng(seed)
+
+    def reset():
+        state[:] = 0.0
+
+    def step(u, d):
+        y = SHAPES @ state[:, 0]
+        y[2] = 0.0
+        for k in range(2):
+            state[k] = blocks[k] @ state[k] + np.array([0.01 * DRIVE[k] @ (u + d), 0.0])
+        return y + noise * rng.standard_normal(4)
+
+    shakers = [uq.Channel(f"shaker {k}", "N", -30.0, 30.0) for k in range(2)]
+    return uq.bench.Wrapped(step, reset, rate_hz, shakers, [uq.Channel(f"acc {k}", "m/s^2") for k in range(4)])
+
+
+def turn(angle):
+    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+'''
+LIST = """
+title = "shaken"
+[[commands]]
+do = "configure"
+samples = 6000
+[[commands]]
+do = "excite"
+name = "all"
+actuator = "all"
+signal = { method = "noise", stop_hz = 200.0, peak_v = 20.0 }
+"""
+STUDY = """
+[study]
+title = "Four accelerometers"
+[bench]
+object = "four.py:make_bench"
+noise = 1e-4
+[experiment]
+list = "list.toml"
+[blending]
+sensors = {sensors}
+names = ["first", "second"]
+control_rate_hz = 1000.0
+[plant]
+method = "subspace"
+order = 6
+records = ["all"]
+[controllers.quiet.design]
+method = "mixed-sensitivity"
+"""
+
+
+@pytest.mark.slow
+def test_a_study_in_modes_leaves_the_dead_sensor_out(tmp_path, run):
+    shapes = np.array([[0.6, 0.8], [0.8, -0.6], [0.5, 0.5], [0.3, -0.7]])
+    (tmp_path / "four.py").write_text(BENCH)
+    (tmp_path / "list.toml").write_text(LIST)
+    (tmp_path / "study.toml").write_text(STUDY.format(sensors=np.linalg.pinv(shapes).round(6).tolist()))
+    code, _, said = run("run", "study.toml", "--out", "out")
+    print(said)
+    assert code == 0
+    assert "'acc 2' is dead" in said
+    assert "'acc 1' is" not in said
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    loop = summary["closed_loop"]["quiet"]["bench"]
+    print({key: loop[key] for key in ("status", "band_hz", "worst_direction_band_db", "peak_amplification_db")})
+    assert loop["stable"]
+    assert summary["deployment"]["quiet"]["bit_exact"] is True
