@@ -7,6 +7,8 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet import pipeline
+from ultraquiet._base.errors import InputError
+from ultraquiet.pipeline import preflight
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.store import entry as entries
 from ultraquiet.pipeline.store.contents import hashes_of
@@ -154,3 +156,24 @@ def test_a_stage_reads_back_nothing_from_outside_its_folder(path, tmp_path):
     assert take().values["plant"].hash == record.hash
     assert len(computed) == 2
     assert uq.files.load(outside).outputs.max() == 9.0
+
+
+def test_a_bench_seen_through_another_is_as_its_units():
+    ground = uq.bench.Hexapod(unit="ground", seed=1)
+    slow = uq.bench.Decimated(ground, uq.values.Decimation(2))
+    assert preflight.units_of(pipeline.study.ClosedLoop(), slow) == ("ground",)
+    flown = preflight.as_unit(slow, "flight")
+    assert (flown.bench.unit, flown.decimation, slow.bench.unit) == ("flight", slow.decimation, "ground")
+    with pytest.raises(InputError, match="moon"):
+        preflight.as_unit(slow, "moon")
+
+
+def test_a_bench_that_is_called_a_unit_is_its_own_and_no_other():
+    class Named:
+        unit = "left"
+
+    bench = Named()
+    assert preflight.units_of(pipeline.study.ClosedLoop(), bench) == ("left",)
+    assert preflight.as_unit(bench, "left") is bench
+    with pytest.raises(InputError, match="none is 'right'"):
+        preflight.as_unit(bench, "right")

@@ -18,8 +18,8 @@ from ultraquiet.bench._abstract import (
     checked_signals,
     limits,
 )
-from ultraquiet.bench.inner import blocks_of, named_provenance, recorded
-from ultraquiet.values import Blending, Channel, Controller, Record, StateSpace
+from ultraquiet.bench.inner import Around, blocks_of, named_provenance
+from ultraquiet.values import Blending, Channel, Controller, StateSpace
 from ultraquiet.values.blended.matrices import blend
 
 # Of a command, what a product of matrices and a limit at its very end may change by rounding.
@@ -27,11 +27,12 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class Blended:
+class Blended(Around):
     """A bench in modes: commands u = Ta v go out, readings q = Ts y come back; see `values.Blending`.
 
     Commands without a law are limited to the modes' range, within which no actuator is limited; with a law the
-    actuators limit what it asks for, as they would on the bench itself. Noise comes through the matrix: Ts R Ts'.
+    actuators limit what it asks for, as they would on the bench itself. A disturbance is one of modes, too. Noise comes
+    through the matrix: Ts R Ts'.
 
     Args:
         bench: any bench.
@@ -73,22 +74,9 @@ class Blended:
         """Who measures, and through what."""
         return named_provenance("bench.blended", self.bench, {"blending": self.blending.hash})
 
-    def __getattr__(self, name: str) -> Any:
-        # What else the bench offers is offered too; its linear model in modes, and only where it has one.
-        if name.startswith("__") or name in ("bench", "blending"):
-            raise AttributeError(name)
-        found = getattr(self.bench, name)
-        return (lambda: self.blending.plant(found())) if name == "linear_model" else found
-
-    def run(
-        self,
-        actuation: ArrayLike,
-        disturbance: ArrayLike | None = None,
-        controller: Any | None = None,
-        run_index: int | None = None,
-    ) -> Record:
-        """Return the record of one run in modes; see `Bench.run`. The disturbance is one of modes, too."""
-        return recorded(self, self.stream(actuation, disturbance, controller, run_index=run_index))
+    def seen(self, model: StateSpace) -> StateSpace:
+        """Return a linear model of the bench as it is seen through this one."""
+        return self.blending.plant(model)
 
     def stream(
         self,

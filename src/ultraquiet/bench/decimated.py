@@ -19,16 +19,17 @@ from ultraquiet.bench._abstract import (
     checked_signals,
     commands,
 )
-from ultraquiet.bench.inner import blocks_of, named_provenance, recorded
-from ultraquiet.values import Channel, Controller, Decimation, Record, StateSpace
+from ultraquiet.bench.inner import Around, blocks_of, named_provenance
+from ultraquiet.values import Channel, Controller, Decimation, StateSpace
 
 
 @dataclass(frozen=True)
-class Decimated:
+class Decimated(Around):
     """A bench whose readings are filtered and decimated and whose commands are held; see `values.Decimation`.
 
-    Filter, hold and latency are part of this bench: a model identified on it has them inside, and a law designed with
-    it runs on the bench behind as `on_the_bench(law)`, which filters, decimates and holds by itself.
+    A disturbance is held, not delayed. Filter, hold and latency are part of this bench: a model identified on it has
+    them inside, and a law designed with it runs on the bench behind as `on_the_bench(law)`, which filters, decimates
+    and holds by itself.
 
     Args:
         bench: any bench.
@@ -67,22 +68,9 @@ class Decimated:
             "bench.decimated", self.bench, {"factor": d.factor, "averages": d.averages, "wait": d.wait}
         )
 
-    def __getattr__(self, name: str) -> Any:
-        # What else the bench offers is offered too; its linear model at the control rate, and only where it has one.
-        if name.startswith("__") or name in ("bench", "decimation"):
-            raise AttributeError(name)
-        found = getattr(self.bench, name)
-        return (lambda: self.decimation.plant(found())) if name == "linear_model" else found
-
-    def run(
-        self,
-        actuation: ArrayLike,
-        disturbance: ArrayLike | None = None,
-        controller: Any | None = None,
-        run_index: int | None = None,
-    ) -> Record:
-        """Return the record of one run at the control rate; see `Bench.run`. The disturbance is held, not delayed."""
-        return recorded(self, self.stream(actuation, disturbance, controller, run_index=run_index))
+    def seen(self, model: StateSpace) -> StateSpace:
+        """Return a linear model of the bench as it is seen through this one."""
+        return self.decimation.plant(model)
 
     def stream(
         self,

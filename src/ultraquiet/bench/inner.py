@@ -6,12 +6,52 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench._abstract import Block, Streaming, Tally, limits
-from ultraquiet.values import Channel, Record
+from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits
+
+
+class Around:
+    """What benches around a bench share; they say how it is seen (`seen`), and hand over its runs in blocks."""
+
+    bench: Any
+
+    def seen(self, model: StateSpace) -> StateSpace:
+        """Return a linear model of the bench as it is seen through this one."""
+        raise NotImplementedError
+
+    def stream(
+        self,
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        *,
+        run_index: int | None = None,
+    ) -> Iterator[Block]:
+        """Yield the run of `run` in blocks; see `Streaming.stream`."""
+        raise NotImplementedError
+
+    def __getattr__(self, name: str) -> Any:
+        # What else the bench offers is offered too; its linear model as it is seen, and only where it has one. While a
+        # bench is copied it has no fields yet.
+        if name.startswith("__") or name in getattr(type(self), "__dataclass_fields__", ()):
+            raise AttributeError(name)
+        found = getattr(self.bench, name)
+        return (lambda: self.seen(found())) if name == "linear_model" else found
+
+    def run(
+        self,
+        actuation: ArrayLike,
+        disturbance: ArrayLike | None = None,
+        controller: Any | None = None,
+        run_index: int | None = None,
+    ) -> Record:
+        """Return the record of one run; see `Bench.run`."""
+        return recorded(self, self.stream(actuation, disturbance, controller, run_index=run_index))
 
 
 def blocks_of(

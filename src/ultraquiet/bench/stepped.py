@@ -1,7 +1,7 @@
 """The loop of every bench that is stepped one sample at a time: the order of events stands here and nowhere else."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,13 +14,13 @@ from ultraquiet.bench._abstract import (
     BLOCK_SAMPLES,
     RAMP_SAMPLES,
     Block,
-    Tally,
     checked_controller,
     checked_signals,
     commands,
     fade,
     limits,
 )
+from ultraquiet.bench.inner import recorded
 from ultraquiet.values import Channel, Controller, Record
 from ultraquiet.values.channel import at_limits
 
@@ -83,15 +83,7 @@ class Stepped:
         run_index: int | None = None,
     ) -> Record:
         """Return the record of one run from rest; see `Bench.run`. `run_index` numbers it for the plant."""
-        setup = self._setup()
-        blocks = list(self.stream(actuation, disturbance, controller, run_index=run_index))
-        tally = Tally()
-        for block in blocks:
-            tally.take(block)
-        command = np.concatenate([b.command for b in blocks], axis=1)
-        readings = np.concatenate([b.readings for b in blocks], axis=1)
-        provenance = replace(self.provenance, settings={**self.provenance.settings, **tally.counts()})
-        return Record(command, readings, setup.rate_hz, setup.actuators, setup.sensors, provenance)
+        return recorded(self, self.stream(actuation, disturbance, controller, run_index=run_index))
 
     def stream(
         self,

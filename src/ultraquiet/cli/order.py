@@ -20,8 +20,7 @@ def of_order(name: str, assignments: Sequence[str], order: str | None, record: "
         InputError: neither a number nor `auto`; a method that has no order, or none to be chosen.
     """
     if order != AUTO:
-        settings = make("identify", name, assignments, order=None if order is None else _number(order))
-        return settings
+        return make("identify", name, assignments, order=None if order is None else _number(order))
     from ultraquiet.identify.polynomial.methods import PolynomialMethod
     from ultraquiet.identify.polynomial.order_selection import chosen_order
 

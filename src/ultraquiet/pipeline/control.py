@@ -166,8 +166,9 @@ _Runs = tuple[simulate.Attenuation | None, simulate.MeasuredSensitivity | None]
 class OpenLoops:
     """The open loop of every unit; measured when the first law asks for them, once for all."""
 
-    def __init__(self, bench: Any, settings: LoopPlan) -> None:
-        self._by_unit = {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in settings.units}
+    def __init__(self, bench: Any, plan: LoopPlan) -> None:
+        self.plan = plan
+        self._by_unit = {unit: simulate.OpenLoop(as_unit(bench, unit)) for unit in plan.units}
         self._one_at_a_time = Lock()
 
     @property
@@ -185,14 +186,13 @@ def closed(
     name: str,
     law: StateSpace | Controller,
     open_loops: OpenLoops,
-    settings: LoopPlan,
     required_hz: Band | None = None,
 ) -> Outcome[LoopFacts]:
     """Close the loop on the bench of every unit: does it settle, what does it do to tones, to every direction.
 
     `required_hz` is a band that something is required over and that is not the study's own.
     """
-    loops = open_loops.apart()
+    settings, loops = open_loops.plan, open_loops.apart()
 
     def on_unit(unit: str) -> tuple[StableLoop | UnstableLoop, _Runs]:
         return _closed_on(law, loops[unit], settings, required_hz)

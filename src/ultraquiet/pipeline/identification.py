@@ -1,7 +1,7 @@
 """The stages that turn records into models: channel by channel as the paper did, and whole for design."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -23,15 +23,30 @@ from ultraquiet.pipeline.study import IdentifyTable, Paper, Plant
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
 
 
+def grouped(names: Collection[str]) -> dict[str, list[str]]:
+    """Return the names of records by their groups: NAME-1, NAME-2, ... in this order, or NAME alone.
+
+    >>> grouped(["step", "noise-1", "noise-10", "noise-2", "run-a"])
+    {'step': ['step'], 'noise': ['noise-1', 'noise-2', 'noise-10'], 'run-a': ['run-a']}
+    """
+    known = set(names)
+    groups: dict[str, list[tuple[int, str]]] = {}
+    for name in names:
+        stem, _, number = name.rpartition("-")
+        one_of_many = number.isdecimal() and f"{stem}-1" in known
+        groups.setdefault(stem if one_of_many else name, []).append((int(number) if one_of_many else 0, name))
+    return {stem: [name for _, name in sorted(members)] for stem, members in groups.items()}
+
+
 def group(records: Mapping[str, Record], name: str) -> list[Record]:
     """Return the records of a group in the actuators' order: NAME-1, NAME-2, ..., or NAME alone."""
     if name in records:
         return [records[name]]
-    members = [key for key in records if key.rpartition("-")[0] == name]
-    if not members:
-        known = sorted({key.rpartition("-")[0] or key for key in records})
+    groups = grouped(records)
+    if name not in groups:
+        known = sorted(groups)
         raise InputError(f"study: there are no records '{name}'; the experiment leaves {', '.join(known)}.")
-    return [records[key] for key in sorted(members, key=lambda k: int(k.rpartition("-")[2]))]
+    return [records[key] for key in groups[name]]
 
 
 def sweep_groups(records: Mapping[str, Record], settings: IdentifyTable) -> tuple[str | None, str | None]:
@@ -39,17 +54,10 @@ def sweep_groups(records: Mapping[str, Record], settings: IdentifyTable) -> tupl
 
     A group does when it drives one actuator after the other, each alone, one record an actuator.
     """
-    names = dict.fromkeys(key if key == stem or not stem else stem for key in records for stem in [_stem(key, records)])
-    able = [name for name in names if _one_by_one(group(records, name))]
+    able = [name for name in grouped(records) if _one_by_one(group(records, name))]
     fitted = settings.records or next(iter(able), None)
     judged = settings.held_out or next((name for name in able if name != fitted), None)
     return fitted, judged
-
-
-def _stem(key: str, records: Mapping[str, Record]) -> str:
-    """Return the group of a record."""
-    stem, _, number = key.rpartition("-")
-    return stem if number.isdigit() and f"{stem}-1" in records else key
 
 
 def _one_by_one(members: list[Record]) -> bool:

@@ -9,7 +9,9 @@ import numpy as np
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
+from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.pipeline.identification import grouped
 from ultraquiet.pipeline.study import Band, ClosedLoop, Study, StudyError
 from ultraquiet.values import StateSpace
 
@@ -70,7 +72,9 @@ def as_unit(bench: Any, unit: str) -> Any:
     """
     if is_dataclass(bench) and not isinstance(bench, type) and any(f.name == "unit" for f in fields(bench)):
         return replace(bench, unit=unit)
-    if unit != ONLY:
+    if isinstance(bench, Around):
+        return replace(bench, bench=as_unit(bench.bench, unit))  # type: ignore[type-var]
+    if unit not in (ONLY, getattr(bench, "unit", ONLY)):
         raise InputError(f"this bench knows no units, so none is '{unit}'; leave 'units' away.")
     return bench
 
@@ -95,7 +99,7 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
 
 
 def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:
-    groups = dict.fromkeys(name.rpartition("-")[0] or name for name in names)
+    groups = grouped(names)
     known = dict.fromkeys([*names, *groups])
     asked: list[tuple[Place, str]] = [
         *((("identify", key), name) for key in ("records", "held_out") if (name := getattr(study.identify, key))),

@@ -56,7 +56,8 @@ class Stages:
             plan = loop_plan(self.study.closed_loop, self.bench, system)
             names = list(self.study.controllers)
             first = sorted(names, key=self._is_optional)
-            work = {name: partial(self._controller, name, system, plan) for name in first}
+            opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
+            work = {name: partial(self._controller, name, system, plan, opened) for name in first}
             jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, plan, wait)}
             done = in_threads("study", lambda job: jobs[job](), list(jobs), None if several else 1, bars=True)
         identified, validated, analysed = done[None]
@@ -97,13 +98,15 @@ class Stages:
         self.say("validated and analysed")
         return identified, validated, analysed
 
-    def _controller(self, name: str, plant: StateSpace, plan: LoopPlan) -> "_Controller":
+    def _controller(
+        self, name: str, plant: StateSpace, plan: LoopPlan, opened: control.OpenLoops | None
+    ) -> "_Controller":
         """Design one controller, close its loop and turn it into code."""
         design = self._design(name, plant, plan)
         if name not in design.values:
             return _Controller(design)
         law: StateSpace = design.values[name]
-        loop = None if self.bench is None else self._close(name, law, plant, plan, design.facts.adaptive)
+        loop = None if opened is None else self._close(name, law, plant, opened, design.facts.adaptive)
         return _Controller(design, law, loop, self._deploy(name, law, plant, plan, design.facts.adaptive))
 
     def _required_hz(self, name: str, plan: LoopPlan) -> Band | None:
@@ -132,14 +135,6 @@ class Stages:
     @cached_property
     def _record_hashes(self) -> dict[str, str]:
         return {name: record.hash for name, record in self.records.items()}
-
-    def _open_loops(self, plan: LoopPlan) -> control.OpenLoops:
-        """Return the open loops of this plan, the same ones to all who ask."""
-        return self._kept_open_loops.setdefault(plan, control.OpenLoops(self.bench, plan))
-
-    @cached_property
-    def _kept_open_loops(self) -> dict[LoopPlan, control.OpenLoops]:
-        return {}
 
     @cached_property
     def _identify_key(self) -> list[Any]:
@@ -197,16 +192,17 @@ class Stages:
         return outcome
 
     def _close(
-        self, name: str, law: StateSpace, plant: StateSpace, plan: LoopPlan, adaptive: bool
+        self, name: str, law: StateSpace, plant: StateSpace, opened: control.OpenLoops, adaptive: bool
     ) -> Outcome[LoopFacts]:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
-        design, required_hz = self.study.controllers[name], self._required_hz(name, plan)
+        plan, design = opened.plan, self.study.controllers[name]
+        required_hz = self._required_hz(name, plan)
         key = [law.hash, self.bench_key, plan, *([plant.hash, _key(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
             acting = control.adapting(plant, design) if adaptive else None
-            return control.closed(name, acting or law, self._open_loops(plan), plan, required_hz)
+            return control.closed(name, acting or law, opened, required_hz)
 
         return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
 

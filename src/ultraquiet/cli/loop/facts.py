@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet.analyse.disk import ENDS
 from ultraquiet.cli.output.text_table import TextTable
 
 if TYPE_CHECKING:
@@ -12,7 +13,6 @@ if TYPE_CHECKING:
     from ultraquiet.design.loop_analysis import LoopAnalysis, SlowestMode
     from ultraquiet.values import StateSpace
 
-ENDS = ("input", "output")
 HEADS = ("end", "channel", "unit", "gain up", "gain down", "phase", "delay", "disk")
 DIGIT_HZ = 6  # of a frequency, below which it is 0 Hz for a reader
 

@@ -39,7 +39,7 @@ class LoopPlace:
 
         if self.model is not None:
             require_fit(WHO, self.model, law)
-        if self.model is None or any("delay" in note for note in self.notes):
+        if self.model is None or getattr(self.bench, "delayed", False):
             return check_stability(self.bench, law).status
         if feedback(self.model, law).is_stable():
             return Status(StatusWord.OK, "The loop with this model is stable.")

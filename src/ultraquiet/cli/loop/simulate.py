@@ -1,15 +1,12 @@
 """`ultraquiet simulate`: what a loop does under tones, noise and steps, on a bench or on a model."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
-
-if TYPE_CHECKING:
-    pass
 
 
 def simulate(

@@ -92,7 +92,7 @@ class Sweep:
         """
         ny, nu = self.preferred.held_out_loss.shape
         chosen = [[self._for_channel(i, k) for k in range(nu)] for i in range(ny)]
-        rows = [[c.models[i, k] for k, c in enumerate(row)] for i, row in enumerate(chosen)]
+        rows = [[c.fits[i, k].model for k, c in enumerate(row)] for i, row in enumerate(chosen)]
         words = tuple(str(c.words[i, k]) for i, row in enumerate(chosen) for k, c in enumerate(row))
         return PolynomialMatrix(rows), tuple(tuple(c.method for c in row) for row in chosen), words
 

@@ -14,6 +14,7 @@ from ultraquiet.pipeline.facts.models import (
     RecordFit,
     Root,
 )
+from ultraquiet.pipeline.identification import grouped
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, study
 from ultraquiet.report import Section, Table
@@ -44,10 +45,7 @@ def excitation(result: StudyResult) -> Section:
 def _signals(result: StudyResult) -> dict[str, tuple[Record, int]]:
     """Return the test signals that are drawn, each with a record of it and the actuator that sent it."""
     paper = result.study.paper
-    groups: dict[str, Record] = {}
-    for name, record in result.records.items():
-        stem, _, number = name.rpartition("-")
-        groups.setdefault(stem if number.isdigit() and stem else name, record)
+    groups = {name: result.records[members[0]] for name, members in grouped(result.records).items()}
     asked = [name for name in paper.records if name in groups] if paper else list(groups)[:MOST_SIGNALS]
     return {name: (groups[name], int(np.argmax(np.ptp(groups[name].inputs, axis=1)))) for name in asked}
 
