@@ -25,7 +25,7 @@ demo: $(VENV)/run.stamp
 test: $(VENV)/kernels.stamp
 	$(BIN)/python -m pytest -m "not slow" $(SIDE_BY_SIDE) $(ARGS)
 
-test-long: $(VENV)/kernels.stamp
+test-long: $(VENV)/full.stamp
 	$(BIN)/python -m pytest -rP $(SIDE_BY_SIDE) $(ARGS)
 
 test-fresh: $(VENV)/kernels.stamp
@@ -34,11 +34,11 @@ test-fresh: $(VENV)/kernels.stamp
 test-kernels: $(VENV)/kernels.stamp
 	$(BIN)/python tests/kernel_families.py $(SIDE_BY_SIDE) $(ARGS)
 
-test-docs: $(VENV)/kernels.stamp
+test-docs: $(VENV)/full.stamp
 	$(BIN)/python -m pytest src $(SIDE_BY_SIDE) $(ARGS)
 	$(BIN)/python -m pytest -m docs $(SIDE_BY_SIDE) $(ARGS)
 
-test-web: $(VENV)/kernels.stamp
+test-web: $(VENV)/full.stamp
 	$(BIN)/python -m pytest -m web $(ARGS)
 
 lint: $(VENV)/dev.stamp
@@ -62,6 +62,11 @@ $(VENV)/dev.stamp: requirements/dev.lock pyproject.toml
 	$(PYTHON) requirements/setup.py $(VENV) requirements/dev.lock
 	@touch $@ $(VENV)/run.stamp
 
+# What only pages and documentation need: a browser's driver, a page builder.
+$(VENV)/full.stamp: $(VENV)/kernels.stamp requirements/full.lock
+	$(PYTHON) requirements/setup.py $(VENV) requirements/full.lock
+	@touch $@
+
 $(VENV)/kernels.stamp: $(VENV)/dev.stamp tests/compile_kernels.py $(KERNELS)
 	$(BIN)/python tests/compile_kernels.py
 	@touch $@
@@ -72,3 +77,4 @@ clean:
 lock: # renew the lock files; needs uv
 	uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --group build pyproject.toml -o requirements/run.lock
 	uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --group build --group test --group lint pyproject.toml -o requirements/dev.lock
+	uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --group build --group test --group lint --group docs --group web pyproject.toml -o requirements/full.lock

@@ -9,10 +9,39 @@ from ultraquiet._base.provenance import versions
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
 
-PYTHON_PARTS = ("numpy", "scipy", "numba", "h5py", "pydantic", "typer", "rich", "jinja2", "matplotlib", "pyuff")
+PYTHON_PARTS = (
+    "numpy",
+    "scipy",
+    "numba",
+    "h5py",
+    "pydantic",
+    "typer",
+    "rich",
+    "jinja2",
+    "matplotlib",
+    "pyuff",
+    "clarabel",
+    "joblib",
+    "pyarrow",
+)
+    "numpy",
+    "scipy",
+    "numba",
+    "h5py",
+    "pydantic",
+    "typer",
+    "rich",
+    "jinja2",
+    "matplotlib",
+    "pyuff",
+    "clarabel",
+    "joblib",
+    "pyarrow",
+)
 OPTIONAL_PARTS = (
     ("npTDMS", "TDMS files", "pip install npTDMS"),
-    ("pyarrow", "Parquet files", "pip install pyarrow"),
+    ("nicegui", "the workbench", "pip install nicegui"),
+    ("distributed", "campaigns on a Dask cluster", "pip install distributed"),
     ("control", "python-control conversion", "pip install control"),
 )
 TOOLS = (

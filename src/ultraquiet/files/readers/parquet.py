@@ -1,4 +1,4 @@
-"""Parquet tables in and out, by pyarrow (extra `lab`)."""
+"""Parquet tables in and out, by pyarrow."""
 
 import io
 from math import inf
