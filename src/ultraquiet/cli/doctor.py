@@ -24,20 +24,6 @@ PYTHON_PARTS = (
     "joblib",
     "pyarrow",
 )
-    "numpy",
-    "scipy",
-    "numba",
-    "h5py",
-    "pydantic",
-    "typer",
-    "rich",
-    "jinja2",
-    "matplotlib",
-    "pyuff",
-    "clarabel",
-    "joblib",
-    "pyarrow",
-)
 OPTIONAL_PARTS = (
     ("npTDMS", "TDMS files", "pip install npTDMS"),
     ("nicegui", "the workbench", "pip install nicegui"),
