@@ -1,5 +1,6 @@
 """Files: every value to one HDF5 file and back, logs of runs, and records in the formats of other programs."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
 from ultraquiet.files.atomic import reason, write_bytes
 from ultraquiet.files.export import export_record
@@ -41,3 +42,5 @@ __all__ = [
     "to_sep005",
     "write_bytes",
 ]
+
+show(globals(), __all__)
