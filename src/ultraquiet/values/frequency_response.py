@@ -11,10 +11,11 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values.channel import Channel, channels
+from ultraquiet.values.neighbours.responses import ResponseNeighbours
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class FrequencyResponse(Shown):
+class FrequencyResponse(Shown, ResponseNeighbours):
     """Complex response `(ny, nu, nf)` at frequencies `f_hz` `(nf,)`.
 
     Args:

@@ -11,10 +11,11 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, content_hash
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values.channel import Channel, at_limits, channels
+from ultraquiet.values.neighbours.records import RecordNeighbours
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Record(Shown):
+class Record(Shown, RecordNeighbours):
     """Inputs and outputs of a system on one clock.
 
     Args:

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,10 +15,11 @@ from ultraquiet.linalg import response
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.joined.algebra import Algebra, Matrices, Wires
+from ultraquiet.values.neighbours.systems import SystemNeighbours
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class StateSpace(Shown, Algebra):
+class StateSpace(Shown, Algebra, SystemNeighbours):
     """x' = A x + B u, y = C x + D u, where x' is the derivative (`rate_hz=None`) or the next sample.
 
     Args:
@@ -124,24 +123,3 @@ class StateSpace(Shown, Algebra):
     def state_space(self) -> "StateSpace":
         """Return this system itself, so that every model answers to the same name."""
         return self
-
-    def to_control(self) -> Any:
-        """Return a python-control `StateSpace` (needs the package `control`)."""
-        control = import_module("control")
-        return control.ss(self.A, self.B, self.C, self.D, 0 if self.rate_hz is None else 1.0 / self.rate_hz)
-
-    @classmethod
-    def from_control(cls, system: Any) -> "StateSpace":
-        """Return a python-control system as a `StateSpace`; transfer functions are realised by python-control."""
-        if not hasattr(system, "A"):
-            system = import_module("control").ss(system)
-        if system.dt is True:
-            raise InputError("StateSpace.from_control: the system is discrete without a sampling time; give it a dt.")
-        return cls(system.A, system.B, system.C, system.D, rate_hz=_rate_of(system.dt) if system.dt else None)
-
-
-def _rate_of(step_s: float) -> float:
-    """Return the rate of a sampling time: the round number it came from, when there is one."""
-    rate_hz = 1.0 / step_s
-    near = float(f"{rate_hz:.12g}")
-    return near if 1.0 / near == step_s else rate_hz
