@@ -66,12 +66,14 @@ def _ladder(A: Array, G: Array, Q: Array) -> Riccati | None:
                 return best
     if best is not None and best.margin > 0:
         best = better(best, _polished(A, G, Q, best.X, LONG_NEWTON))
-    for _ in range(DEFECTS if best is not None and not best.accepted else 0):
+    for _ in range(DEFECTS):
+        if best is None or best.accepted:
+            break
         corrected = _corrected(A, G, Q, best.X)
         if corrected is None:
             break
         best = better(best, corrected)
-        if best.accepted or best is not corrected:
+        if best is not corrected:
             break
     return best
 
@@ -105,6 +107,16 @@ def continuous_regulator(
     n = A.shape[0]
     solution = continuous_riccati(A - B @ RB[:, n:], symmetric(B @ RB[:, :n]), symmetric(Q - cross @ RB[:, n:]))
     return solution._replace(X=with_descriptor(E, solution.X))
+
+
+def newton_direction(A: Array, G: Array, Q: Array, X: Array) -> Array:
+    """Return what one Newton step adds to a solution: an estimate of its error, entry by entry.
+
+    Raises:
+        NumericalError: A - GX and its mirror image share an eigenvalue.
+    """
+    AX = A.T @ X
+    return lyapunov((A - G @ X).T, symmetric(AX + AX.T - X @ G @ X + Q))
 
 
 def continuous_residual(A: Array, G: Array, Q: Array, X: Array) -> float:
