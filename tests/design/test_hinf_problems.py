@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ultraquiet.analyse import hinf_norm
-from ultraquiet.design import synthesize_hinf
+from ultraquiet.design import output_shaping, synthesize_hinf
 from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.verification import verify_level
 from ultraquiet.values import StateSpace
-from ultraquiet.values.interconnect import lft
+from ultraquiet.values.interconnect import gain, lft
 
 PROBLEMS = Path(__file__).parents[1] / "data" / "problems"
 
@@ -92,6 +92,39 @@ def test_hidden_states_are_left_out_with_a_word(rng):
     assert result.details["hidden"] == 20
     assert "20 states" in result.status.sentence
     assert result.achieved == pytest.approx(plain.achieved, rel=1e-5)
+
+
+def test_a_singular_problem_completed_with_small_weights():
+    """REA3 as it is: D21 = 0. What completes it is a weight in place of the noise that was added to y above."""
+    P, ny, nu = compleib("rea3")
+    plain = synthesize_hinf(P, ny, nu)
+    assert not plain.status.ok
+    assert "regularise=True" in plain.status.sentence
+    for Q in (P, in_units(P, ny, nu, np.random.default_rng(1), 9)):
+        result = synthesize_hinf(Q, ny, nu, regularise=True)
+        cost = result.details["regularised"]
+        print(f"REA3: {result.achieved:.4f}, weight {cost['weight']:.0e}, cost {cost['cost']:.1e}")
+        assert result.status.ok, result.status
+        assert cost["cost"] <= 1e-3
+        assert "weight" in result.status.sentence
+        assert 74.2 < result.achieved < 74.2513 * 1.001
+        assert hinf_norm(lft(Q, result.controller))[0] == pytest.approx(result.achieved, rel=1e-6)
+
+
+def test_zeros_on_the_boundary_are_mended_by_small_weights():
+    """Two integrators whose position is not weighted at high frequency: min |S| under K S free of charge is one."""
+    G = StateSpace([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    P = output_shaping(G, gain([[1.0]]), gain([[0.1]]))
+    result = synthesize_hinf(P, 1, 1, regularise=True)
+    assert result.status.ok, result.status
+    assert 1 <= result.achieved < 1.002
+
+
+def test_what_no_weight_mends_is_refused():
+    P = StateSpace([[1.0]], [[1.0, 0.0]], [[1.0], [1.0]], [[0.0, 1.0], [1.0, 0.0]])
+    result = synthesize_hinf(P, 1, 1, regularise=True)
+    assert result.status.word == "refused"
+    assert "B2" in result.status.sentence
 
 
 @pytest.mark.slow

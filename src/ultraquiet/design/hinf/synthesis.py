@@ -13,6 +13,7 @@ from ultraquiet.design.hinf.assumptions import WHO, out_of_reach, zeros_on_bound
 from ultraquiet.design.hinf.gamma_search import Bracket, at_level, search
 from ultraquiet.design.hinf.problem.closing import Closed, closed
 from ultraquiet.design.hinf.problem.hidden import without_hidden
+from ultraquiet.design.hinf.problem.regularise import WEIGHTS, regularised
 from ultraquiet.design.hinf.problem.units import EvenProblem, even_problem
 from ultraquiet.design.hinf.problem.verified import Reached, Verifier
 from ultraquiet.design.hinf.verification import verify_level
@@ -37,6 +38,7 @@ def synthesize_hinf(
     gamma: float | None = None,
     margin: float = 1.00003,
     second_opinion: bool | None = None,
+    regularise: bool = False,
 ) -> DesignResult:
     """Return the controller that minimises the H-infinity norm of a closed loop.
 
@@ -52,6 +54,10 @@ def synthesize_hinf(
             controllers with very fast modes; 1.05 is the better choice for a controller to be built.
         second_opinion: whether the optimum is to be found again by `verify_level`; None asks for plants of up to 40
             states.
+        regularise: whether a singular problem (D12 or D21 without full rank, zeros on the stability boundary) is to be
+            completed with small weights on controls, measurements and states. The largest weight is taken whose norm
+            of the problem itself is within a thousandth of the best that any of them gave; `details["regularised"]`
+            holds it, `weight` in even units, its `cost` over that best, and the `norms` that all of them gave.
 
     Returns:
         A `DesignResult`: `gamma` is the norm that the returned controller gives in the coordinates of the synthesis,
@@ -86,6 +92,8 @@ def synthesize_hinf(
     result = _solved(P, problem, even, ny, nu, level, margin, second_opinion)
     if hidden and not result.status.ok:
         hidden, result = 0, _solved(P, problem, problem.plant, ny, nu, level, margin, second_opinion)
+    if regularise and not result.status.ok:
+        result = _completed(result, P, problem, even, ny, nu, level, margin)
     return _told(result, hidden) if hidden else result
 
 
@@ -117,6 +125,39 @@ def _solved(
         return _seconded(P, result, ny, nu) if compared else result
     except NumericalError as error:
         return refused(str(error))
+
+
+def _completed(
+    result: DesignResult,
+    P: StateSpace,
+    problem: EvenProblem,
+    even: StateSpace,
+    ny: int,
+    nu: int,
+    gamma: float | None,
+    margin: float,
+) -> DesignResult:
+    """Solve the problem completed with small weights; what is reported is the norm of the problem itself."""
+    ended = regularised(P, problem, even, ny, nu, margin)
+    if ended is None:
+        return refused(f"{result.status.sentence} No weight from {WEIGHTS[0]:g} to {WEIGHTS[-1]:.0e} mends it.")
+    found = ended.found
+    if gamma is not None and found.achieved > gamma * (1 + AGREEMENT):
+        return refused(
+            f"{WHO}: no controller was found at level {gamma:g}; the best that small weights gave is "
+            f"{found.achieved:.6g}, which is no proof that there is none. {result.status.sentence}"
+        )
+    formed = _result(ended.verifier, ended.bracket, Closed(found, 0.0, found.achieved * problem.level, True))
+    cost = {"weight": ended.weight, "cost": ended.cost, "norms": ended.norms, "instead_of": result.status.sentence}
+    best = min(ended.norms.values())
+    said = (
+        f"The loop is stable and the norm of the problem itself is {found.achieved:.5g}; it is singular, and was "
+        f"solved with a weight of {ended.weight:.1e} on controls, measurements and states in even units, at "
+        f"{ended.cost:.2%} over {best:.5g}, the best of {len(ended.norms)} weights."
+    )
+    status = Status(StatusWord.OK, said) if formed.status.ok else formed.status
+    optimum = (0.0, best)
+    return replace(formed, status=status, details={**formed.details, "optimum": optimum, "regularised": cost})
 
 
 def _asked(v: Verifier, gamma: float) -> DesignResult:
@@ -201,7 +242,7 @@ def _conditions(plant: riccati.NormalisedPlant, level: riccati.Level) -> dict[st
 
 def _own_norm(v: Verifier, found: Reached) -> float:
     """Return the gain, at the peak's frequency, of the loop formed in the even units of the synthesis."""
-    loop = lft(v.even, v.problem.even_law(found.controller))
+    loop = lft(v.problem.plant, v.problem.even_law(found.controller))
     w = 2 * np.pi * found.f_hz
     if not np.isfinite(w):
         return float(np.linalg.norm(loop.D, 2))
