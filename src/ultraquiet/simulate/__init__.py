@@ -4,6 +4,7 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 `ultraquiet.bench`; a controller acts as u = K y.
 """
 
+from ultraquiet._base.shown import show
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.loop import disturb
@@ -29,3 +30,5 @@ __all__ = [
     "noise_reduction",
     "step_reduction",
 ]
+
+show(globals(), __all__)
