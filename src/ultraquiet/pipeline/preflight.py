@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
@@ -29,6 +30,7 @@ def check(study: Study, bench: Any, names: Sequence[str]) -> None:
     mistakes = study.mistakes()
     if bench is not None:
         _closed_loop(study, bench, mistakes)
+        _payload(study, bench, mistakes)
     _records(study, names, mistakes)
     mistakes.refuse(StudyError, "study")
 
@@ -96,6 +98,16 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
         if f >= bench.rate_hz / 2:
             fault = f"{f:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
             mistakes.add(("closed_loop", "tones_hz", k), f"closed_loop.tones_hz: {fault}")
+
+
+def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:
+    """Note a payload that this bench cannot be listened to."""
+    if study.payload is None:
+        return
+    try:
+        simulate.OpenPayload(bench, study.payload.setup(study.closed_loop.tones_hz))
+    except UltraquietError as error:
+        mistakes.add(("payload",), f"payload: {error}")
 
 
 def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:

@@ -10,6 +10,9 @@ from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.noise import NoiseReduction, noise_reduction
 from ultraquiet.simulate.open_loop import OpenLoop
+from ultraquiet.simulate.payload.measure import OpenPayload, PayloadVibration, measure_payload
+from ultraquiet.simulate.payload.reduction import PayloadReduction
+from ultraquiet.simulate.payload.setup import PayloadSetup
 from ultraquiet.simulate.sensitivity import MeasuredSensitivity, measure_sensitivity
 from ultraquiet.simulate.stability import LoopCheck, check_stability
 from ultraquiet.simulate.step import StepReduction, step_reduction
@@ -20,12 +23,17 @@ __all__ = [
     "MeasuredSensitivity",
     "NoiseReduction",
     "OpenLoop",
+    "OpenPayload",
+    "PayloadReduction",
+    "PayloadSetup",
+    "PayloadVibration",
     "StepReduction",
     "attenuation",
     "campaign",
     "check_stability",
     "disturb",
     "drawn_benches",
+    "measure_payload",
     "measure_sensitivity",
     "noise_reduction",
     "step_reduction",

@@ -68,6 +68,10 @@ class Hexapod(HexapodSettings):
         """What the bench's thermometer says now, after the last block of the last run, in degrees Celsius."""
         return self._weather(self._clock[1])
 
+    def instrumented(self) -> "Hexapod":
+        """Return this unit with its proof masses free and the geophones of base and payload read."""
+        return replace(self, instruments="all")
+
     def run(
         self,
         actuation: ArrayLike,
