@@ -31,6 +31,7 @@ def check(study: Study, bench: Any, names: Sequence[str]) -> None:
     if bench is not None:
         _closed_loop(study, bench, mistakes)
         _payload(study, bench, mistakes)
+        _campaign(study, bench, mistakes)
     _records(study, names, mistakes)
     mistakes.refuse(StudyError, "study")
 
@@ -108,6 +109,19 @@ def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:
         simulate.OpenPayload(bench, study.payload.setup(study.closed_loop.tones_hz))
     except UltraquietError as error:
         mistakes.add(("payload",), f"payload: {error}")
+
+
+def _campaign(study: Study, bench: Any, mistakes: Mistakes) -> None:
+    """Note a bench that cannot be drawn, or not judged by a model that it does not have."""
+    table = study.campaign
+    if table is None:
+        return
+    try:
+        drawn = simulate.drawn_bench(bench, table.first_seed)
+        if table.on == "truth" and not callable(getattr(drawn, "linear_model", None)):
+            raise InputError('the bench has no linear model that could stand for it; take on = "bench".')
+    except UltraquietError as error:
+        mistakes.add(("campaign",), f"campaign: {str(error).removeprefix('campaign: ')}")
 
 
 def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:

@@ -6,6 +6,7 @@ from functools import cached_property, partial
 from typing import Any
 
 from ultraquiet._base.beside import beside
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
@@ -15,13 +16,16 @@ from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
-from ultraquiet.pipeline.facts.mission import PayloadFacts
+from ultraquiet.pipeline.facts.mission import CampaignFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.pipeline.tables.mission import CampaignTable
+from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -83,7 +87,43 @@ class Stages:
             limits=self._limits(system, laws, plan),
             requirements=self._judge(system, laws, loops, plan, payload),
             payload=payload,
+            campaign=self._campaign(laws, plan),
         )
+
+    def campaign(self, how: How) -> CampaignFacts:
+        """Design the law that the campaign is about, and nothing else; run the campaign, or what is left of it."""
+        table = self.study.campaign or CampaignTable()
+        facts, _ = conducted(self.campaign_of(table), law_of(self.study, table), table, self.cache.folder, how)
+        return facts
+
+    def campaign_of(self, table: CampaignTable) -> Campaign:
+        """Return the campaign of a study, its law designed.
+
+        Raises:
+            InputError: there is no bench or no law, or the bench cannot be drawn.
+        """
+        if self.bench is None:
+            raise InputError("campaign: the study has no bench that could be drawn.")
+        system: StateSpace = self._plant().values[stored.PLANT]
+        control.require_bench(self.bench, system)
+        plan, name = loop_plan(self.study.closed_loop, self.bench, system), law_of(self.study, table)
+        design = self._design(name, system, plan)
+        if name not in design.values:
+            raise InputError(f"campaign: {name} has no law: {design.facts.status}")
+        return defined(self.study, self.bench, design.values[name], plan, table)
+
+    def _campaign(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> CampaignOutcome | None:
+        """Run the campaign that the study asks for; results that are there stay."""
+        table = self.study.campaign
+        if table is None or self.bench is None:
+            return None
+        name = law_of(self.study, table)
+        if name not in laws:
+            return None
+        campaign = defined(self.study, self.bench, laws[name], plan, table)
+        outcome = conducted(campaign, name, table, self.cache.folder, How(resume=None))
+        self.say(f"campaign: {outcome[0].status}")
+        return outcome
 
     def _is_optional(self, name: str) -> bool:
         """Tell whether nothing is required of a controller; one that the study is for comes first."""

@@ -15,7 +15,7 @@ from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
-from ultraquiet.pipeline.tables.mission import PayloadTable
+from ultraquiet.pipeline.tables.mission import CampaignTable, PayloadTable
 from ultraquiet.pipeline.tables.numbers import Band, Positive
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
@@ -202,6 +202,7 @@ class Study(Strict):
     deploy: Deploy = Deploy()
     requirements: Requirements | None = None
     payload: PayloadTable | None = None
+    campaign: CampaignTable | None = None
     validate_models: ValidateTable = Field(default=ValidateTable(), alias="validate")
     limits: LimitsTable = LimitsTable()
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
@@ -331,6 +332,7 @@ def _check_requirements(study: Study, mistakes: Mistakes) -> None:
     """Note a law that the study does not design, and what nothing in it measures."""
     if study.bench is None and study.payload is not None:
         mistakes.add(("payload",), "payload: the study has no bench that could be shaken; leave it away.")
+    _check_campaign(study, mistakes)
     asked = study.requirements
     if asked is None:
         return
@@ -348,6 +350,18 @@ def _check_requirements(study: Study, mistakes: Mistakes) -> None:
     if asked.payload_db is not None and study.payload is None:
         fault = "the study has no payload table, so nothing measures it; leave it away."
         mistakes.add(("requirements", "payload_db"), f"requirements.payload_db: {fault}")
+
+
+def _check_campaign(study: Study, mistakes: Mistakes) -> None:
+    """Note a campaign without a bench, or about a law that the study does not design."""
+    table = study.campaign
+    if table is None:
+        return
+    if study.bench is None:
+        mistakes.add(("campaign",), "campaign: the study has no bench that could be drawn; leave it away.")
+    if table.law is not None and table.law not in study.controllers:
+        fault = f"there is no law '{table.law}' among the controllers {', '.join(study.controllers)}."
+        mistakes.add(("campaign", "law"), f"campaign.law: {fault}")
 
 
 def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes: Mistakes) -> None:

@@ -15,7 +15,7 @@ from ultraquiet.pipeline.facts.loops import (
     StableLoop,
     UnstableLoop,
 )
-from ultraquiet.pipeline.facts.mission import NoPayload, PayloadLoop
+from ultraquiet.pipeline.facts.mission import CampaignFacts, NoPayload, PayloadLoop
 from ultraquiet.pipeline.facts.models import Agreement, PaperFit, PlantFacts, PreferredModels, RankedModel
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import fact, finite, schema_of, to_plain
@@ -70,6 +70,7 @@ class Summary:
     payload: Mapping[str, Mapping[str, PayloadLoop | NoPayload]] = field(
         default_factory=dict[str, Mapping[str, PayloadLoop | NoPayload]]
     )
+    campaign: CampaignFacts | None = None
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -110,6 +111,7 @@ def summarise(result: StudyResult) -> Summary:
         versions=versions(),
         seed=result.study.study.seed,
         requirements=result.requirements,
+        campaign=None if result.campaign is None else result.campaign[0],
         payload={name: outcome.facts.units for name, outcome in result.payload.items()},
         lines_missing=sum(
             loop.lines_missing

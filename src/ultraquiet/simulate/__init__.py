@@ -7,6 +7,9 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 from ultraquiet._base.shown import show
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
+from ultraquiet.simulate.campaigns.drawing import drawn_bench, drawn_parameters
+from ultraquiet.simulate.campaigns.evaluation import Campaign
+from ultraquiet.simulate.campaigns.run import is_of, run_campaign
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.noise import NoiseReduction, noise_reduction
 from ultraquiet.simulate.open_loop import OpenLoop
@@ -19,6 +22,7 @@ from ultraquiet.simulate.step import StepReduction, step_reduction
 
 __all__ = [
     "Attenuation",
+    "Campaign",
     "LoopCheck",
     "MeasuredSensitivity",
     "NoiseReduction",
@@ -32,10 +36,14 @@ __all__ = [
     "campaign",
     "check_stability",
     "disturb",
+    "drawn_bench",
     "drawn_benches",
+    "drawn_parameters",
+    "is_of",
     "measure_payload",
     "measure_sensitivity",
     "noise_reduction",
+    "run_campaign",
     "step_reduction",
 ]
 

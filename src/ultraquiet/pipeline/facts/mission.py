@@ -68,3 +68,55 @@ class PayloadFacts:
 
     units: Mapping[str, PayloadLoop | NoPayload]
     curves: Mapping[str, PayloadCurves]
+
+
+@fact
+class WorstCase:
+    """A case of a campaign that is kept, with the command that evaluates it again."""
+
+    case: int
+    seed: int
+    unit: str
+    stable: bool
+    attenuation_db: float
+    peak_db: float
+    status: str
+    cause: str | None = None
+    replay: str
+
+
+@fact
+class CampaignFacts:
+    """`campaign.json`: one law on `benches` drawn ones; least, 5 %, median, 95 % and most of each figure.
+
+    `drivers`: figure -> drawn parameter -> Spearman's rank correlation, those beyond chance. `by_unit` holds the share
+    of stable loops and the same spreads for each unit.
+    """
+
+    law: str
+    on: str
+    benches: int
+    first_seed: int
+    band_hz: tuple[float, float]
+    stable: int
+    stable_share: float
+    stable_interval: tuple[float, float]
+    attenuation_db: Mapping[str, float]
+    peak_db: Mapping[str, float]
+    by_unit: Mapping[str, Mapping[str, Mapping[str, float]]]
+    drivers: Mapping[str, Mapping[str, float]]
+    worst: tuple[WorstCase, ...]
+    lines_missing: int = 0
+    campaign: str
+    status: str
+
+
+@fact
+class CampaignCurves:
+    """What is drawn of a campaign: figures of every case by unit, and the worst direction of two cases over `f_hz`."""
+
+    attenuation_db: Mapping[str, Vector]
+    peak_db: Mapping[str, Vector]
+    f_hz: Vector
+    median_case_db: Vector | None = None
+    worst_case_db: Vector | None = None

@@ -29,6 +29,7 @@ def report(result: StudyResult) -> Report:
         loops.design(result),
         *([] if bench is None else [loops.closed_loop(result)]),
         *([mission.payload(result)] if result.payload else []),
+        *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
         limits.limits(result),
         loops.code(result),
     ]

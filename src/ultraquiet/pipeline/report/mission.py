@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from ultraquiet.pipeline.facts.mission import NoPayload, PayloadFacts, PayloadLoop
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, NoPayload, PayloadFacts, PayloadLoop
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, mission
 from ultraquiet.report import Section, Table
@@ -92,3 +92,37 @@ def _drawn(result: StudyResult, name: str, facts: PayloadFacts) -> Iterator[Figu
     unit = next((loop.unit for loop in facts.units.values() if isinstance(loop, PayloadLoop)), "")
     ratio = "payload over base" if table.base else f"payload over {table.shaker}"
     yield mission.payload(name, units, ratio, unit, table.band_hz)
+
+
+def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
+    """The law on drawn benches: how figures spread, the worst cases, what drives them."""
+    low, high = facts.band_hz
+    labels = {"attenuation_db": f"worst direction over {low:g}-{high:g} Hz", "peak_db": "peak of S"}
+    on = "their linear models" if facts.on == "truth" else "the benches themselves, measured"
+    text = [
+        f"{facts.law} on {facts.benches} benches drawn from the seed {facts.first_seed} on; figures are of {on}.",
+        facts.status,
+        "Rank correlation says what goes together; it proves no cause.",
+    ]
+    spread = ("0%", "5%", "50%", "95%", "100%")
+    rows: list[list[str]] = []
+    for unit, figures in facts.by_unit.items():
+        for figure, label in labels.items():
+            values = (figures[figure][share] for share in spread)
+            rows.append([unit, f"{figures['stable_share']['share']:.1%}", label, *(f"{v:.1f}" for v in values)])
+    columns = ("unit", "stable", "figure, dB", "least", "5 %", "median", "95 %", "most")
+    tables = [Table("Drawn benches", columns, rows), _worst(facts)]
+    figures = {labels[name]: dict(getattr(curves, name)) for name in labels}
+    drivers = {labels[name]: dict(found) for name, found in facts.drivers.items() if found}
+    cases = {"median case": curves.median_case_db, "worst stable case": curves.worst_case_db}
+    shown = {name: db for name, db in cases.items() if db is not None}
+    return Section("Drawn benches", text, tables, [mission.campaign(figures, drivers, curves.f_hz, shown)])
+
+
+def _worst(facts: CampaignFacts) -> Table:
+    rows = [
+        (each.case, each.unit, f"{each.attenuation_db:.1f}", f"{each.peak_db:.1f}", each.cause or "-", each.replay)
+        for each in facts.worst
+    ]
+    columns = ("case", "unit", "attenuation, dB", "peak, dB", "pulls hardest", "evaluate it again")
+    return Table("The worst cases", columns, rows)

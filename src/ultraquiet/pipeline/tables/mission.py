@@ -1,7 +1,7 @@
 """`[payload]` of a study file: what its laws are for, measured where it is felt."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -43,3 +43,21 @@ class PayloadTable(Strict):
             settle_s=self.settle_s,
             seed=seed,
         )
+
+
+class CampaignTable(Strict):
+    """`[campaign]`: how many benches are drawn, and where the law is judged.
+
+    Args:
+        benches: how many; they are drawn from the units of `[closed_loop]` in turn.
+        on: "truth", the linear model of a drawn bench where it offers one, or "bench", measured on it.
+        law: which of the controllers; that of `[requirements]` when absent, else the first.
+        first_seed: case k is drawn by the seed `first_seed` + k.
+        keep: how many of the worst cases are named.
+    """
+
+    benches: Annotated[int, Field(ge=1)] = 50
+    on: Literal["truth", "bench"] = "truth"
+    law: str | None = None
+    first_seed: Annotated[int, Field(ge=0)] = 0
+    keep: Annotated[int, Field(ge=1, le=100)] = 5
