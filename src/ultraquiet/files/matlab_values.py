@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.files.confined import announce
+from ultraquiet.files.formats import format_of, understood
 from ultraquiet.files.read import read_record
+from ultraquiet.files.readers.mat_sizes import declared_bytes
 from ultraquiet.files.readers.matlab import write_mat
 from ultraquiet.files.whole import understanding, whole
 from ultraquiet.values import Channel, FrequencyResponse, InnovationForm, Record, StateSpace
@@ -17,6 +20,9 @@ from ultraquiet.values import Channel, FrequencyResponse, InnovationForm, Record
 HELD = "a StateSpace (models and laws), a FrequencyResponse or a Record"
 ENDS = (("actuators", "Input"), ("sensors", "Output"))
 QUALITIES = ("coherence", "variance")
+SYSTEM, RESPONSE = ("A", "B", "C", "D", "Ts", "rate_hz", "K", "NoiseVariance"), ("ResponseData", "Frequency")
+CHANNELS = tuple(f"{end}{what}" for _, end in ENDS for what in ("Name", "Unit", "Limits"))
+WANTED = (*SYSTEM, *RESPONSE, "FrequencyUnit", "estimator", *QUALITIES, *CHANNELS)
 
 
 def mat_image(value: Any) -> bytes:
@@ -56,21 +62,35 @@ def read_mat_value(path: str | os.PathLike[str]) -> StateSpace | FrequencyRespon
         StorageError: missing, empty, cut short or damaged.
         InputError: none of these.
     """
-    import scipy.io
-
-    name = Path(path).name
-    data = whole(path)
+    name, data = Path(path).name, whole(path)
     with understanding(name, "MATLAB"):
-        try:
-            found = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
-        except NotImplementedError:  # version 7.3: records alone
-            return read_record(path)
-        held = {**_flat(found), **_shaped(scipy.io.loadmat(io.BytesIO(data)))}
+        held = understood(format_of("load", Path(path)), name, lambda: _variables(name, data), len(data))
     if set("ABCD") <= set(held):
         return _system(name, held)
     if {"ResponseData", "Frequency"} <= set(held):
         return _response(name, held)
     return read_record(path)
+
+
+def _variables(name: str, data: bytes) -> dict[str, Any]:
+    """Return what systems and responses are made of, as plain values; nothing from version 7.3: records alone."""
+    import scipy.io
+
+    announce(name, declared_bytes(name, data), len(data))
+    try:
+        found = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    except NotImplementedError:
+        return {}
+    held = {**_flat(found), **_shaped(scipy.io.loadmat(io.BytesIO(data)))}
+    return {key: _plain(held[key]) for key in WANTED if key in held}
+
+
+def _plain(value: Any) -> Any:
+    """Return a cell of texts as a list, a sparse matrix in full, anything else as it is."""
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return ["" if np.size(each) == 0 else str(each) for each in value.ravel()]
+    in_full = getattr(value, "toarray", None)
+    return value if in_full is None else in_full()
 
 
 def _system(name: str, held: Mapping[str, Any]) -> StateSpace:

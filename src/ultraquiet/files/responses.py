@@ -12,7 +12,7 @@ from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files.archive import load_many, save
 from ultraquiet.files.atomic import write_bytes
-from ultraquiet.files.formats import format_of
+from ultraquiet.files.formats import format_of, understood
 from ultraquiet.files.matlab_values import mat_image, read_mat_value
 from ultraquiet.files.readers.npz import npz_arrays
 from ultraquiet.files.readers.uff import COHERENCE, RESPONSE_FUNCTION, common, response_name, uff_bytes, uff_sets
@@ -62,10 +62,13 @@ def read_frf(path: str | os.PathLike[str], conjugated: bool = False) -> Frequenc
     data = whole(path)
     settings = {"file": Path(path).name, "conjugated": conjugated}
     provenance = Provenance("read_frf", settings, parents=(hashlib.sha256(data).hexdigest(),), versions=versions())
-    with understanding(Path(path).name, format_of("read_frf", Path(path)).name):
+    name, form = Path(path).name, format_of("read_frf", Path(path))
+    read = (lambda: npz_arrays(name, data)) if suffix == ".npz" else (lambda: uff_sets(name, data))
+    content = understood(form, name, read, len(data))
+    with understanding(name, form.name):
         if suffix == ".npz":
-            return _of_arrays(Path(path).name, npz_arrays(data), conjugated, provenance)
-        return _of_sets(Path(path).name, uff_sets(Path(path).name, data), provenance)
+            return _of_arrays(name, content, conjugated, provenance)
+        return _of_sets(name, content, provenance)
 
 
 def export_frf(
