@@ -24,8 +24,6 @@ nitpicky = True
 # Types of a signature are shown, not linked: many are protocols of one room.
 nitpick_ignore_regex = [("py:.*", ".*")]
 python_use_unqualified_type_names = True
-# Other pages right under docs are listed behind the named ones; there may be none.
-suppress_warnings = ["toc.empty_glob"]
 highlight_language = "text"
 
 html_theme = "furo"
