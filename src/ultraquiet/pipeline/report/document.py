@@ -1,7 +1,7 @@
 """The report of a study: its stages as sections."""
 
 from ultraquiet._base.provenance import versions
-from ultraquiet.pipeline.report import limits, loops, mission, models
+from ultraquiet.pipeline.report import claims, limits, loops, mission, models
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Report
 
@@ -21,6 +21,7 @@ def report(result: StudyResult) -> Report:
         if bench is None
         else "closed-loop figures come from the bench, never from the design model."
     )
+    printed = claims.claims(result)
     sections = [
         models.excitation(result),
         models.identification(result),
@@ -32,5 +33,6 @@ def report(result: StudyResult) -> Report:
         *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
         limits.limits(result),
         loops.code(result),
+        *([] if printed is None else [printed]),
     ]
     return Report(result.study.study.title, lead, facts, sections)
