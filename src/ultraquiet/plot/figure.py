@@ -32,7 +32,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Panel:
-    """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x."""
+    """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x.
+
+    `x_names` stand at 0, 1, 2 ... in place of numbers.
+    """
 
     lines: Sequence[Line]
     title: str = ""
@@ -43,6 +46,7 @@ class Panel:
     y_range: tuple[float, float] | None = None
     spans: Sequence[tuple[float, float]] = ()
     y_log: bool = False
+    x_names: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
