@@ -1,13 +1,14 @@
 """The report of a study: its first page, and its stages as sections."""
 
 from ultraquiet.pipeline.report import limits, loops, models, provenance, records
+from ultraquiet.pipeline.report.compare import Finished, compared
 from ultraquiet.pipeline.report.front import front
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Report
 
 
-def report(result: StudyResult) -> Report:
-    """Return the report of a finished study."""
+def report(result: StudyResult, other: Finished | None = None) -> Report:
+    """Return the report of a finished study, beside another one where there is one to compare with."""
     bench = result.study.bench
     lead = "Every number below was measured in this run. Designs saw records only; " + (
         "without a bench no loop was closed: what stands of loops is of the design model."
@@ -15,6 +16,7 @@ def report(result: StudyResult) -> Report:
         else "closed-loop figures come from the bench, never from the design model."
     )
     sections = [
+        *([] if other is None else [compared(result, other)]),
         records.excitation(result),
         records.response(result),
         models.identification(result),

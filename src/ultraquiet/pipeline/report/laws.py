@@ -8,7 +8,15 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.chart import Chart, law_colours
 from ultraquiet.pipeline.facts.loops import StableLoop
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.plot.pages.loops import AskedOfLoop, LoopCurve, loci, margin_bars, measured_loops, shaped_loops
+from ultraquiet.plot.pages.loops import (
+    AskedOfLoop,
+    LoopCurve,
+    loci,
+    margin_bars,
+    measured_loops,
+    shaped_loops,
+    worst_direction_db,
+)
 from ultraquiet.values.channel import ratio
 
 LOCUS = 1500  # points of an eigenvalue locus, which turns quickly near a resonance
@@ -50,9 +58,8 @@ def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensi
             S = result.sensitivity(name, unit)
             if S is None:
                 continue
-            size = np.linalg.svd(np.moveaxis(S.values, 2, 0), compute_uv=False)[:, 0]
             label = name if len(units) == 1 else f"{name}, {unit}"
-            curves.append(LoopCurve(label, S.f_hz, 20 * np.log10(np.maximum(size, 1e-6)), paint[name], dash))
+            curves.append(LoopCurve(label, S.f_hz, worst_direction_db(S.values), paint[name], dash))
     return measured_loops(stem, curves, asked(result)) if curves else None
 
 

@@ -50,6 +50,12 @@ class LoopCurve:
     dash: Literal["-", "--", ":", "-."] = "-"
 
 
+def worst_direction_db(values: ComplexArray) -> FloatArray:
+    """Return the largest singular value `(nf,)` of a response `(outputs, inputs, nf)` in decibels."""
+    size = np.linalg.svd(np.moveaxis(values, 2, 0), compute_uv=False)[:, 0]
+    return 20 * np.log10(np.maximum(size, 1e-6))
+
+
 def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: AskedOfLoop) -> Chart:
     """The worst direction of every loop as measured on the bench, over what is asked of it."""
     lines = [Curve(c.name, c.f_hz, np.maximum(c.amplification_db, -LOW_DB), c.colour, c.dash) for c in curves]
