@@ -33,7 +33,8 @@ def _panel(panel: Panel, figure: Figure) -> ChartPanel:
     regions = [Region("band", span) for span in panel.spans]
     rows = -(-len(figure.panels) // figure.columns)
     height = int(PIXELS_PER_IN * figure.size_in[1] / rows)
-    return ChartPanel(x, y, [_curve(line) for line in panel.lines], panel.title, regions, height=height)
+    filled = [Curve(f.label, f.x, f.low, WORDS[f.shade % len(WORDS)], low=f.low, high=f.high) for f in panel.fills]
+    return ChartPanel(x, y, [*filled, *(_curve(line) for line in panel.lines)], panel.title, regions, height=height)
 
 
 def _curve(line: Line) -> Curve:

@@ -5,7 +5,10 @@ the page looks and behaves (`html.py`, `page.html.j2`, `page.css`, `page.js`). T
 fills it.
 """
 
+from ultraquiet._base.shown import show
 from ultraquiet.report.content import Front, Picture, Report, Section, Span, Table, Verdict
 from ultraquiet.report.html import render, write
 
 __all__ = ["Front", "Picture", "Report", "Section", "Span", "Table", "Verdict", "render", "write"]
+
+show(globals(), __all__)

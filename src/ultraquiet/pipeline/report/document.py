@@ -1,6 +1,6 @@
 """The report of a study: its first page, and its stages as sections."""
 
-from ultraquiet.pipeline.report import limits, loops, models, provenance, records
+from ultraquiet.pipeline.report import limits, loops, mission, models, provenance, records
 from ultraquiet.pipeline.report.compare import Finished, compared
 from ultraquiet.pipeline.report.front import front
 from ultraquiet.pipeline.result import StudyResult
@@ -26,6 +26,8 @@ def report(result: StudyResult, other: Finished | None = None) -> Report:
         loops.design(result),
         loops.code(result),
         *([] if bench is None else [loops.closed_loop(result)]),
+        *([mission.payload(result)] if result.payload else []),
+        *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
         provenance.provenance(result),
     ]
     return Report(result.study.study.title, lead, provenance.facts(result), sections, front(result))

@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet.pipeline.facts.loops import CodeFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report import laws
+from ultraquiet.pipeline.report.mission import payload_charts
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import packaged_study, quick_study
 from ultraquiet.report import Front, Picture, Span, Table, Verdict
@@ -17,7 +18,7 @@ SAYS = {
     "attenuation_db": ("worst direction, {low:.4g}-{high:.4g} Hz", " dB"),
     "peak_db": ("largest amplification anywhere", " dB"),
     "tones_db": ("worst channel at the worst tone", " dB"),
-    "payload_db": ("payload, shaken", " dB"),
+    "payload_db": ("payload, base shaken", " dB"),
     "disk_margin": ("disk margin, all channels at once", ""),
 }
 
@@ -119,6 +120,9 @@ def _figure(each: RequirementFacts) -> str:
 
 def hero(result: StudyResult) -> list[Picture]:
     """Return the picture that one remembers: the loop that was measured, or what the design model says of it."""
+    felt = payload_charts(result, laws.chosen(result), "felt")
+    if felt:
+        return [*felt]
     measured = laws.measured_chart(result, (laws.chosen(result),), "reached")
     return [measured] if measured is not None else [*laws.shaped_charts(result, ("S",), "designed")]
 
