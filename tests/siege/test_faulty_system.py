@@ -209,7 +209,7 @@ def due(trace, count, root):
     return {n: sum(m for when, m in rows if when < done[-1][5] - LOSS_S) for n, rows in written.items()}
 
 
-@pytest.mark.parametrize("cuts", [12, pytest.param(600, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cuts", [12, pytest.param(200, marks=pytest.mark.slow)])
 def test_power_cuts_cost_a_tenth_of_a_second(forked, tmp_path, cuts):
     place, trace = tmp_path / "records", tmp_path / "trace"
     place.mkdir()
