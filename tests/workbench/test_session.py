@@ -11,7 +11,7 @@ from ultraquiet import files
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.pipeline.study import parse
 from ultraquiet.workbench import Session
-from ultraquiet.workbench.engine.imports import import_step, inside, received
+from ultraquiet.workbench.engine.making.imports import import_step, inside, received
 
 RATE = 200.0
 IDENTIFY = {"op": "identify", "name": "arx4", "records": ["fit"], "period_samples": None}

@@ -4,8 +4,8 @@ May be changed here: what a hand can do and how it is kept (`engine/`, which kno
 the pages (`jobs/`), and the pages themselves (`web/`, the only place that imports NiceGUI).
 """
 
-from ultraquiet.workbench.engine.calls import law, plant, read_channels
-from ultraquiet.workbench.engine.prepare import detrended
+from ultraquiet.workbench.engine.making.prepare import detrended
 from ultraquiet.workbench.engine.session import Session
+from ultraquiet.workbench.engine.written.calls import law, plant, read_channels
 
 __all__ = ["Session", "detrended", "law", "plant", "read_channels"]

@@ -7,7 +7,7 @@ from typing import Any
 from ultraquiet import files
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet.pipeline.study import Study, reload_study
-from ultraquiet.workbench.engine.made import Made
+from ultraquiet.workbench.engine.making.made import Made
 from ultraquiet.workbench.engine.steps import State
 
 

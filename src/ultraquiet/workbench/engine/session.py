@@ -8,10 +8,12 @@ from typing import Any
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.files import reason, write_bytes
-from ultraquiet.workbench.engine import adopt, study_text, work
+from ultraquiet.workbench.engine import adopt
 from ultraquiet.workbench.engine.items import FACTS, FOLDER, LATEST, Item, changes, item_of, order
-from ultraquiet.workbench.engine.script import script
+from ultraquiet.workbench.engine.making import work
 from ultraquiet.workbench.engine.steps import BOARDS, State, Step, applied, empty
+from ultraquiet.workbench.engine.written import study_text
+from ultraquiet.workbench.engine.written.script import script
 
 LOG = "log.json"
 STUDY, SCRIPT = "study.toml", "study.py"

@@ -14,8 +14,8 @@ from ultraquiet._base.tables import Method
 from ultraquiet.identify.result import Result
 from ultraquiet.validate import compare, response_band
 from ultraquiet.values import Record, StateSpace
-from ultraquiet.workbench.engine import models, work
 from ultraquiet.workbench.engine.items import FOLDER, key_of
+from ultraquiet.workbench.engine.making import models, work
 from ultraquiet.workbench.figures.traces import envelope
 
 VIEWS = "views"

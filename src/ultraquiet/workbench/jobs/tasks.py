@@ -4,8 +4,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ultraquiet.workbench.engine import work
-from ultraquiet.workbench.engine.imports import looked_over
+from ultraquiet.workbench.engine.making import work
+from ultraquiet.workbench.engine.making.imports import looked_over
 from ultraquiet.workbench.jobs import looks
 
 

@@ -16,7 +16,7 @@ from nicegui import ui
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.chart.assets import script, style
-from ultraquiet.workbench.engine.imports import inside
+from ultraquiet.workbench.engine.making.imports import inside
 from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.jobs.board import Jobs
 from ultraquiet.workbench.web.frames import FrameStore

@@ -9,8 +9,8 @@ from nicegui import ui
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet.workbench.engine.items import Item
-from ultraquiet.workbench.engine.script import lines_of
 from ultraquiet.workbench.engine.steps import BOARDS
+from ultraquiet.workbench.engine.written.script import lines_of
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.controls import button, chip, heading
 from ultraquiet.workbench.web.view import View

@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from ultraquiet.workbench.engine.items import Item
-from ultraquiet.workbench.engine.work import CODE
+from ultraquiet.workbench.engine.making.work import CODE
 from ultraquiet.workbench.web.controls import button, chip, choice, field, heading, table, words
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View

@@ -5,7 +5,7 @@ from typing import Any
 from nicegui import events, ui
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.workbench.engine.imports import import_step, proposed_name, received
+from ultraquiet.workbench.engine.making.imports import import_step, proposed_name, received
 from ultraquiet.workbench.figures.traces import traces
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, choice, field, heading, table, words

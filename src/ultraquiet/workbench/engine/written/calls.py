@@ -9,9 +9,9 @@ from ultraquiet.pipeline import control, identification
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design, Plant
 from ultraquiet.values import Record, StateSpace
-from ultraquiet.workbench.engine.imports import mapping_text
-from ultraquiet.workbench.engine.laws import plan_of
-from ultraquiet.workbench.engine.made import Tables
+from ultraquiet.workbench.engine.making.imports import mapping_text
+from ultraquiet.workbench.engine.making.laws import plan_of
+from ultraquiet.workbench.engine.making.made import Tables
 
 
 def read_channels(

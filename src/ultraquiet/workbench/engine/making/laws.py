@@ -12,7 +12,7 @@ from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.study import Design
 from ultraquiet.values import Record, StateSpace
-from ultraquiet.workbench.engine.made import Made, Tables
+from ultraquiet.workbench.engine.making.made import Made, Tables
 
 BY_CHANNEL = ("disk", "gain_up_db", "gain_down_db", "phase_deg", "delay_s")
 

@@ -15,7 +15,7 @@ from ultraquiet.pipeline.facts.models import RecordPlant
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.study import Plant
 from ultraquiet.values import Record, StateSpace
-from ultraquiet.workbench.engine.made import Made
+from ultraquiet.workbench.engine.making.made import Made
 
 LAGS = 25
 POLYNOMIAL = "polynomial"

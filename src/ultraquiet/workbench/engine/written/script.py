@@ -9,11 +9,11 @@ from typing import Any
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import lookup
-from ultraquiet.workbench.engine.imports import CHANNEL_KEYS
 from ultraquiet.workbench.engine.items import item_of
-from ultraquiet.workbench.engine.laws import design_table
-from ultraquiet.workbench.engine.made import tables_of
-from ultraquiet.workbench.engine.models import plant_table
+from ultraquiet.workbench.engine.making.imports import CHANNEL_KEYS
+from ultraquiet.workbench.engine.making.laws import design_table
+from ultraquiet.workbench.engine.making.made import tables_of
+from ultraquiet.workbench.engine.making.models import plant_table
 from ultraquiet.workbench.engine.steps import BOARDS, State
 
 HEAD = '''"""{title}: every step that was taken by hand; run it in the study's folder."""

@@ -8,8 +8,8 @@ from typing import Any
 from ultraquiet import files
 from ultraquiet.pipeline.facts.typed import finite
 from ultraquiet.workbench.engine.items import item_of, order
-from ultraquiet.workbench.engine.laws import design_table
-from ultraquiet.workbench.engine.models import plant_table
+from ultraquiet.workbench.engine.making.laws import design_table
+from ultraquiet.workbench.engine.making.models import plant_table
 from ultraquiet.workbench.engine.steps import State
 
 STUDY, DATA = "study.toml", "data"

@@ -15,11 +15,11 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.pipeline.facts.typed import finite
 from ultraquiet.validate import advise
 from ultraquiet.values import Record
-from ultraquiet.workbench.engine import laws, models
-from ultraquiet.workbench.engine.imports import read_import
 from ultraquiet.workbench.engine.items import FACTS, VALUES, Item, item_of, order
-from ultraquiet.workbench.engine.made import Made, tables_of
-from ultraquiet.workbench.engine.prepare import detrended
+from ultraquiet.workbench.engine.making import laws, models
+from ultraquiet.workbench.engine.making.imports import read_import
+from ultraquiet.workbench.engine.making.made import Made, tables_of
+from ultraquiet.workbench.engine.making.prepare import detrended
 from ultraquiet.workbench.engine.steps import State, parents
 
 CODE = "code"
