@@ -1,6 +1,7 @@
 """A study by hand without a browser: steps, undo, stale marks, and what is written down of them."""
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.pipeline import load_study, walk
 from ultraquiet.pipeline.study import parse
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.making.imports import import_step, inside, received
@@ -150,3 +152,21 @@ def test_the_recorded_study_is_a_study_and_holds_the_same_records(tmp_path, seed
     assert list(study.controllers) == ["quiet"]
     assert tomllib.loads(text)["records"]["files"] == ["data/fit.h5"]
     assert files.load(made.folder / "data" / "fit.h5").hash == made.item("data", "fit").facts["hash"]
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_from_what_was_done_by_hand_and_the_other_way_round(tmp_path, seed):
+    made = walked(tmp_path, seed, 1, 1, 1.0)
+    said: list[str] = []
+    study = load_study(made.folder / "study.toml")
+    left = {name: (made.folder / "stages" / f"{name}.json").stat().st_mtime_ns for name in ("plant", "design-quiet")}
+    walk(study, made.folder, beside=made.folder, say=said.append)
+    for name, before in left.items():
+        assert (made.folder / "stages" / f"{name}.json").stat().st_mtime_ns == before, f"{name} was computed again"
+    law = files.load(made.folder / "controllers" / "quiet.h5")
+    assert law.hash == made.item("laws", "quiet").value().hash
+    shutil.rmtree(made.folder / "workbench")
+    adopted = Session(made.folder)
+    assert list(adopted.state["laws"]) == ["quiet"]
+    assert adopted.make("laws", "quiet").value().hash == law.hash
+    assert (made.folder / "stages" / "design-quiet.json").stat().st_mtime_ns == left["design-quiet"]

@@ -19,7 +19,7 @@ from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts,
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.pipeline.study import Band, Design, Plant, Study
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
 WORKER = "ultraquiet.pipeline.worker"
@@ -152,7 +152,7 @@ class Stages:
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
         compute = partial(identification.plant, self.records, settings)
-        key = [self._record_hashes, _key(settings)]
+        key = plant_key(self._record_hashes, settings)
         outcome = self.cache.stage("plant", "models", key, PlantFacts, compute)
         self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
         return outcome
@@ -184,8 +184,7 @@ class Stages:
     def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
-        promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
-        key = [plant.hash, _key(settings.design), promised]
+        key = design_key(plant, settings, loop)
         compute = partial(control.designed, name, plant, settings, loop)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
@@ -242,6 +241,17 @@ class _Controller:
     law: StateSpace | None = None
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
+
+
+def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
+    """Return what the stage `plant` depends on: all records of the study by their hashes, and `[plant]`."""
+    return [dict(record_hashes), _key(settings)]
+
+
+def design_key(plant: StateSpace, settings: Design, loop: LoopPlan) -> list[Any]:
+    """Return what the stage `design-NAME` depends on: the plant, the table, and what a reduction is held to."""
+    promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
+    return [plant.hash, _key(settings.design), promised]
 
 
 def _key(method: Method) -> dict[str, Any]:

@@ -4,11 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ultraquiet import files
-from ultraquiet._base.errors import UltraquietError
+from ultraquiet.pipeline.identification import grouped
 from ultraquiet.pipeline.study import Study, reload_study
-from ultraquiet.workbench.engine.making.made import Made
-from ultraquiet.workbench.engine.steps import State
 
 
 def steps_of(folder: Path) -> Iterator[dict[str, Any]]:
@@ -31,8 +28,6 @@ def steps_of(folder: Path) -> Iterator[dict[str, Any]]:
 
 
 def _boards(study: Study, folder: Path) -> Iterator[dict[str, Any]]:
-    from ultraquiet.pipeline.identification import grouped
-
     names = sorted(path.stem for path in (folder / "records").glob("[!.]*.h5") if ".partial" not in path.name)
     for name in names:
         yield {"op": "measure", "name": name, "file": f"records/{name}.h5"}
@@ -48,18 +43,5 @@ def _boards(study: Study, folder: Path) -> Iterator[dict[str, Any]]:
         yield {"op": "design", "name": name, "model": "plant", "method": tables[0], "reduce": tables[1]}
 
 
-def values_of(folder: Path, state: State) -> Iterator[tuple[str, str, Made]]:
-    """Yield board, name and values of what the run has left; what cannot be read is left to be made again."""
-    yield from ()
-
-
 def _plain(settings: Any) -> dict[str, Any]:
     return {key: list(value) if isinstance(value, tuple) else value for key, value in settings.items()}
-
-
-def loaded(path: Path) -> Any:
-    """Return the value of a file, None where there is none that can be read."""
-    try:
-        return files.load(path)
-    except UltraquietError:
-        return None

@@ -105,7 +105,7 @@ class Session:
 
     def make(self, board: str, name: str) -> Item:
         """Make an item here and now, with all it is made of; errors as in `work.make`."""
-        item = work.make(self.folder, self._state, board, name)
+        item = work.make(self.folder, self._state, board, name, shared=True)
         self.made(board, name)
         return item
 
@@ -187,9 +187,6 @@ class Session:
     def _adopt(self) -> None:
         for step in adopt.steps_of(self.folder):
             self.do(step)
-        for board, name, made in adopt.values_of(self.folder, self._state):
-            work.keep_made(item_of(self.folder, self._state, board, name), made, self._state)
-            self.made(board, name)
 
     def _latest(self) -> dict[str, str]:
         try:

@@ -10,7 +10,7 @@ from ultraquiet.workbench.jobs import looks
 
 
 def _make(folder: Path, state: Mapping[str, Any], board: str, name: str) -> dict[str, Any]:
-    return {"key": work.make(folder, dict(state), board, name).key}
+    return {"key": work.make(folder, dict(state), board, name, shared=True).key}
 
 
 def _look_over(folder: Path, state: Mapping[str, Any], file: str, rate_hz: float | None = None) -> dict[str, Any]:

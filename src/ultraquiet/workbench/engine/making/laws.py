@@ -1,15 +1,18 @@
 """A law for a model, what its loop keeps, and its code."""
 
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.pipeline import control
-from ultraquiet.pipeline.facts.loops import NoCode
+from ultraquiet.pipeline.cache import Cache
+from ultraquiet.pipeline.facts.loops import DesignFacts, NoCode
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
+from ultraquiet.pipeline.stages import design_key
 from ultraquiet.pipeline.study import Design
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made, Tables
@@ -28,14 +31,24 @@ def plan_of(plant: StateSpace, tables: Tables, bench: Any = None) -> LoopPlan:
     return loop_plan(tables.closed_loop, bench, plant)
 
 
-def designed(name: str, plant: StateSpace, recipe: Mapping[str, Any], tables: Tables) -> Made:
+def designed(
+    name: str, plant: StateSpace, recipe: Mapping[str, Any], tables: Tables, stages: Cache | None = None
+) -> Made:
     """Design a law as the stage of a study does, and say what its loop keeps.
+
+    With the `stages` of the study it is read from there where it is there, and left there for a run.
 
     Raises:
         InputError: the design found no law; the sentence says why.
     """
     plan = plan_of(plant, tables)
-    outcome = control.designed(name, plant, Design.model_validate(design_table(recipe)), plan)
+    settings = Design.model_validate(design_table(recipe))
+    compute = partial(control.designed, name, plant, settings, plan)
+    if stages is None:
+        outcome = compute()
+    else:
+        key = design_key(plant, settings, plan)
+        outcome = stages.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
     if name not in outcome.values:
         raise InputError(f"design: {outcome.facts.status}")
     law: StateSpace = outcome.values[name]

@@ -9,16 +9,17 @@ from ultraquiet import validate
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.result import Result
 from ultraquiet.pipeline import identification
-from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
-from ultraquiet.pipeline.facts.models import RecordPlant
+from ultraquiet.pipeline.facts.models import PlantFacts, RecordPlant
 from ultraquiet.pipeline.facts.typed import to_plain
+from ultraquiet.pipeline.stages import plant_key
 from ultraquiet.pipeline.study import Plant
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made
 
 LAGS = 25
-POLYNOMIAL = "polynomial"
+POLYNOMIAL, PLANT_STAGE = "polynomial", "plant"
 
 
 def plant_table(recipe: Mapping[str, Any]) -> dict[str, Any]:
@@ -28,13 +29,32 @@ def plant_table(recipe: Mapping[str, Any]) -> dict[str, Any]:
     return {**recipe["method"], "records": list(groups), **period}
 
 
-def identified(records: Mapping[str, Record], recipe: Mapping[str, Any]) -> Made:
+def identified(
+    records: Mapping[str, Record],
+    recipe: Mapping[str, Any],
+    stages: Cache | None = None,
+    hashes: Mapping[str, str] | None = None,
+) -> Made:
     """Identify a model, as the stage `plant` of a study does.
+
+    Args:
+        records: by name, those that the recipe names.
+        recipe: how.
+        stages: of the study, from which the outcome is read where it is there, and where it is left for a run.
+        hashes: of all records of the study; of these alone when absent.
 
     Raises:
         InputError: the method refuses the records or its settings.
     """
-    outcome, evidence, values = _outcome(records, Plant.model_validate(plant_table(recipe)))
+    settings = Plant.model_validate(plant_table(recipe))
+    key = plant_key(hashes or {name: record.hash for name, record in records.items()}, settings)
+    if stages is not None and stages.holds(PLANT_STAGE, key):
+        outcome = stages.stage(PLANT_STAGE, "models", key, PlantFacts, lambda: identification.plant(records, settings))
+        evidence, values = {}, {k: v for k, v in outcome.values.items() if k == stored.RESPONSE}
+    else:
+        outcome, evidence, values = _outcome(records, settings)
+        if stages is not None:
+            stages.stage(PLANT_STAGE, "models", key, PlantFacts, lambda: outcome)
     model: StateSpace = outcome.values[stored.PLANT]
     poles = model.poles()
     facts = {

@@ -2,7 +2,8 @@
 
 import json
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ from ultraquiet import files
 from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet._base.progress import noted
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.typed import finite
+from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.validate import advise
 from ultraquiet.values import Record
 from ultraquiet.workbench.engine.items import FACTS, VALUES, Item, item_of, order
@@ -26,10 +29,17 @@ CODE = "code"
 
 
 @single_threaded
-def make(folder: Path, state: State, board: str, name: str) -> Item:
+def make(folder: Path, state: State, board: str, name: str, shared: bool = False) -> Item:
     """Make an item and all it is made of that is not there yet, and return it.
 
     Each appears whole or not at all: its values are written beside and take their place by one rename.
+
+    Args:
+        folder: of the study.
+        state: its boards.
+        board: on which the item stands.
+        name: of the item.
+        shared: whether the stages of the study in this folder are reused, and left for `ultraquiet run` to reuse.
 
     Raises:
         UltraquietError: what the method refuses; what was made before it stays.
@@ -38,7 +48,7 @@ def make(folder: Path, state: State, board: str, name: str) -> Item:
         item = item_of(folder, state, *each)
         if not item.ready:
             with noted(f"{item.recipe['op']} {item.name}"):
-                _keep(item, _MAKERS[item.recipe["op"]], folder, state)
+                _keep(item, _MAKERS[item.recipe["op"]], folder, state, shared)
     return item_of(folder, state, board, name)
 
 
@@ -48,8 +58,9 @@ _Maker = Callable[[Item, "Surroundings"], Made]
 class Surroundings:
     """What a maker may ask for: the study's folder and tables, values of other items, a folder to write code to."""
 
-    def __init__(self, folder: Path, state: State, code: Path) -> None:
+    def __init__(self, folder: Path, state: State, code: Path, shared: bool = False) -> None:
         self.folder, self.state, self.code = folder, state, code
+        self.stages = stages_of(folder) if shared else nullcontext(None)
         self.tables = tables_of(state)
 
     def value(self, board: str, name: str, which: str = "value") -> Any:
@@ -65,21 +76,12 @@ class Surroundings:
         return self.state[board][name]
 
 
-def keep_made(item: Item, made: Made, state: State) -> None:
-    """Keep values of an item that were made elsewhere from the very same recipe.
-
-    Raises:
-        StorageError: the disk refuses.
-    """
-    _keep(item, lambda *_: made, item.folder, state)
-
-
-def _keep(item: Item, maker: _Maker, folder: Path, state: State) -> None:
+def _keep(item: Item, maker: _Maker, folder: Path, state: State, shared: bool = False) -> None:
     part = item.folder.with_name(f".{item.folder.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     try:
         part.mkdir(parents=True)
-        _write(part, item, maker(item, Surroundings(folder, state, part / CODE)), state)
+        _write(part, item, maker(item, Surroundings(folder, state, part / CODE, shared)), state)
         shutil.rmtree(item.folder, ignore_errors=True)
         part.rename(item.folder)
     except OSError as error:
@@ -96,6 +98,18 @@ def _write(part: Path, item: Item, made: Made, state: State) -> None:
     above = {f"{b}/{n}": dict(state[b][n]) for b, n in order(state, item.board, item.name)}
     facts = {**made.facts, "name": item.name, "recipes": above}
     files.write_bytes(part / FACTS, json.dumps(finite(facts)).encode())
+
+
+@contextmanager
+def stages_of(folder: Path) -> Generator[Cache | None]:
+    """Yield the stages of the study in a folder; None while a run is at work there, which must not be disturbed."""
+    with ExitStack() as held:
+        try:
+            lock = held.enter_context(locked(folder, lambda _: None))
+        except StorageError:
+            yield None
+            return
+        yield Cache(folder, lock=lock)
 
 
 def _imported(item: Item, around: Surroundings) -> Made:
@@ -134,12 +148,18 @@ def _record_made(record: Record) -> Made:
 
 def _model(item: Item, around: Surroundings) -> Made:
     records = {name: around.value("data", name) for name in item.recipe["records"]}
-    return models.identified(records, item.recipe)
+    if around.state["model"] != item.name:  # a study has one plant: the others are candidates beside it
+        return models.identified(records, item.recipe)
+    measured = [name for name, recipe in around.state["data"].items() if recipe["op"] == "measure"]
+    hashes = {name: records[name].hash if name in records else around.value("data", name).hash for name in measured}
+    with around.stages as cache:
+        return models.identified(records, item.recipe, cache, hashes if measured else None)
 
 
 def _law(item: Item, around: Surroundings) -> Made:
     plant = around.value("models", item.recipe["model"])
-    return laws.designed(item.name, plant, item.recipe, around.tables)
+    with around.stages as cache:
+        return laws.designed(item.name, plant, item.recipe, around.tables, cache)
 
 
 def _code(item: Item, around: Surroundings) -> Made:
