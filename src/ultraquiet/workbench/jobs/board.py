@@ -21,12 +21,12 @@ class Jobs:
         self.session = session
         self.version = 0
         self.recent: deque[WorkItem] = deque(maxlen=SHOWN)
-        self._lanes = {name: Lane(session.folder, self._told) for name in ("make", "look")}
+        self._lanes = {name: Lane(session.folder, self._told) for name in ("make", "look", "bench")}
 
     def warm(self) -> None:
         """Start the processes before there is work."""
-        for lane in self._lanes.values():
-            lane.warm()
+        for name in ("make", "look"):
+            self._lanes[name].warm()
 
     def make(self, board: str, name: str, then: Callable[[WorkItem], object] | None = None) -> WorkItem:
         """Make an item, and tell the session when it is there."""
@@ -44,10 +44,16 @@ class Jobs:
         """Compute something to look at; nothing is kept of it."""
         return self.submit(WorkItem(task, title, {}, words, then), "look")
 
+    def on_bench(
+        self, task: str, title: str, then: Callable[[WorkItem], object] | None = None, **words: Any
+    ) -> WorkItem:
+        """Do something with the bench, in a process of its own."""
+        return self.submit(WorkItem(task, title, {}, words, then), "bench")
+
     def submit(self, job: WorkItem, lane: str = "make") -> WorkItem:
         """Take a job with the boards as they stand."""
         job.state = dict(self.session.state)
-        if lane == "make":
+        if lane != "look":
             self.recent.append(job)
         return self._lanes[lane].submit(job)
 

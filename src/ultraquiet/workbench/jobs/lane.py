@@ -1,5 +1,6 @@
 """A lane of work: one process that does one job after the other, and what becomes of a job when it is killed."""
 
+import base64
 import json
 import signal
 import subprocess
@@ -10,10 +11,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
-from threading import RLock, Thread
+from threading import RLock, Thread, Timer
 from typing import Any
 
+import numpy as np
+
+from ultraquiet.workbench.engine.items import FOLDER
+
 WORKER = "ultraquiet.workbench.jobs.worker"
+STOP_FILE = "stop"
+SOFT, SOFT_S = ("live",), 2.0
 _numbers = count(1)
 
 
@@ -26,6 +33,7 @@ class WorkItem:
     state: Mapping[str, Any]
     words: Mapping[str, Any]
     then: Callable[["WorkItem"], object] | None = None
+    live: Callable[[dict[str, Any]], object] | None = None
     number: int = field(default_factory=lambda: next(_numbers))
     status: str = "waiting"
     progress: float = 0.0
@@ -34,6 +42,7 @@ class WorkItem:
     result: Any = None
     started: float = 0.0
     seconds: float = 0.0
+    stopping: bool = False
 
     @property
     def over(self) -> bool:
@@ -76,6 +85,11 @@ class Lane:
             if job in self._waiting:
                 self._waiting.remove(job)
                 self._end(job, "cancelled", f"{job.title}: cancelled before it began.")
+            elif job is self._current and job.task in SOFT and not job.stopping:
+                # who moves something is asked to bring it to rest, and killed when that takes too long
+                job.stopping = True
+                (self._folder / FOLDER / STOP_FILE).touch()
+                Timer(SOFT_S, self.cancel, [job]).start()
             elif job is self._current:
                 self._current = None
                 self._end(job, "cancelled", f"{job.title}: cancelled; what was finished before is kept.")
@@ -99,6 +113,7 @@ class Lane:
             return
         job = self._current = self._waiting.popleft()
         job.status, job.started = "running", time.monotonic()
+        (self._folder / FOLDER / STOP_FILE).unlink(missing_ok=True)
         request = {"id": job.number, "task": job.task, "state": job.state, "words": job.words}
         process = self._running()
         try:
@@ -144,6 +159,10 @@ class Lane:
             self._current = None
             self._end(job, "failed", words["failed"])
             self._next()
+        elif "live" in words:
+            if job.live is not None:
+                raw = np.frombuffer(base64.b64decode(words["live"]["signals"]), "<f4")
+                job.live({**words["live"], "signals": raw.reshape(words["rows"], -1)})
         else:
             job.progress, job.note = words["progress"], words["note"]
 

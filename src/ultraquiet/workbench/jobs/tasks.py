@@ -6,7 +6,7 @@ from typing import Any
 
 from ultraquiet.workbench.engine.making import work
 from ultraquiet.workbench.engine.making.imports import looked_over
-from ultraquiet.workbench.jobs import looks
+from ultraquiet.workbench.jobs import bench_work, looks
 
 
 def _make(folder: Path, state: Mapping[str, Any], board: str, name: str) -> dict[str, Any]:
@@ -33,4 +33,9 @@ TASKS: dict[str, Callable[..., Any]] = {
     "judge": looks.judge,
     "confidence": looks.confidence,
     "orders": looks.orders,
+    "describe": bench_work.described,
+    "measure": bench_work.measured,
+    "live": bench_work.live,
+    "close": bench_work.closed,
+    "run": bench_work.whole,
 }

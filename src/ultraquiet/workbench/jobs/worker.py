@@ -4,10 +4,12 @@ A request is `{"id", "task", "state", "words"}`; it answers with lines of the sa
 works, then either `result` or `failed`, a sentence.
 """
 
+import base64
 import json
 import os
 import sys
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +56,10 @@ def answer(folder: Path, request: dict[str, Any], out: Any) -> None:
     try:
         with listening(teller):
             result = TASKS[request["task"]](folder, request["state"], **request["words"])
+            if isinstance(result, Iterator):
+                for part in result:
+                    teller.say(live={**part, "signals": _text(part["signals"])}, rows=len(part["signals"]))
+                result = {}
         teller.say(result=result)
     except UltraquietError as error:
         teller.say(failed=str(error))
@@ -62,6 +68,10 @@ def answer(folder: Path, request: dict[str, Any], out: Any) -> None:
     except Exception as error:  # a fault of this program: the study is untouched, and the page must say so
         traceback.print_exc()
         teller.say(failed=f"{request['task']}: a fault of this program ({type(error).__name__}: {error}).")
+
+
+def _text(signals: Any) -> str:
+    return base64.b64encode(signals.tobytes()).decode()
 
 
 def main() -> None:

@@ -26,6 +26,7 @@ from ultraquiet.workbench.web.place import ServedStudy
 
 HERE = Path(__file__).parent / "static"
 PATIENCE_S = 2
+REPORT = "report.html"
 
 
 class _Server(uvicorn.Server):
@@ -130,7 +131,9 @@ def _add_files(app: FastAPI, place: ServedStudy) -> None:
             return Response(f"{error}\n", 403, media_type="text/plain")
         if not path.is_file() or any(part.startswith(".") for part in Path(name).parts):
             return Response(f"The study holds no file '{name}'.\n", 404, media_type="text/plain")
-        return FileResponse(path, filename=path.name, headers={"cache-control": "no-store"})
+        # only what this program wrote is shown as a page: a dropped one could speak in its name
+        shown = None if name == REPORT else path.name
+        return FileResponse(path, filename=shown, headers={"cache-control": "no-store"})
 
     @app.post("/stop")
     def stop() -> Response:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 from nicegui import ui
 
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet.pipeline.identification import grouped
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.steps import BOARDS
 from ultraquiet.workbench.engine.written.script import lines_of
@@ -142,26 +143,38 @@ def _boards(view: View, place: Any) -> None:
             redo = button("Redo", session.redo, "redo", tip="Ctrl+Shift+Z")
             undo.set_enabled(session.can_undo)
             redo.set_enabled(session.can_redo)
+        missing = [item for board in BOARDS for item in session.items(board) if not item.ready]
+        if missing and all(job.over for job in view.jobs.recent):
+            button(f"Make what is missing ({len(missing)})", lambda: _make_all(view), "make-all", main=True)
         for board in BOARDS:
             heading(TITLES[board])
             if not session.state[board]:
                 ui.label("nothing yet").classes("uq-words caption")
-            for item in session.items(board):
-                _entry(view, item)
+            for name, members in grouped(session.state[board]).items():
+                _entry(view, session.item(board, members[0]), name, members)
 
 
-def _entry(view: View, item: Item) -> None:
+def _make_all(view: View) -> None:
+    for board in BOARDS:
+        for item in view.session.items(board):
+            if not item.ready:
+                making(view, board, item.name)
+
+
+def _entry(view: View, item: Item, label: str, members: list[str]) -> None:
+    """Show an item, or the several records of one group as one."""
     session = view.session
     stale = session.stale(item.board, item.name)
     colour = view.colours(item.board).get(item.name, "measured") if item.board in ("models", "laws") else "measured"
     shown = item.name in view.shown(item.board)
     row = ui.element("div").classes("uq-item" + (" shown" if shown else "") + (" stale" if stale else ""))
     row.props(f'data-testid="item-{item.board}-{item.name}" tabindex="0" role="button" aria-pressed="{shown}"')
-    row.on("click", lambda: view.toggle(item.board, item.name))
-    row.on("keydown.enter", lambda: view.toggle(item.board, item.name))
+    row.on("click", lambda: view.toggle(item.board, members))
+    row.on("keydown.enter", lambda: view.toggle(item.board, members))
     with row:
         ui.element("span").classes("uq-dot").style(f"background: var(--uq-{colour})")
-        ui.label(item.name).classes("uq-item-name").tooltip(item.name)
+        text = label if len(members) == 1 else f"{label} ×{len(members)}"
+        ui.label(text).classes("uq-item-name").tooltip(", ".join(members))
         if item.board in ("models", "laws") and session.state[item.board[:-1]] == item.name:
             ui.label("★").classes("uq-star").tooltip("the study's own")
         if stale is not None:

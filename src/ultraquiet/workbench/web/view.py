@@ -75,11 +75,16 @@ class View:
         chosen = self.session.state.get({"models": "model", "laws": "law"}.get(board, ""))
         return law_colours(self.session.state[board], chosen)
 
-    def toggle(self, board: str, name: str) -> None:
-        """Show an item, or no longer."""
+    def toggle(self, board: str, members: list[str]) -> None:
+        """Show an item, or the records of a group, or no longer; of records one group at a time."""
         names = self.shown(board)
-        many = [each for each in names if each != name] if name in names else [*names, name]
-        self.set(**{board: ",".join(many[-MOST:])})
+        if board == "data":
+            many = [] if names == members[:MOST] and "data" in self.params else members[:MOST]
+        elif members[0] in names:
+            many = [each for each in names if each not in members]
+        else:
+            many = [*names, *members][-MOST:]
+        self.set(**{board: ",".join(many)})
 
     def set(self, **params: str | None) -> None:
         """Change what the address says, and with it what is shown."""

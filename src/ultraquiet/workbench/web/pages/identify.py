@@ -6,9 +6,10 @@ import numpy as np
 from nicegui import ui
 
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
+from ultraquiet.pipeline.identification import grouped
 from ultraquiet.workbench.figures.responses import Modelled, pole_map, response_grid
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, table, words
+from ultraquiet.workbench.web.controls import button, field, heading, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
 from ultraquiet.workbench.web.pages.spectra import measured_of
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
@@ -46,7 +47,8 @@ class _Identify:
 
     def _settings(self) -> None:
         heading("Identify")
-        self.record = choice("from the record", self._records(), "identify-record", self._first(), lambda _: None)
+        self.record = ui.select(self._records(), label="from the records", value=self._first(), multiple=True)
+        self.record.props('dense outlined options-dense use-chips data-testid="identify-record"').classes("w-full")
         self.period = field("period (samples)", "period", "", "none: one record that moves all inputs")
         self.form = MethodForm("identify", "box-jenkins", names=list(WHOLE))
         self.name = field("name of the model", "model-name", "", "method and order")
@@ -62,28 +64,28 @@ class _Identify:
         ui.link("Design a law", self.view.link("Design")).props('data-testid="to-design"')
 
     def _records(self) -> list[str]:
-        from ultraquiet.pipeline.identification import grouped
-
         names = list(self.view.session.state["data"])
         return list(dict.fromkeys([*grouped(names), *names]))
 
-    def _first(self) -> str | None:
-        shown = self.view.shown("data")
-        return shown[-1] if shown else None
+    def _first(self) -> list[str]:
+        shown, groups = self.view.shown("data"), grouped(list(self.view.session.state["data"]))
+        return [name for name, members in groups.items() if set(members) & set(shown)][-1:]
+
+    def _members(self) -> list[str]:
+        groups = grouped(list(self.view.session.state["data"]))
+        return [each for name in self.record.value or [] for each in groups.get(name, [name])]
 
     def _identify(self) -> None:
         table_ = self.form.table()
         if table_ is None:
             return
-        if self.record.value is None:
+        if not self.record.value:
             say("identify: there is no record yet; drop a file on Records.")
             return
         self._take(table_, str(self.name.value or ""))
 
     def _take(self, method: dict[str, Any], name: str) -> None:
-        from ultraquiet.pipeline.identification import grouped
-
-        names = grouped(list(self.view.session.state["data"])).get(self.record.value, [self.record.value])
+        names = self._members()
         try:
             period = int(self.period.value) if self.period.value else None
         except ValueError:
@@ -98,12 +100,13 @@ class _Identify:
 
     def _try(self) -> None:
         made = self.form.table()
-        if made is None or self.record.value is None:
+        members = self._members()
+        if made is None or not members:
             return
         bare = {key: value for key, value in made.items() if key != "order"}
         ui.notify(f"Trying orders {TRIED[0]} to {TRIED[-1]} of {bare['method']} …", timeout=3000)
         self._tried = bare
-        self._orders.ask("orders", "orders", self._show_orders, data=self.record.value, method=bare, tried=TRIED)
+        self._orders.ask("orders", "orders", self._show_orders, data=members[0], method=bare, tried=TRIED)
 
     def _show_orders(self, found: dict[str, Any], _: Any) -> None:
         rows = [row for row in found["rows"] if "unseen" in row]
@@ -135,7 +138,7 @@ class _Identify:
             return
         self._drawn = asked
         if data:
-            names, settings = [data[-1].name], {"estimator": "H1"}
+            names, settings = [item.name for item in data], {"estimator": "H1"}
             self._looker.ask("response", "frequency response", self._measure, names=names, settings=settings)
         else:
             self._draw()
