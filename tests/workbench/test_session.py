@@ -5,8 +5,8 @@ import shutil
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
+from workbench_helpers import columns, csv_of
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError, StorageError
@@ -15,32 +15,8 @@ from ultraquiet.pipeline.study import parse
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.making.imports import import_step, inside, received
 
-RATE = 200.0
 IDENTIFY = {"op": "identify", "name": "arx4", "records": ["fit"], "period_samples": None}
 METHOD = {"method": "arx", "order": 4}
-
-
-def csv_of(path: Path, seed: int, inputs: int = 1, outputs: int = 1, scale: float = 1.0, samples: int = 1500) -> Path:
-    """A lightly damped bench, its columns named and in units."""
-    draws = np.random.default_rng(seed)
-    u = draws.standard_normal((inputs, samples))
-    y = 0.01 * draws.standard_normal((outputs, samples))
-    for i in range(outputs):
-        for j in range(inputs):
-            pole = 0.97 * np.exp(2j * np.pi * (8 + 3 * i + 2 * j) / RATE)
-            h = np.real(pole ** np.arange(400)) * (1.0 if i == j else 0.3) * 0.1
-            y[i, 1:] += np.convolve(u[j], h)[: samples - 1]
-    names = [f"force {j + 1} [N]" for j in range(inputs)] + [f"speed {i + 1} [m/s]" for i in range(outputs)]
-    rows = np.column_stack([np.arange(samples) / RATE, u.T, scale * y.T])
-    path.write_text("time [s]," + ",".join(names) + "\n" + "\n".join(",".join(f"{v:.12g}" for v in r) for r in rows))
-    return path
-
-
-def columns(inputs: int, outputs: int) -> dict[str, list[dict[str, str]]]:
-    return {
-        "inputs": [{"column": f"force {j + 1}", "unit": "N"} for j in range(inputs)],
-        "outputs": [{"column": f"speed {i + 1}", "unit": "m/s"} for i in range(outputs)],
-    }
 
 
 @pytest.fixture

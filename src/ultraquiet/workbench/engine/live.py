@@ -41,7 +41,10 @@ class Notched:
 
 @dataclass(frozen=True, eq=False)
 class LiveLoop:
-    """Responses `(., ., nf)` of a loop and its margins from below, at both ends."""
+    """Responses `(., ., nf)` of a loop and its margins from below, at both ends.
+
+    `S` is taken over the directions that the inputs reach, as `analyse.band_attenuation` takes it.
+    """
 
     f_hz: FloatArray
     S: ComplexArray
@@ -107,9 +110,11 @@ def live_loop(G: ComplexArray, K: ComplexArray, f_hz: FloatArray, hand: Notched 
     Si: Any = np.linalg.inv(np.eye(nu) - k @ g)
     disk = {end: _least(S) for end, S in (("input", Si), ("output", So))}
     channels = {end: _each(S) for end, S in (("input", Si), ("output", So))}
-    sizes = np.linalg.svd(So, compute_uv=False)[:, 0]
+    # with more outputs than inputs, no law attenuates the directions that the inputs do not reach
+    reached: Any = So @ np.linalg.qr(g)[0] if ny > nu else So
+    sizes = np.linalg.svd(reached, compute_uv=False)[:, 0]
     at = int(np.argmax(sizes))
-    back: list[Any] = [np.moveaxis(x, 0, 2) for x in (So, So - np.eye(ny), k @ So)]
+    back: list[Any] = [np.moveaxis(x, 0, 2) for x in (reached, So - np.eye(ny), k @ So)]
     peak_db = 20 * float(np.log10(sizes[at]))
     return LiveLoop(f_hz, back[0], back[1], back[2], disk, channels, peak_db, float(f_hz[at]))
 

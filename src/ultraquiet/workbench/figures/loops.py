@@ -9,7 +9,11 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark, Region
 from ultraquiet.workbench.figures.scale import Scale
 
-MEMBERS = {"S": "sensitivity S", "T": "complementary sensitivity T", "KS": "control effort K S"}
+MEMBERS = {
+    "S": "S: what the law leaves of a disturbance, in the directions that the inputs reach",
+    "T": "T: what it makes of sensor noise at the outputs",
+    "KS": "K S: what it asks of the actuators",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +51,9 @@ def loop_grid(
             shown = scale.y(bound.sizes[member])
             curves.append(Curve("bound of the weight", scale.x(bound.f_hz), shown, "chosen", "--"))
         regions, marks = _asked(asked, scale) if member == "S" else ([], [])
-        axis = scale.gains(words, unit if member == "KS" else "")
+        axis = scale.gains(member, unit if member == "KS" else "")
         height = 250 if member == "S" else 200
-        panels.append(ChartPanel(scale.frequencies(), axis, curves, regions=regions, marks=marks, height=height))
+        panels.append(ChartPanel(scale.frequencies(), axis, curves, words, regions, marks, height))
     return Chart("loops", title, caption, panels, columns=1, legend="below")
 
 

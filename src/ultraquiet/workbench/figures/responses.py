@@ -73,7 +73,7 @@ def pole_map(title: str, models: Mapping[str, tuple[ComplexArray, str]]) -> Char
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = Curve("unit circle", np.cos(angle), np.sin(angle), "muted", ":", "path")
     points = [Curve(name, p.real, p.imag, colour, kind="points", symbol="x") for name, (p, colour) in models.items()]
-    panel = ChartPanel(Axis("real part"), Axis("imaginary part"), [circle, *points], aspect=1.15, height=300)
+    panel = ChartPanel(Axis("real part"), Axis("imaginary part"), [circle, *points], height=340)
     return Chart("poles", title, "Inside the circle: stable.", [panel])
 
 

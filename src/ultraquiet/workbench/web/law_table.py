@@ -11,7 +11,7 @@ from ultraquiet.workbench.web.shell import doing, making, say
 from ultraquiet.workbench.web.view import View
 
 ASKED = {"attenuation_db": "quieter by (dB)", "peak_db": "peak at most (dB)", "disk_margin": "disk margin at least"}
-COLUMNS = ("law", "method", "states", "quieter by", "peak of S", "disk, input", "disk, output", "asked", "loop")
+COLUMNS = ("law", "method", "states", "quieter by", "peak of S", "disk in / out", "asked", "loop")
 
 
 class LawTable:
@@ -110,16 +110,14 @@ def judged(facts: dict[str, Any], asked: dict[str, Any]) -> str:
 def _row(item: Item, view: View) -> tuple[str, ...]:
     facts = item.facts
     margins, peak = facts["margins"], facts["peaks"]["S"]
-    low, high = facts["band_hz"]
-    quiet = "" if facts["attenuation_db"] is None else f"{facts['attenuation_db']:.1f} dB, {low:.3g}-{high:.3g} Hz"
+    quiet = "" if facts["attenuation_db"] is None else f"{facts['attenuation_db']:.1f} dB"
     return (
         item.name,
         item.recipe["method"]["method"],
         str(facts["states"]),
         quiet,
         "infinite" if peak[0] is None else f"{peak[0]:.1f} dB at {peak[1]:.3g} Hz",
-        f"{margins['input']['disk_all']:.2f}",
-        f"{margins['output']['disk_all']:.2f}",
+        f"{margins['input']['disk_all']:.2f} / {margins['output']['disk_all']:.2f}",
         judged(facts, view.session.state["tables"].get("requirements", {})) or "nothing",
         facts["status"],
     )

@@ -25,7 +25,7 @@ from ultraquiet.workbench.web.pages.all_pages import add_pages
 from ultraquiet.workbench.web.place import ServedStudy
 
 HERE = Path(__file__).parent / "static"
-PATIENCE_S = 2
+PATIENCE_S, BACKLOG = 2, 128
 REPORT = "report.html"
 
 
@@ -81,6 +81,7 @@ def _listener(port: int) -> socket.socket:
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((HOSTS[0], port))
+        listener.listen(BACKLOG)  # whoever reads the address may call at once, and waits until there is an answer
     except OSError as error:
         listener.close()
         raise StorageError(

@@ -103,7 +103,9 @@ def directions(name: str, plant: StateSpace, law: StateSpace, found: Any, scale:
     """Return by how much the best and the worst direction are quieter, on the model and as measured."""
     known = responses(plant, law)
     g, k = np.moveaxis(known.G, 2, 0), np.moveaxis(known.K, 2, 0)
-    sizes = np.linalg.svd(np.linalg.inv(np.eye(g.shape[1]) - g @ k), compute_uv=False)
+    S = np.linalg.inv(np.eye(g.shape[1]) - g @ k)
+    reached = S @ np.linalg.qr(g)[0] if g.shape[1] > g.shape[2] else S
+    sizes = np.linalg.svd(reached, compute_uv=False)
     x = scale.x(known.f_hz)
     curves = [
         Curve("model, worst direction", x, scale.y(sizes[:, 0]), "chosen", "--"),
@@ -131,7 +133,7 @@ def noise_figure(name: str, plant: StateSpace, law: StateSpace) -> Chart:
     panels = []
     for i, wire in enumerate(plant.sensors):
         opened, quiet = (np.sqrt(np.sum(np.abs(r[:, i, :]) ** 2, axis=1)) for r in (g, closed))
-        axes = Axis("frequency (Hz)", "log"), Axis(f"{wire.unit or 'output'} per unit at the inputs", "log")
+        axes = Axis("frequency (Hz)", "log"), Axis(f"{wire.unit} per input".strip(), "log")
         curves = [Curve("without", f, opened, "open"), Curve("with the law", f, quiet, "chosen")]
         panels.append(ChartPanel(*axes, curves, title=wire.name, height=170))
     title = f"White disturbances at all inputs: what each output reads, without and with {name}"

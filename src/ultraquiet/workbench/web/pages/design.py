@@ -183,6 +183,7 @@ def _slider(label: str, mark: str, low: float, high: float, step: float, move: A
         told.text = f"{label.partition(' (')[0]}: {value}"
 
     made.on_value_change(tell)
+    tell()
     made.on("update:model-value", move, throttle=THROTTLE_S, leading_events=True, trailing_events=True)
     if let_go is not None:
         made.on("change", let_go)

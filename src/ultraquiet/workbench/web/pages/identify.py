@@ -36,11 +36,7 @@ class _Identify:
         with columns.main:
             self._candidates = ui.element("div")
             self.responses = ChartElement(view.frames, "models-chart")
-            with (
-                ui.element("div")
-                .classes("uq-figures")
-                .style("grid-template-columns: repeat(auto-fit, minmax(360px, 1fr))")
-            ):
+            with ui.element("div").classes("uq-figures").style("grid-template-columns: minmax(0, 1fr) minmax(0, 1fr)"):
                 self.orders = ChartElement(view.frames, "orders-chart", on_point=self._picked)
                 self.poles = ChartElement(view.frames, "poles-chart")
         view.watch(self._refresh)
