@@ -63,7 +63,7 @@ def test_every_route_wants_the_token(made, path):
 def test_the_cookie_is_as_good_as_the_token_and_another_is_not(made):
     assert asked(made, "/study/mine.txt", Cookie=with_cookie(made))[2] == "mine"
     assert asked(made, "/study/mine.txt", Cookie=f"ultraquiet-{made.port}=wrong")[0] == 403
-    assert asked(made, "/study/mine.txt", Cookie="=;;\x7f")[0] == 403
+    assert asked(made, "/study/mine.txt", Cookie="=;;\x7f")[0] in (400, 403)
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,8 @@ def _closed(field: "Field[Any]") -> bool:
 def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
     unit = UNITS.get(field.name.rpartition("_")[2], "")
     allowed, choices = _allowed(kind, field)
+    if choices and _shown(field) not in choices:
+        choices = (_shown(field), *choices)
     flag = field.type is bool or field.type == "bool"
     form = "flag" if flag else "choice" if choices else "text"
     plain = field.type in SIMPLE or any(each in str(field.type) for each in ("int |", "float |", "tuple[float, float]"))

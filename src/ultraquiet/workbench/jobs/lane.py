@@ -8,6 +8,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
@@ -133,11 +134,15 @@ class Lane:
 
     def _read(self, process: "subprocess.Popen[str]") -> None:
         assert process.stdout is not None
+        assert process.stdin is not None
         for line in process.stdout:
             with self._lock:
                 self._heard(json.loads(line))
             self._told()
         code = process.wait()
+        process.stdout.close()
+        with suppress(OSError):  # what it was told last may never have reached it
+            process.stdin.close()
         with self._lock:
             if process is self._process:
                 self._process = None

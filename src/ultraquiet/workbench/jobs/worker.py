@@ -7,15 +7,20 @@ works, then either `result` or `failed`, a sentence.
 import base64
 import json
 import os
+import signal
 import sys
+import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.progress import listening
 from ultraquiet.workbench.jobs.tasks import TASKS
+
+PARENT_S = 1.0
 
 
 class Teller:
@@ -74,10 +79,19 @@ def _text(signals: Any) -> str:
     return base64.b64encode(signals.tobytes()).decode()
 
 
+def _end_with(parent: int) -> None:
+    """End this process when the server is gone, however long its job still is."""
+    while os.getppid() == parent:
+        time.sleep(PARENT_S)
+    os._exit(1)
+
+
 def main() -> None:
     """Answer until the input ends."""
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # what a library prints must not stand between the answers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends its workers
+    Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
     for line in sys.stdin:
         answer(Path(sys.argv[1]), json.loads(line), out)
 

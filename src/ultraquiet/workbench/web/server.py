@@ -1,6 +1,5 @@
 """`ultraquiet serve`: one study, one port of this machine, one token, until it is stopped."""
 
-import asyncio
 import contextlib
 import signal
 import socket
@@ -34,13 +33,15 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Generator[None]:
-        """Stop serving on SIGINT and SIGTERM."""
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._stop)
+        """Leave signals to `stops_on_signals`."""
         yield
 
-    def _stop(self) -> None:
+    def stops_on_signals(self) -> None:
+        """Stop serving on SIGINT and SIGTERM, from now on and not only once the server is up."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._stop)
+
+    def _stop(self, *_: Any) -> None:
         self.force_exit, self.should_exit = self.should_exit, True
 
 
@@ -66,6 +67,7 @@ def serve(folder: Path, port: int = 0, opens: bool = False) -> None:
         app, log_level="warning", access_log=False, lifespan="on", timeout_graceful_shutdown=PATIENCE_S, ws="auto"
     )
     server = _Server(config)
+    server.stops_on_signals()
     place.jobs.warm()
     print(address, flush=True)
     if opens:
