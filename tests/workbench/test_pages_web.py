@@ -238,7 +238,9 @@ def test_every_page_fits_its_window(finished, tmp_path_factory, size, scheme):
     with served(finished) as made, browser(made, *size, scheme) as seen:
         for page in PAGES:
             seen.go(page)
-            seen.page.wait_for_timeout(2500)
+            if page not in ("bench", "deploy", "report"):
+                seen.find("main", "canvas")
+            seen.page.wait_for_timeout(1500)
             seen.page.screenshot(path=pictures / f"{page}-{size[0]}-{scheme}.png", full_page=True)
             wide = seen.page.evaluate("document.documentElement.scrollWidth")
             assert wide <= size[0], f"{page} is {wide} wide"

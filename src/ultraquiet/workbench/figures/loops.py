@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark, Region
 from ultraquiet.workbench.figures.scale import Scale
 
+FEW = 4  # channels whose names stand side by side in half a figure
 MEMBERS = {
     "S": "S: what the law leaves of a disturbance, in the directions that the inputs reach",
     "T": "T: what it makes of sensor noise at the outputs",
@@ -71,7 +72,8 @@ def margin_bars(
         marks = [Mark("asked", y=0.2, colour="fragile")]
         axes = Axis(f"channels at the plant's {end}", names=list(names[end])), Axis("disk margin")
         panels.append(ChartPanel(*axes, curves, title=f"at the plant's {end}", marks=marks, height=170))
-    return Chart("margins", "Disk margins, channel by channel", "", panels, columns=2)
+    many = max((len(each) for each in names.values()), default=0)
+    return Chart("margins", "Disk margins, channel by channel", "", panels, columns=2 if many <= FEW else 1)
 
 
 def sizes_of(f_hz: FloatArray, S: np.ndarray, T: np.ndarray, KS: np.ndarray) -> Sizes:

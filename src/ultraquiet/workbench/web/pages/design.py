@@ -28,7 +28,7 @@ class _Design:
     def __init__(self, view: View, columns: Columns) -> None:
         self.view, self._drawn = view, None
         self._known: dict[str, tuple[str, Responses]] = {}
-        self._hand = Notched()
+        self._touched = False
         with columns.main:
             self.table = LawTable(view)
             self.chart = ChartElement(view.frames, "loop-chart")
@@ -54,9 +54,9 @@ class _Design:
             "caption",
         )
         self.sliders = {
-            "low": _slider("band from (decades of Hz)", "band-low", -2, 4, 0.01, self._move, self._let_go),
-            "high": _slider("band to (decades of Hz)", "band-high", -2, 4, 0.01, self._move, self._let_go),
-            "height": _slider("height of the weight (dB)", "height", 0, 60, 0.5, self._move, self._let_go),
+            "low": _slider("band from (decades of Hz)", "band-low", -2, 4, 0.01, self._shape, self._let_go),
+            "high": _slider("band to (decades of Hz)", "band-high", -2, 4, 0.01, self._shape, self._let_go),
+            "height": _slider("height of the weight (dB)", "height", 0, 60, 0.5, self._shape, self._let_go),
             "gain": _slider("gain of the law (dB)", "gain", -20, 20, 0.1, self._move, None),
             "notch": _slider("notch at (decades of Hz)", "notch", -2, 4, 0.01, self._move, None),
             "depth": _slider("depth of the notch (dB)", "depth", 0, 60, 0.5, self._move, None),
@@ -71,7 +71,8 @@ class _Design:
             return
         self._band = tuple(self.view.session.state["tables"].get("closed_loop", {}).get("band_hz") or ())
         rate = float(item.facts["rate_hz"])
-        low, high = self._band or (rate / 350, rate / 35)
+        made = next((law.facts.get("band_hz") for law in self.view.ready("laws")), None)
+        low, high = self._band or made or (rate / 350, rate / 35)
         for key, value in (
             ("low", np.log10(low)),
             ("high", np.log10(high)),
@@ -108,6 +109,11 @@ class _Design:
         if "height" in self.form.names():
             self.form.put("height", 10 ** (at["height"] / 20))
         self._design()
+
+    def _shape(self, *_: Any) -> None:
+        """Show what a weight with this band would press S under."""
+        self._touched = True
+        self._move()
 
     def _move(self, *_: Any) -> None:
         """Show what a hand moves, from responses alone."""
@@ -164,7 +170,7 @@ class _Design:
         return live_loop(known.G, known.K, known.f_hz, hand)
 
     def _bound(self, known: Responses) -> Sizes | None:
-        if "height" not in self.form.names():
+        if not self._touched or "height" not in self.form.names():
             return None
         at = self._slid()
         band = sorted((10 ** at["low"], 10 ** at["high"]))
