@@ -7,6 +7,7 @@ from typing import Any
 
 from ultraquiet._base.beside import beside
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
@@ -19,6 +20,7 @@ from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFa
 from ultraquiet.pipeline.facts.mission import CampaignFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.further_units import further
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
@@ -237,10 +239,21 @@ class Stages:
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
         compute = partial(identification.plant, self.records, settings)
-        key = [self._record_hashes, _key(settings)]
+        key = [self._record_hashes, settings.model_dump(exclude={"units"})]
         outcome = self.cache.stage("plant", "models", key, PlantFacts, compute)
         self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
         return outcome
+
+    @cached_property
+    def _further(self) -> dict[str, Outcome[PlantFacts]]:
+        """Models of the bench's further units, for designs that hold on several."""
+        settings, found = self.study.plant, {}
+        for unit in settings.units if self.bench is not None else ():
+            compute = partial(further, self.bench, unit, self.records, settings)
+            key = [self._record_hashes, settings.model_dump(exclude={"units"}), self.bench_key, unit]
+            found[unit] = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
+            self.say(f"plant for design, {unit}: {found[unit].facts.states} states, {found[unit].facts.status}")
+        return found
 
     def _models_key(self, plant: StateSpace) -> list[Any]:
         return [self._record_hashes, self.study.identify, self.bench_key, plant.hash]
@@ -270,8 +283,11 @@ class Stages:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
         promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
+        several = getattr(lookup("design", settings.design.method), "several_plants", False)
+        others = self._further if several else {}
         key = [plant.hash, _key(settings.design), promised]
-        compute = partial(control.designed, name, plant, settings, loop)
+        key += [{unit: outcome.values[stored.PLANT].hash for unit, outcome in others.items()}] if others else []
+        compute = partial(control.designed, name, plant, settings, loop, others)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
