@@ -29,11 +29,17 @@ def further(bench: Any, unit: str, records: Mapping[str, Record], settings: Plan
         for name in names:
             again[name] = other.run(records[name].inputs)
             progress.advance(note=name)
-    return plant(again, settings)
+    found = plant(again, settings)
+    return Outcome(found.facts, {of_unit(unit): found.values[stored.PLANT]})
+
+
+def of_unit(unit: str) -> str:
+    """Return the name under which the model of a further unit is kept."""
+    return f"{stored.PLANT}-{unit}"
 
 
 def for_method(method: Any, first: StateSpace, others: Mapping[str, Outcome[PlantFacts]]) -> Any:
     """Return what a design is given: all plants where it takes several, else the first."""
     if not others or not getattr(method, "several_plants", False):
         return first
-    return [first, *(outcome.values[stored.PLANT] for outcome in others.values())]
+    return [first, *(outcome.values[of_unit(unit)] for unit, outcome in others.items())]

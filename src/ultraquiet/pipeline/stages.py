@@ -20,7 +20,7 @@ from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFa
 from ultraquiet.pipeline.facts.mission import CampaignFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
-from ultraquiet.pipeline.further_units import further
+from ultraquiet.pipeline.further_units import further, of_unit
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
@@ -286,7 +286,7 @@ class Stages:
         several = getattr(lookup("design", settings.design.method), "several_plants", False)
         others = self._further if several else {}
         key = [plant.hash, _key(settings.design), promised]
-        key += [{unit: outcome.values[stored.PLANT].hash for unit, outcome in others.items()}] if others else []
+        key += [{unit: outcome.values[of_unit(unit)].hash for unit, outcome in others.items()}] if others else []
         compute = partial(control.designed, name, plant, settings, loop, others)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
