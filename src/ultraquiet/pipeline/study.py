@@ -94,10 +94,15 @@ class IdentifyTable(Strict):
 
 
 class Plant(Method):
-    """`[plant]`: how the design model is identified, from which groups of records; a period makes them responses."""
+    """`[plant]`: how the design model is identified, from which groups of records; a period makes them responses.
+
+    `units` are further ones of the bench: each gives records of the same signals and a model of its own, for designs
+    that hold on several plants at once. Others take the model of the study's unit alone.
+    """
 
     records: list[str] = Field(min_length=1)
     period_samples: int | None = Field(default=None, ge=2)
+    units: list[str] = Field(default=[])
 
 
 class Design(Strict):
@@ -212,7 +217,8 @@ def quick_study(study: Study) -> Study:
     sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
     paper = study.paper and study.paper.model_copy(update={"records": study.paper.records[:1]})
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
-    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop})
+    plant = study.plant.model_copy(update={"units": []})
+    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop, "plant": plant})
 
 
 def reload_study(folder: Path) -> Study:
