@@ -7,9 +7,10 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.campaigns.drawing import drawn_bench, drawn_parameters
-from ultraquiet.simulate.campaigns.evaluation import Campaign
+from ultraquiet.simulate.campaigns.evaluation import Campaign, Tuning
 from ultraquiet.simulate.campaigns.run import is_of, run_campaign
 from ultraquiet.simulate.commissioning.commission import Commissioning, CommissioningStep, commission
+from ultraquiet.simulate.commissioning.tuning import Tuned, tune_in_place
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.noise import NoiseReduction, noise_reduction
 from ultraquiet.simulate.open_loop import OpenLoop
@@ -34,6 +35,8 @@ __all__ = [
     "PayloadSetup",
     "PayloadVibration",
     "StepReduction",
+    "Tuned",
+    "Tuning",
     "attenuation",
     "campaign",
     "check_stability",
@@ -48,4 +51,5 @@ __all__ = [
     "noise_reduction",
     "run_campaign",
     "step_reduction",
+    "tune_in_place",
 ]

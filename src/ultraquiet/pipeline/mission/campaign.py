@@ -11,6 +11,7 @@ import numpy as np
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import write_bytes
+from ultraquiet.identify import Rational
 from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
@@ -67,7 +68,16 @@ def defined(study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: Ca
     units = tuple((unit, as_unit(bench, unit)) for unit in plan.units)
     for _, each in units:
         simulate.drawn_bench(each, table.first_seed)
-    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed)
+    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed, _tuning(study, table))
+
+
+def _tuning(study: Study, table: CampaignTable) -> simulate.Tuning | None:
+    if not table.tune:
+        return None
+    identify = study.plant.make("identify")
+    if not isinstance(identify, Rational):
+        raise InputError("campaign: 'tune' fits responses; give [plant] the method \"rational\".")
+    return simulate.Tuning(study.controllers[law_of(study, table)].design.make("design"), identify)
 
 
 def conducted(campaign: simulate.Campaign, name: str, table: CampaignTable, folder: Path, how: How) -> CampaignOutcome:

@@ -54,6 +54,8 @@ class CampaignTable(Strict):
         law: which of the controllers; that of `[requirements]` when absent, else the first.
         first_seed: case k is drawn by the seed `first_seed` + k.
         keep: how many of the worst cases are named.
+        tune: make the law again on each drawn bench, from a record of it, by the design and the identification of the
+            study; one that begins with a law begins with the study's.
     """
 
     benches: Annotated[int, Field(ge=1)] = 50
@@ -61,3 +63,4 @@ class CampaignTable(Strict):
     law: str | None = None
     first_seed: Annotated[int, Field(ge=0)] = 0
     keep: Annotated[int, Field(ge=1, le=100)] = 5
+    tune: bool = False
