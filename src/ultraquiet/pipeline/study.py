@@ -10,6 +10,7 @@ from pydantic import AfterValidator, AliasChoices, ConfigDict, Field, PrivateAtt
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes, TableError, read_toml
+from ultraquiet._base.regular import read_regular_text
 from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
@@ -222,7 +223,7 @@ def reload_study(folder: Path) -> Study:
     """
     path = folder / "study.json"
     try:
-        return Study.model_validate_json(path.read_text(encoding="utf-8"))
+        return Study.model_validate_json(read_regular_text(path))
     except (OSError, UnicodeDecodeError, ValidationError) as error:
         raise InputError(f"report: '{folder}' holds no study that can be read ({type(error).__name__}).") from error
 
@@ -234,7 +235,7 @@ def load_study(path: Path) -> Study:
         InputError: the file is missing, or a `StudyError` as of `parse`.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_regular_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"study: '{path}' cannot be read ({reason(error)}).") from error
     return parse(text, str(path))

@@ -4,6 +4,7 @@ May be changed here: how loops are run and what is measured of them. A bench is 
 `ultraquiet.bench`; a controller acts as u = K y.
 """
 
+from ultraquiet._base.shown import show
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.campaigns.drawing import drawn_bench, drawn_parameters
@@ -53,3 +54,5 @@ __all__ = [
     "step_reduction",
     "tune_in_place",
 ]
+
+show(globals(), __all__)
