@@ -16,7 +16,7 @@ from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, Wor
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Study
-from ultraquiet.pipeline.tables.mission import CampaignTable
+from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable
 from ultraquiet.simulate.campaigns import findings
 from ultraquiet.simulate.campaigns.evaluation import DRAWN, Row
 from ultraquiet.simulate.campaigns.run import write_table
@@ -42,8 +42,8 @@ class How:
     replay: str = "ultraquiet campaign STUDY.toml"
 
 
-def law_of(study: Study, table: CampaignTable) -> str:
-    """Return the name of the law that a campaign is about.
+def law_of(study: Study, table: CampaignTable | CommissionTable) -> str:
+    """Return the name of the law that a campaign or a commissioning is about.
 
     Raises:
         InputError: the study designs no such law.

@@ -30,6 +30,7 @@ def report(result: StudyResult) -> Report:
         loops.design(result),
         *([] if bench is None else [loops.closed_loop(result)]),
         *([mission.payload(result)] if result.payload else []),
+        *([] if result.commissioning is None else [mission.commissioning(result.commissioning.facts)]),
         *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
         limits.limits(result),
         loops.code(result),
