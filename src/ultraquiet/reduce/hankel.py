@@ -58,6 +58,11 @@ class HankelNorm:
         """
         if plant is not None:
             fits("HankelNorm", controller, plant)
+        if self.states >= controller.states:
+            # nothing is to be left out, be it round-off: the system is returned as it came
+            P_loop = None if plant is None else judging_plant(plant, weights)
+            hankel = _balanced_values(controller, self.slowest_hz)
+            return certified(controller, controller, hankel, P=P_loop, details={"bound": 0.0})
         stable, kept, _ = split(controller, self.slowest_hz)
         keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
         discrete = controller.rate_hz is not None
@@ -69,6 +74,13 @@ class HankelNorm:
         P_loop = None if plant is None else judging_plant(plant, weights)
         result = certified(controller, small, hankel, P=P_loop, details={"bound": bound})
         return kept_promise(result, controller, plant)
+
+
+def _balanced_values(controller: StateSpace, slowest_hz: float) -> FloatArray:
+    """Return the Hankel values of the part that decays faster than the slowest frequency."""
+    stable, _, _ = split(controller, slowest_hz)
+    R, L = balance.gramian_factors(*stable[:3], discrete=controller.rate_hz is not None)
+    return np.asarray(np.linalg.svd(L.T @ R, compute_uv=False), dtype=np.float64)
 
 
 def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray, float]:
