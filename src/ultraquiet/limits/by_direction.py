@@ -13,6 +13,7 @@ from ultraquiet.limits.demands import Wishes, largest_control
 from ultraquiet.limits.directions import AllActuators, along, coupling_db, principal
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "by_direction"
@@ -35,6 +36,7 @@ class DirectionLimit:
     coupling_db: float
 
 
+@takes_systems
 @single_threaded
 def by_direction(
     plant: StateSpace,

@@ -13,6 +13,7 @@ from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_dis
 from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.reduce._abstract import ReductionResult, Weights, joined, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 MINIMAL = 1e-13  # states with Hankel values below this share of the largest are round-off
@@ -48,6 +49,7 @@ class HankelNorm:
         whole("HankelNorm", "states", self.states, 0)
         between("HankelNorm", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
+    @takes_systems
     @single_threaded
     def reduce(
         self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None

@@ -18,6 +18,7 @@ from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
@@ -32,6 +33,7 @@ class _Settings(StatedRobustness):
     seed: int
 
 
+@takes_systems
 @single_threaded
 def synthesize_structured(
     P: StateSpace,

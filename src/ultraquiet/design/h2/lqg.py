@@ -30,6 +30,7 @@ from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import full
 from ultraquiet.values.interconnect import append, feedback, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
@@ -127,6 +128,7 @@ class Lqg(StatedRobustness):
             if model is not None and not isinstance(model, StateSpace):
                 object.__setattr__(self, name, frozen(real_array("Lqg", name, model, 2)))
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a discrete plant.
