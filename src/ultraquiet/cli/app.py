@@ -12,9 +12,10 @@ from ultraquiet.cli import convert, design, doctor, identify, inspect, methods, 
 from ultraquiet.cli.deploy import command as deploy
 from ultraquiet.cli.exits.codes import EPILOG, ExitCode, exit_code
 from ultraquiet.cli.experiment import command as experiment
-from ultraquiet.cli.loop import analyse, simulate
+from ultraquiet.cli.loop import analyse, campaign, simulate
 from ultraquiet.cli.output.options import with_options
 from ultraquiet.cli.spectra import command as spectra
+from ultraquiet.cli.workbench import command as workbench
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": study.demo,
@@ -28,9 +29,11 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "design": design.design,
     "analyse": analyse.analyse,
     "simulate": simulate.simulate,
+    "campaign": campaign.campaign,
     "deploy": deploy.deploy,
     "convert": convert.convert,
     "inspect": inspect.inspect,
+    "serve": workbench.serve,
     "methods": methods.methods,
     "doctor": doctor.doctor,
 }

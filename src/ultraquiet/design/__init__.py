@@ -1,5 +1,6 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.design.decoupling.decoupled import Decoupled, threefold
 from ultraquiet.design.decoupling.modal import Modal
 from ultraquiet.design.fixed_structure.classical import LeadLag, Notch
@@ -15,6 +16,7 @@ from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
 from ultraquiet.design.mu.dk_iteration import MuSynthesis
+from ultraquiet.design.peak_bounded.method import PeakBounded
 from ultraquiet.design.result import DesignMethod, DesignResult
 from ultraquiet.design.tones.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.tones.filtered_x_lms import FilteredXLms
@@ -39,6 +41,7 @@ __all__ = [
     "MuSynthesis",
     "Notch",
     "Opinion",
+    "PeakBounded",
     "Resonators",
     "Score",
     "Skyhook",
@@ -57,3 +60,5 @@ __all__ = [
     "verify_level",
     "worst_attenuation_db",
 ]
+
+show(globals(), __all__)

@@ -1,13 +1,14 @@
 """Everything a study knows when it is through."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.preflight import LoopPlan
@@ -32,6 +33,8 @@ class StudyResult:
     deployment: Mapping[str, DeploymentFacts]
     limits: Outcome[LimitFacts]
     requirements: RequirementsFacts | None = None
+    campaign: tuple[CampaignFacts, CampaignCurves] | None = None
+    payload: Mapping[str, Outcome[PayloadFacts]] = field(default_factory=dict[str, Outcome[PayloadFacts]])
 
     @property
     def design_plant(self) -> StateSpace:
@@ -42,6 +45,16 @@ class StudyResult:
     def preferred_model(self) -> PolynomialMatrix | None:
         """The matrix in which every channel has the model its held-out record prefers; None where none was ranked."""
         return self.identification.values.get(stored.PREFERRED)
+
+    @property
+    def laws(self) -> dict[str, StateSpace]:
+        """The laws that run, by controller; none where a design found none."""
+        return {name: outcome.values[name] for name, outcome in self.designs.items() if name in outcome.values}
+
+    @property
+    def response(self) -> FrequencyResponse | None:
+        """The response that the design model was fitted to; None where it was fitted to a record."""
+        return self.plant.values.get(stored.RESPONSE)
 
     def paper_model(self, signal: str) -> PolynomialMatrix:
         """Return the paper's structure fitted to a test signal."""

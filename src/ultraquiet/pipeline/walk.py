@@ -17,6 +17,9 @@ from ultraquiet.bench.from_file import from_file
 from ultraquiet.files import read_record, reason, write_bytes
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
+from ultraquiet.pipeline.facts.mission import CampaignFacts
+from ultraquiet.pipeline.mission.campaign import How
+from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stages import Say, Stages
 from ultraquiet.pipeline.store.copies import Copies
@@ -26,6 +29,7 @@ from ultraquiet.pipeline.store.recorded import Records
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
 from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records
+from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.report import write
 from ultraquiet.values import Record
 
@@ -34,8 +38,39 @@ STUDY_FILE = "study.json"
 
 
 @single_threaded
+def measure(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Mapping[str, Record]:
+    """Return the records of a study's list, measured where they are not there yet; `walk` goes on from them.
+
+    Args:
+        settings: the checked study; it names a bench and a list.
+        folder: where `records/` goes.
+        beside: folder of the study file.
+        say: told what was kept under another name.
+
+    Raises:
+        UltraquietError: as `walk`, up to its records.
+    """
+    own = bench_of(settings, beside)
+    if own is None:
+        raise InputError("study: it has no bench that could measure; drop files instead.")
+    bench = own if settings.blending is None else blended(own, settings.blending, beside)
+    listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
+    with locked(folder, say), _on_a_disk(folder):
+        sweep(folder)
+        _require_space(folder)
+        store = Records(listed, bench, partial(identity, own, _bench_table(settings), beside), folder, say)
+        store.claim()
+        return store.take()
+
+
+@single_threaded
 def walk(
-    settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print, record_again: bool = False
+    settings: study.Study,
+    folder: Path,
+    beside: Path | None = None,
+    say: Say = print,
+    record_again: bool = False,
+    compare: Path | None = None,
 ) -> Summary:
     """Run a study and return its summary.
 
@@ -48,11 +83,57 @@ def walk(
         beside: folder of the study file, where its experiment list is sought.
         say: told one line per finished stage.
         record_again: set finished records aside, and measure anew.
+        compare: folder of another finished study that the report sets beside this one.
 
     Raises:
         UltraquietError: a stage refuses; those before it are kept and reused.
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
+    other = None if compare is None else finished(compare)
+    with prepared(settings, folder, beside, say, record_again) as stages:
+        result = stages.run()
+        summary = summarise(result)
+        write_bytes(folder / "summary.json", to_json(summary))
+        write(report(result, other), folder / "report.html")
+        sweep(folder)
+    return summary
+
+
+@single_threaded
+def conduct(
+    settings: study.Study, folder: Path, beside: Path | None, say: Say, how: How, benches: int | None = None
+) -> CampaignFacts:
+    """Run the campaign of a study, or what is left of it; of the study only what its law needs is done before.
+
+    Args:
+        settings: the checked study; without `[campaign]` that table's own defaults are taken.
+        folder: of the study; `campaign.parquet` and `campaign.json` go there.
+        beside: folder of the study file.
+        say: told one line per finished stage.
+        how: where it runs, and whether it goes on with what is there.
+        benches: how many, in place of the study's number.
+
+    Raises:
+        UltraquietError: as `walk`; results of another campaign with `resume`.
+    """
+    table = settings.campaign or CampaignTable()
+    asked = table if benches is None else table.model_copy(update={"benches": benches})
+    with prepared(settings.model_copy(update={"campaign": asked}), folder, beside, say) as stages:
+        return stages.campaign(how)
+
+
+@single_threaded
+def one_case(settings: study.Study, folder: Path, beside: Path | None, say: Say, case: int) -> dict[str, Any]:
+    """Return the row of one case of a study's campaign, evaluated again."""
+    with prepared(settings, folder, beside, say) as stages:
+        return stages.campaign_of(settings.campaign or CampaignTable()).evaluate(case)
+
+
+@contextmanager
+def prepared(
+    settings: study.Study, folder: Path, beside: Path | None, say: Say, record_again: bool = False
+) -> Generator[Stages]:
+    """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
     own = bench_of(settings, beside)
     bench = own if own is None or settings.blending is None else blended(own, settings.blending, beside)
     describe = partial(identity, own, _bench_table(settings), beside)
@@ -77,12 +158,7 @@ def walk(
         if settings.blending is not None:
             bench, records = _in_modes(own, settings.blending, records, beside, say)
             bench_key = [bench_key, settings.blending]
-        result = Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key).run()
-        summary = summarise(result)
-        write_bytes(folder / "summary.json", to_json(summary))
-        write(report(result), folder / "report.html")
-        sweep(folder)
-    return summary
+        yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key)
 
 
 def _in_modes(

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 PNG_DPI = 150
+CONFIDENT = 0.15  # opacity of a confidence
 MOST_INSIDE = 8  # labels; more of them would hide the lines, and stand beside the panel instead
 # Inches beside each panel for numbers and title, for a label besides, and right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
@@ -42,6 +43,22 @@ def draw_png(figure: Figure) -> bytes:
     return _drawn(figure, "png", {"Software": None})
 
 
+def draw_small_png(figure: Figure, most_bytes: int) -> bytes:
+    """Return a figure as a PNG of few colours and at most so many bytes: for lines no more are needed."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(draw_png(figure))) as drawn:
+        flat = drawn.convert("RGB")
+    for share, colours in ((0.8, 32), (0.8, 12), (0.65, 12), (0.5, 8), (0.35, 8)):
+        size = round(flat.width * share), round(flat.height * share)
+        few = flat.resize(size, Image.Resampling.LANCZOS).quantize(colours, dither=Image.Dither.NONE)
+        out = io.BytesIO()
+        few.save(out, "png", optimize=True)
+        if out.tell() <= most_bytes:
+            break
+    return out.getvalue()
+
+
 def _drawn(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
@@ -53,7 +70,7 @@ def _drawn(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
         grid = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=_margins(figure, rows))
         for k, axes in enumerate(grid.ravel()):
             if k < len(figure.panels):
-                _panel(axes, figure.panels[k])
+                panel_on(axes, figure.panels[k])
             else:
                 axes.set_visible(False)
         out = io.BytesIO()
@@ -83,13 +100,23 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
 
 
 def _labels(panel: Panel) -> int:
-    return sum(bool(line.label) for line in panel.lines)
+    return sum(bool(each.label) for each in (*panel.lines, *panel.fills))
 
 
-def _panel(axes: "Axes", panel: Panel) -> None:
+def panel_on(axes: "Axes", panel: Panel) -> None:
+    """Draw one panel on matplotlib axes."""
+    if panel.words:
+        axes.axis("off")
+        said = axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
+        said.set_in_layout(False)  # long words are cut by the figure's edge, they do not press the axes to nothing
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
         axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)
+    for fill in panel.fills:
+        colour = PALETTE[fill.shade % len(PALETTE)]
+        axes.fill_between(
+            fill.x, fill.low, fill.high, color=colour, alpha=CONFIDENT, linewidth=0, label=fill.label or None
+        )
     for low, high in panel.spans:
         axes.axvspan(low, high, color="#f0e442", alpha=0.25, linewidth=0)
     if panel.x_log:
@@ -100,6 +127,8 @@ def _panel(axes: "Axes", panel: Panel) -> None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range:
         axes.set_ylim(*panel.y_range)
+    if panel.x_names:
+        axes.set_xticks(range(len(panel.x_names)), panel.x_names)
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
