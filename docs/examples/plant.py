@@ -1,13 +1,17 @@
 """A plant that speaks the line protocol of docs/line-protocol.md: two sprung masses, the twin of plant.c.
 
     python plant.py            on standard input and output
-    python plant.py 5025       on TCP port 5025, one driver after another
+    python plant.py 5025       on TCP port 5025 of this machine, one driver after another
+    python plant.py 5025 192.168.0.7 token.txt
+                               on one address of this machine, for drivers that say the word of token.txt
 
 Standard library only. Put your own plant into `reset`, `step` and HANDSHAKE.
 """
 
+import hmac
 import socket
 import sys
+from pathlib import Path
 
 HANDSHAKE = """\
 ultraquiet-plant 1
@@ -40,10 +44,17 @@ class Plant:
         return y
 
 
-def serve(plant, lines, out):
-    """Answer every line until the driver hangs up."""
+def serve(plant, lines, out, token=""):
+    """Answer every line until the driver hangs up; one that does not say the token moves nothing."""
+    known = not token
     for line in lines:
         word, *rest = line.split() or [""]
+        if word == "hello":
+            known = known or hmac.compare_digest(" ".join(rest[1:]).encode(), token.encode())
+        if not known:
+            out.write("error the token is missing or another\n")
+            out.flush()
+            break
         if word == "step":
             numbers = [float(text) for text in rest]
             half = len(numbers) // 2
@@ -63,10 +74,13 @@ if __name__ == "__main__":
     if len(sys.argv) == 1:
         serve(Plant(), sys.stdin, sys.stdout)
     else:
-        with socket.create_server(("127.0.0.1", int(sys.argv[1]))) as server:
+        port, address, token_file = [*sys.argv[1:], *("127.0.0.1", "")[len(sys.argv) - 2 :]]
+        secret = Path(token_file).read_text().strip() if token_file else ""
+        # One named address: whoever reaches an open port may move the actuators.
+        with socket.create_server((address, int(port))) as server:
             while True:
                 connection, _ = server.accept()
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 # Two streams: one for both would drop the lines it has read ahead whenever it writes.
                 with connection, connection.makefile("r") as lines, connection.makefile("w", newline="\n") as out:
-                    serve(Plant(), lines, out)
+                    serve(Plant(), lines, out, secret)

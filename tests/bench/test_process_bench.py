@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet.bench import Bench, Process, Streaming, Wrapped
-from ultraquiet.bench.process.protocol import number
+from ultraquiet.bench.process.protocol import GREETING, number
 from ultraquiet.values import StateSpace
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
@@ -334,3 +334,99 @@ def test_a_list_names_a_process_and_numbers_its_runs(tmp_path):
     assert records["push-1"].outputs.max() == 6.0
     assert np.array_equal(records["quiet"].outputs, np.ones((1, 20)))
     listed.bench.close()
+
+
+TALKERS = {
+    "remarks for ever": ("while True: out('# thinking'); time.sleep(0.01)", "said nothing but .* remarks for 0.5 s"),
+    "a flood of remarks": ("while True: sys.stdout.write('#\\n' * 20000)", "said nothing but .* remarks for 0.5 s"),
+    "late for ever": ("while True: out('late 1'); time.sleep(0.01)", "said nothing but .* remarks for 0.5 s"),
+    "late beyond count": ("out('late ' + '9' * 6000)", "must say 'late' and how many"),
+    "late in other digits": ("out('late \\u00b2')", "must say 'late' and how many"),
+    "late without a count": ("out('late')", "must say 'late' and how many"),
+    "numbers with underscores": ("out('y 1_0')", "1 finite numbers"),
+    "numbers in other digits": ("out('y \\u0663')", "1 finite numbers"),
+    "a long refusal": ("out('error ' + 'x' * 900000)", "the plant refused: x{500}"),
+    "commands to the terminal": ("out('error \\x1b]0;owned\\x07')", "refused: .\\]0;owned."),
+    "a flood of last words": (
+        "[sys.stderr.write('e' * 65536) for _ in range(800)]; sys.exit(1)",
+        "last words: 'e{300}'",
+    ),
+}
+HEAD = "ultraquiet-plant 1\\nrate 1000\\nactuator V -5 5 push\\nsensor V -10 10 pull\\nready"
+
+
+def talker(act):
+    return (
+        sys.executable,
+        "-S",
+        "-c",
+        "import sys, time\ndef out(text): print(text, flush=True)\nfor line in sys.stdin:\n    word = line.split()[0]\n"
+        f"    if word == 'hello': out('{HEAD}')\n    elif word == 'step':\n        {act}\n    else: out('ok')\n",
+    )
+
+
+@pytest.mark.parametrize("what", TALKERS)
+def test_a_plant_that_talks_instead_of_answering_is_ended_in_time(what):
+    act, words = TALKERS[what]
+    bench, begun = Process(talker(act), timeout_s=0.5), time.monotonic()
+    with pytest.raises(BenchError, match=words) as caught:
+        bench.run([[1.0, 1.0]])
+    assert len(str(caught.value)) < 700
+    assert "\x1b" not in str(caught.value)
+    assert time.monotonic() - begun < 30
+
+
+def test_a_child_that_a_plant_leaves_is_ended_with_it(tmp_path):
+    left = tmp_path / "left"
+    act = f"import os; child = os.fork() or time.sleep(600); open({str(left)!r}, 'w').write(str(child)); sys.exit(0)"
+    # The child holds the plant's output open, so nothing tells that the plant is gone.
+    with pytest.raises(BenchError, match="said nothing"):
+        Process(talker(act), timeout_s=1.0).run([[1.0]])
+    for _ in range(100):
+        if not Path(f"/proc/{left.read_text()}").exists() or _is_zombie(int(left.read_text())):
+            break
+        time.sleep(0.05)
+    else:
+        raise AssertionError("the plant's child is still there")
+
+
+def _is_zombie(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def test_endless_handshakes_end():
+    for head, words in (
+        ("while True: out('sensor V -1 1 s')", "up to 4096 channels"),
+        ("while True: out('# soon')", "said nothing but .* remarks for 3 s"),
+        ("out('rate 1_000')", "is no number"),
+        ("out('ahead \\u00b2')", "no whole number"),
+    ):
+        act = f"import sys\ndef out(text): print(text, flush=True)\nsys.stdin.readline()\nout('{GREETING}')\n{head}"
+        with pytest.raises(BenchError, match=words):
+            Process((sys.executable, "-S", "-c", act), start_timeout_s=3.0).run([[1.0]])
+
+
+def test_a_plant_on_a_port_obeys_who_knows_its_word(tmp_path, rng):
+    (tmp_path / "token").write_text("open-sesame\n")
+    (tmp_path / "wrong").write_text("open-barley\n")
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    command = [sys.executable, str(EXAMPLES / "plant.py"), str(port), "127.0.0.1", str(tmp_path / "token")]
+    server = subprocess.Popen(command)
+    try:
+        for file in ("", str(tmp_path / "wrong")):
+            with pytest.raises(BenchError, match="the token is missing or another"):
+                Process(port=port, start_timeout_s=20.0, token_file=file).run(np.zeros((2, 3)))
+        with Process(port=port, start_timeout_s=20.0, token_file=str(tmp_path / "token")) as bench:
+            assert bench.run(np.zeros((2, 3))).samples == 3
+            assert "open-sesame" not in repr(bench) + bench.provenance.to_json()
+    finally:
+        server.terminate()
+        server.wait()
+    for content in ("", "two words", "\xff"):
+        (tmp_path / "wrong").write_bytes(content.encode("latin-1"))
+        with pytest.raises(InputError, match="token"):
+            Process(port=port, token_file=str(tmp_path / "wrong")).run(np.zeros((2, 3)))

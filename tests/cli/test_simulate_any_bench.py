@@ -76,3 +76,20 @@ def test_what_this_bench_does_not_have_is_named(run):
     assert (code, "'flight'" in err) == (2, True), err
     code, _, err = run("simulate", "law.h5", "--bench", "study.toml", "--noise")
     assert (code, "--band" in err) == (2, True), err
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("law")
+def test_a_study_in_modes_is_simulated_in_its_modes(tmp_path, run):
+    table = '[blending]\nsensors = [[2.0]]\nnames = ["heave"]\ncontrol_rate_hz = 250.0\n[plant]'
+    (tmp_path / "study.toml").write_text(STUDY.replace("[plant]", table))
+    uq.files.save(
+        uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[0.0]], 250.0), tmp_path / "rest.h5"
+    )
+    code, out, err = run("simulate", "rest.h5", "--bench", "study.toml", "--tones", "20", "--json")
+    assert code == 0, err
+    assert "heave" in out
+    assert "in the modes of [blending]" in run("simulate", "rest.h5", "--bench", "study.toml", "--tones", "20")[1]
+    code, _, err = run("simulate", "law.h5", "--bench", "study.toml", "--tones", "20")
+    assert code == 2
+    assert "250 Hz" in err

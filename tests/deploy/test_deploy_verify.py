@@ -83,6 +83,7 @@ def test_on_bench_measures_what_simulate_measures(loop, seed, tmp_path):
     assert found.worst_law_db == pytest.approx(other.worst_reduction_db, abs=0.3)
 
 
+@pytest.mark.slow
 def test_on_bench_refuses_what_cannot_be_measured(loop, tmp_path):
     _, law = loop
     code, bench = generate(law, tmp_path / "code").controller, uq.bench.Hexapod()
@@ -258,7 +259,7 @@ def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
     plant, law = loop
     uq.files.save(law, tmp_path / "law.h5")
     uq.files.save(plant, tmp_path / "plant.h5")
-    words = ["deploy", "law.h5", "--plant", "plant.h5", "--steps", "2000", "--form", "delta", "--target", "cortex-m7"]
+    words = ["deploy", "law.h5", "--plant", "plant.h5", "--steps", "300", "--form", "delta", "--target", "cortex-m7"]
     code, said = command(monkeypatch, capsys, tmp_path, *words)
     print(said)
     assert code == 0
@@ -267,7 +268,7 @@ def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
         "compared here",
         "loop: phase margin",
         "worst direction at ",
-        "ok: All bits of 2000 steps",
+        "ok: All bits of 300 steps",
     ):
         assert line in said
     assert ("on Cortex-M7" in said) == (missing_program() is None)
@@ -331,6 +332,7 @@ def test_random_bits_find_nothing_in_the_code_and_a_missing_limit_at_once(law_of
     assert found.status.word in ("differs", "self-test failed", "unsafe")
 
 
+@pytest.mark.slow
 def test_random_bits_meet_an_index_beyond_its_array(law_of, seed, tmp_path, cc):
     made = generate(law_of(6), tmp_path / "code", ramp_s=0.01)
     path = tmp_path / "code" / "controller.c"

@@ -38,6 +38,7 @@ def test_unknown_frequency_is_found_and_the_tone_cancelled(law, bench, rng):
         assert got[1] >= 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hz_per_s", [0.5, -0.5])
 def test_drifting_frequency_is_followed(law, bench, rng, hz_per_s):
     t = seconds(8.0)
@@ -105,6 +106,7 @@ def test_a_unit_that_is_not_the_model(law, seed, rng):
     assert got >= 20
 
 
+@pytest.mark.slow
 def test_around_another_law(bench, rng):
     plant = bench.linear_model()
     inside = mild_damping(6)

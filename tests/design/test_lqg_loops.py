@@ -100,6 +100,7 @@ def test_a_coloured_disturbance_is_met_at_its_colour(rng):
     assert low < high
 
 
+@pytest.mark.slow
 def test_coloured_sensor_noise_turns_the_sensors_down_where_it_is(rng):
     plant = bench_like(rng, 5)
     noisy = append(*[high_pass(200.0, 0.03, 3.0, 1, 3500.0)] * 6)
@@ -112,6 +113,7 @@ def test_coloured_sensor_noise_turns_the_sensors_down_where_it_is(rng):
     assert size[0] < size[1]
 
 
+@pytest.mark.slow
 def test_weights_as_systems_are_the_numbers_they_stand_for(rng):
     plant = bench_like(rng, 4)
     numbers = Lqg(**BAND, control_weight=1e-6, control_hz=300.0)

@@ -104,6 +104,7 @@ def test_the_internal_model_arrives_by_itself(designed, bench, rng):
     assert notch["learned"] > 25
 
 
+@pytest.mark.slow
 def test_without_a_tone_it_does_no_harm(designed, bench, rng):
     n = 5 * 3500
     for name, d in (("sensor noise", np.zeros((6, n))), ("white disturbance", 0.3 * rng.standard_normal((6, n)))):

@@ -137,6 +137,7 @@ def test_hankel_products_and_filter_bank_are_those_in_memory(rng):
         assert miss < 1e-9
 
 
+@pytest.mark.slow
 def test_the_subspace_model_is_that_of_the_record_in_memory(rng, tmp_path):
     _, record, _ = modal_truth(rng, 24_000)
     method = uq.identify.Subspace(order=30, horizon=40)

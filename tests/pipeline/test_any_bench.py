@@ -7,15 +7,9 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
+from report_words import foreign_words, visible
 from ultraquiet.pipeline import load_study, walk
 from ultraquiet.pipeline.study import StudyError
-
-# Words of the packaged study; what else a report says must come from the bench it is about.
-FOREIGN = re.compile(
-    r"SUITE|strut|hexapod|\bground\b|\bflight\b|\bpaper|geophone|piezo|stack|payload|\d V\b|V²|V/V|eq\. \(|Fig\.|"
-    r"section \d|\b5 Hz|\b25 Hz|\b100 Hz|3500|\b25 V|1000 V",
-    re.IGNORECASE,
-)
 
 TWO_MASSES = '''
 import numpy as np
@@ -125,17 +119,6 @@ def table(tmp_path, rng):
     np.savetxt(tmp_path / "run.csv", np.vstack([u, y]).T, delimiter=",", header=head, comments="", fmt="%.17g")
     (tmp_path / "study.toml").write_text(TABLE)
     return tmp_path
-
-
-def visible(page):
-    """Return the text of a report without its style, its scripts and where it says which versions made it."""
-    text = re.sub(r"<(style|script)\b.*?</\1>", " ", page, flags=re.DOTALL)
-    text = re.sub(r"<(path|use|g|clipPath|defs|svg|figure)\b[^>]*>", " ", text)
-    return re.sub(r"<[^>]+>", " ", text)
-
-
-def foreign_words(page):
-    return sorted({text.group(0) for text in FOREIGN.finditer(visible(page))})
 
 
 def test_a_table_of_another_program_becomes_verified_code(table, run):

@@ -4,6 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from table_of_accelerometers import CONTROL_HZ, delayed, drawn_bench, drawn_table, matrices
+
+import ultraquiet as uq
+from ultraquiet.pipeline.tables.blending import BlendingTable, blended, in_modes
+from ultraquiet.values import Decimation
 
 BENCH = '''
 import numpy as np
@@ -84,3 +89,76 @@ def test_a_study_in_modes_leaves_the_dead_sensor_out(tmp_path, run):
     print({key: loop[key] for key in ("status", "band_hz", "worst_direction_band_db", "peak_amplification_db")})
     assert loop["stable"]
     assert summary["deployment"]["quiet"]["bit_exact"] is True
+
+
+TABLE_BENCH = """
+from table_of_accelerometers import drawn_bench, drawn_table
+
+
+def make_bench(seed, dead):
+    return drawn_bench(drawn_table(seed)[0], seed, dead)
+"""
+TABLE_STUDY = """
+[study]
+title = "Twenty accelerometers"
+seed = 1
+[bench]
+object = "table.py:make_bench"
+dead = 6
+[experiment]
+list = "list.toml"
+[blending]
+sensors = "Ts.csv"
+actuators = "Ta.csv"
+names = ["x", "y", "z", "rx", "ry", "rz"]
+unit = "m/s^2"
+actuator_names = ["push z", "push rx", "push ry", "push rz"]
+actuator_unit = "N"
+control_rate_hz = 2000.0
+[plant]
+method = "subspace"
+order = 42
+records = ["all"]
+[controllers.quiet.design]
+method = "lqg"
+"""
+TABLE_LIST = """
+title = "shaken"
+[[commands]]
+do = "configure"
+samples = 8192
+[[commands]]
+do = "excite"
+name = "all"
+actuator = "all"
+signal = { method = "noise", start_hz = 2, stop_hz = 600, peak_v = PEAK }
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_twenty_accelerometers_and_four_actuators_from_one_file(tmp_path, run):
+    truth, p, d = drawn_table(1)
+    Ts, Ta = matrices(p, d)
+    seen = blended(drawn_bench(truth, 1, 6), BlendingTable(actuators=Ta.tolist(), control_rate_hz=CONTROL_HZ))
+    (tmp_path / "table.py").write_text(TABLE_BENCH)
+    peak = min(c.high for c in seen.actuators)
+    (tmp_path / "list.toml").write_text(TABLE_LIST.replace("PEAK", f"{0.95 * peak:.6g}"))
+    (tmp_path / "study.toml").write_text(TABLE_STUDY)
+    np.savetxt(tmp_path / "Ts.csv", Ts, delimiter=",", fmt="%.17g")
+    np.savetxt(tmp_path / "Ta.csv", Ta, delimiter=",", fmt="%.17g")
+    code, _, said = run("run", "study.toml", "--out", "out")
+    print(said)
+    assert code == 0
+    assert "'acc 7' is dead" in said
+    loop = json.loads((tmp_path / "out" / "summary.json").read_text())["closed_loop"]["quiet"]["bench"]
+    print({key: loop[key] for key in ("status", "band_hz", "worst_direction_band_db", "peak_amplification_db")})
+    assert loop["status"].startswith("ok")
+    law = uq.files.load(tmp_path / "out" / "controllers" / "quiet.h5")
+    table = BlendingTable(sensors=Ts.tolist(), actuators=Ta.tolist())
+    blending = in_modes(drawn_bench(truth, 1, 6), table, ("acc 7",)).blending
+    exact = Decimation(4).plant(blending.plant(delayed(truth)))
+    margin = uq.analyse.disk_margins(exact, law)
+    print("on the true plant:", margin)
+    assert margin.stable
+    assert margin.alpha >= 0.2

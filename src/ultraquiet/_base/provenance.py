@@ -12,6 +12,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from ultraquiet._base.regular import parse_json
+
 VERSIONED = ("ultraquiet", "numpy", "scipy", "numba")
 
 
@@ -35,10 +37,31 @@ class Provenance:
 
     @classmethod
     def from_json(cls, text: str) -> "Provenance":
-        """Read what `to_json` wrote."""
-        content: dict[str, Any] = json.loads(text)
-        content["parents"] = tuple(content["parents"])
-        return cls(**content)
+        """Read what `to_json` wrote.
+
+        Raises:
+            ValueError: what no provenance says, however well it is written.
+        """
+        content = parse_json(text)
+        if not isinstance(content, dict):
+            raise ValueError("its provenance is no table")
+        stated = cast("dict[str, Any]", content)
+        if not set(stated) <= set(_KINDS) or not all(isinstance(stated[key], _KINDS[key]) for key in stated):
+            raise ValueError("its provenance says what no provenance says")
+        texts = [*stated.get("parents", ()), *stated.get("versions", {}).values()]
+        if not all(isinstance(each, str) for each in texts):
+            raise ValueError("its provenance names parents or versions that are no texts")
+        stated["parents"] = tuple(stated.get("parents", ()))
+        return cls(**stated)
+
+
+_KINDS: Mapping[str, Any] = {
+    "made_by": str,
+    "settings": dict,
+    "seed": int | None,
+    "parents": list,
+    "versions": dict,
+}
 
 
 def versions() -> dict[str, str]:

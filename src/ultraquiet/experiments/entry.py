@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import StorageError
+from ultraquiet._base.regular import read_regular
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.states import ABORTED, DONE, NOT_STARTED
 from ultraquiet.files import load_many
@@ -59,7 +60,7 @@ def of_file(place: Path, file: str) -> Entry | None:
     path = place / file
     try:
         values = list(load_many(path).values())
-        sha256, changed = hashlib.sha256(path.read_bytes()).hexdigest(), path.stat().st_mtime
+        sha256, changed = hashlib.sha256(read_regular(path)).hexdigest(), path.stat().st_mtime
     except (StorageError, OSError):
         return None
     if len(values) != 1 or not isinstance(values[0], Record):

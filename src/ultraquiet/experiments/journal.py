@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import StorageError
+from ultraquiet._base.regular import check_regular, parse_json, read_regular
 from ultraquiet.files import reason
 from ultraquiet.files.names import is_plain, quoted
 
@@ -29,7 +30,7 @@ def entries(folder: Path) -> list[dict[str, Any]]:
     """
     path = folder / FILE
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except FileNotFoundError:
         return []
     except OSError as error:
@@ -45,6 +46,7 @@ def begun(folder: Path) -> dict[str, str]:
 def busy(folder: Path) -> bool:
     """Return whether a process is executing a list into a folder now."""
     try:
+        check_regular(folder / FILE)
         handle = os.open(folder / FILE, os.O_RDWR)
     except OSError:
         return False
@@ -89,12 +91,14 @@ def opened(folder: Path) -> Iterator[Journal]:
     """
     path = folder / FILE
     try:
+        if os.path.lexists(path):
+            check_regular(path)
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
     except OSError as error:
         raise StorageError(f"journal: '{path}' cannot be opened ({reason(error)}).") from error
     try:
         _lock(path, handle)
-        ends = [end for _, end in _sound(path, path.read_bytes())]
+        ends = [end for _, end in _sound(path, read_regular(path))]
         os.truncate(handle, max(ends, default=0))
         yield Journal(path, handle)
     finally:
@@ -123,9 +127,9 @@ def _sound(path: Path, data: bytes) -> Iterator[tuple[dict[str, Any], int]]:
 def _entry(path: Path, body: bytes, at: int) -> dict[str, Any]:
     """Return the entry of a sound line, whose names become paths: a sum says that it is whole, not who wrote it."""
     try:
-        entry = json.loads(body)
+        entry = parse_json(body)
         names = _names(entry)
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         raise StorageError(
             f"journal: '{path}' holds at byte {at} what is no entry; move the folder's records elsewhere."
         ) from None

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.mistakes import Mistakes, read_toml
 from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.regular import read_regular_text
 from ultraquiet.bench import Process
 from ultraquiet.experiments.command import Content
 from ultraquiet.experiments.compile import Compiler
@@ -87,7 +88,7 @@ def load(path: str | os.PathLike[str], bench: Any | None = None, seed: int | Non
     if str(path) in PACKAGED and not place.is_file():
         place = Path(__file__).with_name(f"{path}.toml")
     try:
-        text = place.read_text(encoding="utf-8")
+        text = read_regular_text(place)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"experiment list: '{path}' cannot be read ({reason(error)}).") from error
     return parse(text, bench, str(path), place.parent, seed)

@@ -17,8 +17,17 @@ def channel_rows(channels: Iterable[Channel]) -> list[list[Any]]:
 
 
 def from_rows(rows: Iterable[Sequence[Any]]) -> list[Channel]:
-    """Return the channels of which `channel_rows` made rows."""
-    return [
-        Channel(name, unit, -inf if low is None else low, inf if high is None else high)
-        for name, unit, low, high in rows
-    ]
+    """Return the channels of which `channel_rows` made rows.
+
+    Raises:
+        ValueError: rows that it never makes.
+    """
+    return [_channel(*row) for row in rows]
+
+
+def _channel(name: Any, unit: Any, low: Any, high: Any) -> Channel:
+    limits = [-inf if low is None else low, inf if high is None else high]
+    numbers = all(isinstance(limit, int | float) and not isinstance(limit, bool) for limit in limits)
+    if not (isinstance(name, str) and isinstance(unit, str) and numbers):
+        raise ValueError("a channel is a name, a unit and two limits, which are numbers or absent")
+    return Channel(name, unit, float(limits[0]), float(limits[1]))

@@ -3,8 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.files.confined import confined
+from ultraquiet.files.readers.extra import extra
 from ultraquiet.files.readers.hdf5 import read_hdf5
 from ultraquiet.files.readers.matlab import read_mat, write_mat
 from ultraquiet.files.readers.npz import read_npz
@@ -21,25 +24,35 @@ from ultraquiet.values import Record
 class Format:
     """One format: its name, its suffixes, who reads bytes into a table and who makes bytes of a record, if anybody.
 
-    A writer is left out where the format cannot keep names, units and rate (WAV), or where writing is not this
-    package's business. HDF5 is written by `archive`.
+    Bytes are read in a process that can open nothing: `needs` are the modules, with their packages, that are imported
+    before; `scratch` is asked for by a reader that knows named files only. A writer is left out where the format cannot
+    keep names, units and rate (WAV), or where writing is not this package's business. HDF5 is written by `archive`.
     """
 
     name: str
     suffixes: tuple[str, ...]
     read: Callable[[str, bytes], FileTable]
     write: Callable[[Record], bytes] | None = None
+    needs: tuple[tuple[str, str], ...] = ()
+    scratch: bool = False
 
 
+ARROW = (("pyarrow.parquet", "pyarrow"), ("pyarrow.compute", "pyarrow"))
 FORMATS = (
-    Format("HDF5", (".h5", ".hdf5"), read_hdf5),
+    Format("HDF5", (".h5", ".hdf5"), read_hdf5, needs=(("h5py", "h5py"),)),
     Format("text columns", (".csv", ".tsv", ".txt", ".dat", ".asc"), read_text, write_text),
-    Format("MATLAB", (".mat",), read_mat, write_mat),
+    Format("MATLAB", (".mat",), read_mat, write_mat, (("scipy.io", "scipy"), ("h5py", "h5py"))),
     Format("NumPy", (".npz",), read_npz),
-    Format("universal file", (".uff", ".unv"), read_uff, write_uff),
-    Format("TDMS", (".tdms",), read_tdms),
-    Format("Parquet", (".parquet",), read_parquet, write_parquet),
-    Format("WAV", (".wav",), read_wav),
+    Format("universal file", (".uff", ".unv"), read_uff, write_uff, (("pyuff", "pyuff"),), scratch=True),
+    Format("TDMS", (".tdms",), read_tdms, needs=(("nptdms", "npTDMS"), ("nptdms.log", "npTDMS"))),
+    Format(
+        "Parquet",
+        (".parquet",),
+        read_parquet,
+        write_parquet,
+        (("pyarrow.parquet", "pyarrow"), ("pyarrow.compute", "pyarrow")),
+    ),
+    Format("WAV", (".wav",), read_wav, needs=(("scipy.io.wavfile", "scipy"),)),
 )
 ARCHIVES = FORMATS[0].suffixes
 
@@ -52,3 +65,21 @@ def format_of(who: str, path: str | Path) -> Format:
         known = ", ".join(known for form in FORMATS for known in form.suffixes)
         raise InputError(f"{who}: '{path}' has none of the suffixes {known}.")
     return match
+
+
+def understood(form: Format, name: str, read: Callable[[], Any], file_bytes: int) -> Any:
+    """Return the plain tree that `read` makes of bytes of a format, in a process of their own.
+
+    Args:
+        form: whose modules are needed.
+        name: the file.
+        read: what to do with its bytes.
+        file_bytes: how many they are.
+
+    Raises:
+        StorageError, InputError: no such file; a sentence says why.
+        ToolError: a module is missing.
+    """
+    for module, package in form.needs:
+        extra(module, package, form.name)
+    return confined(read, name, form.name, file_bytes, form.scratch)

@@ -3,6 +3,7 @@
 import contextlib
 import hashlib
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -14,6 +15,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, frozen
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.regular import parse_json, read_regular
 from ultraquiet.files.archive import load, save
 from ultraquiet.files.atomic import name_taken, reason, sync_folder
 from ultraquiet.files.channel_rows import from_rows
@@ -55,7 +57,7 @@ class Log:
         """
         try:
             rows = from_rows(self.header["channels"])
-            inputs, rate_hz = self.header["inputs"], self.header["rate_hz"]
+            inputs, rate_hz = _planned(self.header)
             provenance = Provenance.from_json(json.dumps(self.header["provenance"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"log: its header describes no record ({reason(error)}).") from None
@@ -77,17 +79,43 @@ def read_log(path: _Path) -> Log:
         StorageError: the file cannot be read, or its header is damaged.
     """
     try:
-        data = memoryview(Path(path).read_bytes())
+        data = memoryview(read_regular(path))
     except OSError as error:
         raise StorageError(f"log: '{path}' cannot be read ({reason(error)}).") from error
     try:
         first = frame_at(data, 0)
-        header = json.loads(bytes(first.payload)) if first.kind == HEADER else None
+        header = _header(first) if first.kind == HEADER else None
     except UnsoundError as error:
         raise StorageError(f"log: '{path}' has no sound header: {error}.") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise StorageError(f"log: the header of '{path}' is none that a writer makes ({reason(error)}).") from None
     if header is None or first.sequence:
         raise StorageError(f"log: '{path}' does not begin with a header.")
     return _Reading(data, first).log(header)
+
+
+def _header(frame: LogFrame) -> dict[str, Any]:
+    """Return the header, whose checksum says that it is whole, not who wrote it.
+
+    Raises:
+        ValueError, KeyError: it does not describe the rows of the log.
+    """
+    header = parse_json(bytes(frame.payload))
+    if not isinstance(header, dict) or not isinstance(header["channels"], list):
+        raise ValueError("it names no channels")
+    if len(header["channels"]) != frame.channels:
+        raise ValueError(f"it names {len(header['channels'])} channels of {frame.channels}")
+    return header
+
+
+def _planned(header: Mapping[str, Any]) -> tuple[int, float]:
+    """Return how many rows are inputs, and the rate."""
+    inputs, rate_hz = header["inputs"], header["rate_hz"]
+    if not isinstance(inputs, int) or isinstance(inputs, bool) or not 0 < inputs < len(header["channels"]):
+        raise ValueError(f"{inputs!r:.40} of its {len(header['channels'])} channels are inputs")
+    if not isinstance(rate_hz, int | float) or isinstance(rate_hz, bool) or not 0 < rate_hz < math.inf:
+        raise ValueError(f"its rate is {rate_hz!r:.40}")
+    return inputs, float(rate_hz)
 
 
 def finalise(path: _Path, record_path: _Path, overwrite: bool = False) -> Record:
@@ -141,8 +169,8 @@ class _Reading:
 
     def log(self, header: dict[str, Any]) -> Log:
         """Return what was found."""
-        empty = np.zeros((self._first.channels, 0))
-        samples = frozen(np.concatenate([empty, *self._blocks], axis=1))
+        samples = np.concatenate(self._blocks, axis=1) if self._blocks else np.zeros((self._first.channels, 0))
+        samples = frozen(samples)
         lost = len(self._data) - self._at
         damaged = self._problem is not None and (self._end is not None or not self._problem.torn)
         ended = self._end is not None
@@ -176,15 +204,22 @@ class _Reading:
         self._sequence += 1
 
     def _take_samples(self, frame: LogFrame) -> None:
-        if len(frame.payload) != 8 * frame.channels * frame.samples:
+        if len(frame.payload) != 8 * frame.channels * frame.samples or not frame.samples:
             raise UnsoundError("its size does not fit its samples")
         self._blocks.append(np.frombuffer(frame.payload, "<f8").reshape(frame.channels, frame.samples))
         self._digest.update(frame.payload)
         self._samples += frame.samples
 
     def _take_end(self, frame: LogFrame) -> None:
-        end = json.loads(bytes(frame.payload))
-        if (end["samples"], end["sha256"]) != (self._samples, self._digest.hexdigest()):
+        try:
+            end = parse_json(bytes(frame.payload))
+            told = end["samples"], end["sha256"]
+            said = isinstance(end["complete"], bool), isinstance(end["reason"], str), isinstance(end["notes"], dict)
+        except (ValueError, KeyError, TypeError):
+            raise UnsoundError("it is no end that a writer makes") from None
+        if not all(said):
+            raise UnsoundError("it is no end that a writer makes")
+        if told != (self._samples, self._digest.hexdigest()):
             raise UnsoundError("it does not agree with the samples before it")
         self._end = end
 

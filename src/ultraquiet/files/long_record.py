@@ -1,6 +1,5 @@
 """Records longer than memory: HDF5 files of chunked samples, read block by block."""
 
-import json
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.regular import check_regular, parse_json
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.channel_rows import from_rows
 from ultraquiet.values import Channel, Record
@@ -76,7 +76,7 @@ class LongRecord:
         put(self, "samples", shapes[0][1])
         if attributes.get("format") == FORMAT and attributes.get("samples") != self.samples:
             raise StorageError(f"LongRecord: '{self.path}' was not finished: its writer stopped before the end.")
-        named = _named(attributes.get("channels"))
+        named = _named(self.path, attributes.get("channels"))
         for kind, name, (count, _), declared in zip(
             ("actuators", "sensors"), ("input", "output"), shapes, named, strict=True
         ):
@@ -163,27 +163,43 @@ def _opened(path: Path) -> Any:
     import h5py
 
     try:
+        check_regular(path)
+    except FileNotFoundError as error:
+        raise StorageError(f"LongRecord: '{path}' does not exist.") from error
+    except OSError as error:
+        raise StorageError(f"LongRecord: '{path}' cannot be read ({reason(error)}).") from error
+    try:
         return h5py.File(path, "r")
     except OSError as error:
-        if not path.exists():
-            raise StorageError(f"LongRecord: '{path}' does not exist.") from error
         why = "was cut short" if "truncated" in str(error) else "is no HDF5 file that can be read"
         raise StorageError(f"LongRecord: '{path}' {why} ({reason(error)}).") from error
 
 
 def _shape(path: Path, file: Any, name: str) -> tuple[int, int]:
     """Return channels and samples of a dataset."""
+    import h5py
+
+    if isinstance(file.get(name, getlink=True), h5py.ExternalLink):
+        raise StorageError(f"LongRecord: '{name}' in '{path}' is a link outside itself, which is not followed.")
     if name not in file or not hasattr(file[name], "shape"):
         names = ", ".join(f"'{k}'" for k in file)
         raise InputError(f"LongRecord: '{path}' has no dataset '{name}', only {names or 'nothing'}.")
+    if file[name].external or file[name].is_virtual:
+        raise StorageError(
+            f"LongRecord: '{path}' keeps '{name}' outside itself, in other files; such storage is not followed: copy "
+            "the samples into one file first (h5repack)."
+        )
     shape = file[name].shape
     if len(shape) not in (1, 2) or file[name].dtype.kind not in "fiu" or math.prod(shape) == 0:
         raise InputError(f"LongRecord: '{name}' in '{path}' has shape {shape}; numbers (channel, sample) are needed.")
     return (1, shape[0]) if len(shape) == 1 else (min(shape), max(shape))
 
 
-def _named(text: Any) -> tuple[list[Channel] | None, list[Channel] | None]:
+def _named(path: Path, text: Any) -> tuple[list[Channel] | None, list[Channel] | None]:
     if text is None:
         return None, None
-    u, y = (from_rows(rows) for rows in json.loads(text))
+    try:
+        u, y = (from_rows(rows) for rows in parse_json(text))
+    except (ValueError, TypeError) as error:
+        raise StorageError(f"LongRecord: '{path}' names its channels as no writer does ({reason(error)}).") from None
     return u, y

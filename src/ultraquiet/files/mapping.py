@@ -7,11 +7,11 @@ from collections.abc import Mapping as AnyMapping
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
-from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import Place, line_numbers, line_of
+from ultraquiet._base.regular import read_regular_text
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.select import Picked, chosen
 from ultraquiet.files.table import Column, FileTable
@@ -106,7 +106,7 @@ def load_mapping(path: str | os.PathLike[str]) -> Mapping:
         InputError: the file cannot be read.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_regular_text(path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"mapping: '{path}' cannot be read ({reason(error)}).") from error
     return parse_mapping(text, f"mapping '{path}'")

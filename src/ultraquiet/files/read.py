@@ -8,12 +8,12 @@ from ultraquiet._base.constraints import positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.archive import load_many
 from ultraquiet.files.assemble import assemble
-from ultraquiet.files.formats import ARCHIVES, format_of
+from ultraquiet.files.formats import ARCHIVES, format_of, understood
 from ultraquiet.files.mapping import Mapping, load_mapping
 from ultraquiet.files.readers.hdf5 import is_ours
 from ultraquiet.files.select import Choice, Picked, chosen, inputs_and_outputs
-from ultraquiet.files.table import Column, FileTable
-from ultraquiet.files.whole import understanding, whole
+from ultraquiet.files.table import Column, FileTable, table_of, tree_of
+from ultraquiet.files.whole import whole
 from ultraquiet.values import Record
 
 _Path = str | os.PathLike[str]
@@ -107,8 +107,9 @@ def _opened(path: _Path) -> tuple[FileTable, Record | None, tuple[str, ...]]:
     if Path(path).suffix.lower() in ARCHIVES and is_ours(data):
         record = _archived(path)
         return _as_table(Path(path).name, record), record, (record.hash,)
-    with understanding(Path(path).name, form.name):
-        return form.read(Path(path).name, data), None, (hashlib.sha256(data).hexdigest(),)
+    name = Path(path).name
+    tree = understood(form, name, lambda: tree_of(form.read(name, data)), len(data))
+    return table_of(name, tree), None, (hashlib.sha256(data).hexdigest(),)
 
 
 def _archived(path: _Path) -> Record:

@@ -11,8 +11,8 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.formats import format_of
 from ultraquiet.files.read import read_table
+from ultraquiet.files.sizes import sized
 from ultraquiet.files.table import Column, FileTable
-from ultraquiet.files.whole import sized
 
 FLAT_TOP = 3  # equal samples in a row, at the highest or lowest value, that count as clipped where no limits are known
 

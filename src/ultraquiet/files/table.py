@@ -1,14 +1,15 @@
 """A file of measurements as its reader found it: named columns and a few scalars, not yet told apart."""
 
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, StorageError
 
 RATE_NAMES = ("rate_hz", "fs", "fs_hz", "sample_rate", "sampling_rate", "samplerate")
 STEP_NAMES = ("dt", "ts", "sample_time")
@@ -20,6 +21,7 @@ SPEAKING = {  # names that say themselves what a column is
 TIME_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 CLOCKS_AGREE = 1e-3  # two rates nearer than this share are one clock: crystals differ by less, rounded steps too
 JITTER = 0.5  # in samples: a stamp further from an even clock than this belongs to its neighbour
+MOST_COLUMNS = 10_000  # the largest arrays of sensors have hundreds
 MOST_DIGITS = 17  # that a float64 needs in decimal
 
 
@@ -211,3 +213,34 @@ def is_ramp(values: FloatArray) -> bool:
     """Return whether numbers rise evenly: then they are time stamps without a name, not an excitation."""
     steps = np.diff(values)
     return bool(steps.size > 1 and np.all(steps > 0) and np.ptp(steps) <= 1e-3 * steps.mean())
+
+
+def tree_of(table: FileTable) -> dict[str, Any]:
+    """Return a table as plain data, for another process.
+
+    Raises:
+        StorageError: more columns than a record has.
+    """
+    if len(table.columns) > MOST_COLUMNS:
+        raise StorageError(
+            f"read_record: '{table.path}' holds {len(table.columns)} columns; up to {MOST_COLUMNS} are read."
+        )
+    names = [field.name for field in fields(Column)]
+    texts = {"name", "unit", "variable"}
+    rows = [{name: getattr(column, name) for name in names} for column in table.columns]
+    return {
+        "columns": [{key: _printable(v) if key in texts else v for key, v in row.items()} for row in rows],
+        "scalars": dict(table.scalars),
+        "unusable": [_printable(variable) for variable in table.unusable],
+    }
+
+
+def _printable(text: Any) -> str:
+    """Return a text without what commands a terminal, or no text can hold."""
+    return "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(c) in ("Cc", "Cs") else c for c in str(text))
+
+
+def table_of(name: str, tree: dict[str, Any]) -> FileTable:
+    """Return the table that `tree_of` took apart."""
+    columns = tuple(Column(**column) for column in tree["columns"])
+    return FileTable(name, columns, tree["scalars"], tuple(tree["unusable"]))

@@ -6,26 +6,30 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ultraquiet._base.errors import StorageError, UltraquietError
+from ultraquiet._base.regular import check_regular, read_regular
 from ultraquiet.files.atomic import reason
+from ultraquiet.files.sizes import sized
 
 # Memory that reading takes, in sizes of the file, at most: the bytes, text of them, numbers, and the record's copy.
 SWELL = 6
+READER = "read_record"
 
 
 def whole(path: str | os.PathLike[str]) -> bytes:
     """Return the bytes of a file.
 
     Raises:
-        StorageError: missing, empty, closed, or larger than the free memory takes; the sentence gives the size.
+        StorageError: missing, empty, closed, no ordinary file but a device or a pipe, or larger than the free memory
+            takes; the sentence gives the size.
     """
     try:
-        size, free = Path(path).stat().st_size, free_bytes()
+        size, free = check_regular(path).st_size, free_bytes()
         if free is not None and SWELL * size > free:
             raise StorageError(
                 f"read_record: '{path}' has {sized(size)}; reading it takes up to {sized(SWELL * size)} of memory and "
                 f"{sized(free)} are free; cut it into parts first."
             )
-        data = Path(path).read_bytes()
+        data = read_regular(path)
     except OSError as error:
         if isinstance(error, StorageError):
             raise
@@ -36,28 +40,19 @@ def whole(path: str | os.PathLike[str]) -> bytes:
 
 
 @contextmanager
-def understanding(name: str, kind: str) -> Iterator[None]:
+def understanding(name: str, kind: str, who: str = READER) -> Iterator[None]:
     """Turn whatever a library stumbles over first in damaged or foreign bytes into one sentence."""
     try:
         yield
     except UltraquietError:
         raise
+    except MemoryError as error:
+        raise StorageError(
+            f"{who}: '{name}' cannot be read as {kind}: that takes more memory than a file of its size accounts "
+            "for; it is damaged, made to fill the memory, or to be cut up."
+        ) from error
     except Exception as error:
-        raise StorageError(f"read_record: '{name}' cannot be read as {kind} ({reason(error)}).") from error
-
-
-def sized(count: int) -> str:
-    """Return a number of bytes in words.
-
-    >>> sized(1500), sized(3_200_000_000)
-    ('1.5 kB', '3.2 GB')
-    """
-    size, unit = float(count), "bytes"
-    for larger in ("kB", "MB", "GB", "TB"):
-        if size < 1000:
-            break
-        size, unit = size / 1000, larger
-    return f"{size:.3g} {unit}"
+        raise StorageError(f"{who}: '{name}' cannot be read as {kind} ({reason(error)}).") from error
 
 
 def free_bytes() -> int | None:

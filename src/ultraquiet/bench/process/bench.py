@@ -11,8 +11,8 @@ from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench.process.link import Child, Link, Remote
-from ultraquiet.bench.process.protocol import SHOWN, Card, number, spoken
+from ultraquiet.bench.process.link import Child, Deadline, Link, Remote, shown
+from ultraquiet.bench.process.protocol import SHOWN, Card, counted, number, read_token, spoken
 from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel
 
@@ -51,7 +51,8 @@ class Process(Stepped):
     Args:
         command: the program and its arguments; it speaks the protocol on its standard input and output.
         host, port: where a plant listens that was started by somebody else; instead of `command`.
-        timeout_s: how long an answer may take.
+        token_file: a file whose one word is said in the greeting, for a plant on a port that obeys nobody else.
+        timeout_s: how long an answer may take, remarks and all.
         start_timeout_s: how long it may take to be ready.
 
     Raises:
@@ -80,6 +81,7 @@ class Process(Stepped):
     command: tuple[str, ...] = ()
     host: str = "127.0.0.1"
     port: int | None = None
+    token_file: str = ""
     timeout_s: float = 10.0
     start_timeout_s: float = 60.0
     _line: _Line = field(init=False, repr=False, compare=False, default_factory=_Line)
@@ -90,6 +92,8 @@ class Process(Stepped):
         if isinstance(self.command, str) or not all(isinstance(word, str) for word in self.command):
             raise InputError(f"Process: 'command' must be a sequence of texts, got {self.command!r}.")
         object.__setattr__(self, "command", tuple(self.command))
+        if not isinstance(self.token_file, str):
+            raise InputError(f"Process: 'token_file' must be the name of a file, got {self.token_file!r}.")
         if self.port is not None:
             whole("Process", "port", self.port, 1, 65535)
         positive("Process", "timeout_s", self.timeout_s, "s")
@@ -133,10 +137,11 @@ class Process(Stepped):
     def _connected(self) -> tuple[Link, Card]:
         line = self._line
         if line.link is None or line.card is None:
+            token = read_token(self.token_file) if self.token_file else ""
             link = Remote(self.host, self.port, self.start_timeout_s) if self.port else Child(self.command)
             line.hold(link)
             try:
-                card = Card.from_handshake(link, self.start_timeout_s)
+                card = Card.from_handshake(link, self.start_timeout_s, token)
                 if line.card is not None and card != line.card:
                     raise BenchError("Process: the plant has another rate or other channels than when it began before.")
             except BaseException:
@@ -211,10 +216,10 @@ class _Driven(SteppedPlant):
 
     def _answer(self, k: int) -> FloatArray:
         self._link.where = f"at sample {k}"
-        line = spoken(self._link, self._bench.timeout_s)
-        while line.startswith("late "):
-            self._late += int(line[5:]) if line[5:].strip().isdigit() else 1
-            line = spoken(self._link, self._bench.timeout_s)
+        deadline = Deadline(self._bench.timeout_s)
+        while (line := spoken(self._link, deadline)).split()[0] == "late":
+            self._late += self._told_late(line)
+            deadline.asides += 1
         word, *numbers = line.split()
         expected = len(self._card.sensors)
         try:
@@ -223,13 +228,24 @@ class _Driven(SteppedPlant):
             y = np.empty(0)
         if word != "y" or y.size != expected or not np.isfinite(y).all():
             raise BenchError(
-                f"Process: at sample {k} the plant must answer 'y' and {expected} finite numbers, got {line[:SHOWN]!r}."
+                f"Process: at sample {k} the plant must answer 'y' and {expected} finite numbers, got "
+                f"{shown(line, SHOWN)!r}."
             )
         self._pending -= 1
         return y
 
+    def _told_late(self, line: str) -> int:
+        try:
+            _, count = line.split()
+            return counted(count)
+        except ValueError:
+            raise BenchError(
+                f"Process: {self._link.where} the plant must say 'late' and how many frames, got "
+                f"{shown(line, SHOWN)!r}."
+            ) from None
+
     def _obey(self, order: str) -> None:
         self._link.send(order + "\n")
-        line = spoken(self._link, self._bench.timeout_s)
+        line = spoken(self._link, Deadline(self._bench.timeout_s))
         if line.strip() != "ok":
-            raise BenchError(f"Process: {self._link.where} the plant must answer 'ok', got {line[:SHOWN]!r}.")
+            raise BenchError(f"Process: {self._link.where} the plant must answer 'ok', got {shown(line, SHOWN)!r}.")

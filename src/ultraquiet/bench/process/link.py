@@ -5,11 +5,9 @@ import select
 import signal
 import socket
 import subprocess
-import tempfile
 import time
 from collections import deque
 from contextlib import suppress
-from typing import IO
 
 from ultraquiet._base.errors import BenchError, InputError
 
@@ -18,6 +16,23 @@ LONGEST_LINE_BYTES = 1 << 20  # 40 000 numbers: more than any plant has channels
 LAST_WORDS = 300  # characters of the plant's error output that a sentence quotes
 GRACE_S = 1.0  # how long a plant may take to end by itself, then to obey SIGTERM
 CONNECT_PAUSE_S = 0.05
+PAUSE_S = 0.0005
+
+
+class Deadline:
+    """When one answer must be there, however many remarks come before it."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self.timeout_s, self.asides = timeout_s, 0
+        self._end = time.monotonic() + timeout_s
+
+    def left_s(self) -> float:
+        """Return the time that is left; negative afterwards."""
+        return self._end - time.monotonic()
+
+    def remarks(self) -> str:
+        """Return what it said instead, as a part of a sentence."""
+        return f" but {self.asides} remarks" if self.asides else ""
 
 
 class Link:
@@ -37,14 +52,15 @@ class Link:
         self._unsent += text.encode()
         self._push()
 
-    def line(self, timeout_s: float) -> str:
+    def line(self, deadline: "Deadline") -> str:
         """Return the next line without its end.
 
         Raises:
-            BenchError: nothing came within `timeout_s`, the plant has ended, or what came is no line.
+            BenchError: no answer came before the deadline, the plant has ended, or what came is no line.
         """
-        if not self._lines:
-            self._pull(time.monotonic() + timeout_s, timeout_s)
+        # A plant that floods always has a line ready: the clock runs all the same.
+        if not self._lines or deadline.left_s() <= 0.0:
+            self._pull(deadline)
         return self._lines.popleft().decode(errors="replace").rstrip("\r")
 
     def close(self) -> None:
@@ -70,19 +86,30 @@ class Link:
         except OSError:
             self._unsent = b""  # whoever ended may have said why: what it said is still to be read
 
-    def _pull(self, deadline: float, timeout_s: float) -> None:
-        while not self._lines:
-            writes = [self._writes] if self._unsent else []
-            ready, free, _ = select.select([self._reads], writes, [], max(deadline - time.monotonic(), 0.0))
-            if not ready and not free:
+    def _asides(self) -> list[int]:
+        """Return what else the plant may speak on, which must not fill up."""
+        return []
+
+    def _overhear(self) -> None:
+        raise NotImplementedError
+
+    def _pull(self, deadline: "Deadline") -> None:
+        while True:
+            if deadline.left_s() <= 0.0:
                 raise BenchError(
-                    f"Process: {self.where} the plant '{self.name}' said nothing for {timeout_s:g} s and was given up; "
-                    "allow it more time if it needs that."
+                    f"Process: {self.where} the plant '{self.name}' said nothing{deadline.remarks()} for "
+                    f"{deadline.timeout_s:g} s and was given up; allow it more time if it needs that."
                 )
+            if self._lines:
+                return
+            writes = [self._writes] if self._unsent else []
+            ready, free, _ = select.select([self._reads, *self._asides()], writes, [], deadline.left_s())
             if free:
                 self._push()
-            if ready:
+            if self._reads in ready:
                 self._receive()
+            if ready and ready != [self._reads]:
+                self._overhear()
 
     def _receive(self) -> None:
         try:
@@ -108,21 +135,22 @@ class Child(Link):
     def __init__(self, command: tuple[str, ...]) -> None:
         if os.name != "posix":  # pipes cannot be waited for elsewhere
             raise InputError("Process: 'command' needs Linux or macOS; give 'port' and start the plant yourself.")
-        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  closed by `close`
         try:
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=self._words,
+                stderr=subprocess.PIPE,
                 bufsize=0,
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:
-            self._words.close()
             raise BenchError(f"Process: the plant '{command[0]}' cannot be started ({error}).") from error
         assert self._process.stdin is not None
         assert self._process.stdout is not None
+        assert self._process.stderr is not None
+        self._words, self._overheard = b"", self._process.stderr.fileno()
+        os.set_blocking(self._overheard, False)
         reads, writes = self._process.stdout.fileno(), self._process.stdin.fileno()
         os.set_blocking(reads, False)
         os.set_blocking(writes, False)
@@ -134,34 +162,80 @@ class Child(Link):
     def _take(self, most: int) -> bytes:
         return os.read(self._reads, most)
 
+    def _asides(self) -> list[int]:
+        return [self._overheard] if self._overheard >= 0 else []
+
+    def _overhear(self) -> None:
+        """Take what it says on its error output, of which the end is kept: it may talk for ever."""
+        while self._overheard >= 0:
+            try:
+                said = os.read(self._overheard, CHUNK_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:
+                said = b""
+            self._words = (self._words + said)[-4 * LAST_WORDS :]
+            if not said:
+                self._overheard = -1  # closed, and no longer asked for
+            if len(said) < CHUNK_BYTES:
+                return
+
     def close(self) -> None:
         """Close its input, which asks it to end; what does not end within a grace is killed. No zombie stays."""
         process = self._process
-        for pipe in (process.stdin, process.stdout):
+        self._overheard = -1
+        for pipe in (process.stdin, process.stdout, process.stderr):
             if pipe is not None:
                 pipe.close()
         for order in (None, signal.SIGTERM, signal.SIGKILL):
-            if order is not None and process.poll() is None:
-                with suppress(ProcessLookupError, PermissionError):
-                    os.killpg(process.pid, order)
-            with suppress(subprocess.TimeoutExpired):
-                process.wait(GRACE_S)
+            if order is not None:
+                self._order(order)
+            if self._code(GRACE_S) is not None:
                 break
-        self._words.close()
+        # Its number is its own until it has been waited for: nobody else's session can be meant.
+        if process.returncode is None:
+            self._order(signal.SIGKILL)
+        process.wait()
+
+    def _order(self, order: signal.Signals) -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, order)
+
+    def _code(self, timeout_s: float) -> int | None:
+        """Return the exit code, negative for a signal, of a plant that has ended, and leave it to be waited for."""
+        end, pause_s = time.monotonic() + timeout_s, PAUSE_S
+        while self._process.returncode is None:
+            self._overhear()
+            try:
+                found = os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            except ChildProcessError:  # somebody else has waited for it
+                return self._process.wait()
+            if found is not None:
+                return found.si_status if found.si_code == os.CLD_EXITED else -found.si_status
+            if time.monotonic() >= end:
+                return None
+            time.sleep(pause_s)
+            pause_s = min(2 * pause_s, CONNECT_PAUSE_S)
+        return self._process.returncode
 
     def ending(self) -> str:
         """Return its exit code or signal and its last words."""
-        try:
-            code = self._process.wait(GRACE_S)
-        except subprocess.TimeoutExpired:
+        code = self._code(GRACE_S)
+        self._overhear()
+        if code is None:
             return "closed its output" + self._last_words()
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         return how + self._last_words()
 
     def _last_words(self) -> str:
-        self._words.seek(0)
-        words = " ".join(self._words.read()[-4 * LAST_WORDS :].decode(errors="replace").split())
+        words = shown(self._words.decode(errors="replace"), 4 * LAST_WORDS)
         return f", its last words: '{words[-LAST_WORDS:]}'" if words else " without a word"
+
+
+def shown(text: str, most: int) -> str:
+    """Return the beginning of what a plant said, in one line, without what commands a terminal."""
+    words = " ".join(text[: 2 * most].split())
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)[:most]
 
 
 class Remote(Link):

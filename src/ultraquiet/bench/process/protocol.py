@@ -1,16 +1,26 @@
 """The words of the line protocol (docs/line-protocol.md): the handshake, numbers, remarks and refusals."""
 
+import re
 from dataclasses import dataclass, replace
 
 from ultraquiet._base.constraints import positive, whole
-from ultraquiet._base.errors import BenchError
-from ultraquiet.bench.process.link import Link
+from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet._base.regular import read_regular
+from ultraquiet.bench.process.link import Deadline, Link, shown
 from ultraquiet.values import Channel
 
 VERSION = 1
 GREETING = f"ultraquiet-plant {VERSION}"
 MOST_AHEAD = 4096  # lines that may be under way: more gains nothing and only fills buffers
+MOST_CHANNELS = 4096
+MOST_TOKEN_BYTES = 1024
+REASON = 500  # characters of a refusal that are told
 SHOWN = 80  # characters of a wrong line that a sentence quotes
+
+# ASCII digits only, no underscores, and no more of them than any program prints.
+_DECIMAL = re.compile(r"[+-]?(?:(?:[0-9]{1,400}\.?[0-9]{0,400}|\.[0-9]{1,400})(?:[eE][+-]?[0-9]{1,5})?|inf|nan)")
+_HEXADECIMAL = re.compile(r"[+-]?0[xX][0-9a-fA-F]{1,32}\.?[0-9a-fA-F]{0,32}(?:[pP][+-]?[0-9]{1,5})?")
+_COUNT = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True)
@@ -24,35 +34,42 @@ class Card:
     hexadecimal: bool = False
 
     @classmethod
-    def from_handshake(cls, link: Link, timeout_s: float) -> "Card":
-        """Greet the plant and read its lines up to `ready`."""
+    def from_handshake(cls, link: Link, timeout_s: float, token: str = "") -> "Card":
+        """Greet the plant, with a word that only its friends know where it asks for one, and read up to `ready`."""
         link.where = "in the handshake"
-        link.send(f"hello {VERSION}\n")
-        first = spoken(link, timeout_s)
+        link.send(f"hello {VERSION} {token}".rstrip() + "\n")
+        deadline = Deadline(timeout_s)
+        first = spoken(link, deadline)
         if first.strip() != GREETING:
-            raise BenchError(f"Process: the plant must greet with '{GREETING}', got {first[:SHOWN]!r}.")
+            raise BenchError(f"Process: the plant must greet with '{GREETING}', got {shown(first, SHOWN)!r}.")
         card = cls()
-        while (line := spoken(link, timeout_s)).strip() != "ready":
+        while (line := spoken(link, deadline)).strip() != "ready":
             try:
                 card = card._with(line.split())
-            except (ValueError, IndexError) as error:
+            except (ValueError, IndexError, OverflowError) as error:
                 raise BenchError(
-                    f"Process: in the handshake the plant sent {line[:SHOWN]!r}, which says nothing known ({error})."
+                    f"Process: in the handshake the plant sent {shown(line, SHOWN)!r}, which says nothing known "
+                    f"({error})."
                 ) from None
         if not (card.rate_hz and card.actuators and card.sensors):
             raise BenchError("Process: the plant must name its rate, an actuator and a sensor before it is 'ready'.")
         return card
+
+    def _joined(self, wires: tuple[Channel, ...], wire: Channel) -> tuple[Channel, ...]:
+        if len(self.actuators) + len(self.sensors) >= MOST_CHANNELS:
+            raise ValueError(f"a plant has up to {MOST_CHANNELS} channels")
+        return (*wires, wire)
 
     def _with(self, words: list[str]) -> "Card":
         match words:
             case ["rate", value]:
                 return replace(self, rate_hz=positive("Process", "rate", number(value), "Hz"))
             case ["actuator", unit, low, high, *name]:
-                return replace(self, actuators=(*self.actuators, channel(unit, low, high, name)))
+                return replace(self, actuators=self._joined(self.actuators, channel(unit, low, high, name)))
             case ["sensor", unit, low, high, *name]:
-                return replace(self, sensors=(*self.sensors, channel(unit, low, high, name)))
+                return replace(self, sensors=self._joined(self.sensors, channel(unit, low, high, name)))
             case ["ahead", count]:
-                return replace(self, ahead=min(whole("Process", "ahead", int(count), 1), MOST_AHEAD))
+                return replace(self, ahead=min(whole("Process", "ahead", counted(count), 1), MOST_AHEAD))
             case ["numbers", ("decimal" | "hex") as kind]:
                 return replace(self, hexadecimal=kind == "hex")
         raise ValueError("known are rate, actuator, sensor, ahead, numbers and ready")
@@ -71,14 +88,42 @@ def number(word: str) -> float:
     >>> number("0x1.8p+1"), number("1e-3")
     (3.0, 0.001)
     """
-    return float.fromhex(word) if "x" in word or "X" in word else float(word)
+    if _DECIMAL.fullmatch(word):
+        return float(word)
+    if _HEXADECIMAL.fullmatch(word):
+        return float.fromhex(word)
+    raise ValueError(f"{shown(word, SHOWN)!r} is no number")
 
 
-def spoken(link: Link, timeout_s: float) -> str:
+def counted(word: str) -> int:
+    """Return a whole number in plain digits, of which nine are enough for everybody."""
+    if not _COUNT.fullmatch(word):
+        raise ValueError(f"{shown(word, SHOWN)!r} is no whole number below 10^9")
+    return int(word)
+
+
+def spoken(link: Link, deadline: Deadline) -> str:
     """Return the next line that is no remark."""
     while True:
-        line = link.line(timeout_s)
+        line = link.line(deadline)
         if line.startswith("error"):
-            raise BenchError(f"Process: {link.where} the plant refused: {line[5:].strip().rstrip('.') or 'no reason'}.")
+            why = shown(line[5:], REASON).rstrip(".") or "no reason"
+            raise BenchError(f"Process: {link.where} the plant refused: {why}.")
         if line.strip() and not line.startswith("#"):
             return line
+        deadline.asides += 1
+
+
+def read_token(path: str) -> str:
+    """Return the word of a token's file.
+
+    Raises:
+        InputError: it cannot be read, or holds anything but one word of plain letters, digits and signs.
+    """
+    try:
+        words = read_regular(path, MOST_TOKEN_BYTES).decode("ascii").split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"Process: the token's file '{path}' cannot be read ({type(error).__name__}).") from error
+    if len(words) != 1 or not words[0].isprintable():
+        raise InputError(f"Process: the token's file '{path}' must hold one word, got {len(words)}.")
+    return words[0]

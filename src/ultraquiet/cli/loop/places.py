@@ -84,6 +84,7 @@ def _of_model(path: Path) -> LoopPlace:
 def _of_study(path: Path, unit: str | None) -> LoopPlace:
     from ultraquiet.pipeline import load_study
     from ultraquiet.pipeline.preflight import as_unit, usual_amplitude
+    from ultraquiet.pipeline.tables.blending import in_modes
     from ultraquiet.pipeline.walk import bench_of
 
     study = load_study(path)
@@ -94,8 +95,13 @@ def _of_study(path: Path, unit: str | None) -> LoopPlace:
     if chosen is not None:
         bench = as_unit(bench, chosen)
     name = str(path) if chosen is None else f"{path}, unit {chosen}"
+    notes: tuple[str, ...] = ()
+    if study.blending is not None:
+        bench = in_modes(bench, study.blending, beside=path.parent)
+        notes = ("the loop is closed in the modes of [blending], from all sensors: no record says which are dead",)
     amplitude = loop.amplitude or usual_amplitude(bench)
-    return LoopPlace(bench, name, tuple(loop.tones_hz), loop.band_hz, amplitude, loop.duration_s or DURATION_S)
+    duration_s = loop.duration_s or DURATION_S
+    return LoopPlace(bench, name, tuple(loop.tones_hz), loop.band_hz, amplitude, duration_s, notes=notes)
 
 
 def _three_digits(f_hz: float) -> float:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import StorageError
+from ultraquiet._base.regular import parse_json, read_regular
 
 MANIFEST = "manifest.json"
 WRITER = "ultraquiet.deploy"
@@ -70,7 +71,7 @@ def require_ours(folder: Path) -> None:
     try:
         if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
             return
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        manifest = parse_json(read_regular(folder / MANIFEST))
         ours = isinstance(manifest, dict) and manifest.get("writer") == WRITER
     except (OSError, ValueError):
         ours = False

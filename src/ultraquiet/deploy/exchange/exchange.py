@@ -6,13 +6,16 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.regular import read_regular
 from ultraquiet.deploy.exchange.foton import foton_text, read_foton
 from ultraquiet.files import load, save, write_bytes
+from ultraquiet.files.confined import confined
+from ultraquiet.files.packing import pack, unpack
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 
@@ -75,11 +78,21 @@ def read_law(path: str | os.PathLike[str]) -> StateSpace:
             raise StorageError(f"read_law: '{path}' holds a {type(law).__name__}, not a law.")
         return law
     try:
-        return FORMATS[kind](Path(path).read_bytes())
-    except StorageError:
-        raise
+        data = read_regular(path)
     except OSError as error:
         raise StorageError(f"read_law: '{path}' cannot be read ({error.strerror}).") from None
+    import scipy.io  # noqa: F401  the child can load nothing
+
+    read = FORMATS[kind]
+    packed = confined(lambda: pack(_law_of(read, data, path)), Path(path).name, kind, len(data), who="read_law")
+    return cast("StateSpace", unpack(*packed))
+
+
+def _law_of(read: Callable[[bytes], StateSpace], data: bytes, path: str | os.PathLike[str]) -> StateSpace:
+    try:
+        return read(data)
+    except StorageError:
+        raise
     except (ValueError, KeyError, IndexError, TypeError) as error:
         raise StorageError(f"read_law: '{path}' holds no law ({type(error).__name__}: {error}).") from None
 

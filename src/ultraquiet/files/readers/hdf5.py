@@ -1,14 +1,19 @@
 """HDF5 files of other programs: datasets as columns; archives of this package are read by `archive`."""
 
 import io
+import math
 from typing import Any
 
 import numpy as np
 
-from ultraquiet.files.archive import FORMAT, MAGIC, SEAL
+from ultraquiet._base.errors import StorageError
+from ultraquiet.files.archive import MAGIC, SEAL
+from ultraquiet.files.confined import announce
 from ultraquiet.files.table import RATE_NAMES, STEP_NAMES, FileTable, from_arrays
 
 SHA256_DIGITS = 64
+FLOAT_BYTES = 8
+OURS = (b"ultraquiet", b"format_version", b"kind")
 UNITS = ("unit", "units", "Unit", "Units")
 NAMES = ("names", "channels", "columns")
 
@@ -17,16 +22,8 @@ def is_ours(data: bytes) -> bool:
     """Return whether bytes are an archive of this package, whole or damaged."""
     if not data.startswith(MAGIC):
         return False
-    if SEAL in data[-len(SEAL) - SHA256_DIGITS :]:
-        return True
-    import h5py
-
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            return file.attrs.get("format") == FORMAT
-    except Exception:
-        # Let the reader say what is wrong with the file.
-        return False
+    # One that lost its seal still holds what only ours say at their root; HDF5 itself need not be asked for that.
+    return SEAL in data[-len(SEAL) - SHA256_DIGITS :] or all(word in data for word in OURS)
 
 
 def read_hdf5(name: str, data: bytes) -> FileTable:
@@ -55,9 +52,37 @@ def read_hdf5(name: str, data: bytes) -> FileTable:
             texts[place] = _words(item.asstr()[()])
 
     with h5py.File(io.BytesIO(data), "r") as file:
+        announce(name, declared_bytes(name, file), len(data))
         arrays.update(_stated_rates("", file))
         file.visititems(visit)
         return from_arrays(name, arrays, texts)
+
+
+def declared_bytes(name: str, file: Any) -> int:
+    """Return the bytes of float64 that all datasets of a file come to, as they say; foreign storage is refused.
+
+    Raises:
+        StorageError: a dataset whose samples lie in another file, or are drawn together from others.
+    """
+    import h5py
+
+    total = 0
+
+    def visit(path: str, item: Any) -> None:
+        nonlocal total
+        if not isinstance(item, h5py.Dataset):
+            return
+        if item.external or item.is_virtual:
+            raise StorageError(
+                f"read_record: '{name}' keeps '{path}' outside itself, in other files; such storage is not followed: "
+                "copy the samples into one file first (h5repack)."
+            )
+        # A chunk is unpacked whole, however little of it is asked for.
+        held = math.prod(item.chunks or ()) if item.chunks else 0
+        total += max(math.prod(item.shape or ()), held) * max(item.dtype.itemsize, FLOAT_BYTES)
+
+    file.visititems(visit)
+    return total
 
 
 def _stated_rates(place: str, item: Any) -> dict[str, Any]:

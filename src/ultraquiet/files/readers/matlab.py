@@ -7,9 +7,13 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.files.confined import announce
+from ultraquiet.files.readers import mat_sizes
+from ultraquiet.files.readers.hdf5 import declared_bytes
 from ultraquiet.files.table import FileTable, from_arrays
 from ultraquiet.values import Record
 
+MOST_DEPTH = 32  # of groups, structures and cells in each other
 MOST_BYTES = 2**31  # of one variable in version 5, whose lengths are 32 bits with a sign
 
 
@@ -21,10 +25,11 @@ def read_mat(name: str, data: bytes) -> FileTable:
     """
     import scipy.io
 
+    announce(name, mat_sizes.declared_bytes(name, data), len(data))
     try:
         variables = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
     except NotImplementedError:
-        variables = _version_73(data)
+        variables = _version_73(name, data)
     flat = _flat(variables)
     texts = {key: words for key, value in flat.items() if (words := _words(value)) is not None}
     arrays = {key: value for key, value in flat.items() if key not in texts}
@@ -84,26 +89,38 @@ def _flat(variables: Mapping[Any, Any], before: str = "") -> dict[str, Any]:
     return flat
 
 
-def _version_73(data: bytes) -> dict[str, Any]:
+def _version_73(name: str, data: bytes) -> dict[str, Any]:
     import h5py
 
     with h5py.File(io.BytesIO(data), "r") as file:
+        announce(name, declared_bytes(name, file), len(data))
         return _group(file, file)
 
 
-def _group(group: Any, file: Any) -> dict[str, Any]:
+def _group(group: Any, file: Any, depth: int = 0) -> dict[str, Any]:
     import h5py
 
+    _check_depth(depth)
     variables: dict[str, Any] = {}
-    for name, item in group.items():
+    for name in group:
+        # A link to another file, or to a name that may be a group further up, is not followed.
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            continue
+        item = group[name]
         if isinstance(item, h5py.Group):
-            variables[name] = _group(item, file)
+            variables[name] = _group(item, file, depth + 1)
         elif isinstance(item, h5py.Dataset):
-            variables[name] = _variable(item, file)
+            variables[name] = _variable(item, file, depth + 1)
     return variables
 
 
-def _variable(dataset: Any, file: Any) -> Any:
+def _check_depth(depth: int) -> None:
+    if depth > MOST_DEPTH:
+        raise ValueError("its groups or cells hold each other in a circle")
+
+
+def _variable(dataset: Any, file: Any, depth: int) -> Any:
+    _check_depth(depth)
     kind = dataset.attrs.get("MATLAB_class", b"")
     if dataset.attrs.get("MATLAB_empty", 0):
         return "" if kind == b"char" else np.zeros(0)
@@ -112,5 +129,5 @@ def _variable(dataset: Any, file: Any) -> Any:
     if kind == b"char":
         return "".join(map(chr, array.ravel().tolist()))
     if kind == b"cell":
-        return [_variable(file[reference], file) for reference in array.ravel(order="F")]
+        return [_variable(file[reference], file, depth + 1) for reference in array.ravel(order="F")]
     return array

@@ -1,16 +1,19 @@
 """Parquet tables in and out, by pyarrow."""
 
 import io
-from math import inf
+from math import inf, nan
 from typing import Any
 
 import numpy as np
 
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.files.confined import announce
 from ultraquiet.files.readers.extra import extra
 from ultraquiet.files.table import RATE_NAMES, Column, FileTable
 from ultraquiet.values import Record
 
 UNITS = ("unit", "units")
+FLOAT_BYTES = 8
 
 
 def read_parquet(name: str, data: bytes) -> FileTable:
@@ -20,7 +23,11 @@ def read_parquet(name: str, data: bytes) -> FileTable:
     seconds from the first. Missing values become NaN.
     """
     pq, pa = extra("pyarrow.parquet", "pyarrow", "Parquet"), extra("pyarrow", "pyarrow", "Parquet")
-    table = pq.read_table(pa.BufferReader(data), use_threads=False)
+    # The system's allocator asks for what it needs; Arrow's own ones reserve address space by the gigabyte.
+    pa.set_memory_pool(pa.system_memory_pool())
+    file = pq.ParquetFile(pa.BufferReader(data))
+    announce(name, file.metadata.num_rows * file.metadata.num_columns * FLOAT_BYTES, len(data))
+    table = file.read(use_threads=False)
     columns = [_column(pa, table.schema.field(k), table.column(k)) for k in range(table.num_columns)]
     metadata = _texts(table.schema.metadata)
     rates = {key: float(metadata[key]) for key in RATE_NAMES if key in metadata}
@@ -57,10 +64,19 @@ def _column(pa: Any, field: Any, column: Any) -> tuple[str, Column | str]:
     name: str = metadata.get("name") or str(field.name)
     unit = next((metadata[key] for key in UNITS if key in metadata), "")
     if pa.types.is_timestamp(field.type):
-        stamps = column.cast(pa.timestamp("ns")).to_numpy()
-        return name, Column(name, (stamps - stamps[0]) / np.timedelta64(1, "s"), "s")
+        stamps = column.cast(pa.timestamp("ns")).cast(pa.int64())
+        first = next((value.as_py() for value in stamps.slice(0, 1) if value.is_valid), 0)
+        since = pa.compute.subtract(stamps, first)
+        return name, Column(name, _floats(pa, since) / 1e9, "s")
     if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
         return name, str(field.type)
-    values = column.cast(pa.float64(), safe=False).to_numpy().astype(np.float64)
+    values = _floats(pa, column)
     low, high = float(metadata.get("low", -inf)), float(metadata.get("high", inf))
     return name, Column(name, values, unit, role=metadata.get("role", ""), low=low, high=high)
+
+
+def _floats(pa: Any, column: Any) -> FloatArray:
+    """Return a column as float64, NaN for what is missing; `to_numpy` would import pandas for that, if it is there."""
+    whole = column.cast(pa.float64(), safe=False).fill_null(nan)
+    parts = [np.frombuffer(c.buffers()[1], np.float64)[c.offset : c.offset + len(c)] for c in whole.chunks if len(c)]
+    return np.concatenate(parts) if parts else np.empty(0)

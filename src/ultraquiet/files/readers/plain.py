@@ -3,18 +3,21 @@
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.atomic import reason
-from ultraquiet.files.table import Column, FileTable, split_unit
+from ultraquiet.files.confined import announce
+from ultraquiet.files.table import MOST_COLUMNS, Column, FileTable, split_unit
 from ultraquiet.values import Channel, Record
 
 DELIMITERS = (";", "\t", ",")
+LEAST_NUMBER = 4  # bytes of numbers that a byte of text becomes at most: a digit and its delimiter
 ROLES = {"u ": "input", "y ": "output"}  # how `write_text` marks its columns
 
 
@@ -26,19 +29,23 @@ def read_text(name: str, data: bytes) -> FileTable:
     remarks, and the last of them before the numbers may be the header.
     """
     try:
-        # Spreadsheets begin UTF-8 files with a byte-order mark.
-        lines = data.decode("utf-8-sig").splitlines()
+        before = _before(data)
     except UnicodeDecodeError:
         raise InputError(f"read_record: '{name}' is no text file in UTF-8.") from None
-    start = next((k for k, line in enumerate(lines) if _is_numbers(line)), None)
-    if start is None:
+    if before is None:
         raise InputError(f"read_record: '{name}' holds no line of numbers.")
-    delimiter = _delimiter(lines[start])
+    *before, first = before
+    start, delimiter = len(before), _delimiter(first)
+    if len(_cells(first, delimiter)) > MOST_COLUMNS:
+        raise InputError(f"read_record: line {start + 1} of '{name}' has more than {MOST_COLUMNS} columns.")
+    announce(name, LEAST_NUMBER * len(data), len(data))
     try:
-        rows = _numbers(lines[start:], delimiter)
+        rows = _numbers(data, start, delimiter)
+    except UnicodeDecodeError:
+        raise InputError(f"read_record: '{name}' is no text file in UTF-8.") from None
     except ValueError as error:
         raise InputError(f"read_record: '{name}', after line {start}: {reason(error)}.") from None
-    header = _header(lines[:start], delimiter, rows.shape[1])
+    header = _header(before, delimiter, rows.shape[1])
     columns = [Column(called, values, unit) for (called, unit), values in zip(header, rows.T, strict=True)]
     return FileTable(name, _with_roles(columns))
 
@@ -75,16 +82,34 @@ def _with_roles(columns: Sequence[Column]) -> tuple[Column, ...]:
     )
 
 
-def _numbers(lines: Sequence[str], delimiter: str | None) -> FloatArray:
-    if delimiter in (";", "\t"):
-        lines = [line.replace(",", ".") for line in lines]
+def _lines(data: bytes) -> Iterator[str]:
+    """Return the lines one by one: all at once take twenty times the memory of the file."""
+    # Spreadsheets begin UTF-8 files with a byte-order mark.
+    return iter(io.TextIOWrapper(io.BytesIO(data), "utf-8-sig"))
+
+
+def _before(data: bytes) -> list[str] | None:
+    """Return the lines up to the first one of numbers, without their ends; None when there is none."""
+    lines: list[str] = []
+    for line in _lines(data):
+        lines.append(line.rstrip("\n"))
+        if _is_numbers(lines[-1]):
+            return lines
+    return None
+
+
+def _numbers(data: bytes, start: int, delimiter: str | None) -> FloatArray:
+    def lines() -> Iterator[str]:
+        rest = islice(_lines(data), start, None)
+        return (line.replace(",", ".") for line in rest) if delimiter in (";", "\t") else rest
+
     try:
-        return np.loadtxt(lines, delimiter=delimiter, ndmin=2)
+        return np.loadtxt(lines(), delimiter=delimiter, ndmin=2)
     except ValueError:
-        if delimiter is None or not any(_has_gap(line, delimiter) for line in lines):
+        if delimiter is None or not any(_has_gap(line, delimiter) for line in lines()):
             raise
     # Slower, and needed only where cells are empty.
-    return np.loadtxt(lines, delimiter=delimiter, ndmin=2, converters=lambda cell: float(cell.strip() or "nan"))
+    return np.loadtxt(lines(), delimiter=delimiter, ndmin=2, converters=lambda cell: float(cell.strip() or "nan"))
 
 
 def _has_gap(line: str, delimiter: str) -> bool:

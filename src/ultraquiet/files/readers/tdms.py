@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import StorageError
+from ultraquiet.files.confined import announce
 from ultraquiet.files.readers.extra import extra
 from ultraquiet.files.table import Column, FileTable, rate_of_step
 
+FLOAT_BYTES = 8
 UNITS = ("unit_string", "NI_UnitDescription")
 
 
@@ -24,6 +26,9 @@ def read_tdms(name: str, data: bytes) -> FileTable:
     """
     nptdms = extra("nptdms", "npTDMS", "TDMS")
     with _quiet():
+        told = nptdms.TdmsFile.read_metadata(io.BytesIO(data))
+        samples = sum(len(channel) for group in told.groups() for channel in group.channels())
+        announce(name, FLOAT_BYTES * samples, len(data))
         file = nptdms.TdmsFile.read(io.BytesIO(data))
     if file.file_status.incomplete_final_segment:
         raise StorageError(f"read_record: '{name}' was cut short: its last segment is incomplete.")

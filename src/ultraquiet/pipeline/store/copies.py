@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ultraquiet._base.errors import StorageError
+from ultraquiet._base.regular import parse_json, read_regular
 from ultraquiet.files import archive, write_bytes
 from ultraquiet.pipeline.store.recorded import FOLDER, KEY
 from ultraquiet.values import Record
@@ -55,6 +56,6 @@ class Copies:
     @staticmethod
     def _are_copies(path: Path) -> bool:
         try:
-            return bool(json.loads(path.read_text(encoding="utf-8"))["copies"])
+            return bool(parse_json(read_regular(path))["copies"])
         except (OSError, ValueError, KeyError, TypeError):
             return False

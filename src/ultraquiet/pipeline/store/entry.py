@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import StorageError, UltraquietError
+from ultraquiet._base.regular import parse_json, read_regular
 from ultraquiet.pipeline.store.contents import Hashes, hashes_of, place, staged, vouched
 
 STAGES = "stages"
@@ -52,7 +53,7 @@ def sealed(entry: StageEntry) -> bytes:
 def read(folder: Path, stage: str) -> StageEntry | None:
     """Return a stage's entry; None when there is none, or none that is whole."""
     try:
-        content = json.loads(path_of(folder, stage).read_text(encoding="utf-8"))
+        content = parse_json(read_regular(path_of(folder, stage)))
         seal = content.pop("sha256")
         return StageEntry(**content) if seal == _seal(content) else None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
@@ -62,7 +63,7 @@ def read(folder: Path, stage: str) -> StageEntry | None:
 def is_older(folder: Path, stage: str) -> bool:
     """Tell whether a stage was left by version 0.2 or one before, which wrote no hashes."""
     try:
-        return "left" not in json.loads(path_of(folder, stage).read_text(encoding="utf-8"))
+        return "left" not in parse_json(read_regular(path_of(folder, stage)))
     except (OSError, ValueError, TypeError):
         return False
 

@@ -14,6 +14,7 @@ import numpy as np
 from ultraquiet import experiments, files
 from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.regular import parse_json, read_regular
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.plan import Measurement, Pause
 from ultraquiet.files import write_bytes
@@ -110,8 +111,8 @@ class Records:
         """Return what the records were made from; None where nothing says so, empty where it cannot be told."""
         path = self._place / KEY
         try:
-            text = path.read_bytes()
-            content = json.loads(text) if len(text) != OLDER_KEY_BYTES else {}
+            text = read_regular(path)
+            content = parse_json(text) if len(text) != OLDER_KEY_BYTES else {}
         except FileNotFoundError:
             return None
         except (OSError, ValueError):
@@ -149,7 +150,7 @@ class Records:
     def _write(self, key: Mapping[str, Any]) -> None:
         path, text = self._place / KEY, json.dumps(key, indent=1).encode()
         self._place.mkdir(exist_ok=True)
-        if not path.exists() or path.read_bytes() != text:
+        if not path.exists() or read_regular(path) != text:
             write_bytes(path, text)
 
     def _set_aside(self) -> None:
@@ -164,7 +165,7 @@ class Records:
 def finished_names(folder: Path) -> list[str]:
     """Return the names of a study's records that are there."""
     try:
-        content = json.loads((folder / FOLDER / KEY).read_text(encoding="utf-8"))
+        content = parse_json(read_regular(folder / FOLDER / KEY))
         names = list(content["measurements"])
     except (OSError, ValueError, KeyError, TypeError):
         return []

@@ -79,6 +79,17 @@ def blended(bench: Bench, table: BlendingTable, beside: Path | None = None) -> A
     return _decimated(Blended(bench, wires), bench.rate_hz, table)
 
 
+def in_modes(bench: Bench, table: BlendingTable, left_out: tuple[str, ...] = (), beside: Path | None = None) -> Any:
+    """Return the bench that a study identifies and closes loops on: modes in, modes out, at the control rate.
+
+    `left_out` are sensors that count for nothing, by name.
+
+    Raises:
+        InputError: matrices that do not fit the bench, a rate that is none of its fractions, too few sensors left.
+    """
+    return _decimated(Blended(bench, _without(_blending(bench, table, beside), left_out)), bench.rate_hz, table)
+
+
 def blended_records(
     bench: Bench, table: BlendingTable, records: Mapping[str, Record], beside: Path | None = None
 ) -> BlendedStudy:
@@ -101,13 +112,16 @@ def blended_records(
     alike = len({(r.rate_hz, r.actuators) for r in records.values()}) == 1
     health = channel_health([r if alike else _at_the_control_rate(r, bench, decimation) for r in records.values()])
     left_out = _left_out(health, table)
-    blending = blending.without(sensors=left_out) if left_out else blending
+    blending = _without(blending, left_out)
     said = [*health.sentences, *blending.sentences]
     if left_out:
         said.append(f"Left out of the blending: {', '.join(left_out)}; the modes are those of the other sensors.")
     modal = {name: _in_modes(record, bench, blending, decimation) for name, record in records.items()}
-    study_bench = _decimated(Blended(bench, blending), bench.rate_hz, table)
-    return BlendedStudy(study_bench, modal, health, left_out, tuple(said))
+    return BlendedStudy(in_modes(bench, table, left_out, beside), modal, health, left_out, tuple(said))
+
+
+def _without(blending: Blending, left_out: tuple[str, ...]) -> Blending:
+    return blending.without(sensors=left_out) if left_out else blending
 
 
 def _renamed(blending: Blending, actuator_modes: tuple[Channel, ...]) -> Blending:

@@ -1,0 +1,21 @@
+"""What a report says, and whether it speaks of a bench that it is not about."""
+
+import re
+
+# Words of the packaged study; what else a report says must come from the bench it is about.
+FOREIGN = re.compile(
+    r"SUITE|strut|hexapod|\bground\b|\bflight\b|\bpaper|geophone|piezo|stack|payload|\d V\b|V²|V/V|eq\. \(|Fig\.|"
+    r"section \d|\b5 Hz|\b25 Hz|\b100 Hz|3500|\b25 V|1000 V",
+    re.IGNORECASE,
+)
+
+
+def visible(page):
+    """Return the text of a report without its style, its scripts and where it says which versions made it."""
+    text = re.sub(r"<(style|script)\b.*?</\1>", " ", page, flags=re.DOTALL)
+    text = re.sub(r"<(path|use|g|clipPath|defs|svg|figure)\b[^>]*>", " ", text)
+    return re.sub(r"<[^>]+>", " ", text)
+
+
+def foreign_words(page):
+    return sorted({text.group(0) for text in FOREIGN.finditer(visible(page))})
