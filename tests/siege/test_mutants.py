@@ -15,7 +15,7 @@ from ultraquiet._base.errors import UltraquietError
 
 SLOWEST_S = 10.0
 SEED = 16
-GATE, CAMPAIGN = 150, 20_000
+GATE, CAMPAIGN = 36, 20_000
 
 
 def spent():
