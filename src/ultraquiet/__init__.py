@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ultraquiet import files as files
     from ultraquiet import identify as identify
     from ultraquiet import limits as limits
+    from ultraquiet import plot as plot
     from ultraquiet import reduce as reduce
     from ultraquiet import report as report
     from ultraquiet import signals as signals
@@ -49,6 +50,7 @@ __all__ = [
     "files",
     "identify",
     "limits",
+    "plot",
     "reduce",
     "report",
     "signals",

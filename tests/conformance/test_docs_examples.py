@@ -1,4 +1,4 @@
-"""Every Python example of the documentation on control and blending runs as it is printed."""
+"""Every Python example of the documentation on control, blending, code and payload runs as it is printed."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 DOCS = Path(__file__).parents[2] / "docs"
 BLOCKS = [
     pytest.param(block, id=f"{name}-{k}")
-    for name in ("blending.md", "control.md", "deployment.md")
+    for name in ("blending.md", "control.md", "deployment.md", "mission.md")
     for k, block in enumerate(re.findall(r"```python\n(.*?)```", (DOCS / name).read_text(), re.DOTALL))
 ]
 

@@ -135,8 +135,11 @@ def test_a_level_that_cannot_be_reached(rate):
         assert "no controller reaches level" in result.status.sentence
 
 
-def test_an_ill_posed_loop_is_refused_at_its_level_only(rng):
-    """D22 = -1 / Dk, with Dk of the central controller of the problem without D22: I - D22 Dk is singular."""
+def test_an_ill_posed_loop_at_one_level_is_mended_by_the_other_route(rng):
+    """D22 = -1 / Dk, with Dk of the central controller of the problem without D22: I - D22 Dk is singular.
+
+    Direct discrete synthesis has another central controller at the same level, whose loop is well posed.
+    """
     D = rng.standard_normal((4, 4))
     D[3, 3] = 0
     P = StateSpace(-np.diag([1.0, 2.0]), rng.standard_normal((2, 4)), rng.standard_normal((4, 2)), D)
@@ -145,8 +148,9 @@ def test_an_ill_posed_loop_is_refused_at_its_level_only(rng):
     D[3, 3] = -1 / synthesize_hinf(P, 1, 1, gamma=level).controller.D[0, 0]
     ill = StateSpace(P.A, P.B, P.C, D)
     asked = synthesize_hinf(ill, 1, 1, gamma=level)
-    assert asked.controller is None
-    assert "D22" in asked.status.sentence
+    assert asked.status.ok, asked.status
+    assert asked.achieved <= level
+    assert abs(1 - D[3, 3] * asked.controller.D[0, 0]) > 1e-3
     free = synthesize_hinf(ill, 1, 1)
     assert free.status.ok, free.status
 

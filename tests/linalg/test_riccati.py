@@ -126,3 +126,45 @@ def test_stein_refuses_the_unit_circle():
 def test_matrices_that_overflow_are_refused():
     with pytest.raises(NumericalError, match="overflow"):
         equations.continuous_riccati(-np.eye(1), np.full((1, 1), np.inf), np.eye(1))
+
+
+def test_an_all_but_undamped_oscillator_with_a_faint_cost():
+    """A = [0, 1; -1, 0], B = [0; 1], Q = q I: X -> sqrt(2 q) I, closed-loop damping sqrt(q / 2), as q goes to zero."""
+    A, G = np.array([[0.0, 1.0], [-1.0, 0.0]]), np.diag([0.0, 1.0])
+    for q in (1e-20, 1e-12, 1e-4):
+        X = equations.continuous_riccati(A, G, q * np.eye(2)).X
+        # the damping is known to the round-off of A
+        np.testing.assert_allclose(X, np.sqrt(2 * q) * np.eye(2), rtol=1e-4, atol=2 * q)
+
+
+def test_a_double_integrator_beside_fast_poles_is_solved_to_round_off():
+    """Terms of the size |A||X| cancel in front of the slow states: what is left is their round-off, no refusal."""
+    A = np.diag([-3e2, -1e-3, 0.0, 0.0])
+    A[2, 3] = 1e-2
+    B, C = np.array([[1.0], [1.0], [0.0], [1e-3]]), 1e2 * np.eye(4)
+    for scale in (1.0, 1e-9, 1e9):
+        found = equations.continuous_riccati(A, B @ B.T * scale, C.T @ C / scale)
+        assert found.margin > 0
+        assert found.backward < 1e-14
+
+
+@pytest.mark.slow
+def test_four_hundred_unstable_states(rng):
+    A, B, C = rng.standard_normal((400, 400)) / 20, rng.standard_normal((400, 40)), rng.standard_normal((40, 400))
+    for found in (
+        equations.continuous_riccati(A, B @ B.T, C.T @ C),
+        equations.discrete_riccati(2 * A, B, C.T @ C, np.eye(40)),
+    ):
+        print(f"400 states: left of the terms {found.residual:.1e}, of their moduli {found.backward:.1e}")
+        assert found.margin > 0
+        assert found.backward < 1e-12
+
+
+def test_units_of_states_change_nothing(rng):
+    A, B, C = rng.standard_normal((60, 60)) / 8, rng.standard_normal((60, 4)), rng.standard_normal((4, 60))
+    A -= 0.7 * np.eye(60)  # a fifth of the poles unstable: X is known to eight digits, not to three
+    d = 10 ** rng.uniform(-6, 6, 60)
+    plain = equations.continuous_riccati(A, B @ B.T, C.T @ C)
+    other = equations.continuous_riccati(A * d / d[:, None], (B / d[:, None]) @ (B / d[:, None]).T, (C * d).T @ (C * d))
+    np.testing.assert_allclose(other.margin, plain.margin, rtol=1e-7)
+    assert other.backward < 1e-14

@@ -126,12 +126,12 @@ def test_other_laws_are_never_counted():
         "lqg-ltr": SimpleNamespace(facts=SimpleNamespace(units={"ground": UnstableLoop(status="unstable: So.")})),
     }
     plan = SimpleNamespace(band_hz=study.closed_loop.band_hz)
-    judged = stages._judge(None, {}, loops, plan)
+    judged = stages._judge(None, {}, loops, plan, {})
     assert judged.law == study.requirements.law
     assert {each.where for each in judged.judged if each.requirement == "peak_db"} == set(GOOD)
     assert stages._required_hz("hinf-tones", plan) is None
     fewer = study.model_copy(update={"requirements": None})
-    assert Stages(fewer, None, None, {}, print)._judge(None, {}, loops, plan) is None
+    assert Stages(fewer, None, None, {}, print)._judge(None, {}, loops, plan, {}) is None
 
 
 def test_facts_go_to_json_and_back_and_to_the_report():

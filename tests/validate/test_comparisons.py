@@ -97,3 +97,40 @@ def test_an_unstable_model_fits_nothing(record):
     wild = uq.PolynomialModel(MODEL.b, [[1.0, -1.1]], 100.0)
     assert uq.validate.compare(wild, record).fit_percent[0] == -np.inf
     assert uq.validate.compare(wild.state_space(), record).fit_percent[0] == -np.inf
+
+
+def slow_record(rng, size=1.0):
+    """A first-order plant that outlasts its record, with a constant at its output and a state to begin with."""
+    plant = uq.StateSpace([[0.995]], [[0.005 * size]], [[1.0]], [[0.0]], rate_hz=1.0)
+    u = 5 + rng.standard_normal((1, 400))
+    return plant, uq.Record(u, plant.simulate(u) + size * (3 + 2 * 0.995 ** np.arange(400)), 1.0)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_constant_and_initial_state_are_fitted_together(rng, size):
+    plant, record = slow_record(rng, size)
+    assert uq.validate.compare(plant, record).fit_percent[0] > 99.99
+    ny, noisy = 1, np.array([[0.3]])
+    model = uq.InnovationForm(plant.A, plant.B, plant.C, plant.D, noisy, np.eye(ny), 1.0)
+    assert np.abs(uq.validate.innovations(model, record)).max() < 1e-7 * size
+
+
+def test_outputs_in_unequal_units_share_their_state_fairly(rng):
+    A, C = np.array([[0.99, 0.1], [0.0, 0.98]]), np.array([[1.0, 0.3], [0.2, 1.0], [0.5, -1.0]])
+    u, e = rng.standard_normal((1, 500)), rng.standard_normal((3, 500))
+    fits = []
+    for unit in (1.0, 1e9):
+        plant = uq.StateSpace(A, [[0.1], [0.1]], np.diag([1, unit, 1]) @ C, np.zeros((3, 1)), 10.0)
+        y = plant.simulate(u, np.array([3.0, -2.0])) + np.diag([1, unit, 1]) @ (7 + 0.3 * e)
+        fits.append(uq.validate.compare(plant, uq.Record(u, y, 10.0)).fit_percent)
+    assert fits[0] == pytest.approx(fits[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("poles", [(1.0,), (1.0, 1.0), (1.0, 0.9)])
+def test_an_integrator_is_simulated(rng, poles):
+    u = rng.standard_normal(300)
+    f = np.poly(poles)
+    y = lfilter([0.0, 0.1], f, u) + 4 + (0.02 * np.arange(300) if poles[1:] == (1.0,) else 0.0)
+    model, record = uq.PolynomialModel([[0.0, 0.1]], [f], 1.0), uq.Record(u, y, 1.0)
+    assert uq.validate.compare(model, record).fit_percent[0] > 99.99
+    assert uq.validate.compare(model.state_space(), record).fit_percent[0] > 99.99

@@ -1,5 +1,6 @@
 """What can be said about a system or a loop without changing it: norms, zeros, margins, symmetry."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.analyse.disk import (
     ChannelChange,
     DiskMargins,
@@ -58,3 +59,5 @@ __all__ = [
     "wilson_interval",
     "zeros",
 ]
+
+show(globals(), __all__)

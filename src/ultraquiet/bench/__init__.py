@@ -1,5 +1,6 @@
 """Benches: anything with a rate, channels and the verb `run`, simulated, replayed or wrapped."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.bench._abstract import Bench, Block, Streaming, Tally
 from ultraquiet.bench.blended import Blended
 from ultraquiet.bench.decimated import Decimated, HeldController
@@ -29,3 +30,5 @@ __all__ = [
     "Tally",
     "Wrapped",
 ]
+
+show(globals(), __all__)

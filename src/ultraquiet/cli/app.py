@@ -12,7 +12,7 @@ from ultraquiet.cli import convert, design, doctor, identify, inspect, methods, 
 from ultraquiet.cli.deploy import command as deploy
 from ultraquiet.cli.exits.codes import EPILOG, ExitCode, exit_code
 from ultraquiet.cli.experiment import command as experiment
-from ultraquiet.cli.loop import analyse, simulate
+from ultraquiet.cli.loop import analyse, campaign, simulate
 from ultraquiet.cli.output.options import with_options
 from ultraquiet.cli.spectra import command as spectra
 
@@ -28,6 +28,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "design": design.design,
     "analyse": analyse.analyse,
     "simulate": simulate.simulate,
+    "campaign": campaign.campaign,
     "deploy": deploy.deploy,
     "convert": convert.convert,
     "inspect": inspect.inspect,

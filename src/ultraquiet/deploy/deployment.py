@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.constraints import whole
+from ultraquiet._base.shown import Shown
 from ultraquiet.bench import Bench
 from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c_code import render
@@ -28,7 +29,7 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 
-class Deployment(GeneratedCode):
+class Deployment(GeneratedCode, Shown):
     """A generated folder and what is known of it.
 
     `tables` holds `states`, `form`, `c31_cycles` (kernel and frame), `c31_budget`, `flash_bytes`, `ram_bytes`,

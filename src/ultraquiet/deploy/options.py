@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import between, one_of, positive, whole
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c31.cycles import BUDGET_CYCLES
 from ultraquiet.deploy.law.form_choice import TOLERANCE
 from ultraquiet.deploy.law.law import OVERRUN_LIMIT
@@ -20,7 +21,7 @@ TARGET_CODES = ("c99", "c31")
 
 
 @dataclass(frozen=True, eq=False)
-class CodeOptions:
+class CodeOptions(Shown):
     """How a law becomes code.
 
     Args:
@@ -73,7 +74,7 @@ class CodeOptions:
 
 
 @dataclass(frozen=True)
-class C31Budget:
+class C31Budget(Shown):
     """Instructions of a TMS320C31's frame that a law may take.
 
     Args:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, ToolError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.law.law import Rounded, require_floating
 from ultraquiet.deploy.toolchain.emulator import (
@@ -36,7 +37,7 @@ LOOK_S = 0.1  # how often a silent emulator is asked whether it lives
 LAST_WORDS_S = 2.0
 
 
-class Processor:
+class Processor(Shown):
     """u = K y by the real binary of a target under an emulator, a `Controller`.
 
     Each step sends the measurements to the emulated processor and waits for its commands, so `bench.run(...,

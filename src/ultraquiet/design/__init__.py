@@ -1,5 +1,6 @@
 """Controllers from plants: settings objects with one verb, `design`, and the synthesis for a generalised plant."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.design.decoupling.decoupled import Decoupled, threefold
 from ultraquiet.design.decoupling.modal import Modal
 from ultraquiet.design.fixed_structure.classical import LeadLag, Notch
@@ -57,3 +58,5 @@ __all__ = [
     "verify_level",
     "worst_attenuation_db",
 ]
+
+show(globals(), __all__)

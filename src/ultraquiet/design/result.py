@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -26,7 +27,7 @@ class Recovery:
 
 
 @dataclass(frozen=True, eq=False)
-class DesignResult:
+class DesignResult(Shown):
     """The outcome of a design.
 
     Attributes:
@@ -55,6 +56,12 @@ class DesignResult:
     details: Mapping[str, Any] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     law: Controller | None = None
+
+    def _in_a_line(self) -> str:
+        law = "no controller" if self.controller is None else f"law of {counted(self.controller.states, 'state')}"
+        figures = {"gamma": self.gamma, "achieved": self.achieved, "peak sensitivity dB": self.peak_sensitivity_db}
+        told = [f"{name} {value:.4g}" for name, value in figures.items() if np.isfinite(value)]
+        return ", ".join([law, *told])
 
     @property
     def weights(self) -> Mapping[str, StateSpace] | None:

@@ -1,5 +1,6 @@
 """Experiments: a list of commands in TOML, checked whole, executed in order, one record per measurement."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.experiments.catalogue import find, rebuild, search
 from ultraquiet.experiments.clock import real_time
 from ultraquiet.experiments.dry import DryRun, DryStep, dry_run
@@ -31,3 +32,5 @@ __all__ = [
     "search",
     "states",
 ]
+
+show(globals(), __all__)

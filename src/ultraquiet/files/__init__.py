@@ -1,6 +1,7 @@
 """Files: every value to one HDF5 file and back, logs of runs, and records in the formats of other programs."""
 
-from ultraquiet.files.archive import contents, is_archive, load, load_many, save, save_many
+from ultraquiet._base.shown import show
+from ultraquiet.files.archive import contents, is_archive, load_many
 from ultraquiet.files.atomic import reason, write_bytes
 from ultraquiet.files.export import export_record
 from ultraquiet.files.log import LogWriter, log_header
@@ -12,6 +13,7 @@ from ultraquiet.files.read import read_record
 from ultraquiet.files.responses import export_frf, read_frf
 from ultraquiet.files.sep005 import from_sep005, to_sep005
 from ultraquiet.files.survey import Survey, survey
+from ultraquiet.files.value import load, save, save_many
 
 __all__ = [
     "Log",
@@ -41,3 +43,5 @@ __all__ = [
     "to_sep005",
     "write_bytes",
 ]
+
+show(globals(), __all__)

@@ -13,6 +13,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.files.archive import load_many, save
 from ultraquiet.files.atomic import write_bytes
 from ultraquiet.files.formats import format_of, understood
+from ultraquiet.files.matlab_values import mat_image, read_mat_value
 from ultraquiet.files.readers.npz import npz_arrays
 from ultraquiet.files.readers.uff import COHERENCE, RESPONSE_FUNCTION, common, response_name, uff_bytes, uff_sets
 from ultraquiet.files.whole import understanding, whole
@@ -21,7 +22,7 @@ from ultraquiet.values import Channel, FrequencyResponse
 AXIS_NAMES = ("f", "f_hz", "freq", "frequency", "frequencies")
 VALUE_NAMES = ("values", "frf", "H", "G", "response")
 COHERENCE_NAMES = ("coherence", "coh")
-SUFFIXES = (".h5", ".hdf5", ".uff", ".unv", ".npz")
+SUFFIXES = (".h5", ".hdf5", ".uff", ".unv", ".npz", ".mat")
 BETWEEN = " / "  # response and reference in ID line 1
 EVEN = 1e-9  # of the step: how far lines may stand from an even spacing that the header's six digits can say
 
@@ -29,10 +30,10 @@ EVEN = 1e-9  # of the step: how far lines may stand from an even spacing that th
 def read_frf(path: str | os.PathLike[str], conjugated: bool = False) -> FrequencyResponse:
     """Read a frequency response.
 
-    From `.h5` (an archive), `.uff` and `.unv` (58 and 58b: response functions, with their coherences where they stand
-    beside them), or `.npz` with `f` `(nf,)` and either `values` `(ny, nu, nf)` or the averaged spectra of one
-    excitation, from which G = S_uy / S_uu (H1) is formed: `csd` `(ny, nf)` and `psd_exc` `(nf,)`, with `coh`
-    `(ny, nf)`, `channels` and `exc` where known.
+    From `.h5` (an archive), `.mat` (`ResponseData` and `Frequency`), `.uff` and `.unv` (58 and 58b: response functions,
+    with their coherences where they stand beside them), or `.npz` with `f` `(nf,)` and either `values` `(ny, nu, nf)`
+    or the averaged spectra of one excitation, from which G = S_uy / S_uu (H1) is formed: `csd` `(ny, nf)` and `psd_exc`
+    `(nf,)`, with `coh` `(ny, nf)`, `channels` and `exc` where known.
 
     Args:
         path: the file.
@@ -51,6 +52,13 @@ def read_frf(path: str | os.PathLike[str], conjugated: bool = False) -> Frequenc
         if len(responses) != 1:
             raise InputError(f"read_frf: '{path}' holds {len(responses)} frequency responses; it would take one.")
         return responses[0]
+    if suffix == ".mat":
+        value = read_mat_value(path)
+        if not isinstance(value, FrequencyResponse):
+            raise InputError(
+                f"read_frf: '{path}' holds a {type(value).__name__}; it would take ResponseData, Frequency."
+            )
+        return value
     data = whole(path)
     settings = {"file": Path(path).name, "conjugated": conjugated}
     provenance = Provenance("read_frf", settings, parents=(hashlib.sha256(data).hexdigest(),), versions=versions())
@@ -66,7 +74,9 @@ def read_frf(path: str | os.PathLike[str], conjugated: bool = False) -> Frequenc
 def export_frf(
     response: FrequencyResponse, path: str | os.PathLike[str], overwrite: bool = True, text: bool = False
 ) -> Path:
-    """Write a frequency response as `.h5`, or as `.uff` or `.unv` with one data set 58b an element, coherences behind.
+    """Write a frequency response as `.h5`, as `.mat` (for MATLAB's `frd`), or as `.uff` or `.unv`.
+
+    A universal file has one data set 58b an element, coherences behind.
 
     Args:
         response: what to write.
@@ -81,8 +91,10 @@ def export_frf(
     suffix = Path(path).suffix.lower()
     if suffix in (".h5", ".hdf5"):
         return save(response, path, overwrite)
+    if suffix == ".mat":
+        return write_bytes(path, mat_image(response), overwrite)
     if suffix not in (".uff", ".unv"):
-        raise InputError(f"export_frf: '{path}' has none of the suffixes .h5, .hdf5, .uff, .unv.")
+        raise InputError(f"export_frf: '{path}' has none of the suffixes .h5, .hdf5, .mat, .uff, .unv.")
     if response.f_hz.size < 2:
         raise InputError("export_frf: a universal file takes two frequencies or more, got one; write .h5.")
     parts: list[tuple[int, np.ndarray]] = [(RESPONSE_FUNCTION, response.values)]

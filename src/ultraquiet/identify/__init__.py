@@ -3,6 +3,7 @@
 Importing the room registers its methods; the compiled kernels are loaded by the first identification.
 """
 
+from ultraquiet._base.shown import show
 from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.identify.grey_box.modal_result import ModalFit
 from ultraquiet.identify.grey_box.strut import Structured
@@ -71,3 +72,5 @@ __all__ = [
     "identify_matrix",
     "sweep",
 ]
+
+show(globals(), __all__)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status, StatusWord
 
 # A verdict errs once in a thousand good models.
@@ -15,7 +16,7 @@ SIGNIFICANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Result:
+class Result(Shown):
     """An identified model and what it is worth.
 
     Attributes:
@@ -42,6 +43,10 @@ class Result:
     statuses: tuple[Status, ...]
     provenance: Provenance
     details: Mapping[str, Any]
+
+    def _in_a_line(self) -> str:
+        fit = " ".join(f"{each:.4g}" for each in np.ravel(self.fit_percent)[:6]) + " ..." * (self.fit_percent.size > 6)
+        return f"{type(self.model).__name__} of {counted(self.fit_percent.size, 'output')}, fit {fit} %"
 
     def state_space(self) -> StateSpace:
         """Return the path from inputs to outputs as a well-conditioned system."""

@@ -3,6 +3,7 @@
 May be changed here: the limits that are computed and how. Nothing here designs a controller for use.
 """
 
+from ultraquiet._base.shown import show
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import DirectionLimit, by_direction
 from ultraquiet.limits.convex import best_flat_attenuation
@@ -24,3 +25,5 @@ __all__ = [
     "principal_directions",
     "waterbed_peak",
 ]
+
+show(globals(), __all__)

@@ -2,7 +2,12 @@
 
 from ultraquiet.linalg.lyapunov import lyapunov, stein, stein_factor
 from ultraquiet.linalg.riccati import Riccati
-from ultraquiet.linalg.riccati_continuous import continuous_regulator, continuous_residual, continuous_riccati
+from ultraquiet.linalg.riccati_continuous import (
+    continuous_regulator,
+    continuous_residual,
+    continuous_riccati,
+    newton_direction,
+)
 from ultraquiet.linalg.riccati_discrete import discrete_gain, discrete_least_squares, discrete_riccati
 
 __all__ = [
@@ -14,6 +19,7 @@ __all__ = [
     "discrete_least_squares",
     "discrete_riccati",
     "lyapunov",
+    "newton_direction",
     "stein",
     "stein_factor",
 ]

@@ -1,6 +1,7 @@
 """States scaled by powers of two, so that orthogonal transformations of them lose nothing."""
 
 import numpy as np
+from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.constraints import FloatArray
 
@@ -36,3 +37,17 @@ def evened(
         if np.array_equal(before, d):
             break
     return A * d / d[:, None], B / d[:, None], C * d
+
+
+def even_scale(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
+    """Return d, powers of two, such that the states x / d have rows of [A B] as large as columns of [A; C].
+
+    LAPACK's balancing of [A, b; c, 0], where b and c are the sizes of the rows of B and the columns of C: one more
+    state closes the loop from outputs to inputs, so that no unit is free where the states are seen and reached.
+    """
+    n = A.shape[0]
+    bordered = np.zeros((n + 1, n + 1))
+    bordered[:n, :n] = A
+    bordered[:n, n], bordered[n, :n] = np.linalg.norm(B, axis=1), np.linalg.norm(C, axis=0)
+    d = np.asarray(dgebal(bordered, scale=1, permute=0)[3], dtype=np.float64)
+    return d[:n] / d[n]

@@ -5,6 +5,7 @@ import numpy as np
 from ultraquiet.linalg.balance import modal, stable_first
 from ultraquiet.linalg.discretize import bilinear_to_continuous
 from ultraquiet.linalg.equations import lyapunov, stein
+from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.modal_response import Residues, split
 from ultraquiet.linalg.ordered import Array
 
@@ -25,8 +26,11 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
 
     Bruinsma and Steinbuch 1990 (doi:10.1016/0167-6911(90)90049-Z): imaginary eigenvalues of a Hamiltonian say whether
     and between which frequencies the gain exceeds a level; the level climbs to the peak. Discrete systems go through
-    the bilinear map, which keeps every gain. An unstable system gives infinity at its fastest growing mode.
+    the bilinear map, which keeps every gain. An unstable system gives infinity at its fastest growing mode. Units of
+    states, powers of two at least, do not count.
     """
+    d = even_scale(A, B, C)
+    A, B, C = A * d / d[:, None], B / d[:, None], C * d
     poles = np.linalg.eigvals(A)
     growth = np.abs(poles) - 1 if discrete else poles.real
     if poles.size and growth.max() >= 0:

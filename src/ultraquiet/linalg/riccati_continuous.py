@@ -12,6 +12,7 @@ from ultraquiet.linalg.riccati import (
     POLISHED_RESIDUAL,
     Riccati,
     better,
+    cost_unit,
     double,
     refusal,
     symplectic_scale,
@@ -19,6 +20,7 @@ from ultraquiet.linalg.riccati import (
     without_descriptor,
 )
 
+DEFECTS = 3  # equations of the defect solved in turn
 AXIS = 1e-9  # an eigenvalue with a real part below this share of its modulus lies on the axis
 UNSPLIT = np.full((1, 1), np.nan)  # what the Schur rung returns for a spectrum that cannot be split
 
@@ -27,35 +29,66 @@ def continuous_riccati(A: Array, G: Array, Q: Array) -> Riccati:
     """Solve A'X + X A - X G X + Q = 0 for the X that makes A - G X stable; G and Q symmetric, of any sign.
 
     The ladder: ordered real Schur form of the balanced Hamiltonian, structured doubling, each polished by Newton steps,
-    then Newton's method with line search from whatever stabilises. What a rung returns is accepted only for its
-    residual and its stability, both computed here. A Hamiltonian with eigenvalues on the axis ends the ladder at once:
-    no method can split them.
+    then Newton's method with line search from whatever stabilises. Where the best of them does not stabilise or leaves
+    more than round-off, the equation of its own defect is solved by the Schur form and added, which works from any
+    start. What a rung returns is accepted only for what it leaves of the equation and for its stability, both computed
+    here. A Hamiltonian with eigenvalues on the axis ends the ladder at once: no method can split them.
 
     Raises:
         NumericalError: no rung gave a stabilising solution, as when the Hamiltonian has eigenvalues on the axis.
+
+    Mehrmann and Tan 1988, doi:10.1109/9.1303 (the defect's own equation).
     """
     n = A.shape[0]
     if n == 0:
-        return Riccati(np.zeros((0, 0)), 0.0, np.inf)
+        return Riccati(np.zeros((0, 0)), 0.0, np.inf, 0.0)
     if not np.any(Q) and np.linalg.eigvals(A).real.max() < 0:
         # X = 0: the Y equation of every mixed-sensitivity problem with a stable plant, which SciPy refuses
-        return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()))
-    d = symplectic_scale(A, G, Q)
-    As, Gs, Qs = A * d / d[:, None], G / np.outer(d, d), Q * np.outer(d, d)
+        return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()), 0.0)
+    r = cost_unit(G, Q)
+    d = symplectic_scale(A, G * r, Q / r)
+    back = r / np.outer(d, d)
+    best = _ladder(A * d / d[:, None], G * back, Q / back)
+    if best is None or not best.accepted:
+        raise refusal("continuous", n, best)
+    return best._replace(X=best.X * back)
+
+
+def _ladder(A: Array, G: Array, Q: Array) -> Riccati | None:
     best = None
     for rung in (_schur, _doubled):
-        X = rung(As, Gs, Qs)
+        X = rung(A, G, Q)
         if X is UNSPLIT:
             break
         if X is not None:
-            best = better(best, _polished(As, Gs, Qs, X, NEWTON_STEPS))
+            best = better(best, _polished(A, G, Q, X, NEWTON_STEPS))
             if best.accepted:
-                return best._replace(X=best.X / np.outer(d, d))
+                return best
     if best is not None and best.margin > 0:
-        best = better(best, _polished(As, Gs, Qs, best.X, LONG_NEWTON))
-        if best.accepted:
-            return best._replace(X=best.X / np.outer(d, d))
-    raise refusal("continuous", n, best)
+        best = better(best, _polished(A, G, Q, best.X, LONG_NEWTON))
+    for _ in range(DEFECTS):
+        if best is None or best.accepted:
+            break
+        corrected = _corrected(A, G, Q, best.X)
+        if corrected is None:
+            break
+        best = better(best, corrected)
+        if best is not corrected:
+            break
+    return best
+
+
+def _corrected(A: Array, G: Array, Q: Array, X: Array) -> Riccati | None:
+    """Return X + Z, where Z solves (A - GX)'Z + Z (A - GX) - Z G Z + defect(X) = 0; None when that cannot be split."""
+    AX = A.T @ X
+    defect = symmetric(AX + AX.T - X @ G @ X + Q)
+    if not np.all(np.isfinite(defect)):
+        return None
+    closed, r = A - G @ X, cost_unit(G, defect)
+    d = symplectic_scale(closed, G * r, defect / r)
+    back = r / np.outer(d, d)
+    Z = _schur(closed * d / d[:, None], G * back, defect / back)
+    return None if Z is None or Z is UNSPLIT else _polished(A, G, Q, X + Z * back, NEWTON_STEPS)
 
 
 def continuous_regulator(
@@ -76,11 +109,30 @@ def continuous_regulator(
     return solution._replace(X=with_descriptor(E, solution.X))
 
 
+def newton_direction(A: Array, G: Array, Q: Array, X: Array) -> Array:
+    """Return what one Newton step adds to a solution: an estimate of its error, entry by entry.
+
+    Raises:
+        NumericalError: A - GX and its mirror image share an eigenvalue.
+    """
+    AX = A.T @ X
+    return lyapunov((A - G @ X).T, symmetric(AX + AX.T - X @ G @ X + Q))
+
+
 def continuous_residual(A: Array, G: Array, Q: Array, X: Array) -> float:
     """Return the size of A'X + XA - XGX + Q relative to its terms."""
+    return _residuals(A, G, Q, X)[0]
+
+
+def _residuals(A: Array, G: Array, Q: Array, X: Array) -> tuple[float, float]:
+    """Return the size of A'X + XA - XGX + Q relative to its terms, and to them without signs."""
     AX, XGX = A.T @ X, X @ G @ X
     size = 2 * np.linalg.norm(AX) + np.linalg.norm(XGX) + np.linalg.norm(Q)
-    return float(np.linalg.norm(AX + AX.T - XGX + Q) / size) if size else 0.0
+    left = float(np.linalg.norm(AX + AX.T - XGX + Q))
+    bare = np.abs(X)
+    AX = np.abs(A.T) @ bare
+    whole = np.linalg.norm(AX + AX.T + bare @ np.abs(G) @ bare + np.abs(Q))
+    return (left / float(size), left / float(whole)) if size else (0.0, 0.0)
 
 
 def _solved(R: Array, right: Array) -> Array:
@@ -161,4 +213,5 @@ def _length(residual: Array, bend: Array) -> float:
 def _judged(A: Array, G: Array, Q: Array, X: Array) -> Riccati:
     if not np.all(np.isfinite(X)):
         return Riccati(X, np.inf, -np.inf)
-    return Riccati(X, continuous_residual(A, G, Q, X), -float(np.linalg.eigvals(A - G @ X).real.max()))
+    residual, backward = _residuals(A, G, Q, X)
+    return Riccati(X, residual, -float(np.linalg.eigvals(A - G @ X).real.max()), backward)

@@ -21,10 +21,12 @@ from ultraquiet.linalg.riccati import (
     with_descriptor,
     without_descriptor,
 )
+from ultraquiet.linalg.riccati_continuous import continuous_regulator
 
 # What double precision leaves of ill-conditioned equations once every rung has tried: stated with the solution, and
 # every design is judged besides by the cost that its finished loop has.
 TOLERATED_RESIDUAL = 1e-6
+ROOT_TWO = np.sqrt(2.0)
 ILL = 1e12  # condition of R above which its inverse is not used to find a scale
 
 
@@ -61,10 +63,11 @@ class _Terms(NamedTuple):
 def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, S: Array | None = None, E: Array | None = None) -> Riccati:
     """Solve E'XE = A'XA - (A'XB + S)(R + B'XB)^-1 (B'XA + S') + Q for the X that makes A - B K, pencil with E, stable.
 
-    The ladder: structure-preserving doubling, then SciPy's QZ of the extended pencil, each polished by Newton steps,
-    then Newton's method (Hewer 1971) from whatever stabilises: the best of the rungs above, or nothing at all when A is
-    stable. What a rung returns is accepted only for its residual and its stability, both computed here; the residual
-    that the last one is left with may be larger than the first ones'.
+    The ladder: structure-preserving doubling, then SciPy's QZ of the extended pencil, then the bilinear map to the
+    equation of continuous time, which has the same X, each polished by Newton steps, then Newton's method (Hewer 1971)
+    from whatever stabilises: the best of the rungs above, or nothing at all when A is stable. What a rung returns is
+    accepted only for its residual and its stability, both computed here; the residual that the last one is left with
+    may be larger than the first ones'.
 
     Raises:
         NumericalError: E is singular, or no rung gave a stabilising solution.
@@ -100,14 +103,14 @@ def discrete_gain(A: Array, B: Array, R: Array, S: Array, X: Array) -> Array:
 def _solved(terms: _Terms) -> Riccati:
     d = _scale(terms)
     best = _ladder(terms.scaled(d))
-    if best is None or not (best.margin > 0 and best.residual <= TOLERATED_RESIDUAL):
+    if best is None or not (best.accepted or (best.margin > 0 and best.residual <= TOLERATED_RESIDUAL)):
         raise refusal("discrete", terms.A.shape[0], best)
     return best._replace(X=best.X / np.outer(d, d))
 
 
 def _ladder(terms: _Terms) -> Riccati | None:
     best = None
-    for rung in (_doubled, _qz):
+    for rung in (_doubled, _qz, _mapped):
         X = rung(terms)
         if X is not None:
             best = better(best, _polished(terms, X, NEWTON_STEPS))
@@ -143,6 +146,24 @@ def _qz(terms: _Terms) -> Array | None:
         with np.errstate(invalid="ignore", over="ignore"):  # its scale factors may go beyond integers
             return solve_discrete_are(terms.A, terms.B, terms.Q, terms.R, s=terms.S)
     except (LinAlgError, ValueError):
+        return None
+
+
+def _mapped(terms: _Terms) -> Array | None:
+    """Solve the equation of continuous time that z = (1 + s) / (1 - s) makes of this one: X is the same.
+
+    Poles near z = -1 would go to infinity; x and u with alternating signs have A and B turned and the same cost.
+    """
+    poles, n = np.linalg.eigvals(terms.A), terms.A.shape[0]
+    sign = 1.0 if np.abs(poles + 1).min() >= np.abs(poles - 1).min() else -1.0
+    try:
+        F = np.linalg.inv(sign * terms.A + np.eye(n))
+        FB = F @ (sign * terms.B)
+        Q, S = ROOT_TWO * F.T @ terms.Q @ F * ROOT_TWO, ROOT_TWO * F.T @ (terms.S - terms.Q @ FB)
+        R = terms.R - terms.S.T @ FB - FB.T @ terms.S + FB.T @ terms.Q @ FB
+        A = F @ (sign * terms.A - np.eye(n))
+        return continuous_regulator(A, ROOT_TWO * FB, symmetric(Q), symmetric(R), S).X
+    except (LinAlgError, NumericalError):
         return None
 
 
@@ -187,5 +208,11 @@ def _judged(terms: _Terms, X: Array) -> Riccati:
     closed, cost = terms.A - terms.B @ K, terms.cost(K)
     propagated = closed.T @ X @ closed
     size = np.linalg.norm(propagated) + np.linalg.norm(cost) + np.linalg.norm(X)
-    residual = float(np.linalg.norm(propagated + cost - X) / size) if size else 0.0
-    return Riccati(X, residual, 1.0 - float(np.abs(np.linalg.eigvals(closed)).max()))
+    left = float(np.linalg.norm(propagated + cost - X))
+    bare, k = np.abs(closed), np.abs(K)
+    cross = np.abs(terms.S) @ k
+    whole = np.linalg.norm(
+        bare.T @ np.abs(X) @ bare + np.abs(X) + np.abs(terms.Q) + cross + cross.T + k.T @ np.abs(terms.R) @ k
+    )
+    residual, backward = (left / float(size), left / float(whole)) if size else (0.0, 0.0)
+    return Riccati(X, residual, 1.0 - float(np.abs(np.linalg.eigvals(closed)).max()), backward)

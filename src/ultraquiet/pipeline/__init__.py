@@ -6,6 +6,15 @@ what is reported of it (`summary.py`, `report/`).
 """
 
 from ultraquiet.pipeline.study import Study, load_study, packaged_study, quick_study, reload_study
-from ultraquiet.pipeline.walk import walk
+from ultraquiet.pipeline.walk import conduct, one_case, walk
 
-__all__ = ["Study", "load_study", "packaged_study", "quick_study", "reload_study", "walk"]
+__all__ = [
+    "Study",
+    "conduct",
+    "load_study",
+    "one_case",
+    "packaged_study",
+    "quick_study",
+    "reload_study",
+    "walk",
+]

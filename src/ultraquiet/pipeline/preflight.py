@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
@@ -29,6 +30,8 @@ def check(study: Study, bench: Any, names: Sequence[str]) -> None:
     mistakes = study.mistakes()
     if bench is not None:
         _closed_loop(study, bench, mistakes)
+        _payload(study, bench, mistakes)
+        _campaign(study, bench, mistakes)
     _records(study, names, mistakes)
     mistakes.refuse(StudyError, "study")
 
@@ -96,6 +99,29 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
         if f >= bench.rate_hz / 2:
             fault = f"{f:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
             mistakes.add(("closed_loop", "tones_hz", k), f"closed_loop.tones_hz: {fault}")
+
+
+def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:
+    """Note a payload that this bench cannot be listened to."""
+    if study.payload is None:
+        return
+    try:
+        simulate.OpenPayload(bench, study.payload.setup(study.closed_loop.tones_hz))
+    except UltraquietError as error:
+        mistakes.add(("payload",), f"payload: {error}")
+
+
+def _campaign(study: Study, bench: Any, mistakes: Mistakes) -> None:
+    """Note a bench that cannot be drawn, or not judged by a model that it does not have."""
+    table = study.campaign
+    if table is None:
+        return
+    try:
+        drawn = simulate.drawn_bench(bench, table.first_seed)
+        if table.on == "truth" and not callable(getattr(drawn, "linear_model", None)):
+            raise InputError('the bench has no linear model that could stand for it; take on = "bench".')
+    except UltraquietError as error:
+        mistakes.add(("campaign",), f"campaign: {str(error).removeprefix('campaign: ')}")
 
 
 def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:

@@ -6,6 +6,7 @@ from ultraquiet import analyse
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.disk import ENDS
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.mission import NoPayload, PayloadLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.study import Band, Requirements
 from ultraquiet.values import StateSpace
@@ -13,15 +14,23 @@ from ultraquiet.values import StateSpace
 Units = Mapping[str, StableLoop | UnstableLoop]
 # Each requirement with its unit and whether more of it is better.
 MEASURED = {"attenuation_db": (" dB", True), "peak_db": (" dB", False), "tones_db": (" dB", True)}
+PAYLOAD = "payload_db"
 SAYS = {
     "attenuation_db": "reduction of the worst direction over {low:g}-{high:g} Hz",
     "peak_db": "largest amplification of any direction",
     "tones_db": "reduction of the worst channel at the worst tone",
+    PAYLOAD: "reduction of the payload's RMS while the base is shaken",
     "disk_margin": "disk margin of all channels at once at the plant's {where}",
 }
 
 
-def judge(asked: Requirements, band_hz: Band, units: Units | None, disk: Mapping[str, float]) -> RequirementsFacts:
+def judge(
+    asked: Requirements,
+    band_hz: Band,
+    units: Units | None,
+    disk: Mapping[str, float],
+    payload: Mapping[str, PayloadLoop | NoPayload] | None = None,
+) -> RequirementsFacts:
     """Return every requirement with its figure and its verdict.
 
     Args:
@@ -29,10 +38,11 @@ def judge(asked: Requirements, band_hz: Band, units: Units | None, disk: Mapping
         band_hz: over which the worst direction counts.
         units: how the law's loop did on the bench of each unit; None where there is no law of that name, or no loop.
         disk: disk margins of the design model's loop by end, all channels at once.
+        payload: what the law does for the payload of each unit; None where it was not listened to.
 
     What was not measured, because a loop is unstable or was never closed, is missed.
     """
-    judged = list(_measured(asked, band_hz, units))
+    judged = [*_measured(asked, band_hz, units), *_of_payload(asked, band_hz, payload)]
     if asked.disk_margin is not None:
         for end in ENDS:
             judged.append(_one("disk_margin", end, asked.disk_margin, disk.get(end), band_hz))
@@ -59,6 +69,25 @@ def _measured(asked: Requirements, band_hz: Band, units: Units | None) -> Iterat
             yield _one(name, unit, limit, _figure(name, loop) if stable else None, band_hz, loop.status)
 
 
+def _of_payload(
+    asked: Requirements, band_hz: Band, payload: Mapping[str, PayloadLoop | NoPayload] | None
+) -> Iterator[RequirementFacts]:
+    if asked.payload_db is None:
+        return
+    if not payload:
+        yield _one(PAYLOAD, "any unit", asked.payload_db, None, band_hz, "the payload was not listened to")
+    for unit, loop in (payload or {}).items():
+        heard = isinstance(loop, PayloadLoop)
+        yield _one(
+            PAYLOAD,
+            unit,
+            asked.payload_db,
+            loop.reduction_db if heard else None,
+            band_hz,
+            "" if heard else loop.status,
+        )
+
+
 def _figure(name: str, loop: StableLoop) -> float:
     if name == "attenuation_db":
         own = loop.required_band_db
@@ -71,7 +100,7 @@ def _figure(name: str, loop: StableLoop) -> float:
 def _one(
     name: str, where: str, asked: float, figure: float | None, band_hz: Band, status: str = "no loop was closed"
 ) -> RequirementFacts:
-    unit, more = MEASURED.get(name, ("", True))
+    unit, more = MEASURED.get(name, (" dB" if name == PAYLOAD else "", True))
     # NaN, which no comparison admits, meets nothing
     met = figure is not None and (figure >= asked if more else figure <= asked)
     what = SAYS[name].format(low=band_hz[0], high=band_hz[1], where=where)

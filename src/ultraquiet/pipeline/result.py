@@ -1,13 +1,14 @@
 """Everything a study knows when it is through."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.preflight import LoopPlan
@@ -32,6 +33,8 @@ class StudyResult:
     deployment: Mapping[str, DeploymentFacts]
     limits: Outcome[LimitFacts]
     requirements: RequirementsFacts | None = None
+    campaign: tuple[CampaignFacts, CampaignCurves] | None = None
+    payload: Mapping[str, Outcome[PayloadFacts]] = field(default_factory=dict[str, Outcome[PayloadFacts]])
 
     @property
     def design_plant(self) -> StateSpace:

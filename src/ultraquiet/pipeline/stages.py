@@ -6,6 +6,7 @@ from functools import cached_property, partial
 from typing import Any
 
 from ultraquiet._base.beside import beside
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
@@ -15,12 +16,18 @@ from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
+from ultraquiet.pipeline.facts.mission import CampaignFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
+from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.pipeline.tables.mission import CampaignTable
+from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+from ultraquiet.values.controller import Controller
 
 WORKER = "ultraquiet.pipeline.worker"
 Say = Callable[[str], object]
@@ -57,12 +64,14 @@ class Stages:
             names = list(self.study.controllers)
             first = sorted(names, key=self._is_optional)
             opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
-            work = {name: partial(self._controller, name, system, plan, opened) for name in first}
+            payloads = self._payloads(plan)
+            work = {name: partial(self._controller, name, system, plan, opened, payloads) for name in first}
             jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, plan, wait)}
             done = in_threads("study", lambda job: jobs[job](), list(jobs), None if several else 1, bars=True)
         identified, validated, analysed = done[None]
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
         laws = {name: law for name in names if (law := done[name].law) is not None}
+        payload = {name: heard for name in names if (heard := done[name].payload) is not None}
         return StudyResult(
             study=self.study,
             bench=self.bench,
@@ -76,8 +85,45 @@ class Stages:
             loops=loops,
             deployment={name: code for name in names if (code := done[name].code) is not None},
             limits=self._limits(system, laws, plan),
-            requirements=self._judge(system, laws, loops, plan),
+            requirements=self._judge(system, laws, loops, plan, payload),
+            payload=payload,
+            campaign=self._campaign(laws, plan),
         )
+
+    def campaign(self, how: How) -> CampaignFacts:
+        """Design the law that the campaign is about, and nothing else; run the campaign, or what is left of it."""
+        table = self.study.campaign or CampaignTable()
+        facts, _ = conducted(self.campaign_of(table), law_of(self.study, table), table, self.cache.folder, how)
+        return facts
+
+    def campaign_of(self, table: CampaignTable) -> Campaign:
+        """Return the campaign of a study, its law designed.
+
+        Raises:
+            InputError: there is no bench or no law, or the bench cannot be drawn.
+        """
+        if self.bench is None:
+            raise InputError("campaign: the study has no bench that could be drawn.")
+        system: StateSpace = self._plant().values[stored.PLANT]
+        control.require_bench(self.bench, system)
+        plan, name = loop_plan(self.study.closed_loop, self.bench, system), law_of(self.study, table)
+        design = self._design(name, system, plan)
+        if name not in design.values:
+            raise InputError(f"campaign: {name} has no law: {design.facts.status}")
+        return defined(self.study, self.bench, design.values[name], plan, table)
+
+    def _campaign(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> CampaignOutcome | None:
+        """Run the campaign that the study asks for; results that are there stay."""
+        table = self.study.campaign
+        if table is None or self.bench is None:
+            return None
+        name = law_of(self.study, table)
+        if name not in laws:
+            return None
+        campaign = defined(self.study, self.bench, laws[name], plan, table)
+        outcome = conducted(campaign, name, table, self.cache.folder, How(resume=None))
+        self.say(f"campaign: {outcome[0].status}")
+        return outcome
 
     def _is_optional(self, name: str) -> bool:
         """Tell whether nothing is required of a controller; one that the study is for comes first."""
@@ -99,15 +145,52 @@ class Stages:
         return identified, validated, analysed
 
     def _controller(
-        self, name: str, plant: StateSpace, plan: LoopPlan, opened: control.OpenLoops | None
+        self,
+        name: str,
+        plant: StateSpace,
+        plan: LoopPlan,
+        opened: control.OpenLoops | None,
+        payloads: OpenPayloads | None,
     ) -> "_Controller":
-        """Design one controller, close its loop and turn it into code."""
+        """Design one controller, close its loop, turn it into code and listen to the payload."""
         design = self._design(name, plant, plan)
         if name not in design.values:
             return _Controller(design)
         law: StateSpace = design.values[name]
         loop = None if opened is None else self._close(name, law, plant, opened, design.facts.adaptive)
-        return _Controller(design, law, loop, self._deploy(name, law, plant, plan, design.facts.adaptive))
+        code = self._deploy(name, law, plant, plan, design.facts.adaptive)
+        if payloads is None or loop is None:
+            return _Controller(design, law, loop, code)
+        adapting = partial(control.adapting, plant, self.study.controllers[name]) if design.facts.adaptive else None
+        return _Controller(design, law, loop, code, self._listen(name, law, adapting, payloads, loop.facts))
+
+    def _payloads(self, plan: LoopPlan) -> OpenPayloads | None:
+        table = self.study.payload
+        if self.bench is None or table is None:
+            return None
+        return OpenPayloads(self.bench, plan, table, self.study.study.seed)
+
+    def _listen(
+        self,
+        name: str,
+        law: StateSpace,
+        adapting: Callable[[], Controller | None] | None,
+        payloads: OpenPayloads,
+        loop: LoopFacts,
+    ) -> Outcome[PayloadFacts]:
+        """Listen to the payload with one law; `adapting` makes what runs where it adapts."""
+        limits = control.command_limits(self.bench.actuators, self.records.values(), self.study.deploy)
+        stable = {unit: each.stable for unit, each in loop.units.items()}
+        asked, deploy = self.study.requirements, self.study.deploy
+        as_code = deploy if asked is None or name == asked.law else None  # a stepped law takes a minute
+        key = [law.hash, self.bench_key, payloads.setup, payloads.units, limits, as_code, compiler(), stable]
+        key += [] if adapting is None else [_key(self.study.controllers[name].design)]
+
+        def compute() -> Outcome[PayloadFacts]:
+            acting = law if adapting is None else adapting() or law
+            return listened(name, acting, payloads, loop.units, limits, as_code)
+
+        return self.cache.stage(f"payload-{name}", "loops", key, PayloadFacts, compute)
 
     def _required_hz(self, name: str, plan: LoopPlan) -> Band | None:
         """Return the band of the requirements of a law where it is not the one that is measured anyway."""
@@ -122,6 +205,7 @@ class Stages:
         laws: Mapping[str, StateSpace],
         loops: Mapping[str, Outcome[LoopFacts]],
         plan: LoopPlan,
+        payload: Mapping[str, Outcome[PayloadFacts]],
     ) -> RequirementsFacts | None:
         """Return what came of the study's requirements, None where it has none."""
         asked = self.study.requirements
@@ -130,7 +214,8 @@ class Stages:
         loop, law = loops.get(asked.law), laws.get(asked.law)
         disk = requirements.margins_of(plant, law) if law is not None and asked.disk_margin is not None else {}
         band_hz = asked.band_hz or plan.band_hz
-        return requirements.judge(asked, band_hz, None if loop is None else loop.facts.units, disk)
+        units, heard = None if loop is None else loop.facts.units, payload.get(asked.law)
+        return requirements.judge(asked, band_hz, units, disk, None if heard is None else heard.facts.units)
 
     @cached_property
     def _record_hashes(self) -> dict[str, str]:
@@ -242,6 +327,7 @@ class _Controller:
     law: StateSpace | None = None
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
+    payload: Outcome[PayloadFacts] | None = None
 
 
 def _key(method: Method) -> dict[str, Any]:

@@ -15,6 +15,8 @@ from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
+from ultraquiet.pipeline.tables.mission import CampaignTable, PayloadTable
+from ultraquiet.pipeline.tables.numbers import Band, Positive
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.
@@ -27,16 +29,8 @@ def _file_name(name: str) -> str:
     return name
 
 
-def _rising(band_hz: tuple[float, float]) -> tuple[float, float]:
-    if not band_hz[0] < band_hz[1]:
-        raise ValueError("the band must rise")
-    return band_hz
-
-
-Positive = Annotated[float, Field(gt=0)]
 Order = Annotated[int, Field(ge=1, le=20)]
 Name = Annotated[str, AfterValidator(_file_name)]
-Band = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
 
 
 class StudyError(TableError):
@@ -207,6 +201,8 @@ class Study(Strict):
     closed_loop: ClosedLoop = ClosedLoop()
     deploy: Deploy = Deploy()
     requirements: Requirements | None = None
+    payload: PayloadTable | None = None
+    campaign: CampaignTable | None = None
     validate_models: ValidateTable = Field(default=ValidateTable(), alias="validate")
     limits: LimitsTable = LimitsTable()
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
@@ -334,6 +330,9 @@ def _check_bench(table: Any, mistakes: Mistakes) -> None:
 
 def _check_requirements(study: Study, mistakes: Mistakes) -> None:
     """Note a law that the study does not design, and what nothing in it measures."""
+    if study.bench is None and study.payload is not None:
+        mistakes.add(("payload",), "payload: the study has no bench that could be shaken; leave it away.")
+    _check_campaign(study, mistakes)
     asked = study.requirements
     if asked is None:
         return
@@ -348,9 +347,21 @@ def _check_requirements(study: Study, mistakes: Mistakes) -> None:
     elif asked.tones_db is not None and not study.closed_loop.tones_hz:
         fault = "the study sends no tones; name them as closed_loop.tones_hz."
         mistakes.add(("requirements", "tones_db"), f"requirements.tones_db: {fault}")
-    if asked.payload_db is not None:
+    if asked.payload_db is not None and study.payload is None:
         fault = "the study has no payload table, so nothing measures it; leave it away."
         mistakes.add(("requirements", "payload_db"), f"requirements.payload_db: {fault}")
+
+
+def _check_campaign(study: Study, mistakes: Mistakes) -> None:
+    """Note a campaign without a bench, or about a law that the study does not design."""
+    table = study.campaign
+    if table is None:
+        return
+    if study.bench is None:
+        mistakes.add(("campaign",), "campaign: the study has no bench that could be drawn; leave it away.")
+    if table.law is not None and table.law not in study.controllers:
+        fault = f"there is no law '{table.law}' among the controllers {', '.join(study.controllers)}."
+        mistakes.add(("campaign", "law"), f"campaign.law: {fault}")
 
 
 def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes: Mistakes) -> None:

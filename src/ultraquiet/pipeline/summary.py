@@ -15,6 +15,7 @@ from ultraquiet.pipeline.facts.loops import (
     StableLoop,
     UnstableLoop,
 )
+from ultraquiet.pipeline.facts.mission import CampaignFacts, NoPayload, PayloadLoop
 from ultraquiet.pipeline.facts.models import Agreement, PaperFit, PlantFacts, PreferredModels, RankedModel
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import fact, finite, schema_of, to_plain
@@ -52,7 +53,7 @@ class LimitSummary:
 class Summary:
     """The whole summary; `closed_loop` by controller and unit, `margins` of the law that runs by controller and end.
 
-    `lines_missing`: of all sensitivities, not measured.
+    `payload` by controller and unit; `lines_missing`: of all sensitivities, not measured.
     """
 
     title: str
@@ -66,6 +67,10 @@ class Summary:
     seed: int
     lines_missing: int = 0
     requirements: RequirementsFacts | None = None
+    payload: Mapping[str, Mapping[str, PayloadLoop | NoPayload]] = field(
+        default_factory=dict[str, Mapping[str, PayloadLoop | NoPayload]]
+    )
+    campaign: CampaignFacts | None = None
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -106,6 +111,8 @@ def summarise(result: StudyResult) -> Summary:
         versions=versions(),
         seed=result.study.study.seed,
         requirements=result.requirements,
+        campaign=None if result.campaign is None else result.campaign[0],
+        payload={name: outcome.facts.units for name, outcome in result.payload.items()},
         lines_missing=sum(
             loop.lines_missing
             for outcome in result.loops.values()

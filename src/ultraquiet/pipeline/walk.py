@@ -17,6 +17,8 @@ from ultraquiet.bench.from_file import from_file
 from ultraquiet.files import read_record, reason, write_bytes
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
+from ultraquiet.pipeline.facts.mission import CampaignFacts
+from ultraquiet.pipeline.mission.campaign import How
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stages import Say, Stages
 from ultraquiet.pipeline.store.copies import Copies
@@ -26,6 +28,7 @@ from ultraquiet.pipeline.store.recorded import Records
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
 from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records
+from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.report import write
 from ultraquiet.values import Record
 
@@ -53,6 +56,50 @@ def walk(
         UltraquietError: a stage refuses; those before it are kept and reused.
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
+    with prepared(settings, folder, beside, say, record_again) as stages:
+        result = stages.run()
+        summary = summarise(result)
+        write_bytes(folder / "summary.json", to_json(summary))
+        write(report(result), folder / "report.html")
+        sweep(folder)
+    return summary
+
+
+@single_threaded
+def conduct(
+    settings: study.Study, folder: Path, beside: Path | None, say: Say, how: How, benches: int | None = None
+) -> CampaignFacts:
+    """Run the campaign of a study, or what is left of it; of the study only what its law needs is done before.
+
+    Args:
+        settings: the checked study; without `[campaign]` that table's own defaults are taken.
+        folder: of the study; `campaign.parquet` and `campaign.json` go there.
+        beside: folder of the study file.
+        say: told one line per finished stage.
+        how: where it runs, and whether it goes on with what is there.
+        benches: how many, in place of the study's number.
+
+    Raises:
+        UltraquietError: as `walk`; results of another campaign with `resume`.
+    """
+    table = settings.campaign or CampaignTable()
+    asked = table if benches is None else table.model_copy(update={"benches": benches})
+    with prepared(settings.model_copy(update={"campaign": asked}), folder, beside, say) as stages:
+        return stages.campaign(how)
+
+
+@single_threaded
+def one_case(settings: study.Study, folder: Path, beside: Path | None, say: Say, case: int) -> dict[str, Any]:
+    """Return the row of one case of a study's campaign, evaluated again."""
+    with prepared(settings, folder, beside, say) as stages:
+        return stages.campaign_of(settings.campaign or CampaignTable()).evaluate(case)
+
+
+@contextmanager
+def prepared(
+    settings: study.Study, folder: Path, beside: Path | None, say: Say, record_again: bool = False
+) -> Generator[Stages]:
+    """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
     own = bench_of(settings, beside)
     bench = own if own is None or settings.blending is None else blended(own, settings.blending, beside)
     describe = partial(identity, own, _bench_table(settings), beside)
@@ -77,12 +124,7 @@ def walk(
         if settings.blending is not None:
             bench, records = _in_modes(own, settings.blending, records, beside, say)
             bench_key = [bench_key, settings.blending]
-        result = Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key).run()
-        summary = summarise(result)
-        write_bytes(folder / "summary.json", to_json(summary))
-        write(report(result), folder / "report.html")
-        sweep(folder)
-    return summary
+        yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key)
 
 
 def _in_modes(

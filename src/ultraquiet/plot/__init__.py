@@ -4,7 +4,11 @@ May be changed here: what a figure shows (`paper.py`, `evidence.py`, `spectra.py
 looks (`draw.py`). Nothing is computed here beyond what a picture needs.
 """
 
+from ultraquiet._base.shown import show
+from ultraquiet.plot.axes import draw_axes, figure
 from ultraquiet.plot.draw import draw_png, draw_svg
-from ultraquiet.plot.figure import Figure, Line, Panel
+from ultraquiet.plot.figure import Figure, Fill, Line, Panel
 
-__all__ = ["Figure", "Line", "Panel", "draw_png", "draw_svg"]
+__all__ = ["Figure", "Fill", "Line", "Panel", "draw_axes", "draw_png", "draw_svg", "figure"]
+
+show(globals(), __all__)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 PNG_DPI = 150
+CONFIDENT = 0.15  # opacity of a confidence
 MOST_INSIDE = 8  # labels; more of them would hide the lines, and stand beside the panel instead
 # Inches beside each panel for numbers and title, for a label besides, and right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
@@ -53,7 +54,7 @@ def _drawn(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
         grid = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=_margins(figure, rows))
         for k, axes in enumerate(grid.ravel()):
             if k < len(figure.panels):
-                _panel(axes, figure.panels[k])
+                panel_on(axes, figure.panels[k])
             else:
                 axes.set_visible(False)
         out = io.BytesIO()
@@ -83,13 +84,22 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
 
 
 def _labels(panel: Panel) -> int:
-    return sum(bool(line.label) for line in panel.lines)
+    return sum(bool(each.label) for each in (*panel.lines, *panel.fills))
 
 
-def _panel(axes: "Axes", panel: Panel) -> None:
+def panel_on(axes: "Axes", panel: Panel) -> None:
+    """Draw one panel on matplotlib axes."""
+    if panel.words:
+        axes.axis("off")
+        axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
         axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)
+    for fill in panel.fills:
+        colour = PALETTE[fill.shade % len(PALETTE)]
+        axes.fill_between(
+            fill.x, fill.low, fill.high, color=colour, alpha=CONFIDENT, linewidth=0, label=fill.label or None
+        )
     for low, high in panel.spans:
         axes.axvspan(low, high, color="#f0e442", alpha=0.25, linewidth=0)
     if panel.x_log:

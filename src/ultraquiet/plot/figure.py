@@ -30,9 +30,23 @@ class Line:
         return cls(*thin(xs, ys), label, style, shade)
 
 
+@dataclass(frozen=True, eq=False)
+class Fill:
+    """What lies between two curves over one x: a confidence, in the colour of the line that it belongs to."""
+
+    x: FloatArray
+    low: FloatArray
+    high: FloatArray
+    label: str = ""
+    shade: int = 0
+
+
 @dataclass(frozen=True)
 class Panel:
-    """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x."""
+    """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x.
+
+    `words` are lines of text for a panel without curves.
+    """
 
     lines: Sequence[Line]
     title: str = ""
@@ -43,6 +57,8 @@ class Panel:
     y_range: tuple[float, float] | None = None
     spans: Sequence[tuple[float, float]] = ()
     y_log: bool = False
+    fills: Sequence["Fill"] = ()
+    words: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def response_figure(response: FrequencyResponse) -> Figure:
             lines.append(Line.of(x, _db(np.abs(response.values[i, j]) ** 2), name, shade=j))
             if response.variance is not None and np.isfinite(response.variance[i, j]).all():
                 lines.append(Line.of(x, _db(response.variance[i, j]), style=":", shade=j))
-        title = f"{sensor.name} (dotted: standard error)"
+        title = f"{sensor.name} (dotted: standard error)" if response.variance is not None else sensor.name
         span_db = _trusted_range(_db(np.abs(response.values[i]) ** 2), response.coherence, i)
         unit = f"dB re {references.pop()}" if len(references) == 1 else "dB"
         panels.append(Panel(lines, title, HZ, unit, x_log=True, y_range=span_db))

@@ -1,5 +1,6 @@
 """Fewer states for the same loop."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.reduce._abstract import ReductionResult
 from ultraquiet.reduce.balanced import Balanced
 from ultraquiet.reduce.certificate import held
@@ -21,3 +22,5 @@ __all__ = [
     "held",
     "reduce_observer_based",
 ]
+
+show(globals(), __all__)

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown import Shown
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce.promises import Delivered
@@ -21,7 +22,7 @@ Weights = Mapping[str, StateSpace] | StateSpace | None
 
 
 @dataclass(frozen=True, eq=False)
-class ReductionResult:
+class ReductionResult(Shown):
     """The outcome of a reduction.
 
     Attributes:

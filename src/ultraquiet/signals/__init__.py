@@ -1,5 +1,6 @@
 """Test signals in volts: each a frozen settings object whose verb `generate` is deterministic in its seed."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.signals._abstract import MAXIMUM_V, Signal
 from ultraquiet.signals.chirp import Chirp
 from ultraquiet.signals.multisine import Multisine
@@ -22,3 +23,5 @@ __all__ = [
     "on_actuator",
     "orthogonal_multisines",
 ]
+
+show(globals(), __all__)

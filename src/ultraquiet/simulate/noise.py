@@ -57,7 +57,7 @@ def noise_reduction(
     rate = bench.rate_hz
     low, high = rising_band(WHO, band_hz, rate)
     n = int(positive(WHO, "duration_s", duration_s, "s") * rate)
-    d = positive(WHO, "amplitude", amplitude) * _noise(len(bench.actuators), n, rate, (low, high), seed)
+    d = positive(WHO, "amplitude", amplitude) * band_noise(WHO, len(bench.actuators), n, rate, (low, high), seed)
     with task("noise", 2) as progress:
         opened = _rms(disturb(bench, d))
         progress.advance(note="open")
@@ -68,16 +68,16 @@ def noise_reduction(
     return NoiseReduction((low, high), opened, closed, reduction)
 
 
-def _noise(channels: int, n: int, rate_hz: float, band_hz: tuple[float, float], seed: int) -> FloatArray:
-    """Return Gaussian noise `(channels, n)` of RMS one whose spectrum is zero outside the band."""
+def band_noise(who: str, channels: int, n: int, rate_hz: float, band_hz: tuple[float, float], seed: int) -> FloatArray:
+    """Return Gaussian noise `(channels, n)` of RMS one, of period `n`, whose spectrum is zero outside the band."""
     f = np.fft.rfftfreq(n, 1.0 / rate_hz)
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
     if not inside.any():
         raise InputError(
-            f"{WHO}: a run of {n / rate_hz:g} s holds no line between {band_hz[0]:g} and {band_hz[1]:g} Hz; make "
+            f"{who}: a run of {n / rate_hz:g} s holds no line between {band_hz[0]:g} and {band_hz[1]:g} Hz; make "
             f"'duration_s' longer."
         )
-    draw = np.random.default_rng(whole(WHO, "seed", seed, 0)).standard_normal((2, channels, f.size))
+    draw = np.random.default_rng(whole(who, "seed", seed, 0)).standard_normal((2, channels, f.size))
     noise = np.fft.irfft(np.where(inside, draw[0] + 1j * draw[1], 0.0), n, axis=1)
     return noise / np.sqrt(np.mean(noise**2, axis=1, keepdims=True))
 

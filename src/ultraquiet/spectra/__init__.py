@@ -3,6 +3,7 @@
 May be changed here: how spectra are estimated. Every result says its window, averages, overlap and resolution.
 """
 
+from ultraquiet._base.shown import show
 from ultraquiet.spectra.averaging import Averaging
 from ultraquiet.spectra.bands import BandLevels, Bands, band_levels, filtered_levels, octave_bands
 from ultraquiet.spectra.best_linear import BestLinear, best_linear
@@ -50,3 +51,5 @@ __all__ = [
     "transmissibility",
     "with_coherence_variance",
 ]
+
+show(globals(), __all__)

@@ -1,5 +1,6 @@
 """Evidence on models: residual tests, fits on other records, confidence, order choice, agreement of responses."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.validate.advice import Advice, advise
 from ultraquiet.validate.bands import ResponseBand, response_band
 from ultraquiet.validate.compare import BodeAgreement, Comparison, bode_agreement, compare
@@ -35,3 +36,5 @@ __all__ = [
     "simulated",
     "verdict",
 ]
+
+show(globals(), __all__)

@@ -4,7 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet.linalg import prediction
+from ultraquiet.linalg import innovation, prediction
 from ultraquiet.values import InnovationForm, PolynomialMatrix, PolynomialModel, Record, StateSpace
 
 Model = PolynomialMatrix | PolynomialModel | StateSpace
@@ -101,25 +101,7 @@ def _estimate(initial: str) -> bool:
 
 
 def _state_space(model: StateSpace, record: Record, estimate: bool, offset: bool) -> FloatArray:
-    if not model.is_stable():
+    if not prediction.can_be_simulated(model.poles(), record.samples):
         return np.full(record.outputs.shape, np.inf)
     out = model.simulate(record.inputs)
-    miss = record.outputs - out
-    if offset:
-        constant = miss.mean(axis=1, keepdims=True)
-        out, miss = out + constant, miss - constant
-    if estimate and model.states:
-        out = out + _free_motion(model, miss)
-    return out
-
-
-def _free_motion(model: StateSpace, miss: FloatArray) -> FloatArray:
-    """Return C A^t x0 with x0 fitted to `miss` by least squares, from the Gram matrix over time."""
-    n, size = miss.shape[1], model.states
-    observed = np.empty((n, *model.C.shape))
-    observed[0] = model.C
-    for t in range(1, n):
-        observed[t] = observed[t - 1] @ model.A
-    flat = observed.reshape(-1, size)
-    x0 = np.linalg.lstsq(flat, miss.T.reshape(-1), rcond=None)[0]
-    return (flat @ x0).reshape(n, -1).T
+    return out + innovation.unknown_past(model.A, model.C, record.outputs - out, estimate=estimate, offset=offset)

@@ -1,5 +1,6 @@
 """What flows through a study: immutable values that know nothing of the methods that make or use them."""
 
+from ultraquiet._base.shown import show
 from ultraquiet.values.blended.blending import Blending
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.controller import Controller, SteppedController
@@ -26,3 +27,5 @@ __all__ = [
     "StatusWord",
     "SteppedController",
 ]
+
+show(globals(), __all__)

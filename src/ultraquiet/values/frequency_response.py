@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values.channel import Channel, channels
+from ultraquiet.values.neighbours.responses import ResponseNeighbours
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class FrequencyResponse:
+class FrequencyResponse(Shown, ResponseNeighbours):
     """Complex response `(ny, nu, nf)` at frequencies `f_hz` `(nf,)`.
 
     Args:
@@ -62,6 +64,15 @@ class FrequencyResponse:
         put(self, "actuators", channels("FrequencyResponse", actuators, g.shape[1], "input"))
         put(self, "sensors", channels("FrequencyResponse", sensors, g.shape[0], "output"))
         put(self, "provenance", provenance or Provenance())
+
+    def _in_a_line(self) -> str:
+        wires = f"{counted(len(self.actuators), 'input')}, {counted(len(self.sensors), 'output')}"
+        span = f" from {self.f_hz.min():.4g} to {self.f_hz.max():.4g} Hz" if self.f_hz.size else ""
+        told = [wires, f"{counted(self.f_hz.size, 'line')}{span}", self.estimator]
+        return ", ".join(each for each in told if each)
+
+    def _as_curve(self) -> tuple[str, FloatArray]:
+        return f"gain in dB, {self.actuators[0].name} to {self.sensors[0].name}", self.magnitude_db[0, 0]
 
     @property
     def magnitude_db(self) -> FloatArray:

@@ -5,6 +5,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet.values.joined.algebra import is_singular
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -105,7 +106,7 @@ def lft(P: StateSpace, K: StateSpace, measurements: int | None = None, controls:
     B1, B2, C1, C2 = P.B[:, :m], P.B[:, m:], P.C[:p], P.C[p:]
     D11, D12, D21, D22 = P.D[:p, :m], P.D[:p, m:], P.D[p:, :m], P.D[p:, m:]
     loop = np.eye(ny) - D22 @ K.D
-    if np.linalg.cond(loop) > 1e12:
+    if is_singular(loop, D22, K.D):
         raise InputError("lft: the loop is not well posed, I - D22 Dk is singular; put a delay into it.")
     # y = loop^-1 (C2 x + D22 Ck xk + D21 w)
     y = np.linalg.solve(loop, np.hstack([C2, D22 @ K.C, D21]))

@@ -9,13 +9,16 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen, positive, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown import Shown, counted
+from ultraquiet._base.shown.grid import gain_curve
 from ultraquiet.linalg import realize
 from ultraquiet.values.channel import Channel, channels
+from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class PolynomialModel:
+class PolynomialModel(Shown):
     """A(q) y = sum_j B_j(q) / F_j(q) u_j + C(q) / D(q) e, one output, `nu` inputs, q^-1 the unit delay.
 
     Every array holds the coefficients of q^0, q^-1, q^-2, ...; A, F_j, C and D begin with one, leading zeros of B_j are
@@ -57,6 +60,13 @@ class PolynomialModel:
         put(self, "rate_hz", positive("PolynomialModel", "rate_hz", rate_hz, "Hz"))
         put(self, "noise_variance", float(noise_variance))
 
+    def _in_a_line(self) -> str:
+        orders = ", ".join(f"{name} {p.size - 1}" for name, p in (("A", self.a), ("C", self.c), ("D", self.d)))
+        return f"{counted(len(self.b), 'input')}, orders F {self.f[0].size - 1}, {orders}, {self.rate_hz:g} Hz"
+
+    def _as_curve(self) -> tuple[str, FloatArray]:
+        return gain_curve(self)
+
     def denominator(self, j: int) -> FloatArray:
         """Return A F_j, the denominator from input j."""
         return np.convolve(self.a, self.f[j])
@@ -65,6 +75,10 @@ class PolynomialModel:
         """Return B_j / (A F_j) at `f_hz` (Hz), `(1, nu, nf)`."""
         w = self._delay(f_hz)
         return np.stack([_at(b, w) / _at(self.denominator(j), w) for j, b in enumerate(self.b)])[np.newaxis]
+
+    def response(self, f_hz: ArrayLike) -> FrequencyResponse:
+        """Return the response at `f_hz` (Hz) as a measured one would be, channels numbered."""
+        return FrequencyResponse(f_hz, self.frequency_response(f_hz), estimator="model")
 
     def noise_response(self, f_hz: ArrayLike) -> ComplexArray:
         """Return the noise filter C / (A D) at `f_hz` (Hz), `(nf,)`."""
@@ -99,7 +113,7 @@ class PolynomialModel:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class PolynomialMatrix:
+class PolynomialMatrix(Shown):
     """A transfer matrix of polynomial models.
 
     `rows[i]` are the models of output i, side by side; their inputs, counted together, are the `nu` inputs. One record
@@ -135,11 +149,24 @@ class PolynomialMatrix:
         """Sampling rate in Hz."""
         return self.rows[0][0].rate_hz
 
+    def _in_a_line(self) -> str:
+        order = self.rows[0][0].f[0].size + self.rows[0][0].a.size - 2
+        wires = f"{counted(len(self.actuators), 'input')}, {counted(len(self.sensors), 'output')}"
+        return f"{wires}, order {order}, {self.rate_hz:g} Hz"
+
+    def _as_curve(self) -> tuple[str, FloatArray]:
+        return gain_curve(self)
+
     def frequency_response(self, f_hz: ArrayLike) -> ComplexArray:
         """Return the response at `f_hz` (Hz), `(ny, nu, nf)`."""
         return np.concatenate(
             [np.concatenate([m.frequency_response(f_hz) for m in row], axis=1) for row in self.rows], axis=0
         )
+
+    def response(self, f_hz: ArrayLike) -> FrequencyResponse:
+        """Return the response at `f_hz` (Hz) with this model's channels, as a measured one has them."""
+        values = self.frequency_response(f_hz)
+        return FrequencyResponse(f_hz, values, None, "model", self.actuators, self.sensors)
 
     def is_stable(self) -> bool:
         """Return whether every channel is stable."""

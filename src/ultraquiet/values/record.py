@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, frozen, positive, signal_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, content_hash
+from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values.channel import Channel, at_limits, channels
+from ultraquiet.values.neighbours.records import RecordNeighbours
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Record:
+class Record(Shown, RecordNeighbours):
     """Inputs and outputs of a system on one clock.
 
     Args:
@@ -81,6 +83,15 @@ class Record:
     def hash(self) -> str:
         """Content hash of samples and rate; equal for equal records."""
         return content_hash(self.inputs, self.outputs, self.rate_hz)
+
+    def _in_a_line(self) -> str:
+        named = ", ".join(f"{c.name} ({c.unit})" for c in (*self.actuators[:1], *self.sensors[:1]))
+        wires = f"{counted(len(self.actuators), 'input')}, {counted(len(self.sensors), 'output')}"
+        size = f"{counted(self.samples, 'sample')} at {self.rate_hz:g} Hz ({self.duration_s:.4g} s)"
+        return f"{wires}, {size}, {named}"
+
+    def _as_curve(self) -> tuple[str, FloatArray]:
+        return f"{self.sensors[0].name} ({self.sensors[0].unit}) over {self.duration_s:.4g} s", self.outputs[0]
 
     def part(self, start: int = 0, stop: int | None = None) -> "Record":
         """Return samples `start` to `stop` (excluded) as a record."""

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,12 +9,17 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen, rate, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, content_hash
+from ultraquiet._base.shown import Shown, counted
+from ultraquiet._base.shown.grid import gain_curve
 from ultraquiet.linalg import response
 from ultraquiet.values.channel import Channel, channels
+from ultraquiet.values.frequency_response import FrequencyResponse
+from ultraquiet.values.joined.algebra import Algebra, Matrices, Wires
+from ultraquiet.values.neighbours.systems import SystemNeighbours
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class StateSpace:
+class StateSpace(Shown, Algebra, SystemNeighbours):
     """x' = A x + B u, y = C x + D u, where x' is the derivative (`rate_hz=None`) or the next sample.
 
     Args:
@@ -76,10 +79,27 @@ class StateSpace:
         """Content hash of matrices and rate."""
         return content_hash(self.A, self.B, self.C, self.D, self.rate_hz)
 
+    def _in_a_line(self) -> str:
+        rate_hz = "continuous" if self.rate_hz is None else f"{self.rate_hz:g} Hz"
+        wires = f"{counted(len(self.actuators), 'input')}, {counted(len(self.sensors), 'output')}"
+        return f"{counted(self.states, 'state')}, {wires}, {rate_hz}"
+
+    def _as_curve(self) -> tuple[str, FloatArray]:
+        return gain_curve(self)
+
     def frequency_response(self, f_hz: ArrayLike) -> ComplexArray:
         """Return C (zI - A)^-1 B + D at `f_hz` (Hz), `(ny, nu, nf)`; z = exp(j 2 pi f / rate), or s = j 2 pi f."""
         f = frequency_array("StateSpace.frequency_response", f_hz)
         return response.frequency_response(self.A, self.B, self.C, self.D, response.points(f, self.rate_hz))
+
+    def response(self, f_hz: ArrayLike) -> FrequencyResponse:
+        """Return the response at `f_hz` (Hz) with this system's channels, as a measured one has them."""
+        made = Provenance("model", parents=(self.hash,))
+        values = self.frequency_response(f_hz)
+        return FrequencyResponse(f_hz, values, None, "model", self.actuators, self.sensors, made)
+
+    def _joined(self, matrices: Matrices, wires: Wires) -> "StateSpace":
+        return StateSpace(*matrices, self.rate_hz, *wires)
 
     def poles(self) -> ComplexArray:
         """Return the eigenvalues of A (in z, or in rad/s for continuous time)."""
@@ -103,24 +123,3 @@ class StateSpace:
     def state_space(self) -> "StateSpace":
         """Return this system itself, so that every model answers to the same name."""
         return self
-
-    def to_control(self) -> Any:
-        """Return a python-control `StateSpace` (needs the package `control`)."""
-        control = import_module("control")
-        return control.ss(self.A, self.B, self.C, self.D, 0 if self.rate_hz is None else 1.0 / self.rate_hz)
-
-    @classmethod
-    def from_control(cls, system: Any) -> "StateSpace":
-        """Return a python-control system as a `StateSpace`; transfer functions are realised by python-control."""
-        if not hasattr(system, "A"):
-            system = import_module("control").ss(system)
-        if system.dt is True:
-            raise InputError("StateSpace.from_control: the system is discrete without a sampling time; give it a dt.")
-        return cls(system.A, system.B, system.C, system.D, rate_hz=_rate_of(system.dt) if system.dt else None)
-
-
-def _rate_of(step_s: float) -> float:
-    """Return the rate of a sampling time: the round number it came from, when there is one."""
-    rate_hz = 1.0 / step_s
-    near = float(f"{rate_hz:.12g}")
-    return near if 1.0 / near == step_s else rate_hz

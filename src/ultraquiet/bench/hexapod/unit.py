@@ -15,6 +15,7 @@ from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, Tally
 from ultraquiet.bench.hexapod.laws import Plant, closing
 from ultraquiet.bench.hexapod.physics.drift import RENEWED_EVERY_S, RUN_EVERY_S
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ, STRUTS
+from ultraquiet.bench.hexapod.physics.spread import told
 from ultraquiet.bench.hexapod.settings import HexapodSettings
 from ultraquiet.bench.hexapod.simulation import Simulation
 from ultraquiet.values import Record, StateSpace
@@ -67,6 +68,18 @@ class Hexapod(HexapodSettings):
     def temperature_c(self) -> float:
         """What the bench's thermometer says now, after the last block of the last run, in degrees Celsius."""
         return self._weather(self._clock[1])
+
+    def drawn(self, seed: int) -> "Hexapod":
+        """Return a unit drawn by a seed within `spread` times the tolerances, once them without a spread; own noise."""
+        return replace(self, spread=self.spread or 1.0, unit_seed=seed, seed=seed)
+
+    def drawn_parameters(self) -> dict[str, float]:
+        """Return what was drawn of this unit: numbers by name, of struts and lines their mean and their spread."""
+        return told(self.model.parts)
+
+    def instrumented(self) -> "Hexapod":
+        """Return this unit with its proof masses free and the geophones of base and payload read."""
+        return replace(self, instruments="all")
 
     def run(
         self,

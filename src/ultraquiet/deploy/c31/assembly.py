@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c31.float_format import decode, encode
 from ultraquiet.deploy.c_code.plan import CodePlan
@@ -30,7 +31,7 @@ MOST_REPEATS = 2**15  # an immediate of RPTS is 16 bits, taken as signed to be s
 
 
 @dataclass(frozen=True)
-class C31Code:
+class C31Code(Shown):
     """Texts for the TMS320C3x assembler and linker, and the words they take of which memory."""
 
     assembly: str

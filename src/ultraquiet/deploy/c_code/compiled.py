@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, ToolError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.compiler import FLAGS, compile_c
 
@@ -37,7 +38,7 @@ class Library:
         return self._library[f"{self.law.name}_{name}"]
 
 
-class CompiledController:
+class CompiledController(Shown):
     """u = K y by the generated code, a `Controller`; instances do not touch each other.
 
     In control at full command from the first step on, unless `ramp` asks for the ramp of a real start. A copy made by

@@ -17,6 +17,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.exchange.fmu_refused import REFUSED
@@ -40,7 +41,7 @@ _MACHINES = {"AMD64": "x86_64", "arm64": "aarch64"}
 
 
 @dataclass(frozen=True)
-class FmuFile:
+class FmuFile(Shown):
     """A unit that was written: `platform` names the folder of its compiled binary, None for sources alone."""
 
     path: Path

@@ -10,11 +10,12 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, StorageError, ToolError
+from ultraquiet._base.shown import Shown
 
 REALS = ("Real", "Float64")  # what FMI 2.0 and 3.0 call a double
 
 
-class FmuController:
+class FmuController(Shown):
     """u = K y by an FMU for co-simulation (FMI 2.0 or 3.0), a `Controller`; every object is an instance of its own.
 
     Its real inputs are the measurements, its real outputs the commands, in the order of the description: set, step by

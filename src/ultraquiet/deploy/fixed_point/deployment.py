@@ -10,6 +10,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import ToolError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.fixed_point.compiled import FixedCode, self_test_passes
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
@@ -36,7 +37,7 @@ class FixedVerification:
         return self.status.ok
 
 
-class FixedDeployment:
+class FixedDeployment(Shown):
     """A generated folder of whole-number code; `tables` holds its figures, `status` a sentence on the law."""
 
     def __init__(self, law: FixedLaw, folder: Path, tables: dict[str, Any], status: Status) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import between, one_of, positive
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.output_folder import manifest_text, require_ours, write_folder
 from ultraquiet.deploy.c_code.render import heading, render
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP
@@ -37,7 +38,7 @@ FILES = {
 
 
 @dataclass(frozen=True)
-class FixedOptions:
+class FixedOptions(Shown):
     """How a law becomes code of whole numbers.
 
     Args:

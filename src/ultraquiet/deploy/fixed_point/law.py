@@ -8,6 +8,7 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.shown import Shown
 from ultraquiet.values.state_space import StateSpace
 
 Whole = NDArray[np.int64]
@@ -15,7 +16,7 @@ WORDS = {"q15": 16, "q31": 32}
 
 
 @dataclass(frozen=True, eq=False)
-class FixedLaw:
+class FixedLaw(Shown):
     """The law as integers. With w bits, measurements, states and commands are fractions of 2^(w-1) of their range.
 
     acc = r(A x, a + 2) + r(B y, b + 2);  x+ = r(acc, w - 4), and x + that in delta form;

@@ -5,10 +5,11 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 
 
-class FixedTwin:
+class FixedTwin(Shown):
     """One instance of a fixed-point law; the C function of each method bears the same name.
 
     A `Controller`: `step` takes and gives volts, through converters of the law's word and range.

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import one_of, positive
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.law.coordinates import balanced
@@ -24,7 +25,7 @@ BEST_FIRST = (StatusWord.OK, StatusWord.INEXACT, StatusWord.UNSTABLE, StatusWord
 
 
 @dataclass(frozen=True)
-class WordLength:
+class WordLength(Shown):
     """A controller in one precision and form.
 
     `error` is the largest relative change of the response, or of the loop's sensitivity when a plant was given;

@@ -4,6 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.frame.clock import FrameClock
 from ultraquiet.deploy.frame.harness import FrameHarness
@@ -15,7 +16,7 @@ from ultraquiet.deploy.toolchain import compiler
 MOST_SAMPLES = 2**19  # 150 s at 3.5 kHz
 
 
-class FrameController:
+class FrameController(Shown):
     """A `Controller` whose samples are frames: overruns skip samples, and a command that is late is applied late.
 
     A command counts for the sample in which the converters are written; the bench then holds it to the next one. What

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.frame.controller import FrameController
 from ultraquiet.deploy.frame.harness import run_frames
@@ -16,7 +17,7 @@ FRAMES = 1_000_000
 
 
 @dataclass(frozen=True)
-class Frame(FrameSettings):
+class Frame(FrameSettings, Shown):
     """One processor, one timer: the step runs when the timer says so, background work fills the rest.
 
     At each period T the timer interrupts. While a step is unfinished (its busy flag is set) the interrupt only counts:

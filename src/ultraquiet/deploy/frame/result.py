@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray, frozen, whole
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.frame.settings import FrameSettings
 from ultraquiet.deploy.frame.times import FrameTimes
 from ultraquiet.deploy.law.law import Law
@@ -18,7 +19,7 @@ WIDTH = 60  # characters of a period in the time line
 
 
 @dataclass(frozen=True, eq=False)
-class FrameSimulation:
+class FrameSimulation(Shown):
     """Frames one by one. Instants are seconds after the timer's nominal tick of their frame; NaN in skipped frames.
 
     `start_s` the step begins, `written_s` the converters hold the new command, `finish_s` the busy flag falls,

@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, frozen, one_of, positive, whole
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.frame.times import FrameTimes
 
 JITTERS = ("uniform", "gaussian", "bursts")
@@ -18,7 +19,7 @@ LATEST = 0.999
 
 
 @dataclass(frozen=True)
-class Overload:
+class Overload(Shown):
     """`extra_s` seconds more work in each of `frames` frames from number `first` on, between `output` and `update`."""
 
     first: int

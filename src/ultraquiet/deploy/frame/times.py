@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import between, positive, whole
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.c_code.self_test import HALF_RANGE
@@ -24,7 +25,7 @@ COUNTED_STEPS, IDLE_FROM = 64, 8
 
 
 @dataclass(frozen=True)
-class FrameTimes:
+class FrameTimes(Shown):
     """Seconds of processor time that each part of a frame needs when nothing disturbs it.
 
     A frame is: interrupt entry, converters read, `output`, converters written, `update`, return. `idle_output_s` and

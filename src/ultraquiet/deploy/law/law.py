@@ -11,6 +11,7 @@ from scipy.linalg import block_diag
 from ultraquiet._base.constraints import FloatArray, frozen, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.realisation import DELTA_FORMS, Realisation, turned
 from ultraquiet.values.state_space import StateSpace
 
@@ -25,7 +26,7 @@ DTYPES = {"float32": np.float32, "float64": np.float64}
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class Law(Shown):
     """Everything the code is made of. Arrays have the code's own precision and are read-only.
 
     x+ = A x + B y + L (sat(u) - u), u = C x + D y, with A in blocks (A - I when `form` is `delta`); `L` is None without

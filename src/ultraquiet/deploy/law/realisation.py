@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.biquad import BankChannel, channels, parts_of
 from ultraquiet.deploy.law.blocks import block_diagonal
 from ultraquiet.deploy.law.decoupling import separated
@@ -22,7 +23,7 @@ MODAL_BOUND = 6.7e7
 
 
 @dataclass(frozen=True, eq=False)
-class Realisation:
+class Realisation(Shown):
     """A law as blocks on the diagonal of A, with B, C, D; `A_k - I` is held instead of `A_k` when `delta`.
 
     `condition` is the condition number of the law's eigenvectors (of unit length): the factor by which modal

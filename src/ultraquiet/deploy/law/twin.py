@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.biquad import BankArithmetic
 from ultraquiet.deploy.law.coefficients import numbers, with_numbers
 from ultraquiet.deploy.law.law import Law, Rounded
@@ -19,7 +20,7 @@ TAPS = 4
 COUNTER_MAX = 2**32 - 1
 
 
-class Twin:
+class Twin(Shown):
     """One instance of the law with its guards; the C function of each method bears the same name.
 
     Sums run from left to right, which `numpy.cumsum` keeps and `@` does not.

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.bench import Bench
 from ultraquiet.deploy.verification.rounded_loop import LOSS_DB, own_frequencies
 from ultraquiet.values.controller import Controller
@@ -20,7 +21,7 @@ SLOWEST = 2.0  # periods that are measured of the slowest tone nobody asked for
 
 
 @dataclass(frozen=True, eq=False)
-class OnBench:
+class OnBench(Shown):
     """Reduction of tones in dB, `(tones, ny)`, by the float64 law and by the code.
 
     reduction_db = -20 log10(|y closed| / |y open|). `same_noise` tells whether both met the same noise.

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.footprint import footprint_on
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.emulator import TargetRun, count_instructions, run_on_target
@@ -16,7 +17,7 @@ STEPS, STEPS_IN_SOFTWARE = 100_000, 2_000
 
 
 @dataclass(frozen=True)
-class OnTarget:
+class OnTarget(Shown):
     """One target: commands that differ from the twin's, instructions of a step, bytes.
 
     `step` and `output` are the most instructions that a step and its first half took in the run, with its limits, ramps

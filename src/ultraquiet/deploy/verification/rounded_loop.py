@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.form_choice import loop_radius
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
@@ -39,7 +40,7 @@ class LoopFigures:
 
 
 @dataclass(frozen=True, eq=False)
-class Reanalysis:
+class Reanalysis(Shown):
     """The loop as designed and with the law's rounded coefficients, on one plant."""
 
     status: Status

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.errors import ToolError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.c_code.plan import CodePlan, GeneratedCode
 from ultraquiet.deploy.c_code.self_test import HALF_RANGE
@@ -31,7 +32,7 @@ compare = differing
 
 
 @dataclass(frozen=True)
-class Verification:
+class Verification(Shown):
     """What the proof found.
 
     `bit_exact` is None when nothing could be compared, `mismatches` counts commands that differ in at least one bit,

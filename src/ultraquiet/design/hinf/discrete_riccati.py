@@ -15,6 +15,21 @@ EPSILON = 1e-14  # relative error of a product, times which the condition tells 
 REGULAR = 1e9  # condition of R up to which what a cross term leaves of the cost is told from round-off
 
 
+# Of the poles' mean modulus, mapped to z = 1j; not one, where a single unstable pole would go to infinity.
+ASIDE = 4 / 3
+
+
+class OutOfReachError(NumericalError):
+    """An equation was solved, and what it says is that no controller exists."""
+
+
+def aside(poles: Array) -> float:
+    """Return the rad/s that a continuous problem is divided by on its way here, one where every pole is zero."""
+    size = np.abs(poles)
+    size = size[size > 0]
+    return ASIDE * (float(np.exp(np.mean(np.log(size)))) if size.size else 1.0)
+
+
 class Game(NamedTuple):
     """x+ = A x + B1 w + B2 u, z = C1 x + D11 w + D12 u, y = C2 x + D21 w."""
 
@@ -50,7 +65,7 @@ def central(M: Matrices, ny: int, nu: int, gamma: float) -> tuple[Matrices, dict
     X, Y = state.X, filtering.X
     coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) if X.size else 0.0
     if not coupling < 1:
-        raise NumericalError(f"the spectral radius of XY is {coupling:.6g} gamma^2")
+        raise OutOfReachError(f"the spectral radius of XY is {coupling:.6g} gamma^2")
     left = _without_worst(plant, X, "state-feedback equation X")
     Z = np.linalg.solve(np.eye(X.shape[0]) - Y @ X, Y)
     g = _without_worst(left.dual, (Z + Z.T) / 2, "filter equation Y").dual
@@ -107,9 +122,11 @@ def _solved(g: Game, name: str) -> Riccati:
         riccati = discrete_riccati(A, B, Q, R, S)
     except NumericalError as error:
         raise NumericalError(f"{name}: {error}") from None
-    values = np.linalg.eigvalsh(riccati.X) if riccati.X.size else np.zeros(1)
-    if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * np.sum(g.C1**2)):
-        raise NumericalError(f"{name}: its solution is indefinite, smallest eigenvalue {values[0]:.2e}")
+    # at unit diagonal, so that neither the units of states nor large entries elsewhere hide what is negative
+    d = np.sqrt(np.maximum(np.abs(np.diag(riccati.X)), max(ROUND_OFF * np.sum(g.C1**2), np.finfo(float).tiny)))
+    values = np.linalg.eigvalsh(riccati.X / np.outer(d, d)) if riccati.X.size else np.zeros(1)
+    if values[0] < -INDEFINITE:
+        raise OutOfReachError(f"{name}: its solution is indefinite, smallest eigenvalue {values[0]:.2e}")
     return riccati
 
 
@@ -150,5 +167,5 @@ def _inertia(R: Array, m: int, name: str) -> tuple[Array, Array, Array]:
         V21 = solve_triangular(V22, R[m:, :m], trans=1)
         V11 = cholesky(V21.T @ V21 - R[:m, :m])
     except LinAlgError:
-        raise NumericalError(f"{name}: the direct terms seen by its solution let some w through") from None
+        raise OutOfReachError(f"{name}: the direct terms seen by its solution let some w through") from None
     return V11, V21, V22

@@ -25,7 +25,8 @@ OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds 
 class Bracket(NamedTuple):
     """The best level solved, a level below it that fails, why that one does, and how many levels were tried.
 
-    `certain` is the part of `below` that frequency responses alone prove: no controller gets under it. Levels up to
+    `certain` is the part of `below` that frequency responses alone prove: no controller gets under it; `proven` the
+    highest level that an equation shows to be out of reach beyond its own error, at least `certain`. Levels up to
     `nought` count as zero.
     """
 
@@ -35,6 +36,7 @@ class Bracket(NamedTuple):
     probes: int
     certain: float
     nought: float
+    proven: float
 
     @property
     def is_zero(self) -> bool:
@@ -70,7 +72,8 @@ def search(plant: riccati.NormalisedPlant, tolerance: float) -> Bracket:
         else:
             best = level
         widths.append(best.gamma / max(low, nought))
-    return Bracket(best, low, reason, len(tried), certain, nought)
+    proofs = [t.gamma for t in tried if t.reason and t.gamma > certain and riccati.is_proof(plant, t)]
+    return Bracket(best, low, reason, len(tried), certain, nought, max(proofs, default=certain))
 
 
 def at_level(plant: riccati.NormalisedPlant, gamma: float) -> Bracket:
@@ -79,8 +82,11 @@ def at_level(plant: riccati.NormalisedPlant, gamma: float) -> Bracket:
     if gamma <= certain:
         none = np.zeros((0, 0))
         reason = f"at one frequency no controller gets below {certain:.6g}"
-        return Bracket(riccati.Level(gamma, none, none, reason=reason), gamma, "", 0, certain, nought)
-    return Bracket(riccati.attempt(plant, gamma), float("nan"), "", 1, certain, nought)
+        level = riccati.Level(gamma, none, none, reason=reason, proof=True)
+        return Bracket(level, gamma, "", 0, certain, nought, gamma)
+    level = riccati.attempt(plant, gamma)
+    proven = gamma if level.reason and riccati.is_proof(plant, level) else certain
+    return Bracket(level, float("nan"), "", 1, certain, nought, proven)
 
 
 def _first(plant: riccati.NormalisedPlant, start: float) -> tuple[riccati.Level, list[riccati.Level]]:

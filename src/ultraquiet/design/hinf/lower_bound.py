@@ -16,6 +16,7 @@ ROUNDS = 10
 FINE = 1e-6  # relative width to which the bound is sought
 # An eigenvalue counts as imaginary below this share of its modulus; what it stands for is then judged by its gain.
 AXIS_SHARE = 1e-4
+ENDS = np.array([1.5, 3.0, 10.0, 100.0])
 FAN = np.linspace(-1, 1, 17)
 FANS = (4e-2, 4e-3, 5e-4, 6e-5)  # each narrower than the step of the one before
 ROUND_OFF = 1e-12  # relative error of a response
@@ -50,13 +51,16 @@ def lower_bound(plant: NormalisedPlant) -> Bound:
 
 
 def _crossings(plant: NormalisedPlant, level: float, name: str) -> Array:
-    """Return the frequencies where the gain of one kind may equal a level, and those between."""
+    """Return the frequencies where the gain of one kind may equal a level, those between and some at either end."""
     A, G, Q = equation(plant, level, name)
     if not np.any(Q):
         return np.zeros(0)
     values = np.linalg.eigvals(np.block([[A, -G], [-Q, -A.T]]))
     w = np.unique(np.abs(values.imag[np.abs(values.real) <= AXIS_SHARE * np.abs(values)]))
-    return np.concatenate([w, np.sqrt(w[:-1] * w[1:])])
+    if not w.size:
+        return w
+    # beyond the last one the gain may stay above the level to infinity, below the first one to zero
+    return np.concatenate([w, np.sqrt(w[:-1] * w[1:]), w[0] / ENDS, w[-1] * ENDS])
 
 
 def _looks(poles: Array) -> Array:

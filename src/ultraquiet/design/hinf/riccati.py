@@ -11,7 +11,8 @@ from scipy.linalg import LinAlgError, block_diag
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.equations import continuous_riccati
+from ultraquiet.linalg.equations import continuous_riccati, newton_direction
+from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.ordered import Array, Matrices
 
 EQUATIONS = {"X": "state-feedback", "Y": "filter"}
@@ -20,6 +21,11 @@ RANK = 1e-10  # a singular value of D12 or D21 below this share of the largest c
 ROUND_OFF = 1e-12
 ILL_POSED = 1e9  # 1 / singular value of I + Dk D22 beyond which more than half of the digits of the loop are gone
 INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below zero
+# Below it, in units that make the diagonal one, the least eigenvalue of X or Y is looked at: it is negative where it is
+# beyond this many times the error that one more Newton step shows.
+FAINT = 1e-12
+BEYOND = 10.0
+SPREAD = 2.0  # the same for the spectral radius of XY, of which the step gives a second value
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,7 @@ class Level(NamedTuple):
     """What one level gamma gave: the two solutions, rho(XY) / gamma^2, and why it fails (empty when it does not).
 
     X or Y are empty where they were not computed or do not exist; of the one that is indefinite, the matrix is kept.
+    `proof` is whether the failure shows that no controller exists, and not only that an equation was not solved.
     """
 
     gamma: float
@@ -56,6 +63,7 @@ class Level(NamedTuple):
     coupling: float = np.inf
     residuals: tuple[float, float] = (np.inf, np.inf)
     reason: str = ""
+    proof: bool = False
 
 
 def normalise(M: Matrices, ny: int, nu: int) -> NormalisedPlant:
@@ -71,7 +79,9 @@ def normalise(M: Matrices, ny: int, nu: int) -> NormalisedPlant:
     w_side, y_side = _unit(D[p:, :m].T, "D21 (disturbances to measurements)", "rows")
     # units are gone before the states are scaled by the sizes of their inputs and outputs
     inputs, outputs = block_diag(w_side, u_side), block_diag(z_side, y_side)
-    form = balance.modal(A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed))
+    A, B, C = A / speed, B @ inputs / np.sqrt(speed), outputs.T @ C / np.sqrt(speed)
+    d = even_scale(A, B, C)
+    form = balance.modal(A * d / d[:, None], B / d[:, None], C * d)
     return NormalisedPlant(
         A=form.A,
         B1=form.B[:, :m],
@@ -100,7 +110,7 @@ def attempt(plant: NormalisedPlant, gamma: float, filter_first: bool = False) ->
     The equation named by `filter_first` is solved first, so that a search which knows where levels fail fails soon.
     """
     none = np.zeros((0, 0))
-    solutions, residuals, reason = {"X": none, "Y": none}, {"X": np.inf, "Y": np.inf}, ""
+    solutions, residuals, reason, proof = {"X": none, "Y": none}, {"X": np.inf, "Y": np.inf}, "", False
     for name in ("Y", "X") if filter_first else ("X", "Y"):
         A, G, Q = equation(plant, gamma, name)
         try:
@@ -109,17 +119,52 @@ def attempt(plant: NormalisedPlant, gamma: float, filter_first: bool = False) ->
             reason = f"{EQUATIONS[name]} equation {name}: {error}"
             break
         solutions[name], residuals[name] = solution.X, solution.residual
-        values = np.linalg.eigvalsh(solution.X) if plant.A.size else np.zeros(1)
-        natural = np.linalg.norm(A) / max(np.linalg.norm(G), np.finfo(float).tiny)  # size of X where Q is zero
-        if values[0] < -INDEFINITE * max(values[-1], ROUND_OFF * natural):
-            reason = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {values[0]:.2e}"
+        least = _negative(A, G, Q, solution.X)
+        if least < 0:
+            reason, proof = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {least:.2e}", True
             break
     X, Y = solutions["X"], solutions["Y"]
     coupling = np.inf
     if not reason:
         coupling = float(np.abs(np.linalg.eigvals(X @ Y)).max()) / gamma**2 if X.size else 0.0
         reason = "" if coupling < 1 else f"the spectral radius of XY is {coupling:.6g} gamma^2"
-    return Level(gamma, X, Y, coupling, (residuals["X"], residuals["Y"]), reason)
+    return Level(gamma, X, Y, coupling, (residuals["X"], residuals["Y"]), reason, proof)
+
+
+def is_proof(plant: NormalisedPlant, level: Level) -> bool:
+    """Return whether a level that fails is shown to be out of reach: for a coupling, beyond the errors of X and Y."""
+    if level.proof or not 1 <= level.coupling < np.inf:
+        return level.proof
+    better = [X + _error(*equation(plant, level.gamma, n), X) for n, X in (("X", level.X), ("Y", level.Y))]
+    if not all(np.isfinite(X).all() for X in better):
+        return False
+    coupling = float(np.abs(np.linalg.eigvals(better[0] @ better[1])).max()) / level.gamma**2
+    return min(coupling, level.coupling) - SPREAD * abs(coupling - level.coupling) > 1
+
+
+def _negative(A: Array, G: Array, Q: Array, X: Array) -> float:
+    """Return the least eigenvalue of X at unit diagonal where it is negative beyond the error of X, else zero."""
+    if not X.size:
+        return 0.0
+    tiny = np.finfo(float).tiny
+    natural = ROUND_OFF * float(np.linalg.norm(A)) / max(float(np.linalg.norm(G)), tiny)  # size of X where Q is zero
+    unit = _unit_diagonal(X, natural)
+    least = float(np.linalg.eigvalsh(X / unit)[0])
+    if least > -FAINT:
+        return 0.0
+    return least if least < -BEYOND * np.linalg.norm(_error(A, G, Q, X) / unit) else 0.0
+
+
+def _error(A: Array, G: Array, Q: Array, X: Array) -> Array:
+    try:
+        return newton_direction(A, G, Q, X)
+    except NumericalError:
+        return np.full(X.shape, np.inf)
+
+
+def _unit_diagonal(X: Array, least: float = 0.0) -> Array:
+    d = np.sqrt(np.maximum(np.abs(np.diag(X)), max(least, np.finfo(float).tiny)))
+    return np.outer(d, d)
 
 
 def central(plant: NormalisedPlant, level: Level) -> Matrices:
@@ -240,14 +285,16 @@ def _unit(D: Array, block: str, what: str) -> tuple[Array, Array]:
         NumericalError: D lacks full column rank.
     """
     p, m = D.shape
-    U, s, Vt = np.linalg.svd(D)
+    size = np.linalg.norm(D, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    U, s, Vt = np.linalg.svd(D / size)
     if p < m or (m and s[-1] <= RANK * max(s[0], 1e-300)):
         rank = int(np.sum(s > RANK * max(float(s[0]), 1e-300))) if s.size and s[0] > 0 else 0
         raise NumericalError(
             f"H-infinity synthesis: {block} has rank {rank} where {m} is needed; every one of its {m} {what} must "
-            "be weighted, add a small weight to those that are not."
+            "be weighted, add a small weight to those that are not or ask for regularise=True."
         )
-    return np.hstack([U[:, m:], U[:, :m]]), Vt.T / s
+    return np.hstack([U[:, m:], U[:, :m]]), Vt.T / s / size[:, None]
 
 
 def _speed(A: Array) -> float:

@@ -3,27 +3,27 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import LinAlgError
 
 from ultraquiet._base.constraints import positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.assumptions import WHO, out_of_reach, zeros_on_boundary
 from ultraquiet.design.hinf.gamma_search import Bracket, at_level, search
+from ultraquiet.design.hinf.problem.closing import Closed, closed
+from ultraquiet.design.hinf.problem.hidden import without_hidden
+from ultraquiet.design.hinf.problem.regularise import WEIGHTS, regularised
+from ultraquiet.design.hinf.problem.units import EvenProblem, even_problem
+from ultraquiet.design.hinf.problem.verified import Reached, Verifier
 from ultraquiet.design.hinf.verification import verify_level
-from ultraquiet.design.result import DesignResult, is_stable, refused
-from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
+from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 FINEST = 1e-5  # relative width of the bracket around the optimum
 COARSENESS = 0.05  # the bracket is this share of the margin wide: a controller at 1.05 needs no optimum to six digits
-# Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
-BACK_OFF = (1.0, 1.0005, 1.002, 1.005, 1.02, 1.05, 1.1, 1.2, 2.0)
 FASTEST = 1e12  # stands for infinite frequency, in units of the plant's own speed
 SMALL = 40  # states up to which the second opinion comes without asking
 LEAST = 0.5  # of the optimum: lowest level the second opinion is asked about
@@ -38,6 +38,7 @@ def synthesize_hinf(
     gamma: float | None = None,
     margin: float = 1.00003,
     second_opinion: bool | None = None,
+    regularise: bool = False,
 ) -> DesignResult:
     """Return the controller that minimises the H-infinity norm of a closed loop.
 
@@ -53,6 +54,10 @@ def synthesize_hinf(
             controllers with very fast modes; 1.05 is the better choice for a controller to be built.
         second_opinion: whether the optimum is to be found again by `verify_level`; None asks for plants of up to 40
             states.
+        regularise: whether a singular problem (D12 or D21 without full rank, zeros on the stability boundary) is to be
+            completed with small weights on controls, measurements and states. The largest weight is taken whose norm
+            of the problem itself is within a thousandth of the best that any of them gave; `details["regularised"]`
+            holds it, `weight` in even units, its `cost` over that best, and the `norms` that all of them gave.
 
     Returns:
         A `DesignResult`: `gamma` is the norm that the returned controller gives in the coordinates of the synthesis,
@@ -78,103 +83,155 @@ def synthesize_hinf(
     nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
     if not positive(who, "margin", margin) >= 1:
         raise InputError(f"{who}: 'margin' must be at least one, got {margin:g}.")
-    sentence = out_of_reach(P, ny, nu)
+    level = None if gamma is None else positive(who, "gamma", gamma)
+    problem = even_problem(P, ny, nu)
+    even, hidden = without_hidden(problem.plant)
+    sentence = out_of_reach(even, ny, nu)
     if sentence:
         return refused(sentence)
+    result = _solved(P, problem, even, ny, nu, level, margin, second_opinion)
+    if hidden and not result.status.ok:
+        hidden, result = 0, _solved(P, problem, problem.plant, ny, nu, level, margin, second_opinion)
+    if regularise and not result.status.ok:
+        result = _completed(result, P, problem, even, ny, nu, level, margin)
+    return _told(result, hidden) if hidden else result
+
+
+def _solved(
+    P: StateSpace,
+    problem: EvenProblem,
+    even: StateSpace,
+    ny: int,
+    nu: int,
+    gamma: float | None,
+    margin: float,
+    second_opinion: bool | None,
+) -> DesignResult:
+    """Search, form, verify and compare, on the even problem or what is left of it without its hidden states."""
     try:
-        plant = riccati.normalise(_continuous(P), ny, nu)
-        sentence = zeros_on_boundary(plant, P.rate_hz)
+        v = Verifier(P, problem, even, ny, nu)
+        sentence = zeros_on_boundary(v.plant, P.rate_hz)
         if sentence:
             return refused(sentence)
-        bracket = (
-            search(plant, max(FINEST, COARSENESS * (margin - 1)))
-            if gamma is None
-            else at_level(plant, positive(who, "gamma", gamma))
-        )
-        if bracket.best.reason:
-            return refused(_sentence(gamma, bracket.best.reason))
-        # a level that was asked for is kept or refused, the search's own may be left for a safer one
-        factors = [margin * f for f in BACK_OFF] if gamma is None else [1.0]
-        result = _form(P, plant, bracket, ny, nu, factors)
+        if gamma is not None:
+            return _asked(v, gamma)
+        bracket = search(v.plant, max(FINEST, COARSENESS * (margin - 1)))
+        found = closed(v, bracket, margin)
+        if found is None:
+            return refused(_sentence(None, bracket.best.reason or v.said, True))
+        result = _result(v, bracket, found)
         wanted = P.states <= SMALL if second_opinion is None else second_opinion
-        compared = wanted and gamma is None and result.status.ok and not bracket.is_zero
-        return _seconded(P, result, bracket) if compared else result
+        compared = wanted and result.status.ok and not bracket.is_zero
+        return _seconded(P, result, ny, nu) if compared else result
     except NumericalError as error:
         return refused(str(error))
 
 
-def _continuous(P: StateSpace) -> riccati.Matrices:
-    M = (P.A, P.B, P.C, P.D)
-    return M if P.rate_hz is None else bilinear_to_continuous(*M)
+def _completed(
+    result: DesignResult,
+    P: StateSpace,
+    problem: EvenProblem,
+    even: StateSpace,
+    ny: int,
+    nu: int,
+    gamma: float | None,
+    margin: float,
+) -> DesignResult:
+    """Solve the problem completed with small weights; what is reported is the norm of the problem itself."""
+    ended = regularised(P, problem, even, ny, nu, margin)
+    if ended is None:
+        return refused(f"{result.status.sentence} No weight from {WEIGHTS[0]:g} to {WEIGHTS[-1]:.0e} mends it.")
+    found = ended.found
+    if gamma is not None and found.achieved > gamma * (1 + AGREEMENT):
+        return refused(
+            f"{WHO}: no controller was found at level {gamma:g}; the best that small weights gave is "
+            f"{found.achieved:.6g}, which is no proof that there is none. {result.status.sentence}"
+        )
+    formed = _result(ended.verifier, ended.bracket, Closed(found, 0.0, found.achieved * problem.level, True))
+    cost = {"weight": ended.weight, "cost": ended.cost, "norms": ended.norms, "instead_of": result.status.sentence}
+    best = min(ended.norms.values())
+    said = (
+        f"The loop is stable and the norm of the problem itself is {found.achieved:.5g}; it is singular, and was "
+        f"solved with a weight of {ended.weight:.1e} on controls, measurements and states in even units, at "
+        f"{ended.cost:.2%} over {best:.5g}, the best of {len(ended.norms)} weights."
+    )
+    status = Status(StatusWord.OK, said) if formed.status.ok else formed.status
+    optimum = (0.0, best)
+    return replace(formed, status=status, details={**formed.details, "optimum": optimum, "regularised": cost})
 
 
-def _seconded(P: StateSpace, result: DesignResult, bracket: Bracket) -> DesignResult:
+def _asked(v: Verifier, gamma: float) -> DesignResult:
+    """Keep a level that was asked for, by either route, or refuse it."""
+    even = gamma * v.problem.level
+    bracket = at_level(v.plant, even)
+    proven = bool(bracket.best.reason) and bracket.proven >= even
+    found = None if proven else v.at(even, bracket.best)
+    said = bracket.best.reason or v.said
+    if not proven and (found is None or not found.keeps):
+        found = v.beside(even)
+    if found is None or not found.keeps:
+        return refused(_sentence(gamma, said, proven))
+    return _result(v, bracket, Closed(found, float("nan"), even, True))
+
+
+def _result(v: Verifier, bracket: Bracket, ended: Closed) -> DesignResult:
+    found, scale = ended.found, v.problem.level
+    settings = {"measurements": v.ny, "controls": v.nu, "bound": found.bound}
+    provenance = Provenance("synthesize_hinf", settings, parents=(v.P.hash,), versions=versions())
+    K = found.controller
+    controller = StateSpace(K.A, K.B, K.C, K.D, rate_hz=K.rate_hz, provenance=provenance)
+    gamma = _own_norm(v, found) / scale
+    difference = abs(found.achieved - gamma)
+    if not difference <= AGREEMENT * max(found.achieved, bracket.nought / scale):
+        return refused(f"{WHO}: reported {gamma:.6g}, achieved {found.achieved:.6g} at level {found.bound:.6g}")
+    level = found.level
+    details = {
+        "bound": found.bound,
+        "optimum": (ended.out_of_reach / scale, ended.reached / scale),
+        "below": bracket.reason,
+        "certain": bracket.certain / scale,
+        "probes": bracket.probes,
+        "achieved_hz": found.f_hz,
+        "coupling": float("nan") if level is None else level.coupling,
+        "conditions": {} if level is None else _conditions(v.plant, level),
+    }
+    residuals = {} if level is None else dict(zip("XY", level.residuals, strict=True))
+    most = max(found.bound, found.achieved)
+    said = f"The loop is stable and its norm is {found.achieved:.5g}, at most {most:.5g} as designed."
+    if not ended.shown:
+        said += (
+            f" Whether a controller goes below {ended.reached / scale:.6g} is not decided: no equation could be solved "
+            f"there, and nothing shows more than {ended.out_of_reach / scale:.6g} to be out of reach."
+        )
+    status = Status(StatusWord.OK, said)
+    return DesignResult(
+        status,
+        controller,
+        gamma,
+        found.achieved,
+        found.poles,
+        residuals=residuals,
+        details=details,
+        provenance=provenance,
+    )
+
+
+def _told(result: DesignResult, hidden: int) -> DesignResult:
+    """Add a word on states that were taken off first."""
+    word = f"{hidden} state{'s' * (hidden > 1)} of the plant, hidden from every input or output, were left out of it"
+    status = Status(result.status.word, f"{result.status.sentence} {word}.")
+    return replace(result, status=status, details={**result.details, "hidden": hidden})
+
+
+def _seconded(P: StateSpace, result: DesignResult, ny: int, nu: int) -> DesignResult:
     """Add the second opinion on the optimum, and a word of it to the verdict when it differs."""
-    settings = result.provenance.settings
-    ny, nu = int(settings["measurements"]), int(settings["controls"])
-    low = max(bracket.below, LEAST * bracket.best.gamma)
-    opinion = verify_level(P, ny, nu, bracket.best.gamma, below=low)
+    below, optimum = result.details["optimum"]
+    opinion = verify_level(P, ny, nu, optimum, below=max(below, LEAST * optimum))
     status = result.status
     if not opinion.agrees:
-        status = Status(status.word, f"{status.sentence} The second opinion differs: {opinion.sentence}")
+        word = "differs" if opinion.decided else "is undecided"
+        status = Status(status.word, f"{status.sentence} The second opinion {word}: {opinion.sentence}")
     return replace(result, status=status, details={**result.details, "second_opinion": opinion})
-
-
-def _form(
-    P: StateSpace, plant: riccati.NormalisedPlant, bracket: Bracket, ny: int, nu: int, factors: list[float]
-) -> DesignResult:
-    """Form, restore and verify controllers, first at the asked margin, then further from the optimum."""
-    sentence = ""
-    for factor in factors:
-        level = riccati.attempt(plant, bracket.best.gamma * factor) if factor > 1 else bracket.best
-        if level.reason:
-            sentence = level.reason
-            continue
-        try:
-            result = _verified(P, plant, level, bracket, ny, nu)
-        except (NumericalError, InputError, LinAlgError) as error:
-            sentence = str(error)
-            continue
-        if result.status.ok:
-            return result
-        sentence = result.status.sentence
-    return refused(f"{WHO}: no controller passed its verification; the last try: {sentence}")
-
-
-def _verified(
-    P: StateSpace, plant: riccati.NormalisedPlant, level: riccati.Level, bracket: Bracket, ny: int, nu: int
-) -> DesignResult:
-    M = riccati.central(plant, level)
-    K = M if P.rate_hz is None else bilinear_to_discrete(*M)
-    settings = {"measurements": ny, "controls": nu, "bound": level.gamma}
-    provenance = Provenance("synthesize_hinf", settings, parents=(P.hash,), versions=versions())
-    controller = StateSpace(*K, rate_hz=P.rate_hz, provenance=provenance)
-    loop = lft(P, controller)
-    poles = loop.poles()
-    if not is_stable(poles, P.rate_hz):
-        return refused(f"the loop at level {level.gamma:.6g} is unstable")
-    achieved, f_hz = hinf_norm(loop)
-    gamma = _own_norm(plant, M, _normalised_frequency(plant, f_hz, P.rate_hz))
-    difference = abs(achieved - gamma)
-    if not (difference <= AGREEMENT * max(achieved, bracket.nought) and achieved <= level.gamma * (1 + AGREEMENT)):
-        return refused(f"reported {gamma:.6g}, achieved {achieved:.6g} at level {level.gamma:.6g}")
-    details = {
-        "bound": level.gamma,
-        "optimum": (bracket.below, bracket.best.gamma),
-        "below": bracket.reason,
-        "certain": bracket.certain,
-        "probes": bracket.probes,
-        "achieved_hz": f_hz,
-        "coupling": level.coupling,
-        "conditions": _conditions(plant, level),
-    }
-    status = Status(
-        StatusWord.OK, f"The loop is stable and its norm is {achieved:.5g}, at most {level.gamma:.5g} as designed."
-    )
-    residuals = {"X": level.residuals[0], "Y": level.residuals[1]}
-    return DesignResult(
-        status, controller, gamma, achieved, poles, residuals=residuals, details=details, provenance=provenance
-    )
 
 
 def _conditions(plant: riccati.NormalisedPlant, level: riccati.Level) -> dict[str, float]:
@@ -183,25 +240,18 @@ def _conditions(plant: riccati.NormalisedPlant, level: riccati.Level) -> dict[st
     return {name: float(np.linalg.cond(m)) if m.size else 1.0 for name, m in matrices.items()}
 
 
-def _own_norm(plant: riccati.NormalisedPlant, controller: riccati.Matrices, w: float) -> float:
-    """Return the gain, at the peak's frequency, of the loop formed in the normalised coordinates of the synthesis."""
-    D12, D21 = riccati.direct_terms(plant)
-    P = StateSpace(
-        plant.A,
-        np.hstack([plant.B1, plant.B2]),
-        np.vstack([plant.C1, plant.C2]),
-        np.block([[plant.D11, D12], [D21, np.zeros((D21.shape[0], D12.shape[1]))]]),
-    )
-    loop = lft(P, StateSpace(*riccati.normalised_controller(plant, controller)))
-    response = loop.C @ np.linalg.solve(1j * w * np.eye(loop.states) - loop.A, loop.B) + loop.D
+def _own_norm(v: Verifier, found: Reached) -> float:
+    """Return the gain, at the peak's frequency, of the loop formed in the even units of the synthesis."""
+    loop = lft(v.problem.plant, v.problem.even_law(found.controller))
+    w = 2 * np.pi * found.f_hz
+    if not np.isfinite(w):
+        return float(np.linalg.norm(loop.D, 2))
+    z = 1j * w if v.P.rate_hz is None else np.exp(1j * w / v.P.rate_hz)
+    response = loop.C @ np.linalg.solve(z * np.eye(loop.states) - loop.A, loop.B) + loop.D
     return float(np.linalg.norm(response, 2))
 
 
-def _normalised_frequency(plant: riccati.NormalisedPlant, f_hz: float, rate_hz: float | None) -> float:
-    w = 2 * np.pi * f_hz if rate_hz is None else np.tan(np.pi * f_hz / rate_hz)
-    return min(float(w) / plant.speed, FASTEST)
-
-
-def _sentence(gamma: float | None, reason: str) -> str:
+def _sentence(gamma: float | None, reason: str, proven: bool) -> str:
     level = "any level" if gamma is None else f"level {gamma:g}"
-    return f"{WHO}: no controller reaches {level}: {reason.rstrip('.')}."
+    doubt = "" if proven else " as far as the equations tell, which is no proof"
+    return f"{WHO}: no controller reaches {level}{doubt}: {reason.rstrip('.')}."

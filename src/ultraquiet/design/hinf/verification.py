@@ -5,17 +5,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import positive, whole
-from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design.hinf import discrete_riccati
-from ultraquiet.linalg.discretize import bilinear_to_discrete
-from ultraquiet.linalg.ordered import Array, Matrices
-from ultraquiet.values.interconnect import lft
+from ultraquiet.design.hinf.lower_bound import lower_bound
+from ultraquiet.design.hinf.problem.hidden import without_hidden
+from ultraquiet.design.hinf.problem.units import even_problem
+from ultraquiet.design.hinf.problem.verified import Verifier
 from ultraquiet.values.state_space import StateSpace
 
-# Of the poles' mean modulus, mapped to z = 1j; not one, where a single unstable pole would go to infinity.
-ASIDE = 4 / 3
 WIDTH = 1e-3  # relative distance from the optimum at which the two sides are asked for
 
 
@@ -23,8 +20,9 @@ class Opinion(NamedTuple):
     """What the second route says of a level.
 
     `reaches` whether its own controller keeps the loop stable and the norm at `level` (a little above the optimum
-    claimed), `norm` what that controller gives, `below` whether it finds a controller a little below as well, and why
-    not.
+    claimed), `norm` the smallest norm of a controller that it found, `below` whether that is a little below as well.
+    `decided` is whether what it failed at is shown to be out of reach: an equation that could not be solved says
+    nothing, so that it neither agrees nor differs.
     """
 
     agrees: bool
@@ -33,6 +31,7 @@ class Opinion(NamedTuple):
     norm: float
     below: bool
     sentence: str
+    decided: bool = True
 
 
 @single_threaded
@@ -70,37 +69,30 @@ def verify_level(
     high = positive(who, "gamma", gamma) * (1 + positive(who, "tolerance", tolerance))
     low = (gamma if below is None else positive(who, "below", below)) * (1 - tolerance)
     try:
-        M = _discrete(P)
+        problem = even_problem(P, ny, nu)
+        route = Verifier(P, problem, without_hidden(problem.plant)[0], ny, nu)
     except NumericalError as error:
-        return Opinion(False, high, False, float("nan"), False, f"The second route has no say: {error}")
-    norm, why_not = _reached(M, ny, nu, high)
-    under, why = _reached(M, ny, nu, low)
-    reaches, lower = norm <= high * (1 + tolerance), under <= low * (1 + tolerance)
-    if not reaches:
-        said = f"does not reach {high:.6g}: {why_not or f'its loop has the norm {norm:.6g}'}"
-    elif lower:
-        said = f"reaches {low:.6g} too: the optimum is lower than claimed"
+        return Opinion(False, high, False, float("nan"), False, f"The second route has no say: {error}", False)
+    return _heard(route, high, low, tolerance)
+
+
+def _heard(route: Verifier, high: float, low: float, tolerance: float) -> Opinion:
+    """Ask for a controller at the upper level and for one at the lower."""
+    scale = route.problem.level
+    over = route.beside(high * scale)
+    why_not = route.said
+    reaches = over is not None and over.achieved <= high * (1 + tolerance)
+    under = None if over is not None and over.achieved <= low else route.beside(low * scale)
+    why = route.said
+    norm = min((found.achieved for found in (over, under) if found is not None), default=np.inf)
+    lower = norm <= low * (1 + tolerance / 2)
+    shown = route.shown or low <= lower_bound(route.plant).level / scale
+    if lower:
+        said, decided = f"reaches {norm:.6g}: the optimum is lower than claimed", True
+    elif not reaches:
+        said, decided = f"does not reach {high:.6g}: {why_not or f'its loop has the norm {norm:.6g}'}", route.shown
     else:
-        said = f"reaches {high:.6g} with the norm {norm:.6g} and not {low:.6g}: {why or f'its loop gives {under:.6g}'}"
-    return Opinion(reaches and not lower, high, reaches, norm, lower, f"Direct discrete synthesis {said.rstrip('.')}.")
-
-
-def _discrete(P: StateSpace) -> Matrices:
-    if P.rate_hz is not None:
-        return P.A, P.B, P.C, P.D
-    speed = ASIDE * _middle(np.abs(P.poles()))
-    return bilinear_to_discrete(P.A / speed, P.B / np.sqrt(speed), P.C / np.sqrt(speed), P.D)
-
-
-def _middle(size: Array) -> float:
-    size = size[size > 0]
-    return float(np.exp(np.mean(np.log(size)))) if size.size else 1.0
-
-
-def _reached(M: Matrices, ny: int, nu: int, level: float) -> tuple[float, str]:
-    """Return the norm of the loop with the level's central controller, infinite with the reason when there is none."""
-    try:
-        K, _ = discrete_riccati.central(M, ny, nu, level)
-        return hinf_norm(lft(StateSpace(*M, rate_hz=1.0), StateSpace(*K, rate_hz=1.0)))[0], ""
-    except (NumericalError, InputError, np.linalg.LinAlgError) as error:
-        return np.inf, str(error)
+        decided = under is not None or shown
+        said = f"reaches {high:.6g} with the norm {norm:.6g} and not {low:.6g}: {why or f'its loop gives {norm:.6g}'}"
+    agrees = reaches and not lower and decided
+    return Opinion(agrees, high, reaches, norm, lower, f"Direct discrete synthesis {said.rstrip('.')}.", decided)

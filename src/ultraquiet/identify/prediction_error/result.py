@@ -9,6 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.shown import Shown
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result, worst
@@ -33,7 +34,7 @@ def gather(model: PolynomialMatrix, fits: list[Fit], made: Provenance) -> Result
 
 
 @dataclass(frozen=True, eq=False)
-class MatrixResult:
+class MatrixResult(Shown):
     """A transfer matrix of single-channel models, each with its evidence.
 
     Attributes:

@@ -14,6 +14,7 @@ from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
 from ultraquiet.linalg import pole_residue, vector_fitting
+from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
 from ultraquiet.spectra import frf
@@ -102,6 +103,7 @@ class Rational:
         usable("Rational", record, (self.order or max(ORDERS)) * (len(record.actuators) + 1), 64)
         fitted = self.identify_response(frf(record), record.rate_hz)
         simulated = fitted.model.simulate(record.inputs)
+        simulated = simulated + unknown_past(fitted.model.A, fitted.model.C, record.outputs - simulated)
         residual = record.outputs - simulated
         fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
         statuses = [_simulated(fitted.status, p, e, record.inputs) for p, e in zip(fits, residual, strict=True)]

@@ -16,7 +16,7 @@ from ultraquiet.identify.response.data import WHO, Data, from_periods, from_reco
 from ultraquiet.identify.response.model import WeightedFit
 from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.linalg import portmanteau
-from ultraquiet.linalg.innovation import free_motion
+from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.sections import search as sections
 from ultraquiet.linalg.sections import start
@@ -328,8 +328,7 @@ def _model(method: WeightedRational, data: Data, fit: _OrderFit) -> StateSpace:
 def _result(method: WeightedRational, fitted: WeightedFit, record: Record) -> Result:
     simulated = fitted.model.simulate(record.inputs)
     miss = record.outputs - simulated
-    miss = miss - miss.mean(axis=1, keepdims=True)
-    residual = miss - free_motion(fitted.model.A, fitted.model.C, miss)
+    residual = miss - unknown_past(fitted.model.A, fitted.model.C, miss)
     ny = len(record.sensors)
     provenance = Provenance("weighted-rational", asdict(method), parents=(record.hash,), versions=versions())
     return Result(

@@ -1,7 +1,7 @@
 """The report of a study: its stages as sections."""
 
 from ultraquiet._base.provenance import versions
-from ultraquiet.pipeline.report import limits, loops, models
+from ultraquiet.pipeline.report import limits, loops, mission, models
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Report
 
@@ -28,6 +28,8 @@ def report(result: StudyResult) -> Report:
         models.analysis(result),
         loops.design(result),
         *([] if bench is None else [loops.closed_loop(result)]),
+        *([mission.payload(result)] if result.payload else []),
+        *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
         limits.limits(result),
         loops.code(result),
     ]

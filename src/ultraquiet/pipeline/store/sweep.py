@@ -10,7 +10,9 @@ ROOMS = ("records", "models", "controllers", "loops", "code", STAGES)
 # Hidden names that this program gives: `write_bytes` ends them with twelve hexadecimal digits, a stage that is not
 # valid yet with `.part` alone.
 TORN = re.compile(r"\..+\.(?:[0-9a-f]{12}|h5|work)\.part")
-TORN_HERE = re.compile(r"\.(?:summary\.json|study\.json|report\.html)\.[0-9a-f]{12}\.part")
+TORN_HERE = re.compile(
+    r"\.(?:summary\.json|campaign\.json|campaign\.parquet|study\.json|report\.html)\.[0-9a-f]{12}\.part"
+)
 
 
 def sweep(folder: Path) -> None:

@@ -84,3 +84,22 @@ def _body(body: Body, by: FloatArray) -> Body:
     x, y, z = (float(i * (1.0 + INERTIA_SHARE * v)) for i, v in zip(body.inertia_kg_m2, by[1:4], strict=True))
     aside = (body.aside_m[0] + CENTRE_M * float(by[4]), body.aside_m[1] + CENTRE_M * float(by[5]))
     return Body(body.mass_kg * (1.0 + MASS_SHARE * float(by[0])), (x, y, z), body.centre_m, aside)
+
+
+def told(parts: HexapodParts) -> dict[str, float]:
+    """Return the numbers of a unit by name: of its struts and lines the mean and the widest difference, of bodies all.
+
+    The struts act together, so their mean is what moves a mode, and their difference what breaks the symmetry.
+    """
+    found: dict[str, float] = {}
+    for shares, of in ((STRUT_SHARES, parts.per_strut), (LINE_SHARES, parts.per_line)):
+        for name in shares:
+            values = of(name)[:STRUTS]
+            found[f"{name}, mean"], found[f"{name}, range"] = float(values.mean()), float(np.ptp(values))
+    bodies = {"payload": parts.payload, **({} if parts.base.body is None else {"base": parts.base.body})}
+    for name, body in bodies.items():
+        found[f"{name} mass_kg"], found[f"{name} centre_m"] = body.mass_kg, float(np.hypot(*body.aside_m))
+        found |= {f"{name} inertia_{axis}": i for axis, i in zip("xyz", body.inertia_kg_m2, strict=True)}
+    if parts.base.body is not None and parts.base.mount_hz:
+        found |= {name: float(getattr(parts.base, name)) for name in MOUNT_SHARES}
+    return found

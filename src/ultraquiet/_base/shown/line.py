@@ -1,0 +1,143 @@
+"""One line that says what an object is: its class, its status, and the numbers that fit."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+LONGEST = 160  # characters; a line of a terminal and a half
+WORDS = 48  # characters of one text within it
+MOST_ENTRIES = 8  # of a sequence or an array
+
+
+def line(shown: object) -> str:
+    """Return an object on one line of at most `LONGEST` characters.
+
+    Settings are written as they would be typed, defaults left out; anything else stands in angle brackets, its status
+    first. A class that knows better says so in `_in_a_line`.
+    """
+    name = type(shown).__name__
+    if (own := getattr(shown, "_in_a_line", None)) is not None:
+        return _bracketed(name, word(shown), [own()])
+    given = dict(attributes(shown))
+    if is_dataclass(shown) and all(is_plain(value) for value in given.values()):
+        changed = {f.name: given[f.name] for f in fields(shown) if f.name in given and not _is_default(f, given)}
+        typed = f"{name}({', '.join(f'{key}={text(value)}' for key, value in changed.items())})"
+        if len(typed) <= LONGEST:
+            return typed
+        return _fitted(f"{name}(", [f"{key}={text(value)}" for key, value in changed.items()], ")")
+    facts = [fact for key, value in given.items() if key != "status" and (fact := _fact(key, value))]
+    return _bracketed(name, word(shown), facts)
+
+
+def counted(number: int, what: str) -> str:
+    """Return a number of things in words.
+
+    >>> counted(1, "input"), counted(3, "input")
+    ('1 input', '3 inputs')
+    """
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
+def word(shown: object) -> str:
+    """Return the word of an object's status, empty where it carries none."""
+    return str(getattr(getattr(shown, "status", None), "word", ""))
+
+
+def attributes(shown: object) -> Iterator[tuple[str, Any]]:
+    """Yield the public attributes of an object, fields of a dataclass in their order; nothing is computed."""
+    held: Any = shown
+    named: list[str] = list(getattr(held, "_fields", getattr(held, "__dict__", {})))
+    if is_dataclass(held):
+        named = [f.name for f in fields(held) if f.repr]
+    for name in named:
+        if not name.startswith("_") and hasattr(held, name):
+            yield name, getattr(held, name)
+
+
+def is_plain(value: object) -> bool:
+    """Return whether a value can be typed as it stands: a number, a text, and small collections of these."""
+    if value is None or isinstance(value, bool | int | float | complex | str | Path | np.generic):
+        return True
+    if isinstance(value, tuple | list):
+        return all(map(is_plain, cast("list[Any]", value)))
+    if isinstance(value, Mapping):
+        return all(map(is_plain, cast("Mapping[Any, Any]", value).values()))
+    return is_dataclass(value) and not isinstance(value, type) and all(is_plain(v) for _, v in attributes(value))
+
+
+def text(value: Any) -> str:
+    """Return a value as it would be typed, long ones cut.
+
+    >>> text(0.1 + 0.2), text("ab"), text((1.0, 2.0)), text(list(range(99)))
+    ('0.3', "'ab'", '(1, 2)', '[0, 1, 2, 3, 4, 5, 6, 7, ...]')
+    """
+    if isinstance(value, Enum | str | Path):
+        return repr(_cut(str(value)))
+    if isinstance(value, float) or np.issubdtype(cast("type[Any]", type(value)), np.floating):
+        return f"{float(value):.6g}"
+    if isinstance(value, tuple | list | Mapping):
+        return _collection(cast("tuple[Any, ...]", value))
+    if isinstance(value, np.ndarray):
+        return array(cast("np.ndarray[Any, Any]", value))
+    return _cut(" ".join(repr(value).split()))
+
+
+def _collection(value: "tuple[Any, ...] | list[Any] | Mapping[Any, Any]") -> str:
+    entries = [str(each) if isinstance(value, Mapping) else text(each) for each in list(value)[:MOST_ENTRIES]]
+    inner = ", ".join(entries + ["..."] * (len(value) > MOST_ENTRIES))
+    if isinstance(value, tuple):
+        return f"({inner},)" if len(value) == 1 else f"({inner})"
+    return f"{{{inner}}}" if isinstance(value, Mapping) else f"[{inner}]"
+
+
+def _cut(said: str) -> str:
+    return said if len(said) <= WORDS else f"{said[: WORDS - 3]}..."
+
+
+def array(values: "np.ndarray[Any, Any]") -> str:
+    """Return a short array's numbers, a long one's shape."""
+    if values.ndim <= 1 and values.size <= MOST_ENTRIES and values.dtype.kind in "fiub":
+        return " ".join(f"{each:.4g}" for each in values.ravel().tolist())
+    return f"({', '.join(map(str, values.shape))})"
+
+
+def _fact(key: str, value: Any) -> str:
+    """Return a field on a few characters; what other objects hold is left to them."""
+    if value is None or isinstance(value, Mapping) or callable(value):
+        return ""
+    if isinstance(value, np.ndarray):
+        return f"{key} {array(cast('np.ndarray[Any, Any]', value))}"
+    if is_plain(value) and not is_dataclass(value):
+        return f"{key}={text(value)}" if value not in ("", (), []) else ""
+    return ""
+
+
+def _is_default(field: "Field[Any]", given: Mapping[str, Any]) -> bool:
+    """Return whether a field holds what it holds when nothing is said."""
+    value = given[field.name]
+    if field.default is not MISSING:
+        return type(value) is type(field.default) and bool(value == field.default)
+    if field.default_factory is not MISSING:
+        return bool(value == field.default_factory())
+    return False
+
+
+def _bracketed(name: str, status: str, facts: list[str]) -> str:
+    return _fitted(f"<{name} {status}: " if status else f"<{name}: ", facts, ">")
+
+
+def _fitted(head: str, facts: list[str], tail: str) -> str:
+    """Return as many facts as fit between head and tail; the first is cut rather than left out."""
+    kept: list[str] = []
+    for fact in facts:
+        flat = " ".join(fact.split())
+        if len(head) + len(", ".join([*kept, flat])) > LONGEST - 8:
+            kept.append(f"{flat[: max(LONGEST - len(head) - 8, 0)]}..." if not kept else "...")
+            break
+        kept.append(flat)
+    whole = f"{head}{', '.join(kept)}"
+    return f"{whole.removesuffix(': ') if not kept else whole}{tail}"

@@ -1,0 +1,97 @@
+"""Singular H-infinity problems: small weights that complete them, chosen by the norm of the problem itself."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.design.hinf.gamma_search import Bracket, search
+from ultraquiet.design.hinf.problem.units import EvenProblem
+from ultraquiet.design.hinf.problem.verified import Reached, Verifier
+from ultraquiet.values.state_space import StateSpace
+
+# Weights tried in turn, in even units: half a decade apart from where they are felt to where equations lose their
+# digits.
+WEIGHTS = tuple(float(w) for w in 10.0 ** np.arange(-1.0, -8.1, -0.5))
+SHARE = 1e-3  # of the best norm found, which the weight chosen may cost
+PATIENCE = 4  # weights in turn that bring nothing before the search ends
+FINE = 1e-4  # relative width of each search
+
+
+class Regularised(NamedTuple):
+    """The controller of the weight chosen, what made it, and the norm of the problem itself that every weight gave."""
+
+    found: Reached
+    verifier: Verifier
+    bracket: Bracket
+    weight: float
+    norms: dict[float, float]
+
+    @property
+    def cost(self) -> float:
+        """What the weight costs: the norm over the smallest that any of them gave, less one."""
+        return self.found.achieved / min(self.norms.values()) - 1
+
+
+def completed(P: StateSpace, ny: int, nu: int, weight: float) -> StateSpace:
+    """Return the problem with weight times u and x seen in z besides, and as much noise on y and x in w.
+
+    z = (z0, weight u, weight x), w = (w0, n, d), y = y0 + weight n, x' = ... + weight d. No assumption of the theory
+    fails there but those on unstable modes that controls do not reach or measurements do not see, and no controller
+    gives it a smaller norm than the problem itself.
+    """
+    p, m, n = P.D.shape[0] - ny, P.D.shape[1] - nu, P.states
+    B = np.hstack([P.B[:, :m], np.zeros((n, ny)), weight * np.eye(n), P.B[:, m:]])
+    C = np.vstack([P.C[:p], np.zeros((nu, n)), weight * np.eye(n), P.C[p:]])
+    D = np.zeros((p + nu + n + ny, m + ny + n + nu))
+    z, w, y, u = slice(p), slice(m), slice(p + nu + n, None), slice(m + ny + n, None)
+    D[z, w], D[z, u], D[y, w], D[y, u] = P.D[:p, :m], P.D[:p, m:], P.D[p:, :m], P.D[p:, m:]
+    D[p : p + nu, u] = weight * np.eye(nu)
+    D[y, m : m + ny] = weight * np.eye(ny)
+    return StateSpace(P.A, B, C, D, P.rate_hz)
+
+
+def regularised(
+    P: StateSpace, problem: EvenProblem, even: StateSpace, ny: int, nu: int, margin: float
+) -> Regularised | None:
+    """Return the controller of the largest weight whose norm of the problem itself is within a share of the best.
+
+    A large weight makes an equation that is easily solved and a controller of modest gain; a small one comes near what
+    is possible. None where no weight gave a controller that holds the loop.
+    """
+    tried: list[Regularised] = []
+    norms: dict[float, float] = {}
+    for weight in WEIGHTS:
+        attempt = _with(weight, P, problem, even, ny, nu, margin, norms)
+        if attempt is not None:
+            tried.append(attempt)
+            norms[weight] = attempt.found.achieved
+        best = min(norms.values(), default=np.inf)
+        recent = [norms.get(w, np.inf) for w in WEIGHTS[: WEIGHTS.index(weight) + 1]][-PATIENCE:]
+        if norms and len(recent) == PATIENCE and min(recent) > best * (1 - SHARE / 10) and norms.get(weight) != best:
+            break
+    return next((t for t in tried if t.found.achieved <= min(norms.values()) * (1 + SHARE)), None)
+
+
+def _with(
+    weight: float,
+    P: StateSpace,
+    problem: EvenProblem,
+    even: StateSpace,
+    ny: int,
+    nu: int,
+    margin: float,
+    norms: dict[float, float],
+) -> Regularised | None:
+    try:
+        v = Verifier(P, problem, completed(even, ny, nu, weight), ny, nu)
+        bracket = search(v.plant, FINE)
+    except (NumericalError, LinAlgError):
+        return None
+    if not bracket.best.reason:
+        for factor in (1.0, 1.01, 1.1):
+            found = v.at(bracket.best.gamma * margin * factor, bracket.best)
+            if found is not None and found.keeps:
+                return Regularised(found, v, bracket, weight, norms)
+    return None

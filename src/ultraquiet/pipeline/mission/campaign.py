@@ -1,0 +1,163 @@
+"""The campaign of a study: its law on drawn benches, table and summary in the study's folder."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ultraquiet import simulate
+from ultraquiet._base.errors import InputError
+from ultraquiet.files import write_bytes
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
+from ultraquiet.pipeline.facts.typed import finite, to_plain
+from ultraquiet.pipeline.preflight import LoopPlan, as_unit
+from ultraquiet.pipeline.study import Study
+from ultraquiet.pipeline.tables.mission import CampaignTable
+from ultraquiet.simulate.campaigns import findings
+from ultraquiet.simulate.campaigns.evaluation import DRAWN, Row
+from ultraquiet.simulate.campaigns.run import write_table
+from ultraquiet.values import StateSpace
+
+TABLE, SUMMARY, SEALED = "campaign.parquet", "campaign.json", "campaign/results.jsonl"
+DRAWN_LINES = 400
+
+
+CampaignOutcome = tuple[CampaignFacts, CampaignCurves]
+
+
+@dataclass(frozen=True)
+class How:
+    """Where a campaign runs: `workers` processes here, or on a Dask `cluster`; `replay` is how a case is named.
+
+    `resume` None goes on with results that are there if they are this campaign's, and begins anew else.
+    """
+
+    workers: int | None = None
+    cluster: str | None = None
+    resume: bool | None = True
+    replay: str = "ultraquiet campaign STUDY.toml"
+
+
+def law_of(study: Study, table: CampaignTable) -> str:
+    """Return the name of the law that a campaign is about.
+
+    Raises:
+        InputError: the study designs no such law.
+    """
+    asked = study.requirements
+    name = table.law or (next(iter(study.controllers)) if asked is None else asked.law)
+    if name not in study.controllers:
+        raise InputError(
+            f"campaign.law: there is no law '{name}' among the controllers {', '.join(study.controllers)}."
+        )
+    return name
+
+
+def defined(study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: CampaignTable) -> simulate.Campaign:
+    """Return the campaign that a study names.
+
+    Raises:
+        InputError: the bench cannot be drawn, or has no linear model where one is asked for.
+    """
+    asked = study.requirements
+    band_hz = plan.band_hz if asked is None or asked.band_hz is None else asked.band_hz
+    units = tuple((unit, as_unit(bench, unit)) for unit in plan.units)
+    for _, each in units:
+        simulate.drawn_bench(each, table.first_seed)
+    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed)
+
+
+def conducted(campaign: simulate.Campaign, name: str, table: CampaignTable, folder: Path, how: How) -> CampaignOutcome:
+    """Run a campaign, or what is left of it, and leave its table and summary in a folder."""
+    sealed = folder / SEALED
+    resume = simulate.is_of(campaign, sealed) if how.resume is None else how.resume
+    rows = simulate.run_campaign(
+        campaign, table.benches, sealed, workers=how.workers, cluster=how.cluster, resume=resume
+    )
+    write_table(rows, folder / TABLE)
+    facts = _facts(campaign, name, table, rows, how)
+    write_bytes(folder / SUMMARY, json.dumps(finite(to_plain(facts)), indent=1).encode())
+    return facts, _curves(campaign, rows, facts.worst)
+
+
+def _facts(
+    campaign: simulate.Campaign, name: str, table: CampaignTable, rows: Sequence[Row], how: How
+) -> CampaignFacts:
+    share, interval = findings.stable_share(rows)
+    by_unit = {unit: [row for row in rows if row["unit"] == unit] for unit, _ in campaign.units}
+    return CampaignFacts(
+        law=name,
+        on=campaign.on,
+        benches=len(rows),
+        first_seed=campaign.first_seed,
+        band_hz=campaign.band_hz,
+        stable=sum(bool(row["stable"]) for row in rows),
+        stable_share=share,
+        stable_interval=interval,
+        attenuation_db=findings.spread(rows, "attenuation_db"),
+        peak_db=findings.spread(rows, "peak_db"),
+        by_unit={
+            unit: {
+                "stable_share": {"share": findings.stable_share(own)[0]},
+                **{figure: findings.spread(own, figure) for figure in findings.FIGURES},
+            }
+            for unit, own in by_unit.items()
+            if own
+        },
+        drivers={
+            figure: {d.parameter.removeprefix(DRAWN): d.correlation for d in findings.drivers(rows, figure)}
+            for figure in findings.FIGURES
+        },
+        worst=_worst(rows, table.keep, how),
+        lines_missing=sum(int(row["lines_missing"]) for row in rows),
+        campaign=campaign.digest,
+        status=_status(rows, share, interval),
+    )
+
+
+def _worst(rows: Sequence[Row], keep: int, how: How) -> tuple[WorstCase, ...]:
+    worst = findings.worst_cases(rows, keep)
+    found: list[WorstCase] = []
+    for row, cause in zip(worst, findings.causes(rows, worst, "peak_db"), strict=True):
+        fields = {key: row[key] for key in ("case", "seed", "unit", "stable", "attenuation_db", "peak_db", "status")}
+        said = None
+        if cause.parameter is not None:
+            said = f"{cause.parameter.removeprefix(DRAWN)}, {cause.deviation:+.1f} standard deviations"
+        found.append(WorstCase(**fields, cause=said, replay=f"{how.replay} --case {row['case']}"))
+    return tuple(found)
+
+
+def _status(rows: Sequence[Row], share: float, interval: tuple[float, float]) -> str:
+    stable = sum(bool(row["stable"]) for row in rows)
+    depth, peak = (findings.spread(rows, figure) for figure in ("attenuation_db", "peak_db"))
+    word = "ok" if share == 1.0 else "unstable"
+    return (
+        f"{word}: The loop is stable on {stable} of {len(rows)} drawn benches (95 % sure of {interval[0]:.1%}); "
+        f"95 % of them attenuate by at least {depth['5%']:.1f} dB and peak at no more than {peak['95%']:.1f} dB."
+    )
+
+
+def _curves(campaign: simulate.Campaign, rows: Sequence[Row], worst: Sequence[WorstCase]) -> CampaignCurves:
+    """Return what is drawn; the worst direction is of the worst case that is stable, and of the middle one."""
+    units = [unit for unit, _ in campaign.units]
+    stable = sorted((row for row in rows if row["stable"]), key=lambda row: (float(row["peak_db"]), row["case"]))
+    f = np.geomspace(campaign.band_hz[0] / 10, campaign.units[0][1].rate_hz / 2, DRAWN_LINES, endpoint=False)
+    two: list[Any] = [None, None]
+    if stable:
+        for k, row in enumerate((stable[len(stable) // 2], stable[-1])):
+            size = campaign.worst_direction(row["case"], f)
+            two[k] = None if size is None else 20 * np.log10(size)
+
+    def by_unit(figure: str) -> dict[str, Any]:
+        return {unit: [float(row[figure]) for row in rows if row["unit"] == unit and row["stable"]] for unit in units}
+
+    return CampaignCurves(
+        attenuation_db=by_unit("attenuation_db"),
+        peak_db=by_unit("peak_db"),
+        f_hz=f,
+        median_case_db=two[0],
+        worst_case_db=two[1],
+    )

@@ -1,0 +1,128 @@
+"""What the report says of what laws are for."""
+
+from collections.abc import Iterator
+
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, NoPayload, PayloadFacts, PayloadLoop
+from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.plot import Figure, mission
+from ultraquiet.report import Section, Table
+
+
+def payload(result: StudyResult) -> Section:
+    """What the payload feels of a shaken base, and of a force on itself."""
+    table = result.study.payload
+    assert table is not None
+    low, high = table.band_hz
+    loops = [(name, unit, loop) for name, of in result.payload.items() for unit, loop in of.facts.units.items()]
+    tones = list(dict.fromkeys(f for *_, loop in loops if isinstance(loop, PayloadLoop) for f in loop.tones_db))
+    columns = (
+        "controller",
+        "unit",
+        f"{low:g}-{high:g} Hz rms",
+        "least in any half hertz",
+        *(f"{f} Hz" for f in tones),
+        f"force by {table.force}" if table.force else "force",
+    )
+    rows = [(name, unit, *_row(loop, tones)) for name, unit, loop in loops]
+    caption = (
+        f"Payload while {table.shaker} shakes, all of {', '.join(table.sensors)} together, dB, positive is quieter"
+    )
+    figures = [
+        figure
+        for name, of in result.payload.items()
+        if _is_drawn(result, name)
+        for figure in _drawn(result, name, of.facts)
+    ]
+    return Section("Payload", list(_sentences(result)), [Table(caption, columns, rows)], figures)
+
+
+def _row(loop: PayloadLoop | NoPayload, tones: list[str]) -> list[str]:
+    if isinstance(loop, NoPayload):
+        return ["-"] * (3 + len(tones))
+    each = [f"{loop.tones_db[f]:.1f}" if f in loop.tones_db else "-" for f in tones]
+    force = "-" if loop.force is None else f"{loop.force.reduction_db:.1f}"
+    return [f"{loop.reduction_db:.1f}", f"{loop.worst_db:.1f} at {loop.worst_hz:.3g} Hz", *each, force]
+
+
+def _sentences(result: StudyResult) -> Iterator[str]:
+    """Say how it was measured, and what a law does not do."""
+    table = result.study.payload
+    assert table is not None
+    said: set[str] = set()
+    for name, outcome in result.payload.items():
+        for unit, loop in outcome.facts.units.items():
+            if isinstance(loop, NoPayload):
+                yield f"{name}, {unit}: {loop.status}"
+                continue
+            how = (
+                f"{unit}: noise of {loop.level:.3g} RMS on {loop.source}; without a law the payload moves "
+                f"{loop.open_rms:.3g} {loop.unit} RMS, its sensors at rest say {loop.silent_rms:.2g}. "
+            )
+            if how not in said:
+                said.add(how)
+                yield how
+            if _is_drawn(result, name):
+                yield f"{name}, {unit}, ran as {loop.through}."
+            if loop.force is not None and loop.force.reduction_db < loop.reduction_db / 2 and _is_drawn(result, name):
+                yield (
+                    f"{name}, {unit}: a force on the payload by {loop.force.source} is changed by "
+                    f"{loop.force.reduction_db:.1f} dB, {loop.force.worst_db:.1f} dB at {loop.force.worst_hz:.3g} Hz: "
+                    f"the law's sensors hear it where the payload stands on them, not where it moves."
+                )
+
+
+def _is_drawn(result: StudyResult, name: str) -> bool:
+    """Tell whether a law is the one that the study is for; of all laws the first where it does not say."""
+    asked = result.study.requirements
+    return name == (next(iter(result.payload)) if asked is None else asked.law)
+
+
+def _drawn(result: StudyResult, name: str, facts: PayloadFacts) -> Iterator[Figure]:
+    table = result.study.payload
+    if table is None or not facts.curves:
+        return
+    units = {
+        unit: (
+            curves.f_hz,
+            (curves.open_transmissibility, curves.closed_transmissibility),
+            (curves.open_cumulative, curves.closed_cumulative),
+        )
+        for unit, curves in facts.curves.items()
+    }
+    unit = next((loop.unit for loop in facts.units.values() if isinstance(loop, PayloadLoop)), "")
+    ratio = "payload over base" if table.base else f"payload over {table.shaker}"
+    yield mission.payload(name, units, ratio, unit, table.band_hz)
+
+
+def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
+    """The law on drawn benches: how figures spread, the worst cases, what drives them."""
+    low, high = facts.band_hz
+    labels = {"attenuation_db": f"worst direction over {low:g}-{high:g} Hz", "peak_db": "peak of S"}
+    on = "their linear models" if facts.on == "truth" else "the benches themselves, measured"
+    text = [
+        f"{facts.law} on {facts.benches} benches drawn from the seed {facts.first_seed} on; figures are of {on}.",
+        facts.status,
+        "Rank correlation says what goes together; it proves no cause.",
+    ]
+    spread = ("0%", "5%", "50%", "95%", "100%")
+    rows: list[list[str]] = []
+    for unit, figures in facts.by_unit.items():
+        for figure, label in labels.items():
+            values = (figures[figure][share] for share in spread)
+            rows.append([unit, f"{figures['stable_share']['share']:.1%}", label, *(f"{v:.1f}" for v in values)])
+    columns = ("unit", "stable", "figure, dB", "least", "5 %", "median", "95 %", "most")
+    tables = [Table("Drawn benches", columns, rows), _worst(facts)]
+    figures = {labels[name]: dict(getattr(curves, name)) for name in labels}
+    drivers = {labels[name]: dict(found) for name, found in facts.drivers.items() if found}
+    cases = {"median case": curves.median_case_db, "worst stable case": curves.worst_case_db}
+    shown = {name: db for name, db in cases.items() if db is not None}
+    return Section("Drawn benches", text, tables, [mission.campaign(figures, drivers, curves.f_hz, shown)])
+
+
+def _worst(facts: CampaignFacts) -> Table:
+    rows = [
+        (each.case, each.unit, f"{each.attenuation_db:.1f}", f"{each.peak_db:.1f}", each.cause or "-", each.replay)
+        for each in facts.worst
+    ]
+    columns = ("case", "unit", "attenuation, dB", "peak, dB", "pulls hardest", "evaluate it again")
+    return Table("The worst cases", columns, rows)

@@ -1,0 +1,63 @@
+"""`[payload]` of a study file: what its laws are for, measured where it is felt."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from ultraquiet._base.tables import Strict
+from ultraquiet.pipeline.tables.numbers import Band, Positive
+from ultraquiet.simulate import PayloadSetup
+
+
+class PayloadTable(Strict):
+    """`[payload]`: which actuator shakes the payload's base, which sensors on the payload listen, over which band.
+
+    `base` are sensors on what is shaken, for the transmissibility; `force` is an actuator on the payload itself;
+    `tones_hz` are sent by the shaker besides, those of the loop when absent; `level` is in the actuators' unit, a
+    quarter of their range when absent; `seconds` are measured after `settle_s`. Channels that the study is not
+    controlled by are those that the bench offers by `instrumented()`.
+    """
+
+    shaker: str
+    sensors: list[str] = Field(min_length=1)
+    band_hz: Band
+    base: list[str] = Field(default=[])
+    force: str | None = None
+    tones_hz: list[Positive] | None = None
+    level: Positive | None = None
+    seconds: Annotated[float, Field(gt=0, le=600)] = 8.0
+    settle_s: Annotated[float, Field(gt=0, le=600)] = 4.0
+
+    def setup(self, tones_hz: Sequence[float] = (), seed: int = 0) -> PayloadSetup:
+        """Return how it is measured; `tones_hz` are those of the study's loop."""
+        return PayloadSetup(
+            shaker=self.shaker,
+            sensors=tuple(self.sensors),
+            band_hz=self.band_hz,
+            base=tuple(self.base),
+            force=self.force,
+            tones_hz=tuple(tones_hz if self.tones_hz is None else self.tones_hz),
+            level=self.level,
+            seconds=self.seconds,
+            settle_s=self.settle_s,
+            seed=seed,
+        )
+
+
+class CampaignTable(Strict):
+    """`[campaign]`: how many benches are drawn, and where the law is judged.
+
+    Args:
+        benches: how many; they are drawn from the units of `[closed_loop]` in turn.
+        on: "truth", the linear model of a drawn bench where it offers one, or "bench", measured on it.
+        law: which of the controllers; that of `[requirements]` when absent, else the first.
+        first_seed: case k is drawn by the seed `first_seed` + k.
+        keep: how many of the worst cases are named.
+    """
+
+    benches: Annotated[int, Field(ge=1)] = 50
+    on: Literal["truth", "bench"] = "truth"
+    law: str | None = None
+    first_seed: Annotated[int, Field(ge=0)] = 0
+    keep: Annotated[int, Field(ge=1, le=100)] = 5

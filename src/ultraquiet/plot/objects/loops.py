@@ -1,0 +1,108 @@
+"""Laws, loops and limits as figures."""
+
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.shown import draws
+from ultraquiet._base.shown.grid import shown_frequencies
+from ultraquiet.analyse import Gang, Roots
+from ultraquiet.design import DesignResult
+from ultraquiet.limits import Limit
+from ultraquiet.plot.figure import Figure, Fill, Line, Panel
+from ultraquiet.plot.objects.anything import any_figure
+from ultraquiet.plot.objects.models import model_figure
+from ultraquiet.plot.spectra import HZ
+from ultraquiet.reduce import ReductionResult
+from ultraquiet.simulate import Attenuation, MeasuredSensitivity
+
+TINY = np.finfo(float).tiny
+DEVIATIONS = 1.96
+
+
+@draws(DesignResult)
+def design_figure(result: DesignResult) -> Figure:
+    """The law's gain and phase; of a refusal its words."""
+    if result.controller is None:
+        return any_figure(result)
+    drawn = model_figure(result.controller)
+    return Figure("law", "The law u = K y", str(result.status), drawn.panels, drawn.columns, drawn.size_in)
+
+
+@draws(ReductionResult)
+def reduction_figure(result: ReductionResult) -> Figure:
+    """Hankel singular values, kept ones and lost ones, beside the reduced law."""
+    drawn = model_figure(result.controller)
+    hankel = np.asarray(result.hankel, dtype=float)
+    k = np.arange(1.0, hankel.size + 1)
+    values = Line.of(k, np.maximum(hankel, hankel.max(initial=TINY) * 1e-16), "singular values")
+    kept = Panel(
+        [values], "Hankel singular values", "state", "value", y_log=True, spans=[(0.5, result.controller.states + 0.5)]
+    )
+    panels = [kept, *drawn.panels] if hankel.size else drawn.panels
+    return Figure("reduction", "Reduced law", str(result.status), panels, 2, (8.0, 2.2 * -(-len(panels) // 2)))
+
+
+@draws(Gang)
+def gang_figure(gang: Gang) -> Figure:
+    """The largest singular value of each function of the loop."""
+    f_hz = shown_frequencies(gang.So)
+    panels = [
+        Panel([Line.of(f_hz, _largest_db(getattr(gang, name).frequency_response(f_hz)))], name, HZ, "dB", x_log=True)
+        for name in ("So", "To", "KSo", "GSi")
+    ]
+    return Figure("gang", "The loop's functions", "Largest singular values.", panels, 2, (8.0, 4.8))
+
+
+@draws(MeasuredSensitivity)
+def sensitivity_figure(measured: MeasuredSensitivity) -> Figure:
+    """Worst direction of S at each line with its 95 % interval."""
+    size = 10.0 ** (-measured.worst_direction_db() / 20.0)
+    low, high = (np.maximum(size + side * DEVIATIONS * measured.deviation, TINY) for side in (-1, 1))
+    worst = 20 * np.log10(size)
+    floor = float(worst.min()) - 20.0
+    fill = Fill(measured.f_hz, np.maximum(20 * np.log10(low), floor), 20 * np.log10(high), "95 % interval")
+    panel = Panel([Line.of(measured.f_hz, worst, "worst direction")], "S", HZ, "dB", x_log=True, fills=[fill])
+    return Figure("measured_sensitivity", "Measured sensitivity", measured.reach, [panel])
+
+
+@draws(Attenuation)
+def attenuation_figure(found: Attenuation) -> Figure:
+    """Reduction of each tone at each sensor."""
+    tones = np.asarray(found.tones_hz, dtype=float)
+    wires = found.opened[0].sensors if found.opened else ()
+    labels = [c.name for c in wires] or [f"output {k + 1}" for k in range(found.reduction_db.shape[1])]
+    lines = [
+        Line.of(tones, found.reduction_db[:, k], label, "-" if tones.size > 1 else ".", k)
+        for k, label in enumerate(labels)
+    ]
+    panel = Panel(lines, "reduction by closing the loop", "tone (Hz)", "dB", x_log=tones.size > 1)
+    return Figure("attenuation", "Attenuation", "Positive is quieter.", [panel])
+
+
+@draws(Limit)
+def limit_figure(limit: Limit) -> Figure:
+    """|S| of the best linear controller that was found."""
+    if not limit.f_hz.size:
+        return any_figure(limit)
+    f = limit.f_hz > 0
+    best = Line.of(limit.f_hz[f], 20 * np.log10(np.maximum(limit.sensitivity[f], TINY)), "best found")
+    ends = limit.f_hz[f][[0, -1]]
+    bound = [Line.of(ends, [-limit.bound_db] * 2, "no linear law, in the band", "--")] * bool(
+        np.isfinite(limit.bound_db)
+    )
+    panel = Panel([best, *bound], "|S|", HZ, "dB", x_log=True)
+    return Figure("limit", "What any controller can reach", str(limit.status), [panel])
+
+
+@draws(Roots)
+def roots_figure(found: Roots) -> Figure:
+    """Poles or zeros in the plane."""
+    values = np.asarray(found.values, dtype=complex)
+    panel = Panel([Line(np.real(values), np.imag(values), style="x")], "", "real part", "imaginary part")
+    return Figure("roots", "Poles or zeros", "", [panel], 1, (5.0, 5.0))
+
+
+def _largest_db(values: Any) -> Any:
+    sizes = np.linalg.svd(np.moveaxis(values, 2, 0), compute_uv=False)[:, 0]
+    return 20.0 * np.log10(np.maximum(sizes, TINY))

@@ -1,0 +1,1 @@
+"""Systems joined by operators, names and units kept."""

@@ -1,0 +1,43 @@
+"""Which channels of two systems may meet, and what the joined one is called."""
+
+import re
+from collections.abc import Sequence
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.values.channel import Channel
+
+NUMBERED = re.compile(r"(in|out)put \d+")
+
+
+def is_numbered(wire: Channel) -> bool:
+    """Return whether a channel was numbered because nobody named it: its unit is not known and fits any.
+
+    >>> is_numbered(Channel("input 1")), is_numbered(Channel("strut 1"))
+    (True, False)
+    """
+    return NUMBERED.fullmatch(wire.name) is not None and wire.unit == "V"
+
+
+def meet(who: str, left: Sequence[Channel], right: Sequence[Channel], how: str) -> tuple[Channel, ...]:
+    """Return the channels of two sides that are one, the named before the numbered.
+
+    Raises:
+        InputError: unequal numbers, or two units that differ; `how` says what the two sides are.
+    """
+    if len(left) != len(right):
+        raise InputError(f"{who}: {how} do not fit, {len(left)} channels and {len(right)}.")
+    out: list[Channel] = []
+    for one, other in zip(left, right, strict=True):
+        if one.unit != other.unit and not (is_numbered(one) or is_numbered(other)):
+            raise InputError(
+                f"{who}: {how} differ in unit, '{one.name}' in {one.unit or '1'} and '{other.name}' in "
+                f"{other.unit or '1'}; convert one of them with a gain."
+            )
+        out.append(other if is_numbered(one) else one)
+    return tuple(out)
+
+
+def apart(one: Sequence[Channel], other: Sequence[Channel], word: str) -> tuple[Channel, ...]:
+    """Return the channels of two systems side by side, numbered ones numbered through."""
+    both = [*one, *other]
+    return tuple(Channel(f"{word} {k + 1}") if is_numbered(c) else c for k, c in enumerate(both))

@@ -1,0 +1,75 @@
+"""`ultraquiet campaign`: a user's own bench drawn from a study file, interrupted, resumed, a case evaluated again."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parents[1] / "simulate" / "drawable.py"
+LIST = """
+title = "noise"
+[[commands]]
+do = "configure"
+samples = 4000
+[[commands]]
+do = "excite"
+name = "all"
+actuator = "all"
+signal = { method = "noise", stop_hz = 90.0, peak_v = 5.0 }
+"""
+STUDY = """
+[study]
+title = "one mass"
+[bench]
+object = "drawable.py:Drawable"
+[experiment]
+list = "list.toml"
+[plant]
+method = "subspace"
+records = ["all"]
+order = 4
+[controllers.calm.design]
+method = "lqg"
+band_hz = [3.0, 8.0]
+[closed_loop]
+band_hz = [3.0, 8.0]
+"""
+
+
+@pytest.fixture
+def study(tmp_path):
+    (tmp_path / "list.toml").write_text(LIST)
+    (tmp_path / "study.toml").write_text(STUDY)
+    shutil.copy(HERE, tmp_path / "drawable.py")
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_a_users_bench_is_drawn_and_one_case_comes_out_again(study, run):
+    code, out, err = run("campaign", "study.toml", "--benches", "6", "--workers", "1")
+    print(out, err)
+    summary = json.loads((study / "study" / "campaign.json").read_text())
+    assert code == (0 if summary["stable"] == 6 else 1)
+    assert summary["law"] == "calm"
+    assert "drawn benches (truth)" in out
+    worst = summary["worst"][0]
+    _, told, _ = run(*worst["replay"].split()[1:], "--json")
+    again = json.loads(told)
+    assert again["peak_db"] == pytest.approx(worst["peak_db"], abs=1e-9)
+    code, out, err = run("campaign", "study.toml", "--benches", "8", "--workers", "1", "--resume")
+    lines = (study / "study" / "campaign" / "results.jsonl").read_bytes().splitlines()
+    assert len(lines) == 1 + 8
+
+
+def test_what_cannot_be_drawn_is_refused_with_its_line(study, run):
+    (study / "drawable.py").write_text((study / "drawable.py").read_text().replace("def drawn(", "def cast("))
+    (study / "study.toml").write_text(STUDY + "[campaign]\nbenches = 4\n")
+    code, _, err = run("campaign", "study.toml")
+    print(err)
+    assert code == 2
+    assert "line 17: campaign: a Drawable cannot be drawn; give it a method 'drawn(seed)'" in err
+    (study / "study.toml").write_text(STUDY + '[campaign]\nlaw = "clam"\n')
+    code, _, err = run("campaign", "study.toml")
+    assert code == 2
+    assert "there is no law 'clam' among the controllers calm" in err

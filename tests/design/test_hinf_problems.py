@@ -1,0 +1,143 @@
+"""H-infinity problems that a search by equations alone gets wrong: levels are what verified controllers give."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ultraquiet.analyse import hinf_norm
+from ultraquiet.design import output_shaping, synthesize_hinf
+from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
+from ultraquiet.design.hinf.verification import verify_level
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import gain, lft
+
+PROBLEMS = Path(__file__).parents[1] / "data" / "problems"
+
+
+def compleib(name, noise=0.0):
+    """Return P, ny and nu of a COMPleib problem; `noise` times as many disturbances as measurements are added to y."""
+    z = np.load(PROBLEMS / f"{name}.npz")
+    ny, nu = z["C"].shape[0], z["B"].shape[1]
+    extra = ny if noise else 0
+    n, p = z["A"].shape[0], z["C1"].shape[0]
+    B = np.hstack([z["B1"], np.zeros((n, extra)), z["B"]])
+    top = np.hstack([z["D11"], np.zeros((p, extra)), z["D12"]])
+    low = np.hstack([z["D21"], noise * np.eye(ny, extra), np.zeros((ny, nu))])
+    return StateSpace(z["A"], B, np.vstack([z["C1"], z["C"]]), np.vstack([top, low])), ny, nu
+
+
+def in_units(P, ny, nu, rng, decades):
+    """Return the problem with states, controls and measurements each in units drawn up to 10^decades either way."""
+    x, u, y = (10 ** rng.uniform(-decades, decades, k) for k in (P.states, nu, ny))
+    u, y = np.concatenate([np.ones(P.B.shape[1] - nu), u]), np.concatenate([np.ones(P.C.shape[0] - ny), y])
+    return StateSpace(P.A * x / x[:, None], P.B / x[:, None] * u, P.C * x * y[:, None], P.D * u * y[:, None], P.rate_hz)
+
+
+OPTIMA = {"ac14": (100.0, 0.0), "rea3": (74.2513, 1e-2)}
+
+
+@pytest.mark.parametrize("name", OPTIMA)
+@pytest.mark.parametrize("margin", [1.00003, 1.01, 1.1])
+def test_the_optimum_whatever_the_margin(name, margin):
+    optimum, noise = OPTIMA[name]
+    P, ny, nu = compleib(name, noise)
+    result = synthesize_hinf(P, ny, nu, margin=margin, second_opinion=False)
+    print(f"{name}, margin {margin}: {result.achieved:.5f}")
+    assert result.status.ok, result.status
+    assert optimum * (1 - 1e-6) < result.achieved < optimum * margin * 1.001
+    assert hinf_norm(lft(P, result.controller))[0] == pytest.approx(result.achieved, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", OPTIMA)
+def test_all_units_of_a_problem_give_one_answer(name):
+    P, ny, nu = compleib(name, OPTIMA[name][1])
+    plain = synthesize_hinf(P, ny, nu, second_opinion=False)
+    for decades in (9, 12):
+        other = synthesize_hinf(
+            in_units(P, ny, nu, np.random.default_rng(decades), decades), ny, nu, second_opinion=False
+        )
+        print(f"{name}, units of 1e+-{decades}: {other.achieved / plain.achieved - 1:.1e}")
+        assert other.achieved == pytest.approx(plain.achieved, rel=1e-6)
+
+
+def test_a_level_too_high_is_not_agreed_with():
+    """The second opinion is asked of 176, where the optimum is 100: it finds a controller below."""
+    P, ny, nu = compleib("ac14")
+    opinion = verify_level(P, ny, nu, 176.0)
+    assert not opinion.agrees
+    assert opinion.below
+    assert opinion.norm < 101
+
+
+def test_hidden_states_are_left_out_with_a_word(rng):
+    """Twelve states that matter and twenty that inputs or outputs do not reach, mixed."""
+    A, B, C = rng.standard_normal((12, 12)) - 3 * np.eye(12), rng.standard_normal((12, 4)), rng.standard_normal((4, 12))
+    D = rng.standard_normal((4, 4))
+    plain = synthesize_hinf(StateSpace(A, B, C, D), 2, 2)
+    unseen, idle = -np.diag(rng.uniform(0.1, 9, 10)), -np.diag(rng.uniform(0.1, 9, 10))
+    link = rng.standard_normal((10, 12))
+    A = np.block(
+        [
+            [A, np.zeros((12, 10)), rng.standard_normal((12, 10))],
+            [link, unseen, np.zeros((10, 10))],
+            [np.zeros((10, 22)), idle],
+        ]
+    )
+    B = np.vstack([B, rng.standard_normal((10, 4)), 1e-15 * rng.standard_normal((10, 4))])
+    C = np.hstack([C, 1e-15 * rng.standard_normal((4, 10)), rng.standard_normal((4, 10))])
+    Q = np.linalg.qr(rng.standard_normal((32, 32)))[0]
+    result = synthesize_hinf(StateSpace(Q.T @ A @ Q, Q.T @ B, C @ Q, D), 2, 2)
+    assert result.status.ok, result.status
+    assert result.details["hidden"] == 20
+    assert "20 states" in result.status.sentence
+    assert result.achieved == pytest.approx(plain.achieved, rel=1e-5)
+
+
+def test_a_singular_problem_completed_with_small_weights():
+    """REA3 as it is: D21 = 0. What completes it is a weight in place of the noise that was added to y above."""
+    P, ny, nu = compleib("rea3")
+    plain = synthesize_hinf(P, ny, nu)
+    assert not plain.status.ok
+    assert "regularise=True" in plain.status.sentence
+    for Q in (P, in_units(P, ny, nu, np.random.default_rng(1), 9)):
+        result = synthesize_hinf(Q, ny, nu, regularise=True)
+        cost = result.details["regularised"]
+        print(f"REA3: {result.achieved:.4f}, weight {cost['weight']:.0e}, cost {cost['cost']:.1e}")
+        assert result.status.ok, result.status
+        assert cost["cost"] <= 1e-3
+        assert "weight" in result.status.sentence
+        assert 74.2 < result.achieved < 74.2513 * 1.001
+        assert hinf_norm(lft(Q, result.controller))[0] == pytest.approx(result.achieved, rel=1e-6)
+
+
+def test_zeros_on_the_boundary_are_mended_by_small_weights():
+    """Two integrators whose position is not weighted at high frequency: min |S| under K S free of charge is one."""
+    G = StateSpace([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.0]])
+    P = output_shaping(G, gain([[1.0]]), gain([[0.1]]))
+    result = synthesize_hinf(P, 1, 1, regularise=True)
+    assert result.status.ok, result.status
+    assert 1 <= result.achieved < 1.002
+
+
+def test_what_no_weight_mends_is_refused():
+    P = StateSpace([[1.0]], [[1.0, 0.0]], [[1.0], [1.0]], [[0.0, 1.0], [1.0, 0.0]])
+    result = synthesize_hinf(P, 1, 1, regularise=True)
+    assert result.status.word == "refused"
+    assert "B2" in result.status.sentence
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("margin", [1.01, 1.05])
+def test_four_block_on_an_identified_hexapod(margin):
+    """The optimum lies between 1.67 and 1.68; 192 states with those of the weights."""
+    z = np.load(PROBLEMS / "four_block_plant.npz")
+    G = StateSpace(z["A"], z["B"], z["C"], z["D"], 3500.0)
+    design = MixedSensitivity("four-block", band_hz=(9.0, 108.0), height=12.0, margin=margin)
+    P = design.generalised(G, design.weights(G))
+    result = synthesize_hinf(P, 6, 6, margin=margin)
+    low, high = result.details["optimum"]
+    print(f"four-block, margin {margin}: {result.achieved:.4f}, the smallest level between {low:.4f} and {high:.4f}")
+    assert result.status.ok, result.status
+    assert 1.67 < low < high < 1.68
+    assert result.achieved < 1.68 * margin * 1.001

@@ -1,0 +1,180 @@
+"""Campaigns of drawn benches: against algebra, sealed against kills, the same table whoever runs it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drawable import LAW, Drawable
+
+import ultraquiet as uq
+from ultraquiet._base.errors import InputError
+from ultraquiet.analyse import peak_sensitivity
+from ultraquiet.simulate import Campaign, drawn_bench, drawn_parameters, run_campaign
+from ultraquiet.simulate.campaigns import findings
+from ultraquiet.simulate.campaigns.ledger import Ledger
+from ultraquiet.simulate.campaigns.run import write_table
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import feedback
+
+BAND_HZ = (3.0, 8.0)
+HERE = Path(__file__).parent
+UNITS = (("one", Drawable()), ("two", Drawable()))
+
+
+def campaign(**change):
+    return Campaign(**{"units": UNITS, "law": LAW, "band_hz": BAND_HZ} | change)
+
+
+def plain(rows):
+    return json.dumps(rows, sort_keys=True)
+
+
+def test_rows_are_what_algebra_says_and_units_change_nothing():
+    found = [campaign().evaluate(case) for case in range(12)]
+    for case, row in enumerate(found):
+        model = Drawable().drawn(case).linear_model()
+        assert row["stable"] == feedback(model, LAW).is_stable()
+        assert row["unit"] == UNITS[case % 2][0]
+        if row["stable"]:
+            assert row["peak_db"] == pytest.approx(max(peak_sensitivity(model, LAW)[0], 0.0), abs=0.02)
+    assert {row["stable"] for row in found} == {True, False}  # both kinds are drawn
+    for gain in (1e9, 1e-9):
+        scaled = Campaign(
+            (("one", Drawable(gain=gain)),), StateSpace(LAW.A, LAW.B, LAW.C / gain, LAW.D, 200.0), BAND_HZ
+        )
+        for case in range(3):
+            one, other = Campaign((("one", Drawable()),), LAW, BAND_HZ).evaluate(case), scaled.evaluate(case)
+            assert one["stable"] == other["stable"]
+            if one["stable"]:
+                assert one["attenuation_db"] == pytest.approx(other["attenuation_db"], abs=1e-6)
+
+
+def test_results_that_were_sealed_stay_and_a_torn_line_is_cut_off(tmp_path):
+    whole = plain(run_campaign(campaign(), 9, tmp_path / "a.jsonl", workers=1))
+    path = tmp_path / "b.jsonl"
+    run_campaign(campaign(), 5, path, workers=1)
+    content = path.read_bytes()
+    for cut in (1, 7, 40):
+        path.write_bytes(content[:-cut])
+        rows = run_campaign(campaign(), 9, path, workers=1, resume=True)
+        assert plain(rows) == whole
+        cases = [json.loads(line.partition(b" ")[2])["case"] for line in path.read_bytes().splitlines()[1:]]
+        assert sorted(cases) == list(range(9))
+    with pytest.raises(InputError, match="results of another law"):
+        run_campaign(campaign(first_seed=1), 9, path, workers=1, resume=True)
+    run_campaign(campaign(first_seed=1), 2, path, workers=1)
+    assert path.with_suffix(".before.jsonl").exists()
+
+
+def test_a_line_that_was_edited_is_evaluated_again(tmp_path):
+    path = tmp_path / "c.jsonl"
+    whole = plain(run_campaign(campaign(), 6, path, workers=1))
+    path.write_bytes(path.read_bytes().replace(b'"case": 3', b'"case": 4'))
+    assert plain(run_campaign(campaign(), 6, path, workers=1, resume=True)) == whole
+    with Ledger(path, campaign().digest, resume=True) as sealed:
+        before = path.stat().st_size
+        sealed.add(sealed.rows[2])
+        assert path.stat().st_size == before  # nothing is doubled
+
+
+def test_what_drives_a_figure_is_found_and_failures_are_named():
+    rows = [campaign().evaluate(case) for case in range(60)]
+    strong = findings.drivers(rows, "peak_db")
+    print(strong)
+    assert strong[0].parameter == "drawn: mass"
+    assert strong[0].correlation < -0.5  # light ones peak
+    failed = [row for row in rows if not row["stable"]]
+    named = findings.causes(rows, failed, "peak_db")
+    assert {cause.parameter for cause in named} == {"drawn: mass"}
+    worst = findings.worst_cases(rows, 4)
+    assert not worst[0]["stable"]
+    assert findings.spread(rows, "peak_db")["100%"] == np.inf
+    noise = [{**row, "drawn: idle": float(k * 7919 % 61)} for k, row in enumerate(rows)]
+    assert "drawn: idle" not in {driver.parameter for driver in findings.drivers(noise, "peak_db")}
+
+
+def test_the_table_is_read_back_by_others(tmp_path):
+    import pandas as pd
+
+    rows = run_campaign(campaign(), 4, tmp_path / "d.jsonl", workers=1)
+    read = pd.read_parquet(write_table(rows, tmp_path / "campaign.parquet"))
+    assert read["case"].tolist() == [0, 1, 2, 3]
+    assert read["drawn: mass"].tolist() == [row["drawn: mass"] for row in rows]
+
+
+def test_what_cannot_be_drawn_or_judged_is_said():
+    pair = uq.bench.Wrapped(lambda u, d: [0.0], lambda: None, 100.0, ["a"], ["b"])
+    with pytest.raises(InputError, match=r"give it a method 'drawn\(seed\)'"):
+        drawn_bench(pair, 1)
+    with pytest.raises(InputError, match='take on = "bench"'):
+        campaign(units=(("pair", pair),))
+    with pytest.raises(InputError, match="at least one bench"):
+        campaign(units=())
+    with pytest.raises(InputError, match="'on' must be"):
+        campaign(on="paper")
+
+
+def test_the_hexapod_is_drawn_and_says_what_was_drawn():
+    one, two = (drawn_bench(uq.bench.Hexapod(unit="flight", hysteresis=True), seed) for seed in (1, 2))
+    assert one.hysteresis
+    assert one.unit == "flight"
+    assert drawn_parameters(one) != drawn_parameters(two)
+    assert {"payload mass_kg", "stage_stiffness_n_per_m, mean"} <= set(drawn_parameters(one))
+    assert drawn_bench(uq.bench.Hexapod(spread=0.5), 3).spread == 0.5
+
+
+@dataclass(frozen=True)
+class Slow(Campaign):
+    """A campaign whose cases take a while, so that a kill strikes among them."""
+
+    def evaluate(self, case):
+        time.sleep(0.05)
+        return super().evaluate(case)
+
+
+SCRIPT = f"""
+import sys; sys.path.insert(0, {str(HERE)!r})
+from pathlib import Path
+from test_drawn_benches import Slow, UNITS, LAW, BAND_HZ
+from ultraquiet.simulate import run_campaign
+run_campaign(Slow(UNITS, LAW, BAND_HZ), 40, Path(sys.argv[1]), workers=int(sys.argv[2]), resume=True)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_campaign_that_is_killed_again_and_again_comes_to_the_same_table(tmp_path, workers):
+    wanted = plain(run_campaign(campaign(), 40, tmp_path / "whole.jsonl", workers=1))
+    path, kills = tmp_path / "killed.jsonl", 0
+    rng = np.random.default_rng(1)
+    for _ in range(6):
+        words = [sys.executable, "-c", SCRIPT, str(path), str(workers)]
+        with subprocess.Popen(words, env={**os.environ, "PYTHONWARNINGS": "ignore"}, start_new_session=True) as process:
+            try:
+                process.wait(timeout=float(rng.uniform(2.0, 6.0)))
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)  # the session that this test started, and no other
+                kills += 1
+    rows = run_campaign(campaign(), 40, path, workers=1, resume=True) if path.exists() else []
+    print(f"{workers} workers: {kills} kills")
+    assert plain(rows) == wanted
+    lines = [json.loads(line.partition(b" ")[2]) for line in path.read_bytes().splitlines()[1:]]
+    assert sorted(line["case"] for line in lines) == list(range(40))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_cores_and_a_dask_cluster_give_the_same_table(tmp_path):
+    tables = {
+        how: plain(run_campaign(campaign(), 30, tmp_path / f"{how}.jsonl", workers=2 if how else 1, cluster=cluster))
+        for how, cluster in (("", None), ("cores", None), ("dask", "local"))
+    }
+    assert tables[""] == tables["cores"] == tables["dask"]
