@@ -24,7 +24,10 @@ SIZES = {"first": 1400, "second": 700}
 LOSS_S = 0.1
 HEAD = struct.Struct("<c3xIIIQQd")
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="needs LD_PRELOAD, cc")
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="needs LD_PRELOAD, cc"),
+    pytest.mark.timeout(5400),
+]
 
 
 @pytest.fixture(scope="module")

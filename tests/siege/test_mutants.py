@@ -82,6 +82,7 @@ def campaign(tmp_path, count):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no fork")
+@pytest.mark.timeout(10800)
 @pytest.mark.parametrize("count", [GATE, pytest.param(CAMPAIGN, marks=pytest.mark.slow)])
 def test_mutants_at_every_door(tmp_path, count):
     if shutil.which("cc") is None:
