@@ -38,6 +38,32 @@ STUDY_FILE = "study.json"
 
 
 @single_threaded
+def measure(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Mapping[str, Record]:
+    """Return the records of a study's list, measured where they are not there yet; `walk` goes on from them.
+
+    Args:
+        settings: the checked study; it names a bench and a list.
+        folder: where `records/` goes.
+        beside: folder of the study file.
+        say: told what was kept under another name.
+
+    Raises:
+        UltraquietError: as `walk`, up to its records.
+    """
+    own = bench_of(settings, beside)
+    if own is None:
+        raise InputError("study: it has no bench that could measure; drop files instead.")
+    bench = own if settings.blending is None else blended(own, settings.blending, beside)
+    listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
+    with locked(folder, say), _on_a_disk(folder):
+        sweep(folder)
+        _require_space(folder)
+        store = Records(listed, bench, partial(identity, own, _bench_table(settings), beside), folder, say)
+        store.claim()
+        return store.take()
+
+
+@single_threaded
 def walk(
     settings: study.Study,
     folder: Path,

@@ -109,7 +109,8 @@ def panel_on(axes: "Axes", panel: Panel) -> None:
 
     if panel.words:
         axes.axis("off")
-        axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
+        said = axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
+        said.set_in_layout(False)  # long words are cut by the figure's edge, they do not press the axes to nothing
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
         axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)

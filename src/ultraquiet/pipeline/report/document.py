@@ -1,6 +1,6 @@
 """The report of a study: its first page, and its stages as sections."""
 
-from ultraquiet.pipeline.report import limits, loops, mission, models, provenance, records
+from ultraquiet.pipeline.report import claims, limits, loops, mission, models, provenance, records
 from ultraquiet.pipeline.report.compare import Finished, compared
 from ultraquiet.pipeline.report.front import front
 from ultraquiet.pipeline.result import StudyResult
@@ -15,6 +15,7 @@ def report(result: StudyResult, other: Finished | None = None) -> Report:
         if bench is None
         else "closed-loop figures come from the bench, never from the design model."
     )
+    printed = claims.claims(result)
     sections = [
         *([] if other is None else [compared(result, other)]),
         records.excitation(result),
@@ -28,6 +29,7 @@ def report(result: StudyResult, other: Finished | None = None) -> Report:
         *([] if bench is None else [loops.closed_loop(result)]),
         *([mission.payload(result)] if result.payload else []),
         *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
+        *([] if printed is None else [printed]),
         provenance.provenance(result),
     ]
     return Report(result.study.study.title, lead, provenance.facts(result), sections, front(result))
