@@ -4,13 +4,14 @@
    Uq.chart(element, spec) one panel;   Uq.grid(element, spec) panels in columns
      -> {update(spec), destroy(), reset(), zoom(lo, hi), toggle(name, shown), svg(), png(), csv(), plots}
    Uq.theme(word)          "light", "dark" or "auto"
-   Events on the element: uq-zoom {lo, hi}, uq-click {panel, x, y}, uq-toggle {name, shown}. */
+   Events on the element: uq-zoom {lo, hi, along}, uq-click {panel, x, y}, uq-toggle {name, shown}. */
 var Uq = (() => {
   "use strict";
   const shared = {}, drawn = new Set();
-  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05;
+  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560;
   const STEPS = {
     dB: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 3, 6, 10, 20, 40, 60, 100, 200, 500, 1000],
+    int: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000],
     deg: [0.1, 0.5, 1, 5, 15, 45, 90, 180, 360, 720, 1440, 3600],
   };
   const DASHES = { "-": [], "--": [6, 4], ":": [2, 3], "-.": [6, 3, 2, 3] };
@@ -243,7 +244,7 @@ var Uq = (() => {
       let [y0, y1] = side(r.y, "y", bbox.top, bbox.top + bbox.height);
       x0 ??= bbox.left; x1 ??= bbox.left + bbox.width; y0 ??= bbox.top + bbox.height; y1 ??= bbox.top;
       ctx.fillStyle = colour(r.colour || "requirement", one.root);
-      alpha(ctx, r.colour ? 0.15 : 1, () => ctx.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)));
+      alpha(ctx, (r.colour || "requirement") === "requirement" ? 1 : 0.15, () => ctx.fillRect(Math.min(x0, x1), Math.min(y0, y1), Math.abs(x1 - x0), Math.abs(y1 - y0)));
     }
     if (one.panel.tinted) {
       ctx.fillStyle = colour("chosen", one.root);
@@ -275,7 +276,7 @@ var Uq = (() => {
       const stroke = () => colour(c.colour, one.root);
       c.at = [series.length];
       const paths = c.kind === "step" ? uPlot.paths.stepped({ align: 1 }) : undefined;
-      series.push({ stroke, width: LINE, dash: DASHES[c.dash || "-"], points: { show: false }, paths, spanGaps: false });
+      series.push({ stroke, width: LINE, dash: DASHES[c.dash || "-"], points: { show: !!c.symbol, size: 6 }, paths, spanGaps: false });
       if (!c.low) continue;
       c.at.push(series.length, series.length + 1);
       for (let k = 0; k < 2; k++) series.push({ width: 0, points: { show: false } });
@@ -302,6 +303,7 @@ var Uq = (() => {
     set(panel) {
       const was = this.curves && shape(this.curves), axes = this.panel && JSON.stringify([this.panel.x, this.panel.y]);
       this.panel = panel;
+      this.along = (panel.x.label || "") + "|" + (panel.x.scale || "");
       this.curves = curvesOf(panel, this.figure.spec.data);
       this.home = homeX(panel, this.curves);
       this.title.textContent = panel.title || "";
@@ -311,7 +313,7 @@ var Uq = (() => {
       seriesOf(this); // the new curves learn their places; the drawn series are the same
       this.plot.batch(() => {
         this.plot.setData(table(this.curves, this.home), false);
-        const [min, max] = this.figure.zoomed || this.home;
+        const [min, max] = this.figure.zoomed[this.along] || this.home;
         this.plot.setScale("x", { min, max });
       });
     }
@@ -320,16 +322,16 @@ var Uq = (() => {
     }
     /* The room beside the panel for the words of its y axis: panels below one another begin at one place. */
     needs(height) {
-      const [lo, hi] = this.yRange(this.figure.zoomed || this.home);
+      const [lo, hi] = this.yRange(this.figure.zoomed[this.along] || this.home);
       return wide(ticksOf(this.panel.y, lo, hi, height, false)[1]);
     }
     draw(width, height) {
       if (this.plot) { this.plot.setSize({ width, height }); return; }
       const [series, bands] = seriesOf(this);
       const log = (axis) => (axis.scale === "log" ? { distr: 3, log: 10 } : {});
-      const start = this.figure.zoomed || this.home;
+      const start = this.figure.zoomed[this.along] || this.home;
       const options = {
-        width, height, series, bands, legend: { show: false }, padding: [6, 10, this.bare.x ? 4 : 0, this.bare.y ? 4 : 0],
+        width, height, series, bands, legend: { show: false }, padding: [6, this.bare.y || this.figure.spec.share ? 10 : 18, this.bare.x ? 4 : 0, this.bare.y ? 4 : 0],
         scales: {
           x: { time: false, ...log(this.panel.x), min: start[0], max: start[1], range: (u, lo, hi) => [lo ?? this.home[0], hi ?? this.home[1]] },
           y: { ...log(this.panel.y), range: (u) => this.yRange([u.scales.x.min ?? this.home[0], u.scales.x.max ?? this.home[1]]) },
@@ -337,7 +339,7 @@ var Uq = (() => {
         axes: [axisOf(this, "x", 2), axisOf(this, "y", 3)],
         cursor: {
           y: false, points: { show: false }, drag: { x: true, y: false, dist: 5, setScale: false },
-          sync: { key: this.figure.key, setSeries: false, scales: ["x", null], filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } },
+          sync: { key: this.figure.key + this.along, setSeries: false, scales: ["x", null], filters: { pub: (type) => type === "mousemove" || type === "mouseleave" } },
           bind: { dblclick: () => () => { this.figure.reset(); return null; } },
         },
         hooks: {
@@ -354,7 +356,7 @@ var Uq = (() => {
     }
     selected(u) {
       const { left, width } = u.select;
-      if (width > 4) this.figure.zoom(u.posToVal(left, "x"), u.posToVal(left + width, "x"));
+      if (width > 4) this.figure.zoom(u.posToVal(left, "x"), u.posToVal(left + width, "x"), this.along);
       u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
     }
     listen() {
@@ -415,7 +417,7 @@ var Uq = (() => {
   let count = 0;
   class Figure {
     constructor(root, spec) {
-      Object.assign(this, { root, hidden: new Set(), zoomed: null, active: null, key: "uq-" + ++count, panels: [], room: 0 });
+      Object.assign(this, { root, hidden: new Set(), zoomed: {}, active: null, key: "uq-" + ++count, panels: [], room: 0 });
       root.classList.add("uq");
       root.tabIndex = root.tabIndex >= 0 ? root.tabIndex : 0;
       this.head = element("div", "uq-head", root);
@@ -484,9 +486,8 @@ var Uq = (() => {
     }
     list() {
       this.legend.replaceChildren();
-      this.legend.hidden = this.spec.legend === "none";
+      this.legend.hidden = this.spec.legend === "none" || !this.entries().length;
       this.main.classList.toggle("uq-beside", this.spec.legend === "right");
-      this.at = element("span", "uq-at", this.legend);
       this.values = {};
       for (const [name, look] of this.entries()) {
         const entry = element("button", "uq-entry", this.legend);
@@ -499,6 +500,7 @@ var Uq = (() => {
         entry.onmouseenter = () => this.panels.forEach((p) => p.highlight(name));
         entry.onmouseleave = () => this.panels.forEach((p) => p.highlight(null));
       }
+      this.at = element("span", "uq-at", this.legend);
     }
     toggle(name, shown) {
       shown ? this.hidden.delete(name) : this.hidden.add(name);
@@ -509,22 +511,23 @@ var Uq = (() => {
       this.say("uq-toggle", { name, shown });
     }
     read(panel, left, top) {
-      const beside = panel && this.panels.length <= 4 ? this.panels.filter((p) => p.panel.x.label === panel.panel.x.label) : [panel];
+      const beside = panel && this.panels.length <= 4 ? this.panels.filter((p) => p.along === panel.along) : [panel];
       const all = panel ? beside.map((p) => p.values(p === panel ? left : p.plot ? p.plot.valToPos(panel.plot.posToVal(left, "x"), "x") : -1, top)) : [];
       for (const name in this.values) this.values[name].textContent = all.map((v) => v[name]).filter((v) => v != null).join(" | ");
       if (!this.at) return;
       const free = panel && panel.curves.every((c) => !aligned(c));
       this.at.textContent = !panel || left < 0 || free ? "" : (this.panels.length > 4 ? panel.panel.title + " " : "") + "at " + written(panel.plot.posToVal(left, "x")) + unit(panel.panel.x.label);
     }
-    zoom(lo, hi) {
-      this.zoomed = [lo, hi];
-      for (const p of this.panels) if (p.plot) p.plot.setScale("x", { min: lo, max: hi });
-      this.say("uq-zoom", { lo, hi });
+    /* Panels over the same quantity are zoomed together; without `along` those like the first. */
+    zoom(lo, hi, along = this.panels[0].along) {
+      this.zoomed[along] = [lo, hi];
+      for (const p of this.panels) if (p.plot && p.along === along) p.plot.setScale("x", { min: lo, max: hi });
+      this.say("uq-zoom", { lo, hi, along });
     }
     reset() {
-      this.zoomed = null;
+      this.zoomed = {};
       for (const p of this.panels) if (p.plot) p.plot.setScale("x", { min: p.home[0], max: p.home[1] });
-      this.say("uq-zoom", { lo: null, hi: null });
+      this.say("uq-zoom", { lo: null, hi: null, along: null });
     }
     layout() {
       const total = this.body.clientWidth;
@@ -538,11 +541,11 @@ var Uq = (() => {
       this.panels.forEach((p, k) => {
         const width = each + (k % n ? 0 : gutter);
         const height = this.heightOf(p, each) + (share && !p.bare.x ? foot : 0);
-        p.draw(width, height);
+        p.draw(p.panel.aspect ? Math.min(width, Math.round(TALLEST * p.panel.aspect)) : width, height);
       });
     }
     heightOf(p, width) {
-      if (p.panel.aspect) return Math.min(Math.round(width / p.panel.aspect), 560);
+      if (p.panel.aspect) return Math.round(Math.min(width, TALLEST * p.panel.aspect) / p.panel.aspect);
       return p.panel.height || (this.columns >= 4 ? Math.max(70, Math.round(width * 0.62)) : 240);
     }
     /* Before it is drawn a figure takes the room that it will need, so that nothing moves later. */
@@ -670,7 +673,7 @@ var Uq = (() => {
       for (const r of p.panel.regions || []) {
         const [a, b] = r.x ? r.x.map((v, j) => (v == null ? [left, left + w][j] : px(v))) : [left, left + w];
         const [c, d] = r.y ? r.y.map((v, j) => (v == null ? [top + h, top][j] : py(v))) : [top + h, top];
-        out.push(`<rect clip-path="url(#c${k})" x="${Math.min(a, b)}" y="${Math.min(c, d)}" width="${Math.abs(b - a)}" height="${Math.abs(d - c)}" fill="${paint(r.colour || "requirement")}" ${r.colour ? 'opacity=".15"' : ""}/>`);
+        out.push(`<rect clip-path="url(#c${k})" x="${Math.min(a, b)}" y="${Math.min(c, d)}" width="${Math.abs(b - a)}" height="${Math.abs(d - c)}" fill="${paint(r.colour || "requirement")}" ${(r.colour || "requirement") === "requirement" ? "" : 'opacity=".15"'}/>`);
       }
       xt.forEach((v, j) => { out.push(`<path d="M${px(v).toFixed(1)} ${top}v${h}" stroke="${paint("grid")}"/>`); if (!p.bare.x) text(px(v), top + h + 16, xw[j], "middle"); });
       yt.forEach((v, j) => { out.push(`<path d="M${left} ${py(v).toFixed(1)}h${w}" stroke="${paint("grid")}"/>`); if (!p.bare.y) text(left - 6, py(v) + 4, yw[j], "end"); });

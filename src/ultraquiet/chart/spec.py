@@ -7,7 +7,7 @@ numbers or the name of one in `spec.data` or `Uq.data(...)`, base64 of little-en
 
     grid:   {name, title, caption, columns, share, enlarge, legend: "below" | "right" | "none", panels, data, tools}
     panel:  {title, x, y, curves, regions, marks, height, aspect, tinted, detail: [panel, ...]}
-    axis:   {label, scale: "linear" | "log", range: [lo, hi], ticks: "dB" | "deg", names: [...]}
+    axis:   {label, scale: "linear" | "log", range: [lo, hi], ticks: "dB" | "deg" | "int", names: [...]}
     curve:  {name, x, y, low, high, colour, dash: "-" | "--" | ":" | "-.", kind, symbol, width}
     region: {name, x: [lo, hi], y: [lo, hi], colour};   mark: {name, x | y, colour, dash}
 
@@ -29,13 +29,14 @@ OpenRange = tuple[float | None, float | None]
 class Axis:
     """One axis: its label with the unit in brackets; without a range it fits what is drawn.
 
-    `ticks` "dB" steps by 1, 3, 6, 10, 20, "deg" by 45, 90, 180; `names` stand at 0, 1, 2 ... in place of numbers.
+    `ticks` "dB" steps by 1, 3, 6, 10, 20, "deg" by 45, 90, 180, "int" by whole numbers; `names` stand at 0, 1, 2 ...
+    in place of numbers.
     """
 
     label: str
     scale: Literal["linear", "log"] = "linear"
     range: Range | None = None
-    ticks: Literal["dB", "deg"] | None = None
+    ticks: Literal["dB", "deg", "int"] | None = None
     names: Sequence[str] = ()
 
 
@@ -43,8 +44,9 @@ class Axis:
 class Curve:
     """One curve: `x`, `y` of one length, NaN where there is nothing; `low`, `high` bound its confidence.
 
-    `kind` "line" and "step" are functions of an x that rises; "path" joins points in their order, "points" shows them
-    with a `symbol` (".", "o", "x", "+", "s"), "bars" (of a `width` in x) and "stems" stand on zero.
+    `kind` "line" and "step" are functions of an x that rises, with points where there is a `symbol`; "path" joins
+    points in their order, "points" shows them with a `symbol` (".", "o", "x", "+", "s"), "bars" (of a `width` in x) and
+    "stems" stand on zero.
     """
 
     name: str
