@@ -47,7 +47,11 @@ COMPARED_STEPS, TARGETS = 5_000, ("cortex-m7",)
 
 
 def designed(
-    name: str, plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, Outcome[PlantFacts]]
+    name: str,
+    plant: StateSpace,
+    settings: Design,
+    loop: LoopPlan,
+    others: Mapping[str, Outcome[PlantFacts]] | None = None,
 ) -> Outcome[DesignFacts]:
     """Design one controller from the identified plant, and reduce it when the study says so.
 
@@ -57,7 +61,7 @@ def designed(
     """
     with task(f"design {name}", 1 + (settings.reduce is not None)) as progress:
         method = settings.design.make("design")
-        result = method.design(for_method(method, plant, others))
+        result = method.design(for_method(method, plant, others or {}))
         progress.advance(note=str(result.status))
         law = result.controller
         if law is None:

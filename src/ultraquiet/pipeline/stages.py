@@ -25,7 +25,7 @@ from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.pipeline.study import Band, Design, Plant, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
@@ -239,7 +239,7 @@ class Stages:
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
         compute = partial(identification.plant, self.records, settings)
-        key = [self._record_hashes, settings.model_dump(exclude={"units"})]
+        key = plant_key(self._record_hashes, settings)
         outcome = self.cache.stage("plant", "models", key, PlantFacts, compute)
         self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
         return outcome
@@ -250,7 +250,7 @@ class Stages:
         settings, found = self.study.plant, {}
         for unit in settings.units if self.bench is not None else ():
             compute = partial(further, self.bench, unit, self.records, settings)
-            key = [self._record_hashes, settings.model_dump(exclude={"units"}), self.bench_key, unit]
+            key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
             found[unit] = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
             self.say(f"plant for design, {unit}: {found[unit].facts.states} states, {found[unit].facts.status}")
         return found
@@ -282,10 +282,9 @@ class Stages:
     def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
-        promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
         several = getattr(lookup("design", settings.design.method), "several_plants", False)
         others = self._further if several else {}
-        key = [plant.hash, _key(settings.design), promised]
+        key = design_key(plant, settings, loop)
         key += [{unit: outcome.values[of_unit(unit)].hash for unit, outcome in others.items()}] if others else []
         compute = partial(control.designed, name, plant, settings, loop, others)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
@@ -344,6 +343,17 @@ class _Controller:
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
     payload: Outcome[PayloadFacts] | None = None
+
+
+def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
+    """Return what the stage `plant` depends on: all records by their hashes, and `[plant]` but its units."""
+    return [dict(record_hashes), settings.model_dump(exclude={"units"})]
+
+
+def design_key(plant: StateSpace, settings: Design, loop: LoopPlan) -> list[Any]:
+    """Return what the stage `design-NAME` depends on: the plant, the table, and what a reduction is held to."""
+    promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
+    return [plant.hash, _key(settings.design), promised]
 
 
 def _key(method: Method) -> dict[str, Any]:
