@@ -7,7 +7,7 @@ import pytest
 
 from ultraquiet.bench import Hexapod
 from ultraquiet.design import Lqg, PeakBounded
-from ultraquiet.pipeline import further_units as module
+from ultraquiet.pipeline import identification as module
 from ultraquiet.pipeline import packaged_study
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
@@ -31,7 +31,7 @@ def test_the_same_signals_go_to_the_other_unit_and_its_model_has_a_name_of_its_o
 
     monkeypatch.setattr(module, "plant", identified)
     settings = packaged_study("suite").plant.model_copy(update={"records": ["low"]})
-    outcome = module.further(bench, "flight", records, settings)
+    outcome = module.further(Hexapod(unit="flight", linear=True), "flight", records, settings)
     assert list(seen) == ["low-1", "low-2"]
     assert list(outcome.values) == ["plant-flight"]
     for name, record in seen.items():

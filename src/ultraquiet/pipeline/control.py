@@ -35,7 +35,7 @@ from ultraquiet.pipeline.facts.loops import (
     UnstableLoop,
 )
 from ultraquiet.pipeline.facts.models import PlantFacts
-from ultraquiet.pipeline.further_units import for_method
+from ultraquiet.pipeline.identification import for_method
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Band, Deploy, Design
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord

@@ -2,11 +2,13 @@
 
 import time
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 
 from ultraquiet import identify, spectra
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
@@ -20,7 +22,7 @@ from ultraquiet.pipeline.facts.models import (
     ResponsePlant,
 )
 from ultraquiet.pipeline.study import IdentifyTable, Paper, Plant
-from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record
+from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
 
 
 def grouped(names: Collection[str]) -> dict[str, list[str]]:
@@ -165,3 +167,35 @@ def measured_response(records: Mapping[str, Record], settings: Plant) -> Frequen
         provenance=parts[0].provenance,
         variance=np.concatenate(variances, axis=2)[:, :, order],
     )
+
+
+def further(bench: Any, unit: str, records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]:
+    """Record the groups that the plant is identified from on another unit's bench, and identify it likewise.
+
+    Args:
+        bench: of the other unit.
+        unit: its name, under which the model is kept.
+        records: of the study's own unit; their inputs are what is sent.
+        settings: `[plant]`.
+    """
+    groups = grouped(records)
+    names = [name for asked in settings.records for name in groups.get(asked, [asked])]
+    again: dict[str, Record] = {}
+    with task(f"record {unit}", len(names)) as progress:
+        for name in names:
+            again[name] = bench.run(records[name].inputs)
+            progress.advance(note=name)
+    found = plant(again, settings)
+    return Outcome(found.facts, {of_unit(unit): found.values[stored.PLANT]})
+
+
+def of_unit(unit: str) -> str:
+    """Return the name under which the model of a further unit is kept."""
+    return f"{stored.PLANT}-{unit}"
+
+
+def for_method(method: Any, first: StateSpace, others: Mapping[str, Outcome[PlantFacts]]) -> Any:
+    """Return what a design is given: all plants where it takes several, else the first."""
+    if not others or not getattr(method, "several_plants", False):
+        return first
+    return [first, *(outcome.values[of_unit(unit)] for unit, outcome in others.items())]

@@ -20,11 +20,11 @@ from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFa
 from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
-from ultraquiet.pipeline.further_units import further, of_unit
+from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
-from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
+from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import Band, Design, Plant, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
@@ -266,7 +266,7 @@ class Stages:
         """Models of the bench's further units, for designs that hold on several."""
         settings, found = self.study.plant, {}
         for unit in settings.units if self.bench is not None else ():
-            compute = partial(further, self.bench, unit, self.records, settings)
+            compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
             key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
             found[unit] = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
             self.say(f"plant for design, {unit}: {found[unit].facts.states} states, {found[unit].facts.status}")
@@ -363,7 +363,7 @@ class _Controller:
 
 
 def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
-    """Return what the stage `plant` depends on: all records of the study by their hashes, and `[plant]`."""
+    """Return what the stage `plant` depends on: all records by their hashes, and `[plant]` but its units."""
     return [dict(record_hashes), settings.model_dump(exclude={"units"})]
 
 

@@ -25,7 +25,7 @@ FAN = np.array([0.995, 1.0, 1.005])  # lines around such a place
 Start = tuple[ControllerStructure, FloatArray]
 
 
-class Campaign:
+class SearchFromStarts:
     """Demands, plants in the units of the search, and how long to search.
 
     Args:

@@ -12,6 +12,7 @@ from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.scenario import Scenario
 from ultraquiet.design.peak_bounded.step import DB, LEAST, Linearised
 
+TIGHT_DB = 0.03  # bounds are put so much tighter than meant, for what stands between the lines
 WIDER = 6.0  # gains that are linearised as complex numbers enter from so many times further below their bounds
 
 
@@ -144,8 +145,8 @@ class LoopLevels:
         every = np.arange(f.size)
         out = [
             DemandFamily(band, inside, SG[band], inside, np.zeros(band.size), sought=True),
-            DemandFamily(every, S, SG, S, demands.sensitivity_db(f)),
-            DemandFamily(every, KS, through, S, demands.control_db(f), linear=True),
+            DemandFamily(every, S, SG, S, demands.sensitivity_db(f) - TIGHT_DB),
+            DemandFamily(every, KS, through, S, demands.control_db(f) - TIGHT_DB, linear=True),
         ]
         if demands.complementary_db is not None:
             out.append(DemandFamily(every, S - np.eye(outputs), SG, S, demands.complementary_db(f), linear=True))

@@ -14,7 +14,7 @@ from ultraquiet.analyse.peaks import response_at
 from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
 from ultraquiet.design.fixed_structure.plane import plane_of
 from ultraquiet.design.hinf.band_attenuation import common_mode
-from ultraquiet.design.peak_bounded.campaign import Campaign
+from ultraquiet.design.peak_bounded.campaign import SearchFromStarts
 from ultraquiet.design.peak_bounded.demands import Demands, table
 from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures
 from ultraquiet.design.peak_bounded.roof import roof
@@ -140,7 +140,7 @@ class PeakBounded(StatedRobustness):
         rng = np.random.default_rng(self.seed)
         near = [p for g in scaled for p in perturbed(g, self.draws, self.gain_spread, self.mode_spread, rng)]
         demands, top = self._demands(scaled, units)
-        campaign = Campaign(demands, scaled, near, self.steps, top[0])
+        campaign = SearchFromStarts(demands, scaled, near, self.steps, top[0])
         law = campaign.best(self._begin(scaled[0], units, structure))
         if law is None:
             return refused(f"{WHO}: no start is stable with every plant; give another 'start', or less spread.")
@@ -152,7 +152,7 @@ class PeakBounded(StatedRobustness):
         return among(result, plants, reached, self.disk_margin)
 
     def _figures(
-        self, law: StateSpace, campaign: Campaign, units: SearchUnits, structure: str, top: tuple[float, float]
+        self, law: StateSpace, campaign: SearchFromStarts, units: SearchUnits, structure: str, top: tuple[float, float]
     ) -> SearchFigures:
         control = units.control if units.common else 1.0
         each, drawn = (
