@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, content_hash
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet._base.shown.grid import gain_curve
-from ultraquiet.linalg import descriptor, response
+from ultraquiet.linalg import realize, response
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.joined.algebra import Algebra, Matrices, Wires
@@ -160,6 +160,6 @@ class StateSpace(Shown, Algebra, SystemNeighbours):
         if e.shape != explicit.A.shape:
             raise InputError(f"StateSpace.from_descriptor: 'E' must have the shape of A, {explicit.A.shape}.")
         try:
-            return cls(*descriptor.explicit(e, explicit.A, explicit.B, explicit.C, explicit.D), rate_hz)
+            return cls(*realize.explicit(e, explicit.A, explicit.B, explicit.C, explicit.D), rate_hz)
         except NumericalError as error:
             raise InputError(f"StateSpace.from_descriptor: {error}") from None
