@@ -4,6 +4,7 @@
 # make test-fresh    the tests that draw, on DRAWS fresh seeds; every failure with the seed that repeats it
 # make test-kernels  the numerical rooms under each of OpenBLAS's kernel families that this processor can run
 # make test-docs     the examples of README, docs and docstrings
+# make docs         the documentation as a site in docs/_build/html: built with -W, links checked, search works offline
 # make test-web      the pages: what a browser is given
 # `demo` and `test` need only Python >= 3.11 and make; after the first run they work offline.
 PYTHON ?= python3
@@ -17,7 +18,7 @@ DRAWS ?= 5
 SIDE_BY_SIDE := -n $(WORKERS) --dist worksteal
 KERNELS := $(shell grep -rlE "njit|^@compiled" src --include=*.py)
 
-.PHONY: demo test test-long test-fresh test-kernels test-docs test-web lint bench format lock clean
+.PHONY: demo test test-long test-fresh test-kernels docs test-docs test-web lint bench format lock clean
 
 demo: $(VENV)/run.stamp
 	$(BIN)/ultraquiet demo --out $(OUT) $(ARGS)
@@ -34,7 +35,10 @@ test-fresh: $(VENV)/kernels.stamp
 test-kernels: $(VENV)/kernels.stamp
 	$(BIN)/python tests/kernel_families.py $(SIDE_BY_SIDE) $(ARGS)
 
-test-docs: $(VENV)/full.stamp
+docs: $(VENV)/full.stamp
+	$(BIN)/python -m sphinx -W --keep-going -n -q -b html docs docs/_build/html
+
+test-docs: $(VENV)/full.stamp docs
 	$(BIN)/python -m pytest src $(SIDE_BY_SIDE) $(ARGS)
 	$(BIN)/python -m pytest -m docs $(SIDE_BY_SIDE) $(ARGS)
 
@@ -72,7 +76,7 @@ $(VENV)/kernels.stamp: $(VENV)/dev.stamp tests/compile_kernels.py $(KERNELS)
 	@touch $@
 
 clean:
-	rm -rf $(VENV) demo dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo dist docs/_build docs/reference/api docs/gallery .pytest_cache .ruff_cache .hypothesis
 
 lock: # renew the lock files; needs uv
 	uv pip compile -q --universal --python-version 3.11 --no-emit-index-url --no-header --group build pyproject.toml -o requirements/run.lock

@@ -32,6 +32,7 @@ LONG = {
     ("identify", "structured"),
     ("identify", "structured-modal"),
     ("design", "fixed-structure"),
+    ("design", "peak-bounded"),
     ("design", "mu-synthesis"),
 }
 CHECKED = [

@@ -2,7 +2,9 @@
 
 import math
 import os
+import struct
 import time
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from ultraquiet import files
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.files import LogWriter, finalise, log_header, read_log
-from ultraquiet.files.frames import frame_at
+from ultraquiet.files.frames import DATA, HEAD_BYTES, UNBOUND, LogFrame, UnsoundError, frame_at
 from ultraquiet.files.log import EARLY, FRAME_SAMPLES, SYNC_S
 from ultraquiet.values import Channel
 
@@ -409,3 +411,20 @@ def test_the_reader_of_the_documentation_needs_no_package(blocks, rng, tmp_path)
         told, samples = scope["read"](path)
         assert told == header()
         assert np.array_equal(samples, read_log(path).samples)
+
+
+def test_no_head_stands_before_the_payload_of_another_frame():
+    """A disk may give back a block of a log that was removed, behind a head that is new."""
+    new, old = LogFrame(DATA, 3, b"a" * 8, 350, 1, 2, bytes(16)), LogFrame(DATA, 3, b"b" * 8, 350, 1, 2, b"x" * 16)
+    torn = new.packed()[:HEAD_BYTES] + old.packed()[HEAD_BYTES:]
+    with pytest.raises(UnsoundError, match="checksum"):
+        frame_at(torn, 0)
+
+
+def test_frames_of_the_version_before_are_read():
+    frame = LogFrame(DATA, 3, b"abcdefgh", 175, 1, 2, bytes(16))
+    data = bytearray(frame.packed())
+    data[5] = UNBOUND
+    data[48:52] = struct.pack("<I", zlib.crc32(data[:48]))
+    data[-4:] = struct.pack("<I", zlib.crc32(data[:-4]))
+    assert frame_at(bytes(data), 0) == frame

@@ -223,7 +223,7 @@ def test_bode_curves_are_gain_and_phase(record):
     assert first.name in figure.caption
     assert second.name in figure.caption
     assert figure.caption.endswith("(Elsewhere: Fig. 3.)")
-    assert phase.y_label == "degrees"
+    assert phase.y_label == "phase (°)"
     assert magnitude.x_range == phase.x_range == (2.0, 200.0)
 
 
@@ -250,11 +250,11 @@ def test_time_responses_show_bench_and_models_on_one_clock(record):
     model = np.linspace(0, 1, 800)
     command, reading = study.simulation("step", short, {"model": model}, 0, 1).panels
     assert command.lines[0].y == pytest.approx(short.inputs[0])
-    assert command.y_label == short.actuators[0].unit
+    assert command.y_label == f"command ({short.actuators[0].unit})"
     assert [line.label for line in reading.lines] == ["bench", "model"]
     assert reading.lines[0].y == pytest.approx(short.outputs[1])
     assert reading.lines[1].y == pytest.approx(model)
-    assert reading.y_label == short.sensors[1].unit
+    assert reading.y_label == f"reading ({short.sensors[1].unit})"
 
 
 def test_of_a_long_tone_the_last_periods_are_shown(record):

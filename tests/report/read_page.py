@@ -31,16 +31,18 @@ class ReadSection:
 
 
 class Page(HTMLParser):
-    """What stands on a page; `asks` are addresses that it would fetch, `scripts` counts what it would run."""
+    """What stands on a page; `asks` are addresses it would fetch, `scripts` and `handlers` what it would run."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
         self.title, self.lead = "", ""
         self.facts: dict[str, str] = {}
         self.links: list[tuple[str, str]] = []
+        self.front = ReadSection("front")
         self.sections: list[ReadSection] = []
         self.asks: list[str] = []
         self.scripts = 0
+        self.handlers: list[str] = []
         self._open: list[str] = []
         self._text = ""
         self._target = ""
@@ -49,28 +51,35 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         held = dict(attributes)
-        self.asks += [held[k] for k in ("src", "href", "xlink:href", "srcset") if k in held and held[k][:1] != "#"]
+        addresses = [held[k] for k in ("src", "href", "xlink:href", "srcset") if k in held]
+        self.asks += [a for a in addresses if a[:1] != "#" and not a.startswith("data:")]
         self.scripts += tag == "script"
+        self.handlers += [k for k in held if k.startswith("on")]
         if tag == "section":
             self.sections.append(ReadSection(held["id"]))
         elif tag == "figure":
-            self.sections[-1].figures.append(held["id"])
+            self._place.figures.append(held["id"])
         elif tag == "table":
-            self.sections[-1].tables.append(ReadTable())
+            self._place.tables.append(ReadTable())
         elif tag == "tr" and "tbody" in self._open:
-            self.sections[-1].tables[-1].rows.append([])
+            self._place.tables[-1].rows.append([])
         elif tag == "a":
             self._target = held["href"]
         if tag not in ("meta", "br", "link", "img"):
             self._open.append(tag)
         self._text = ""
 
+    @property
+    def _place(self):
+        """The section that is being read, or the first page."""
+        return self.sections[-1] if self.sections else self.front
+
     def handle_data(self, text):
         self._text += text
 
     def handle_endtag(self, tag):
         text = self._text.strip()
-        place = self.sections[-1] if "section" in self._open else None
+        place = self._place if {"section", "table", "figure"} & set(self._open) else None
         if tag == "h1":
             self.title = text
         elif tag == "dt":

@@ -1,5 +1,6 @@
 """The page of a report: everything given stands on it, as given, and nothing is fetched or run."""
 
+import json
 import re
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from read_page import Page
 
 from ultraquiet.plot import Figure, Line, Panel
-from ultraquiet.report import Report, Section, Table, render, write
+from ultraquiet.report import Front, Report, Section, Span, Table, Verdict, render, write
 
 pytestmark = pytest.mark.web
 
@@ -48,12 +49,17 @@ def test_the_way_through_the_page_leads_to_its_sections(report):
     assert page.links == [(f"#{s.anchor}", s.title) for s in page.sections]
 
 
+def specs(text):
+    return json.loads(re.search(r'id="uq-specs">(.*?)</script>', text, re.DOTALL)[1])
+
+
 def test_each_figure_is_drawn_once_within_its_section(report):
     text = render(report)
-    assert text.count("<svg") == 3
+    assert set(specs(text)) == {"one", "two", "three"}
     for name in ("one", "two", "three"):
         found = re.search(rf'<figure id="{name}">(.*?)</figure>', text, re.DOTALL)[1]
-        assert found.count("<svg") == 1
+        assert found.count("data:image/png;base64,") == 1
+        assert found.count(f'data-chart="{name}"') == 1
         assert f"title of {name}" in found
 
 
@@ -64,16 +70,33 @@ def test_figures_of_one_name_do_not_take_each_others_place():
     assert re.findall(r'<figure id="([^"]+)">', text) == ["same", "same-2", "same-3"]
     for k, found in enumerate(re.findall(r"<figure id=.*?</figure>", text, re.DOTALL)):
         assert f"title {k}" in found
-        assert f"curve {k}" in found
+    drawn = [spec["panels"][0]["curves"][0]["name"] for spec in specs(text).values()]
+    assert drawn == ["curve 0", "curve 1", "curve 2"]
 
 
-def test_the_page_fetches_and_runs_nothing(report):
+OWN_SCRIPTS = 5  # a word for the style sheet, numbers, specs, the charts, what the page does
+
+
+def test_the_page_fetches_nothing_and_runs_its_own_scripts_alone(report):
     text = render(report)
     page = Page(text)
     assert page.asks == []
-    assert page.scripts == 0
+    assert page.scripts == OWN_SCRIPTS
+    assert page.handlers == []
     assert "@import" not in text
     assert not re.search(r"url\((?!#)", text)
+
+
+def test_the_first_page_says_what_was_asked_and_reached():
+    rows = [["a", "3 dB", "2.9", Verdict.of(False)], ["b", "1", Span("1.2", 1), Verdict.of(True)]]
+    table = Table("Required", ("requirement", "asked", "reached", "verdict"), rows)
+    front = Front("Not quiet", Verdict("not ok", "bad", "1 of 2"), "below", [table], [figure("hero")], ["run <this>"])
+    text = render(Report("A", "The lead.", [("seed", "7")], [Section("One", ["words"])], front))
+    page = Page(text)
+    assert page.front.figures == ["hero"]
+    assert page.front.table("Required").rows == [["a", "3 dB", "2.9", "■ missed"], ["b", "1", "1.2", "● met"]]
+    assert "■ not ok" in re.sub(r"<[^>]+>|\s+", " ", text).replace("  ", " ").replace("  ", " ")
+    assert "run &lt;this&gt;" in text
 
 
 def test_what_a_record_is_called_cannot_become_a_tag():
@@ -87,7 +110,8 @@ def test_what_a_record_is_called_cannot_become_a_tag():
         )
     )
     page = Page(text)
-    assert page.scripts == 0
+    assert page.scripts == 2  # without figures, the word for the style sheet and what the page does
+    assert page.handlers == []
     assert page.asks == []
     assert page.title == page.lead == page.sections[0].title == page.sections[0].paragraphs[0] == hostile
     assert page.sections[0].tables[0].rows == [[hostile]]
@@ -97,3 +121,11 @@ def test_the_file_is_the_page(report, tmp_path):
     path = write(report, tmp_path / "report.html")
     assert path.read_text(encoding="utf-8") == render(report)
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
+
+
+def test_a_hostile_name_in_a_figure_stays_data():
+    hostile = "</script><script>alert(1)</script>"
+    line = Line.of(np.arange(3.0), np.arange(3.0), hostile)
+    picture = Figure("one", hostile, hostile, [Panel([line], hostile, hostile, hostile)])
+    page = Page(render(Report("A", "The lead.", [], [Section("One", [], [], [picture])])))
+    assert page.scripts == OWN_SCRIPTS

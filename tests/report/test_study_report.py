@@ -6,7 +6,18 @@ import pytest
 from read_page import Page
 
 pytestmark = pytest.mark.web
-SECTIONS = ["Excitation", "Identification", "Validation", "Analysis", "Design", "Closed loop", "Limits", "Code"]
+SECTIONS = [
+    "Excitation",
+    "Response",
+    "Identification",
+    "Validation",
+    "Analysis",
+    "Limits",
+    "Design",
+    "Code",
+    "Closed loop",
+    "Provenance",
+]
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +59,23 @@ def test_it_says_which_run_it_was(page, summary):
         assert f"{part} {version}" in page.facts["versions"]
 
 
-def test_nothing_is_fetched_or_run(page):
+def test_nothing_is_fetched(page):
     assert page.asks == []
-    assert page.scripts == 0
+    assert page.handlers == []
+
+
+def test_the_first_page_is_the_judgement_of_the_summary(page, summary):
+    asked = summary["requirements"]
+    table = page.front.table(f"Required of {asked['law']}")
+    names = dict.fromkeys(each["requirement"] for each in asked["judged"])
+    assert len(table.rows) == len(names)
+    for row, name in zip(table.rows, names, strict=True):
+        judged = [each for each in asked["judged"] if each["requirement"] == name]
+        digits = 1 if name.endswith("_db") else 2
+        shown = " ".join(row[2:-1])
+        assert all(f"{each['figure']:.{digits}f}" in shown for each in judged), (name, shown)
+        assert ("missed" in row[-1]) == any(not each["met"] for each in judged)
+    assert page.front.figures == ["reached"]
 
 
 def test_figures_have_captions_and_names_of_their_own(page):

@@ -15,7 +15,8 @@ from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.requirements import judge
 from ultraquiet.pipeline.study import Deploy, Requirements, StudyError, parse
 from ultraquiet.pipeline.tables.mission import PayloadTable
-from ultraquiet.plot import draw_svg, mission
+from ultraquiet.plot import draw_svg, figure_of
+from ultraquiet.plot.pages.payload import Before, payload_chart
 from ultraquiet.simulate import PayloadSetup, measure_payload
 from ultraquiet.values import SteppedController
 
@@ -118,14 +119,14 @@ def test_a_study_listens_through_its_code_and_says_why_where_it_cannot():
     )
     assert loop.broadband_5_100_db is None  # the noise ends at 60 Hz
     curves = outcome.facts.curves["bench"]
-    units = {
-        "bench": (
-            curves.f_hz,
-            (curves.open_transmissibility, curves.closed_transmissibility),
-            (curves.open_cumulative, curves.closed_cumulative),
-        )
-    }
-    assert "<svg" in draw_svg(mission.payload("calm", units, "payload over shaker", "um/s", BAND_HZ))
+    felt = Before(
+        curves.f_hz,
+        (curves.open_transmissibility, curves.closed_transmissibility),
+        (curves.open_cumulative, curves.closed_cumulative),
+    )
+    drawn = payload_chart("payload", "calm", {"bench": felt}, ("payload over shaker", "", "um/s"), BAND_HZ, "told.")
+    assert [curve.name for curve in drawn.panels[0].curves] == ["without", "calm"]
+    assert "<svg" in draw_svg(figure_of(drawn))
     asked = Requirements(law="calm", payload_db=loop.reduction_db + 0.1)
     judged = judge(asked, BAND_HZ, None, {}, outcome.facts.units)
     assert len(judged.missed) == 1

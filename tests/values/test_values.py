@@ -171,3 +171,22 @@ def test_a_record_of_something_else_is_refused(wrong):
 def test_a_channel_that_is_not_there_is_named():
     with pytest.raises(uq.errors.InputError, match="no index 7"):
         uq.Record(np.ones((2, 5)), np.ones((1, 5)), 10.0).pick([7])
+
+
+def test_descriptor_systems(rng):
+    """E of full rank gives E^-1 A, E^-1 B; an algebraic equation 0 = x1 - x2 + u makes a direct term."""
+    A, B, C, D = (rng.standard_normal(s) for s in ((4, 4), (4, 2), (3, 4), (3, 2)))
+    E = rng.standard_normal((4, 4))
+    f = [0.0, 0.1, 3.0]
+    for scale in (1.0, 1e9, 1e-9):
+        G = uq.StateSpace.from_descriptor(E * scale, A * scale, B * scale, C, D)
+        plain = uq.StateSpace(np.linalg.solve(E, A), np.linalg.solve(E, B), C, D)
+        np.testing.assert_allclose(G.frequency_response(f), plain.frequency_response(f), rtol=1e-9)
+    G = uq.StateSpace.from_descriptor([[1, 0], [0, 0]], [[-1, 0], [1, -1]], [[1], [1]], [[0, 1]], [[0]])
+    assert G.states == 1
+    np.testing.assert_allclose(G.D, [[1.0]])
+    np.testing.assert_allclose(G.A, [[-1.0]])
+    with pytest.raises(InputError, match="index above one"):
+        uq.StateSpace.from_descriptor([[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0], [1]], [[0, 1]], [[0]])
+    with pytest.raises(InputError, match="shape"):
+        uq.StateSpace.from_descriptor([[1]], [[0, 1], [1, 0]], [[0], [1]], [[0, 1]], [[0]])

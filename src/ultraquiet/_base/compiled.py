@@ -56,14 +56,18 @@ def source_digest(function: Any) -> str:
     return digest.hexdigest()
 
 
+def cache_folder() -> Path:
+    """Return the folder that compiled functions are kept below."""
+    return Path(config.CACHE_DIR or Path(user_folders.user_cache_dir) / "compiled")
+
+
 class ContentLocator:
     """Finds what was compiled by what it was compiled from, wherever the tree stands; made as numba's locators are."""
 
     def __init__(self, function: Any) -> None:
         self._py_file, self._line = function.__code__.co_filename, function.__code__.co_firstlineno
         self._digest = source_digest(function)
-        root = config.CACHE_DIR or Path(user_folders.user_cache_dir) / "compiled"
-        self._path = Path(root) / f"{function.__module__}-{self._digest[:16]}"
+        self._path = cache_folder() / f"{function.__module__}-{self._digest[:16]}"
 
     def ensure_cache_path(self) -> None:
         """Make the folder, and a file in it.

@@ -1,13 +1,14 @@
 """Threads: one for the linear-algebra libraries inside small solvers, all processors for work that holds no lock."""
 
 import os
+import sys
 from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager
 from contextvars import Context, copy_context
-from functools import wraps
+from functools import lru_cache, wraps
 from importlib import import_module
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 from ultraquiet._base.progress import task
 
@@ -73,6 +74,14 @@ def single_threaded(solver: Callable[P, R]) -> Callable[P, R]:
 
 def one_blas_thread() -> AbstractContextManager[object]:
     """Return a block in which BLAS uses one thread."""
+    return _controller("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")  # type: ignore[no-any-return]
+
+
+@lru_cache
+def _controller(scipy: bool) -> Any:
+    """Return the libraries' switch; looking for them takes longer than a small design, and SciPy brings its own BLAS.
+
+    `scipy` is whether it is there already: once it comes, the libraries are looked for again.
+    """
     # It ships no types; as a plain module it is what it says.
-    limits = import_module("threadpoolctl").threadpool_limits
-    return limits(limits=1, user_api="blas")  # type: ignore[no-any-return]
+    return import_module("threadpoolctl").ThreadpoolController()

@@ -15,6 +15,7 @@ from ultraquiet.cli.experiment import command as experiment
 from ultraquiet.cli.loop import analyse, campaign, simulate
 from ultraquiet.cli.output.options import with_options
 from ultraquiet.cli.spectra import command as spectra
+from ultraquiet.cli.workbench import command as workbench
 
 COMMANDS: dict[str, Callable[..., None]] = {
     "demo": study.demo,
@@ -32,6 +33,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "deploy": deploy.deploy,
     "convert": convert.convert,
     "inspect": inspect.inspect,
+    "serve": workbench.serve,
     "methods": methods.methods,
     "doctor": doctor.doctor,
 }

@@ -51,19 +51,22 @@ def run(
 
 def report(
     folder: Annotated[Path, typer.Argument(help="Folder of a study that has run.")],
+    compare: Annotated[Path | None, typer.Option(help="Folder of another study to set beside it.")] = None,
 ) -> None:
     """Write the report of a study again from what its folder holds; stages that are missing are computed."""
     from ultraquiet.pipeline import reload_study
 
-    _walk(reload_study(folder), folder, folder)
+    _walk(reload_study(folder), folder, folder, compare=compare)
 
 
-def _walk(study: "Study", folder: Path, beside: Path | None, record_again: bool = False) -> None:
+def _walk(
+    study: "Study", folder: Path, beside: Path | None, record_again: bool = False, compare: Path | None = None
+) -> None:
     from ultraquiet.cli.output.screen import screen
     from ultraquiet.pipeline import walk
 
     with bars() as console:
-        summary = walk(study, folder, beside=beside, say=console.print, record_again=record_again)
+        summary = walk(study, folder, beside=beside, say=console.print, record_again=record_again, compare=compare)
     show = screen()
     if summary.closed_loop:
         show.table(_table(summary))

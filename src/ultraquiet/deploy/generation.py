@@ -166,7 +166,12 @@ class _LawMaker:
             NumericalError: a loop, or a law that was stable, that is unstable once it is rounded.
         """
         controller, law = self.controller, choice.law
-        require_stable(law.state_space(), controller, self.plant, f"{law.precision} coefficients in {law.form} form")
+        what, delta = (
+            f"{law.precision} coefficients in {law.form} form",
+            "" if "delta" in law.form else "form='delta' or ",
+        )
+        more = "precision='float64'" if law.precision == "float32" else "another design"
+        require_stable(law.state_space(), controller, self.plant, what, delta + more)
         plant = self.plant
         if not controller.is_stable():
             return Status(

@@ -16,6 +16,7 @@ from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.verification import Opinion, verify_level
 from ultraquiet.design.mu.dk_iteration import MuSynthesis
+from ultraquiet.design.peak_bounded.method import PeakBounded
 from ultraquiet.design.result import DesignMethod, DesignResult
 from ultraquiet.design.tones.adaptive_feedforward import AdaptiveFeedforward
 from ultraquiet.design.tones.filtered_x_lms import FilteredXLms
@@ -40,6 +41,7 @@ __all__ = [
     "MuSynthesis",
     "Notch",
     "Opinion",
+    "PeakBounded",
     "Resonators",
     "Score",
     "Skyhook",

@@ -5,6 +5,7 @@ from ultraquiet._base.constraints import one_of
 FULL = "full"  # every command reads every measurement
 REPEATED = "repeated"  # one scalar law on every channel, K = k I
 DECENTRALISED = "decentralised"  # a scalar law of its own on every channel, K = diag(k1, k2, ...)
+SYMMETRIC = "symmetric"  # scalar laws along given directions of all channels, some of them shared
 
 # Words of 0.1, taken as before.
 OLDER = {"alike": REPEATED, "apart": DECENTRALISED}

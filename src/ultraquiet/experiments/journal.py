@@ -98,8 +98,13 @@ def opened(folder: Path) -> Iterator[Journal]:
         raise StorageError(f"journal: '{path}' cannot be opened ({reason(error)}).") from error
     try:
         _lock(path, handle)
-        ends = [end for _, end in _sound(path, read_regular(path))]
-        os.truncate(handle, max(ends, default=0))
+        try:
+            ends = [end for _, end in _sound(path, read_regular(path))]
+            os.truncate(handle, max(ends, default=0))
+        except OSError as error:
+            if isinstance(error, StorageError):
+                raise
+            raise StorageError(f"journal: '{path}' cannot be read ({reason(error)}).") from error
         yield Journal(path, handle)
     finally:
         os.close(handle)

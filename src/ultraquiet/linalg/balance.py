@@ -158,8 +158,13 @@ def _clusters(values: Array, vectors: Array) -> list[list[int]]:
     """Group eigenvalues whose eigenvectors are nearly parallel; conjugates stay together."""
     n = values.size
     near = np.abs(vectors.conj().T @ vectors) > 1 - PARALLEL
-    near[np.arange(n), np.argmin(np.abs(values[:, None] - values.conj()[None, :]), axis=1)] = True
-    _, label = connected_components(near, directed=False)
+    own = np.arange(n)
+    mirror = np.argmin(np.abs(values[:, None] - values.conj()[None, :]), axis=1)
+    near[own, own] = near[own, mirror] = True
+    if np.array_equal(mirror[mirror], own) and near.sum() == n + np.sum(mirror != own):
+        label = np.minimum(own, mirror)  # as almost always: nothing is tied but conjugates
+    else:
+        _, label = connected_components(near, directed=False)
     order = np.lexsort((values.imag < 0, np.abs(values.imag), values.real))
     groups: dict[int, list[int]] = {}
     for i in order:

@@ -1,5 +1,7 @@
 """Norms of state-space matrices: the peak gain over frequency, exactly, and the mean square gain."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ultraquiet.linalg.balance import modal, stable_first
@@ -19,6 +21,10 @@ SHARP = 0.05
 # A fan of points around a peak, narrowed in four steps, finds its place to 1e-7.
 FAN = np.linspace(-1, 1, 30)
 FANS = (2e-2, 1e-3, 5e-5, 2.5e-6)
+RIVALS = 3  # resonances beside a peak that are looked at
+RIVAL = 0.9  # of the peak, from which on they are
+PARABOLAS = 6
+EARLIEST = 1e-300  # stands for a pole at z = 0, which has decayed before the first sample
 
 
 def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance: float = 1e-7) -> tuple[float, float]:
@@ -36,15 +42,69 @@ def peak_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool, tolerance:
     if poles.size and growth.max() >= 0:
         worst = poles[np.argmax(growth)]
         return np.inf, float(abs(np.angle(worst)) if discrete else abs(worst.imag))
-    if discrete:
-        form = modal(A, B, C)
-        # z -> -z keeps every gain and turns the spectrum round: no pole is then near the point that goes to infinity
-        turned = poles.size and np.abs(poles + 1).min() < np.abs(poles - 1).min()
-        a, b = (-form.A, -form.B) if turned else (form.A, form.B)
-        gain, w = _peak(*bilinear_to_continuous(a, b, form.C, D), tolerance)
-        angle = float(2 * np.arctan(w))
-        return gain, np.pi - angle if turned else angle
-    return _peak(A, B, C, D, tolerance)
+    gain, w = _mapped_peak(A, B, C, D, poles, tolerance) if discrete else _peak(A, B, C, D, tolerance)
+    return _refined(A, B, C, D, discrete, poles, gain, w)
+
+
+def _refined(
+    A: Array, B: Array, C: Array, D: Array, discrete: bool, poles: Array, gain: float, w: float
+) -> tuple[float, float]:
+    """Return a peak found in modal coordinates as it is in the coordinates given.
+
+    Modal blocks know a pole to the round-off of A times the condition of the modes, which is much of the damping of a
+    light one. Near a resonance 1 / gain^2 is a parabola over frequency: three points of it lead to its bottom.
+    Resonances that come near the peak are looked at as well.
+    """
+    if not (np.isfinite(w) and w > 0 and poles.size and gain > 0):
+        return gain, w
+
+    def at(x: float) -> float:
+        z = np.exp(1j * x) if discrete else 1j * x
+        return float(np.linalg.norm(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D, 2))
+
+    places = (
+        np.log(np.where(poles == 0, EARLIEST, poles).astype(complex)) if discrete else poles
+    )  # as rates of decay and frequencies, both times the same
+    sharp = places[(places.imag > 0) & (np.abs(places.real) < SHARP * np.abs(places))]
+    rivals = [
+        float(p.imag) for p in sharp[np.argsort(np.abs(sharp.imag - w))[:RIVALS]] if at(float(p.imag)) > RIVAL * gain
+    ]
+    best, where = at(w), w
+    for start in [w, *rivals]:
+        near = places[np.argmin(np.abs(places - 1j * start))]
+        top, x = _parabola(at, start, abs(float(near.real)))
+        if top > best:
+            best, where = top, x
+    # what lies off every resonance is as the modal form says, and no light damping spoils it there
+    return best, where
+
+
+def _parabola(at: Callable[[float], float], w: float, width: float) -> tuple[float, float]:
+    best, where, h = at(w), w, width / 2
+    for _ in range(PARABOLAS):
+        if not 0 < h < where:
+            break
+        left, middle, right = (1 / at(x) ** 2 for x in (where - h, where, where + h))
+        bend = left - 2 * middle + right
+        move = h * (left - right) / (2 * bend) if bend > 0 else (h if right < left else -h)
+        new = where + float(np.clip(move, -4 * h, 4 * h))
+        higher = at(new) if new > 0 else 0.0
+        if higher <= best:
+            h /= 8
+            continue
+        best, where = higher, new
+    return best, where
+
+
+def _mapped_peak(A: Array, B: Array, C: Array, D: Array, poles: Array, tolerance: float) -> tuple[float, float]:
+    """Return the peak of a discrete system, and where in radians per sample, by the bilinear map."""
+    form = modal(A, B, C)
+    # z -> -z keeps every gain and turns the spectrum round: no pole is then near the point that goes to infinity
+    turned = poles.size and np.abs(poles + 1).min() < np.abs(poles - 1).min()
+    a, b = (-form.A, -form.B) if turned else (form.A, form.B)
+    gain, w = _peak(*bilinear_to_continuous(a, b, form.C, D), tolerance)
+    angle = float(2 * np.arctan(w))
+    return gain, np.pi - angle if turned else angle
 
 
 def mean_square_gain(A: Array, B: Array, C: Array, D: Array, discrete: bool) -> float:

@@ -46,6 +46,16 @@ class StudyResult:
         """The matrix in which every channel has the model its held-out record prefers; None where none was ranked."""
         return self.identification.values.get(stored.PREFERRED)
 
+    @property
+    def laws(self) -> dict[str, StateSpace]:
+        """The laws that run, by controller; none where a design found none."""
+        return {name: outcome.values[name] for name, outcome in self.designs.items() if name in outcome.values}
+
+    @property
+    def response(self) -> FrequencyResponse | None:
+        """The response that the design model was fitted to; None where it was fitted to a record."""
+        return self.plant.values.get(stored.RESPONSE)
+
     def paper_model(self, signal: str) -> PolynomialMatrix:
         """Return the paper's structure fitted to a test signal."""
         return self.identification.values[stored.paper(signal)]

@@ -23,7 +23,7 @@ from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.pipeline.study import Band, Design, Plant, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
@@ -237,7 +237,7 @@ class Stages:
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
         compute = partial(identification.plant, self.records, settings)
-        key = [self._record_hashes, _key(settings)]
+        key = plant_key(self._record_hashes, settings)
         outcome = self.cache.stage("plant", "models", key, PlantFacts, compute)
         self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
         return outcome
@@ -269,8 +269,7 @@ class Stages:
     def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
-        promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
-        key = [plant.hash, _key(settings.design), promised]
+        key = design_key(plant, settings, loop)
         compute = partial(control.designed, name, plant, settings, loop)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
@@ -328,6 +327,17 @@ class _Controller:
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
     payload: Outcome[PayloadFacts] | None = None
+
+
+def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
+    """Return what the stage `plant` depends on: all records of the study by their hashes, and `[plant]`."""
+    return [dict(record_hashes), _key(settings)]
+
+
+def design_key(plant: StateSpace, settings: Design, loop: LoopPlan) -> list[Any]:
+    """Return what the stage `design-NAME` depends on: the plant, the table, and what a reduction is held to."""
+    promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
+    return [plant.hash, _key(settings.design), promised]
 
 
 def _key(method: Method) -> dict[str, Any]:

@@ -16,7 +16,8 @@ from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
 from ultraquiet.pipeline.tables.mission import CampaignTable, PayloadTable
-from ultraquiet.pipeline.tables.numbers import Band, Positive
+from ultraquiet.pipeline.tables.numbers import Band, Order, Positive
+from ultraquiet.pipeline.tables.paper import Paper
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.
@@ -29,7 +30,6 @@ def _file_name(name: str) -> str:
     return name
 
 
-Order = Annotated[int, Field(ge=1, le=20)]
 Name = Annotated[str, AfterValidator(_file_name)]
 
 
@@ -91,22 +91,6 @@ class IdentifyTable(Strict):
     orders: list[Order] = Field(default=[2, 3, 4, 5, 6, 7, 8], min_length=1)
     records: str | None = None
     held_out: str | None = None
-
-
-class Paper(Strict):
-    """`[paper]`: what a publication reported of this bench, shown beside what the study finds.
-
-    Its structure is fitted to each of its test signals; `channel` is the one whose functions it prints, counted from
-    one; `simulated` are records that models are shown beside; `says` are sentences of the report, as they stand.
-    """
-
-    structure: str = "box-jenkins"
-    order: Order = 5
-    records: list[str] = Field(min_length=1)
-    channel: Annotated[int, Field(ge=1)] = 1
-    simulated: list[str] = Field(default=[])
-    band_hz: Band = (10.0, 250.0)
-    says: list[str] = Field(default=[])
 
 
 class Plant(Method):

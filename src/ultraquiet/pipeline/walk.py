@@ -19,6 +19,7 @@ from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.mission.campaign import How
+from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stages import Say, Stages
 from ultraquiet.pipeline.store.copies import Copies
@@ -37,8 +38,39 @@ STUDY_FILE = "study.json"
 
 
 @single_threaded
+def measure(settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print) -> Mapping[str, Record]:
+    """Return the records of a study's list, measured where they are not there yet; `walk` goes on from them.
+
+    Args:
+        settings: the checked study; it names a bench and a list.
+        folder: where `records/` goes.
+        beside: folder of the study file.
+        say: told what was kept under another name.
+
+    Raises:
+        UltraquietError: as `walk`, up to its records.
+    """
+    own = bench_of(settings, beside)
+    if own is None:
+        raise InputError("study: it has no bench that could measure; drop files instead.")
+    bench = own if settings.blending is None else blended(own, settings.blending, beside)
+    listed = experiments.load(_list_of(settings, beside), bench, settings.study.seed)
+    with locked(folder, say), _on_a_disk(folder):
+        sweep(folder)
+        _require_space(folder)
+        store = Records(listed, bench, partial(identity, own, _bench_table(settings), beside), folder, say)
+        store.claim()
+        return store.take()
+
+
+@single_threaded
 def walk(
-    settings: study.Study, folder: Path, beside: Path | None = None, say: Say = print, record_again: bool = False
+    settings: study.Study,
+    folder: Path,
+    beside: Path | None = None,
+    say: Say = print,
+    record_again: bool = False,
+    compare: Path | None = None,
 ) -> Summary:
     """Run a study and return its summary.
 
@@ -51,16 +83,18 @@ def walk(
         beside: folder of the study file, where its experiment list is sought.
         say: told one line per finished stage.
         record_again: set finished records aside, and measure anew.
+        compare: folder of another finished study that the report sets beside this one.
 
     Raises:
         UltraquietError: a stage refuses; those before it are kept and reused.
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
+    other = None if compare is None else finished(compare)
     with prepared(settings, folder, beside, say, record_again) as stages:
         result = stages.run()
         summary = summarise(result)
         write_bytes(folder / "summary.json", to_json(summary))
-        write(report(result), folder / "report.html")
+        write(report(result, other), folder / "report.html")
         sweep(folder)
     return summary
 

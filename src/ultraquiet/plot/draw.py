@@ -43,6 +43,22 @@ def draw_png(figure: Figure) -> bytes:
     return _drawn(figure, "png", {"Software": None})
 
 
+def draw_small_png(figure: Figure, most_bytes: int) -> bytes:
+    """Return a figure as a PNG of few colours and at most so many bytes: for lines no more are needed."""
+    from PIL import Image
+
+    with Image.open(io.BytesIO(draw_png(figure))) as drawn:
+        flat = drawn.convert("RGB")
+    for share, colours in ((0.8, 32), (0.8, 12), (0.65, 12), (0.5, 8), (0.35, 8)):
+        size = round(flat.width * share), round(flat.height * share)
+        few = flat.resize(size, Image.Resampling.LANCZOS).quantize(colours, dither=Image.Dither.NONE)
+        out = io.BytesIO()
+        few.save(out, "png", optimize=True)
+        if out.tell() <= most_bytes:
+            break
+    return out.getvalue()
+
+
 def _drawn(figure: Figure, form: str, metadata: dict[str, None]) -> bytes:
     import matplotlib as mpl
     from matplotlib.figure import Figure as Canvas
@@ -91,7 +107,8 @@ def panel_on(axes: "Axes", panel: Panel) -> None:
     """Draw one panel on matplotlib axes."""
     if panel.words:
         axes.axis("off")
-        axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
+        said = axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
+        said.set_in_layout(False)  # long words are cut by the figure's edge, they do not press the axes to nothing
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
         axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)
@@ -110,6 +127,8 @@ def panel_on(axes: "Axes", panel: Panel) -> None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range:
         axes.set_ylim(*panel.y_range)
+    if panel.x_names:
+        axes.set_xticks(range(len(panel.x_names)), panel.x_names)
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)

@@ -45,7 +45,7 @@ class Fill:
 class Panel:
     """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x.
 
-    `words` are lines of text for a panel without curves.
+    `x_names` stand at 0, 1, 2 ... in place of numbers, `words` are lines of text for a panel without curves.
     """
 
     lines: Sequence[Line]
@@ -57,6 +57,7 @@ class Panel:
     y_range: tuple[float, float] | None = None
     spans: Sequence[tuple[float, float]] = ()
     y_log: bool = False
+    x_names: Sequence[str] = ()
     fills: Sequence["Fill"] = ()
     words: Sequence[str] = ()
 

@@ -28,10 +28,12 @@ def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = ""
         unit = record.actuators[actuator].unit
         power = psd(record.inputs[actuator], record.rate_hz)
         f, values = power.f_hz[1:], power.values.ravel()[1:]
-        panels.append(Panel([Line.of(record.time_s, record.inputs[actuator], shade=k)], name, SECONDS, unit))
+        panels.append(
+            Panel([Line.of(record.time_s, record.inputs[actuator], shade=k)], name, SECONDS, _labelled("command", unit))
+        )
         db = 10 * np.log10(np.maximum(values, values.max(initial=0.0) * 1e-12 + np.finfo(float).tiny))
         panels.append(
-            Panel([Line.of(f, db, shade=k)], f"{name}: spectrum", HZ, f"dB re {squared(unit)}/Hz", x_log=True)
+            Panel([Line.of(f, db, shade=k)], f"{name}: spectrum", HZ, f"density (dB re {squared(unit)}/Hz)", x_log=True)
         )
     caption = f"Test signals as they were sent, and their one-sided power spectral densities.{note}"
     return Figure("test_signals", "Test signals", caption, panels, 2, (8.0, 1.9 * len(signals)))
@@ -40,7 +42,9 @@ def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = ""
 def responses(name: str, record: Record, actuator: int, note: str = "") -> Figure:
     """All sensors while one actuator is driven."""
     panels = [
-        Panel([Line.of(record.time_s, y, shade=0 if i == actuator else 7)], c.name, SECONDS, c.unit)
+        Panel(
+            [Line.of(record.time_s, y, shade=0 if i == actuator else 7)], c.name, SECONDS, _labelled("reading", c.unit)
+        )
         for i, (y, c) in enumerate(zip(record.outputs, record.sensors, strict=True))
     ]
     caption = f"Readings of all sensors while {record.actuators[actuator].name} sends '{name}'.{note}"
@@ -57,8 +61,13 @@ def simulation(
     command, reading = record.actuators[actuator], record.sensors[sensor]
     models = [Line.of(t, values[-n:], model, "--", k + 1) for k, (model, values) in enumerate(simulated.items())]
     panels = [
-        Panel([Line.of(t, record.inputs[actuator, -n:])], f"command, {command.name}", SECONDS, command.unit),
-        Panel([Line.of(t, y, "bench"), *models], f"reading and simulations, {reading.name}", SECONDS, reading.unit),
+        Panel([Line.of(t, record.inputs[actuator, -n:])], command.name, SECONDS, _labelled("command", command.unit)),
+        Panel(
+            [Line.of(t, y, "bench"), *models],
+            f"{reading.name}, as read and as simulated",
+            SECONDS,
+            _labelled("reading", reading.unit),
+        ),
     ]
     clipped = record.clipped()[sensor]
     limits = (
@@ -91,8 +100,8 @@ def bode(
         Line.of(f, _phase_deg(f, g[output, input_], middle), "", styles[k % 5], k) for k, (_, f, g) in enumerate(models)
     ]
     panels = [
-        Panel(magnitude, "magnitude", "", gain_unit(wires), True, span_hz),
-        Panel(phase, "phase", HZ, "degrees", True, span_hz),
+        Panel(magnitude, "magnitude", HZ, f"gain ({gain_unit(wires)})", True, span_hz),
+        Panel(phase, "phase", HZ, "phase (°)", True, span_hz),
     ]
     actuator, sensor = wires[0][input_].name, wires[1][output].name
     caption = f"From {actuator} to {sensor}: models from different test signals.{note}"
@@ -164,6 +173,11 @@ def sensitivity(curves: Mapping[str, tuple[FloatArray, FloatArray]], band_hz: tu
     panel = Panel(lines, "", HZ, "amplification (dB)", True, spans=[band_hz])
     caption = "Largest singular value of the sensitivity measured on the bench: below zero, every direction is quieter."
     return Figure("sensitivity", "Every direction, every frequency", caption, [panel], 1, (8.0, 3.8))
+
+
+def _labelled(what: str, unit: str) -> str:
+    """Return the label of an axis, its unit in brackets where there is one."""
+    return f"{what} ({unit})" if unit else what
 
 
 def file_stem(name: str) -> str:

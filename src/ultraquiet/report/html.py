@@ -1,38 +1,43 @@
 """Turn a report into one HTML file that needs nothing beside it."""
 
-from dataclasses import replace
-from itertools import count
 from pathlib import Path
+from typing import Any
 
+from ultraquiet import chart
 from ultraquiet.files import write_bytes
-from ultraquiet.plot import Figure, draw_svg
-from ultraquiet.report.content import Report
+from ultraquiet.report.content import Report, Span, Verdict
+from ultraquiet.report.figures import named_apart, on_page, pictures_of
+
+SHAPES = {"ok": "●", "fragile": "▲", "bad": "■"}  # beside the colour, for readers and printers that see none
 
 
 def render(report: Report) -> str:
-    """Return the report as one HTML text; figures stand in it as SVG, no address is fetched."""
+    """Return the report as one HTML text: its figures as numbers and stills, its script and its style; no address."""
     import jinja2
 
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("ultraquiet.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
+    loader = jinja2.PackageLoader("ultraquiet.report", ".")
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.tests.update(verdict=_is_verdict, span=_is_span)
+    apart, packing = named_apart(report), chart.Packing()
+    figures = on_page(pictures_of(apart), packing)
+    source = loader.get_source
+    return environment.get_template("page.html.j2").render(
+        report=apart,
+        figures=figures,
+        data=packing.data,
+        shapes=SHAPES,
+        style=chart.style() + source(environment, "page.css")[0],
+        script=chart.script() if figures else "",
+        behaviour=source(environment, "page.js")[0],
     )
-    apart = named_apart(report)
-    drawn = {figure.name: draw_svg(figure) for section in apart.sections for figure in section.figures}
-    return environment.get_template("page.html.j2").render(report=apart, drawn=drawn)
 
 
-def named_apart(report: Report) -> Report:
-    """Return the report with a number behind the name of every figure whose name stands on the page already."""
-    taken: set[str] = set()
+def _is_verdict(cell: Any) -> bool:
+    return isinstance(cell, Verdict)
 
-    def apart(figure: Figure) -> Figure:
-        names = (figure.name if number == 1 else f"{figure.name}-{number}" for number in count(1))
-        name = next(name for name in names if name not in taken)
-        taken.add(name)
-        return replace(figure, name=name)
 
-    sections = [replace(s, figures=[apart(figure) for figure in s.figures]) for s in report.sections]
-    return replace(report, sections=sections)
+def _is_span(cell: Any) -> bool:
+    return isinstance(cell, Span)
 
 
 def write(report: Report, path: Path) -> Path:

@@ -10,6 +10,7 @@ from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.campaigns.drawing import drawn_bench, drawn_parameters
 from ultraquiet.simulate.campaigns.evaluation import Campaign
 from ultraquiet.simulate.campaigns.run import is_of, run_campaign
+from ultraquiet.simulate.commissioning.commission import Commissioning, CommissioningStep, commission
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.noise import NoiseReduction, noise_reduction
 from ultraquiet.simulate.open_loop import OpenLoop
@@ -23,6 +24,8 @@ from ultraquiet.simulate.step import StepReduction, step_reduction
 __all__ = [
     "Attenuation",
     "Campaign",
+    "Commissioning",
+    "CommissioningStep",
     "LoopCheck",
     "MeasuredSensitivity",
     "NoiseReduction",
@@ -35,6 +38,7 @@ __all__ = [
     "attenuation",
     "campaign",
     "check_stability",
+    "commission",
     "disturb",
     "drawn_bench",
     "drawn_benches",

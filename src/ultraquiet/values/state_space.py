@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen, rate, real_array
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.provenance import Provenance, content_hash
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet._base.shown.grid import gain_curve
-from ultraquiet.linalg import response
+from ultraquiet.linalg import descriptor, response
 from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.joined.algebra import Algebra, Matrices, Wires
@@ -123,3 +123,43 @@ class StateSpace(Shown, Algebra, SystemNeighbours):
     def state_space(self) -> "StateSpace":
         """Return this system itself, so that every model answers to the same name."""
         return self
+
+    @classmethod
+    def from_descriptor(
+        cls,
+        E: ArrayLike,
+        A: ArrayLike,
+        B: ArrayLike,
+        C: ArrayLike,
+        D: ArrayLike,
+        rate_hz: float | None = None,
+    ) -> "StateSpace":
+        """Return E x' = A x + B u, y = C x + D u without its E.
+
+        Algebraic equations (E without full rank) are solved for the variables that they fix, which become direct terms.
+
+        Args:
+            E: real matrix `(n, n)`, of any rank.
+            A: `(n, n)`.
+            B: `(n, nu)`.
+            C: `(ny, n)`.
+            D: `(ny, nu)`.
+            rate_hz: sampling rate; None for continuous time.
+
+        Raises:
+            InputError: shapes that do not fit, or algebraic equations that fix nothing (index above one).
+
+        >>> two = StateSpace.from_descriptor([[1, 0], [0, 0]], [[-1, 1], [0, -1]], [[0], [2]], [[1, 0]], [[0]])
+        >>> two.states, round(float(two.frequency_response([0.0])[0, 0, 0].real), 12)
+        (1, 2.0)
+
+        Dai 1989, Singular Control Systems, section 1.3, doi:10.1007/BFb0002475.
+        """
+        explicit = cls(A, B, C, D, rate_hz)
+        e = real_array("StateSpace.from_descriptor", "E", E, 2)
+        if e.shape != explicit.A.shape:
+            raise InputError(f"StateSpace.from_descriptor: 'E' must have the shape of A, {explicit.A.shape}.")
+        try:
+            return cls(*descriptor.explicit(e, explicit.A, explicit.B, explicit.C, explicit.D), rate_hz)
+        except NumericalError as error:
+            raise InputError(f"StateSpace.from_descriptor: {error}") from None

@@ -6,7 +6,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.bench.hexapod.chain import Chain, ModalBasis, chain, sampled_response
 from ultraquiet.bench.hexapod.physics.assemble import Mechanics, assemble
 from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, at_temperature
-from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ
+from ultraquiet.bench.hexapod.physics.parameters import GEOPHONE_HZ, RATE_HZ
 from ultraquiet.bench.hexapod.physics.parts import HexapodParts, nominal
 from ultraquiet.bench.hexapod.physics.spread import draw
 from ultraquiet.linalg.balance import Coordinates, modal
@@ -70,6 +70,6 @@ class Model:
 
 
 @lru_cache(maxsize=UNITS_KEPT)
-def built(unit: str, instruments: str, spread: float, unit_seed: int) -> Model:
+def built(unit: str, instruments: str, spread: float, unit_seed: int, geophone_hz: float = GEOPHONE_HZ) -> Model:
     """Return the model of a unit, put together once."""
-    return Model(draw(nominal(unit, instruments), spread, unit_seed))
+    return Model(draw(nominal(unit, instruments, geophone_hz), spread, unit_seed))

@@ -15,13 +15,14 @@ from ultraquiet.bench.hexapod.laws import Limits, Plant
 from ultraquiet.bench.hexapod.model import Model, built
 from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, weather
 from ultraquiet.bench.hexapod.physics.hysteresis import none, typical
-from ultraquiet.bench.hexapod.physics.parameters import BASES, RATE_HZ
+from ultraquiet.bench.hexapod.physics.parameters import BASES, GEOPHONE_HZ, RATE_HZ
 from ultraquiet.bench.hexapod.physics.parts import INSTRUMENTS
 from ultraquiet.bench.hexapod.wiring import ACTUATORS, SENSORS, channels, limits, noise
 from ultraquiet.values import Channel, StateSpace
 
 MOST_SPREAD = 5.0  # times the tolerances: beyond, a draw may have no stiffness or mass left
 TEMPERATURES_C = -50.0, 100.0  # where the linear laws of `drift.py` may still be believed, and every part is sound
+GEOPHONES_HZ = 0.5, 30.0  # corners of geophones that are sold
 MOST_DRIFT = 10.0  # times the stated temperatures: beyond, the stages would stiffen by half
 
 
@@ -41,6 +42,7 @@ class HexapodSettings:
     spread: float = 0.0
     unit_seed: int = 0
     drift: float = 0.0
+    geophone_hz: float = GEOPHONE_HZ
 
     def __post_init__(self) -> None:
         one_of("Hexapod", "unit", self.unit, tuple(BASES))
@@ -50,6 +52,7 @@ class HexapodSettings:
         whole("Hexapod", "adc_bits", self.adc_bits, 4, 32)
         between("Hexapod", "spread", self.spread, 0.0, MOST_SPREAD)
         between("Hexapod", "drift", self.drift, 0.0, MOST_DRIFT)
+        between("Hexapod", "geophone_hz", self.geophone_hz, *GEOPHONES_HZ, "Hz")
 
     @property
     def rate_hz(self) -> float:
@@ -80,6 +83,7 @@ class HexapodSettings:
             "spread": self.spread,
             "unit_seed": self.unit_seed,
             "drift": 0.0 if self.linear else self.drift,
+            "geophone_hz": float(self.geophone_hz),
         }
         return Provenance("bench.hexapod", settings, self.seed)
 
@@ -103,7 +107,7 @@ class HexapodSettings:
     @property
     def model(self) -> Model:
         """The unit's parts, put together; benches of the same unit share it."""
-        return built(self.unit, self.instruments, float(self.spread), self.unit_seed)
+        return built(self.unit, self.instruments, float(self.spread), self.unit_seed, float(self.geophone_hz))
 
     @property
     def continuous(self) -> Chain:

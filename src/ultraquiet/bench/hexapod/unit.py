@@ -46,6 +46,8 @@ class Hexapod(HexapodSettings):
         unit_seed: which unit is drawn.
         drift: how far the temperature moves within and between runs; 1 takes the cycles of `drift.py`. A run starts
             each minute of the bench's clock.
+        geophone_hz: corner of the struts' geophones, 12 Hz in the paper; 4.5 and 1 Hz are sold too. Below it they hear
+            jerk instead of velocity, and their own noise: it bounds how low the band of a law may begin.
 
     Raises:
         InputError: an unknown unit; signals of the wrong shape or with NaN; a controller of other dimensions.

@@ -40,6 +40,7 @@ FNV_BASIS, FNV_PRIME, MASK = 2166136261, 16777619, 2**32 - 1
 LCG_FACTOR, LCG_STEP = 1664525, 1013904223
 CANONICAL_NAN = 0x7FC00000
 COMMENT = 22  # column at which a script's remarks begin
+DRAWN_BITS = 24
 HALF_RANGE = 2**23  # the generator's 24 bits, centred
 
 # Bits of NaN, infinity, minus infinity, and of half the largest number, which overflows in the next sums.
@@ -282,5 +283,8 @@ def generator_scales(law: Law) -> tuple[float, float]:
     ratio = room[(peak > 0) & (room > 0)] / peak[(peak > 0) & (room > 0)]
     if not ratio.size or not np.all(np.isfinite(ratio)):
         return 2.0**-23, 2.0**-20
-    quiet = 2.0 ** np.floor(np.log2(0.25 * ratio.min()))
-    return float(quiet), float(2.0 ** np.ceil(np.log2(16.0 * ratio.max())))
+    powers = np.floor(np.log2(0.25 * ratio.min())), np.ceil(np.log2(16.0 * ratio.max()))
+    # A measurement is such a scale times 24 bits, and both must be numbers of the law's own type.
+    known = np.finfo(law.dtype)
+    quiet, loud = (2.0 ** np.clip(power, known.minexp, known.maxexp - DRAWN_BITS - 1) for power in powers)
+    return float(quiet), float(loud)

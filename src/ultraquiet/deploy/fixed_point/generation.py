@@ -125,15 +125,20 @@ def generate_fixed(
     require_ours(folder)
     even, loop = balanced(controller), None if plant is None else balanced(plant)
     law, error = _best(even, word, name, loop, options, bits)
-    require_stable(law.state_space(), even, loop, f"{law.word} coefficients in {law.form} form")
+    require_stable(law.state_space(), even, loop, f"{law.word} coefficients in {law.form} form", _more(law))
     deployment = FixedDeployment(
-        law, folder, _tables(law, error), _status(law, error, plant is None, options.tolerance)
+        law, folder, _tables(law, error), _status(law, error, plant is None, options.tolerance, options.scaling)
     )
     write_folder(folder, _texts(deployment, controller.hash))
     return deployment
 
 
-def _status(law: FixedLaw, error: float, alone: bool, tolerance: float) -> Status:
+def _more(law: FixedLaw) -> str:
+    """Return the word that holds more than this law's."""
+    return "q31" if law.word == "q15" else "float32"
+
+
+def _status(law: FixedLaw, error: float, alone: bool, tolerance: float, scaling: str) -> Status:
     """Return a sentence on the law.
 
     Raises:
@@ -142,11 +147,11 @@ def _status(law: FixedLaw, error: float, alone: bool, tolerance: float) -> Statu
     noise = float(law.noise_v.max()) / law.output_v
     what = "the response" if alone else "the loop's sensitivity"
     if not error <= tolerance or noise > tolerance:
+        other = "" if scaling == "l2" else ", scaling='l2'"
         lost = "makes the loop unstable" if not np.isfinite(error) else f"changes {what} by {error:.1e} of its size"
         raise InputError(
             f"generate_fixed: {law.word} in {law.form} form {lost} and puts rounding noise of {noise:.1e} of the range"
-            f" on the commands, more than {tolerance:g}; take {'q31' if law.word == 'q15' else 'float32'}, scaling='l2'"
-            " or a larger tolerance."
+            f" on the commands, more than {tolerance:g}; take {_more(law)}{other} or a larger tolerance."
         )
     reach = "no state can overflow" if not law.saturates else "states are limited"
     return Status(

@@ -58,7 +58,12 @@ def fixed_law(
     _check(controller, word, form, scaling)
     positive("fixed_law", "input_v", input_v, "V")
     positive("fixed_law", "output_v", output_v, "V")
-    parts = _normalised(realisation(controller, form), input_v, output_v)
+    try:
+        parts = _normalised(realisation(controller, form), input_v, output_v)
+    except InputError as refusal:
+        # Its own advice names forms of floating point, which these words have not.
+        why = str(refusal).partition(";")[0].removeprefix("deploy: ")
+        raise InputError(f"fixed_law: {why}; take precision='float32', which knows other forms.") from refusal
     scale = _scale(parts, scaling)
     settings: dict[str, Any] = {"name": name, "word": word, "form": form, "scaling": scaling, "input_v": input_v}
     settings |= {"output_v": output_v, "rate_hz": float(controller.rate_hz or 0), "order": controller.states}

@@ -30,6 +30,17 @@ def conditioning_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
 
     Reference: Hanus, Kinnaert & Henrotte, Automatica 23 (1987), doi:10.1016/0005-1098(87)90029-X.
     """
+    # In units of its own, powers of two: what the sensors count in must not decide whether there is a gain.
+    y_unit, u_unit = _unit(B), _unit(C)
+    return _gain(A, B / y_unit, C / u_unit, D / (y_unit * u_unit)) / u_unit
+
+
+def _unit(matrix: FloatArray) -> float:
+    largest = float(np.abs(matrix).max(initial=0.0))
+    return float(2.0 ** np.round(np.log2(largest))) if largest > 0 else 1.0
+
+
+def _gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray) -> FloatArray:
     nu = C.shape[0]
     floor = FLOOR * max(float(np.trace(D @ D.T)), float(np.trace(C @ B @ B.T @ C.T)), np.finfo(float).tiny) / nu
     R = D @ D.T + floor * np.eye(nu)

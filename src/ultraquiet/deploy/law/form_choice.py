@@ -86,8 +86,12 @@ def error_of(rounded: StateSpace, controller: StateSpace, plant: StateSpace | No
     return float((change / np.maximum(size, floor)).max())
 
 
-def require_stable(rounded: StateSpace, controller: StateSpace, plant: StateSpace | None, what: str) -> None:
+def require_stable(
+    rounded: StateSpace, controller: StateSpace, plant: StateSpace | None, what: str, advice: str
+) -> None:
     """Refuse a rounded law that upsets the loop with a plant, or is unstable where the law as designed is stable.
+
+    `advice` is what there is to take instead, for the end of the sentence.
 
     Raises:
         NumericalError: with the largest pole of loop or law, as designed and rounded.
@@ -103,7 +107,7 @@ def require_stable(rounded: StateSpace, controller: StateSpace, plant: StateSpac
         before, after = (float(np.abs(law.poles()).max()) for law in (controller, rounded))
         raise NumericalError(
             f"deploy: the law is stable, not so its {what}: its largest pole is {before:.9f} as designed, {after:.9f}"
-            " rounded; nothing was written, take form='delta' or 'auto', or more digits."
+            f" rounded; nothing was written, take {advice}."
         )
 
 

@@ -18,6 +18,7 @@ START_ZETA = (0.2, 1.0)
 START_GAIN = 0.3
 WORST_PAIR = 1e6  # condition of the change of coordinates into pairs
 SLOWEST = 1e-6  # of poles, in the plane
+LEAST_SHARE = 0.05  # of the largest parameter: a smaller one moves by as much
 
 
 class Element(Protocol):
@@ -47,6 +48,10 @@ class Element(Protocol):
 
     def turned_down(self, theta: FloatArray, factor: float) -> FloatArray:
         """Return the parameters of factor times the law."""
+        ...
+
+    def sizes(self, theta: FloatArray) -> FloatArray:
+        """Return what a unit of change of each parameter is."""
         ...
 
     def start(self, rng: np.random.Generator, low: float, high: float) -> FloatArray:
@@ -101,6 +106,10 @@ class Dense:
         M = theta.reshape(self.states + self.outputs, -1).copy()
         M[self.states :] *= factor
         return M.ravel()
+
+    def sizes(self, theta: FloatArray) -> FloatArray:
+        """Return what a unit of change of each parameter is."""
+        return np.maximum(np.abs(theta), LEAST_SHARE * max(float(np.abs(theta).max(initial=0.0)), LEAST_SHARE))
 
     def start(self, rng: np.random.Generator, low: float, high: float) -> FloatArray:
         """Return a random start with poles between two frequencies."""
@@ -177,6 +186,10 @@ class StablePairs:
         out, first = theta.copy(), self.states * (1 + self.inputs)
         out[first:] *= factor
         return out
+
+    def sizes(self, theta: FloatArray) -> FloatArray:
+        """Return what a unit of change of each parameter is."""
+        return np.maximum(np.abs(theta), LEAST_SHARE * max(float(np.abs(theta).max(initial=0.0)), LEAST_SHARE))
 
     def start(self, rng: np.random.Generator, low: float, high: float) -> FloatArray:
         """Return a random start with poles between two frequencies."""

@@ -86,6 +86,10 @@ class SectionCascade:
             M = _series(M, _section(num, den))
         return M
 
+    def sizes(self, theta: FloatArray) -> FloatArray:
+        """Return what a unit of change is: the gain's own size, one for logarithms."""
+        return np.append(max(abs(float(theta[0])), 1e-3), np.ones(self.size - 1))
+
     def start(self, rng: np.random.Generator, low: float, high: float) -> FloatArray:
         """Return the values given, moved at random by a factor of two or so."""
         theta = self.origin

@@ -149,7 +149,10 @@ def _room(reference: Array, name: str) -> Callable[[riccati.Level], float]:
     scale = float(np.trace(reference)) if n else 0.0
     if scale <= 0:
         return lambda _: float("nan")
-    root = np.linalg.inv(np.linalg.cholesky(reference + REGULAR * scale * np.eye(n)))
+    try:
+        root = np.linalg.inv(np.linalg.cholesky(reference + REGULAR * scale * np.eye(n)))
+    except np.linalg.LinAlgError:  # errors of a reference that is all but singular; bisection does without
+        return lambda _: float("nan")
 
     def measure(level: riccati.Level) -> float:
         X = getattr(level, name)

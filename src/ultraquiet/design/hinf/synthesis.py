@@ -16,7 +16,7 @@ from ultraquiet.design.hinf.problem.hidden import without_hidden
 from ultraquiet.design.hinf.problem.regularise import WEIGHTS, regularised
 from ultraquiet.design.hinf.problem.units import EvenProblem, even_problem
 from ultraquiet.design.hinf.problem.verified import Reached, Verifier
-from ultraquiet.design.hinf.verification import verify_level
+from ultraquiet.design.hinf.verification import WIDTH, heard
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -122,7 +122,7 @@ def _solved(
         result = _result(v, bracket, found)
         wanted = P.states <= SMALL if second_opinion is None else second_opinion
         compared = wanted and result.status.ok and not bracket.is_zero
-        return _seconded(P, result, ny, nu) if compared else result
+        return _seconded(v, result) if compared else result
     except NumericalError as error:
         return refused(str(error))
 
@@ -223,10 +223,12 @@ def _told(result: DesignResult, hidden: int) -> DesignResult:
     return replace(result, status=status, details={**result.details, "hidden": hidden})
 
 
-def _seconded(P: StateSpace, result: DesignResult, ny: int, nu: int) -> DesignResult:
+def _seconded(v: Verifier, result: DesignResult) -> DesignResult:
     """Add the second opinion on the optimum, and a word of it to the verdict when it differs."""
     below, optimum = result.details["optimum"]
-    opinion = verify_level(P, ny, nu, optimum, below=max(below, LEAST * optimum))
+    # as `verify_level` asks; plant and bound from responses are there already
+    low = max(below, LEAST * optimum) * (1 - WIDTH)
+    opinion = heard(v, optimum * (1 + WIDTH), low, certain=result.details["certain"])
     status = result.status
     if not opinion.agrees:
         word = "differs" if opinion.decided else "is undecided"

@@ -35,7 +35,9 @@ def limits(result: StudyResult) -> Section:
         *_lower_end(facts.bands),
     ]
     low, high = result.plan.band_hz
-    return Section("Limits", text, [Table(f"Each design beside its own limit over {low:g}-{high:g} Hz", COLUMNS, rows)])
+    return Section(
+        "Limits", text, [Table(f"Each design beside its own limit over {low:.4g}-{high:.4g} Hz", COLUMNS, rows)]
+    )
 
 
 def _unit_of_control(result: StudyResult) -> str:
@@ -57,9 +59,9 @@ def _figures(limit: DesignLimit | NoDistance) -> list[str]:
 def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
     low, high = limit.band_hz
     if isinstance(limit, RefusedBand) or not np.isfinite(limit.bound_db):
-        return f"{low:g}-{high:g} Hz: {limit.status}"
+        return f"{low:.4g}-{high:.4g} Hz: {limit.status}"
     return (
-        f"{low:g}-{high:g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.3g}{unit}: "
+        f"{low:.4g}-{high:.4g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.3g}{unit}: "
         f"{limit.attenuation_db:.1f} dB can be reached, {limit.bound_db:.1f} dB cannot be exceeded."
     )
 
@@ -78,7 +80,7 @@ def _lower_end(bands: Sequence[BandLimit | RefusedBand]) -> list[str]:
     spent = any(span[0] < low for span in broad.binding.get("control gain", ()))
     reason = " There the sensor hears little and the gain of the control is used up." if spent else ""
     return [
-        f"Starting at {low:g} Hz instead of {narrow.band_hz[0]:g} Hz costs at least {lost:.0f} dB: the broad band "
+        f"Starting at {low:.4g} Hz instead of {narrow.band_hz[0]:g} Hz costs at least {lost:.0f} dB: the broad band "
         f"is limited at its lower end, {broad.band_hz[1]:g} Hz is not out of reach.{reason}"
     ]
 
@@ -86,4 +88,4 @@ def _lower_end(bands: Sequence[BandLimit | RefusedBand]) -> list[str]:
 def _number(value: float | None) -> str:
     if value is None or not np.isfinite(value):
         return "-"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}"
+    return f"{value:.0f}" if abs(value) >= 100 else f"{round(value, 1) + 0.0:.1f}"

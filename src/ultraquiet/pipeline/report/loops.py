@@ -4,16 +4,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.report import laws
+from ultraquiet.pipeline.report.records import noted
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.plot import Figure, study
-from ultraquiet.report import Section, Table
+from ultraquiet.plot.pages import bench
+from ultraquiet.report import Picture, Section, Table
 
 # A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
 IDLE = 1e-3
-# A response is drawn for each controller at the tone it attenuates most, if it attenuates at all.
+# A response is drawn at the tone that the law attenuates most, if it attenuates at all.
 DRAWN_ABOVE_DB = 1.0
 
 
@@ -31,8 +32,19 @@ def design(result: StudyResult) -> Section:
         sentences.append(f"{name}: {' '.join([facts.status, *_remarks(facts)])}")
     columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
     caption = "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction"
-    tables = [Table(caption, columns, rows), _margins(result), *_reductions(result)]
-    return Section("Design", sentences, tables)
+    tables = [Table(caption, columns, rows), _margins(result)]
+    figures = [*laws.shaped_charts(result), *laws.margin_charts(result), *laws.locus_charts(result)]
+    return Section("Design", [_in_short(result)], tables, figures, sentences)
+
+
+def _in_short(result: StudyResult) -> str:
+    """Say how many laws there are, and which of them the study is for."""
+    found = len(result.laws)
+    name = laws.chosen(result)
+    text = f"{found} of {len(result.designs)} designs found a law. " if found < len(result.designs) else ""
+    only = len(result.designs) == 1
+    stands = "The study has one law" if only else f"{len(result.designs)} laws stand side by side"
+    return f"{text}{stands}, drawn blue: {name}. {result.designs[name].facts.status}"
 
 
 def _reductions(result: StudyResult) -> list[Table]:
@@ -104,18 +116,42 @@ def closed_loop(result: StudyResult) -> Section:
     plan, paper = result.plan, result.study.paper
     low, high = plan.band_hz
     heads = [h for t in plan.tones_hz for h in (f"{t:g} Hz", *([f"{t:g} Hz paper_db"] if paper else []))]
-    columns = ("controller", "unit", *heads, f"{low:g}-{high:g} Hz rms", f"worst direction {low:g}-{high:g} Hz", "peak")
+    columns = (
+        "controller",
+        "unit",
+        *heads,
+        f"{low:.4g}-{high:.4g} Hz rms",
+        f"worst direction {low:.4g}-{high:.4g} Hz",
+        "peak",
+    )
     table = Table("On the bench, dB, positive is quieter; peak is amplification", columns, _loop_rows(result))
-    text = [
-        *_about_tones(result),
-        "The worst direction is the largest singular value of the sensitivity matrix measured on the bench.",
-        *_verdicts(result),
-        *_noise_limits(result),
-    ]
-    curves = _curves(result)
-    figures = [study.sensitivity(curves, plan.band_hz)] if curves else []
+    chart = laws.measured_chart(result, tuple(result.loops))
+    figures: list[Picture] = [] if chart is None else [chart]
     tables = [table, *_requirements(result.requirements)]
-    return Section("Closed loop", text, tables, [*figures, *_time_responses(result)])
+    details = [*_about_tones(result), *_verdicts(result), *_noise_limits(result)]
+    return Section("Closed loop", [*_on_the_bench(result)], tables, [*figures, *_time_responses(result)], details)
+
+
+def _on_the_bench(result: StudyResult) -> list[str]:
+    """Say of every loop that did not settle that it did not, and of the others how quiet the best of them is."""
+    stable = [
+        (loop.worst_direction_band_db, name, unit)
+        for name, unit, loop in _loops(result)
+        if isinstance(loop, StableLoop)
+    ]
+    failed = [
+        f"{name} on {unit} is {loop.word}" for name, unit, loop in _loops(result) if isinstance(loop, UnstableLoop)
+    ]
+    text = [f"{'; '.join(failed)}."] if failed else []
+    if stable:
+        db, name, unit = max(stable)
+        low, high = result.plan.band_hz
+        text.append(
+            "Every law was run on the bench as it stands in its code. The worst direction, the largest singular value "
+            f"of the sensitivity that was measured, is quietest over {low:.4g}-{high:.4g} Hz with {name} on {unit}: "
+            f"{db:.1f} dB."
+        )
+    return text
 
 
 def _about_tones(result: StudyResult) -> list[str]:
@@ -148,8 +184,8 @@ def _requirements(facts: RequirementsFacts | None) -> list[Table]:
         )
         for each in facts.judged
     ]
-    caption = f"Required of {facts.law}, worst direction over {low:g}-{high:g} Hz, disk margins on the design model"
-    return [Table(caption, ("requirement", "where", "asked", "found", "verdict"), rows)]
+    caption = f"Required of {facts.law}, worst direction over {low:.4g}-{high:.4g} Hz, disk margins on the design model"
+    return [Table(caption, ("requirement", "where", "asked", "found", "verdict"), rows, folded=True)]
 
 
 def _verdicts(result: StudyResult) -> Iterator[str]:
@@ -208,28 +244,20 @@ def _noise_limits(result: StudyResult) -> list[str]:
     return []
 
 
-def _curves(result: StudyResult) -> dict[str, tuple[FloatArray, FloatArray]]:
-    curves: dict[str, tuple[FloatArray, FloatArray]] = {}
-    for name in result.loops:
-        S = result.sensitivity(name, result.plan.units[0])
-        if S is not None:
-            size = np.linalg.svd(np.moveaxis(S.values, 2, 0), compute_uv=False)[:, 0]
-            curves[name] = (S.f_hz, -20 * np.log10(size))
-    return curves
-
-
-def _time_responses(result: StudyResult) -> list[Figure]:
-    figures: list[Figure] = []
-    first = result.plan.units[0]
-    for name, unit, loop in _loops(result):
-        if unit != first or isinstance(loop, UnstableLoop) or not loop.tones:
-            continue
-        tone, best = max(loop.tones.items(), key=lambda item: item[1].reduction_db)
-        records = result.under_tone(name, float(tone))
-        if best.reduction_db > DRAWN_ABOVE_DB and records is not None:
-            note = "" if result.study.paper is None else " (Paper: Figs. 14 and 15.)"
-            figures.append(study.closed_loop(name, float(tone), result.plan.amplitude, *records, note))
-    return figures
+def _time_responses(result: StudyResult) -> list[Picture]:
+    """Return what the chosen law does to the tone that it attenuates most, if it attenuates any."""
+    name, first = laws.chosen(result), result.plan.units[0]
+    loop = result.loops[name].facts.units[first] if name in result.loops else None
+    if not isinstance(loop, StableLoop) or not loop.tones:
+        return []
+    tone, best = max(loop.tones.items(), key=lambda item: item[1].reduction_db)
+    records = result.under_tone(name, float(tone))
+    if best.reduction_db <= DRAWN_ABOVE_DB or records is None:
+        return []
+    units = " ".join(dict.fromkeys(c.unit for c in records[0].actuators if c.unit))
+    sent = f"{result.plan.amplitude:g} {units}".strip()
+    note = noted(result, "Figs. 14 and 15")
+    return [bench.densities(name, float(tone), *records), bench.under_tone(name, float(tone), sent, *records, note)]
 
 
 def code(result: StudyResult) -> Section:
@@ -240,7 +268,15 @@ def code(result: StudyResult) -> Section:
         rows.append((name, *(str(getattr(facts, column)) if generated else "-" for column in CODE_COLUMNS)))
     sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
     note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
-    return Section("Code", [*sentences, note], [Table("Generated C99", ("controller", *CODE_COLUMNS), rows)])
+    failed = [name for name, facts in result.deployment.items() if facts.failed]
+    text = (
+        f"The proof of the code found a fault in {', '.join(failed)}; see below."
+        if failed
+        else "The code of every law was compiled and compared with its twin; what a reduction left of each law stands "
+        "beside it."
+    )
+    tables = [Table("Generated C99", ("controller", *CODE_COLUMNS), rows), *_reductions(result)]
+    return Section("Code", [text, note], tables, [], sentences)
 
 
 def _number(value: float, digits: int = 4) -> str:

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 
-from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, NoPayload, PayloadFacts, PayloadLoop
+from ultraquiet.chart import Chart
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, NoPayload, PayloadLoop
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.plot import Figure, mission
+from ultraquiet.plot.pages import campaign as pages
+from ultraquiet.plot.pages.payload import Before, payload_chart
 from ultraquiet.report import Section, Table
 
 
@@ -27,12 +29,7 @@ def payload(result: StudyResult) -> Section:
     caption = (
         f"Payload while {table.shaker} shakes, all of {', '.join(table.sensors)} together, dB, positive is quieter"
     )
-    figures = [
-        figure
-        for name, of in result.payload.items()
-        if _is_drawn(result, name)
-        for figure in _drawn(result, name, of.facts)
-    ]
+    figures = [chart for name in result.payload if _is_drawn(result, name) for chart in payload_charts(result, name)]
     return Section("Payload", list(_sentences(result)), [Table(caption, columns, rows)], figures)
 
 
@@ -77,21 +74,30 @@ def _is_drawn(result: StudyResult, name: str) -> bool:
     return name == (next(iter(result.payload)) if asked is None else asked.law)
 
 
-def _drawn(result: StudyResult, name: str, facts: PayloadFacts) -> Iterator[Figure]:
-    table = result.study.payload
-    if table is None or not facts.curves:
-        return
+def payload_charts(result: StudyResult, name: str, stem: str = "payload") -> list[Chart]:
+    """Return what the payload feels with a law and without it; nothing where it was not listened to."""
+    table, outcome = result.study.payload, result.payload.get(name)
+    if table is None or outcome is None or not outcome.facts.curves:
+        return []
     units = {
-        unit: (
+        unit: Before(
             curves.f_hz,
             (curves.open_transmissibility, curves.closed_transmissibility),
             (curves.open_cumulative, curves.closed_cumulative),
         )
-        for unit, curves in facts.curves.items()
+        for unit, curves in outcome.facts.curves.items()
     }
-    unit = next((loop.unit for loop in facts.units.values() if isinstance(loop, PayloadLoop)), "")
+    loops = {unit: loop for unit, loop in outcome.facts.units.items() if isinstance(loop, PayloadLoop)}
+    rms = next((loop.unit for loop in loops.values()), "1") or "1"
     ratio = "payload over base" if table.base else f"payload over {table.shaker}"
-    yield mission.payload(name, units, ratio, unit, table.band_hz)
+    low, high = table.band_hz
+    told = "; ".join(
+        f"{unit}: {loop.open_rms:.3g} {loop.unit} rms become {loop.closed_rms:.3g}, quieter by "
+        f"{loop.reduction_db:.1f} dB over {low:.4g}-{high:.4g} Hz, least in any half hertz {loop.worst_db:.1f} dB at "
+        f"{loop.worst_hz:.3g} Hz"
+        for unit, loop in loops.items()
+    )
+    return [payload_chart(stem, name, units, (ratio, "", rms), table.band_hz, f"{told}.")]
 
 
 def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
@@ -116,7 +122,9 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     drivers = {labels[name]: dict(found) for name, found in facts.drivers.items() if found}
     cases = {"median case": curves.median_case_db, "worst stable case": curves.worst_case_db}
     shown = {name: db for name, db in cases.items() if db is not None}
-    return Section("Drawn benches", text, tables, [mission.campaign(figures, drivers, curves.f_hz, shown)])
+    pictures = [pages.spread_chart(figures, {}), *([pages.cases_chart(curves.f_hz, shown)] if shown else [])]
+    pictures += [pages.drivers_chart(drivers)] if drivers else []
+    return Section("Drawn benches", text, tables, pictures)
 
 
 def _worst(facts: CampaignFacts) -> Table:

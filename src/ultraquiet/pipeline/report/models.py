@@ -12,13 +12,14 @@ from ultraquiet.pipeline.facts.models import (
     PreferredModels,
     RankedModel,
     RecordFit,
+    ResponsePlant,
     Root,
 )
-from ultraquiet.pipeline.identification import grouped
+from ultraquiet.pipeline.report.records import noted, span, wires
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, study
-from ultraquiet.report import Section, Table
-from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+from ultraquiet.plot.pages import models as pages
+from ultraquiet.report import Picture, Section, Table
 from ultraquiet.values.channel import squared
 
 # Zeros nearer to 0 Hz than this share of the Nyquist frequency are those at z = 1, spread by rounding: a triple root is
@@ -26,52 +27,16 @@ from ultraquiet.values.channel import squared
 AT_DC = 1e-4
 # Below so many times the band's lower end the zeros of the paper's low order are compared with those of the plant.
 LOW = 5.0
-MOST_SIGNALS = 4  # of different test signals that are drawn
-WIDER = 5.0  # what is drawn of a response, beyond either end of the band
-
-
-def excitation(result: StudyResult) -> Section:
-    """Test signals, and the responses to one of them."""
-    shown = _signals(result)
-    note = _note(result, "Fig. 6")
-    figures: list[Figure] = [study.excitation_signals(shown, note)] if shown else []
-    for name, (record, actuator) in list(shown.items())[:1]:
-        figures.append(study.responses(name, record, actuator, _note(result, "Fig. 7")))
-    clipped = {name: max(r.clipped()) for name, r in result.records.items() if max(r.clipped())}
-    words = ", ".join(f"{name} ({count} samples)" for name, count in clipped.items()) or "none"
-    return Section("Excitation", [f"Records in which a sensor stood at its limits: {words}."], figures=figures)
-
-
-def _signals(result: StudyResult) -> dict[str, tuple[Record, int]]:
-    """Return the test signals that are drawn, each with a record of it and the actuator that sent it."""
-    paper = result.study.paper
-    groups = {name: result.records[members[0]] for name, members in grouped(result.records).items()}
-    asked = [name for name in paper.records if name in groups] if paper else list(groups)[:MOST_SIGNALS]
-    return {name: (groups[name], int(np.argmax(np.ptp(groups[name].inputs, axis=1)))) for name in asked}
-
-
-def _note(result: StudyResult, where: str) -> str:
-    """Return where the paper shows the same, if this is the study of a paper."""
-    return "" if result.study.paper is None else f" (Paper: {where}.)"
-
-
-def _wires(result: StudyResult) -> study.Wires:
-    return result.design_plant.actuators, result.design_plant.sensors
-
-
-def _span(result: StudyResult) -> tuple[float, float]:
-    """Return the frequencies over which responses are drawn."""
-    low, high = result.plan.band_hz
-    f = result.analysis.facts.f_hz
-    return max(low / WIDER, float(f[0])), min(high * WIDER, float(f[-1]))
 
 
 def identification(result: StudyResult) -> Section:
-    """The ranking of structures and orders, the paper's structure, the plant for design."""
+    """The choice of the order, the ranking of structures and orders, the paper's structure."""
     facts, plant = result.identification.facts, result.plant.facts
     best, paper = facts.preferred, result.study.paper
     units = dict.fromkeys(squared(c.unit) for c in result.design_plant.sensors)
-    sentences, tables = [], []
+    sentences, tables, figures = list[str](), list[Table](), list[Picture]()
+    if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
+        figures.append(pages.errors_by_order(plant.errors_by_order, plant.order))
     if best is None:
         sentences.append(
             "No records drive one actuator after the other, so no structures were ranked channel by channel."
@@ -85,17 +50,19 @@ def identification(result: StudyResult) -> Section:
         columns = ("structure", "order", "median fit %", "worst fit %", loss, "ok", "CPU s")
         title = "All channels, judged on records no model has seen; best first"
         tables.append(Table(title, columns, _ranking(facts.table)))
-    sentences.append(
-        f"The plant that designs use is the whole matrix at once ({result.study.plant.method}), {plant.states} states."
-        f" {plant.status}"
-    )
+        figures.append(pages.fits_by_order(_by_structure(facts.table)))
     if paper is not None and facts.paper:
         title = f"The paper's structure ({paper.structure}, order {paper.order}) from each test signal"
         heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
         tables.append(Table(title, heads, _by_signal(facts.paper)))
-    f = result.analysis.facts.f_hz
-    responses = [(name, f, m.frequency_response(f)) for name, m in _shown_models(result).items()]
-    return Section("Identification", sentences, tables, [study.bode_grid(responses, _wires(result), _span(result))])
+    return Section("Identification", sentences, tables, figures)
+
+
+def _by_structure(table: Sequence[RankedModel]) -> dict[str, list[tuple[int, float, float]]]:
+    found: dict[str, list[tuple[int, float, float]]] = {}
+    for row in table:
+        found.setdefault(row.structure, []).append((row.order, row.median_fit_percent, row.worst_fit_percent))
+    return found
 
 
 def _counted(best: PreferredModels) -> str:
@@ -135,16 +102,6 @@ def _by_signal(fits: Mapping[str, PaperFit]) -> list[tuple[object, ...]]:
     ]
 
 
-def _shown_models(result: StudyResult) -> dict[str, StateSpace | PolynomialMatrix]:
-    shown: dict[str, StateSpace | PolynomialMatrix] = {"design plant": result.design_plant}
-    if result.preferred_model is not None:
-        shown["preferred"] = result.preferred_model
-    paper = result.study.paper
-    if paper is not None and stored.paper(paper.records[0]) in result.identification.values:
-        shown[f"order {paper.order}, {paper.records[0]}"] = result.paper_model(paper.records[0])
-    return shown
-
-
 def validation(result: StudyResult) -> Section:
     """Models beside records, beside each other, and beside the bench's own response where there is one."""
     facts, paper = result.validation.facts, result.study.paper
@@ -153,7 +110,7 @@ def validation(result: StudyResult) -> Section:
     if paper is not None and result.identification.facts.paper:
         f, k = result.analysis.facts.f_hz, paper.channel - 1
         responses = [(n, f, result.paper_model(n).frequency_response(f)) for n in paper.records]
-        figures.append(study.bode(responses, _wires(result), k, k, paper.band_hz, _note(result, "Fig. 11")))
+        figures.append(study.bode(responses, wires(result), k, k, paper.band_hz, noted(result, "Fig. 11")))
     tables = [_fits(facts.records)] if facts.records else []
     if facts.against_bench:
         tables.append(_against_bench(facts.against_bench))
@@ -169,7 +126,7 @@ def validation(result: StudyResult) -> Section:
 def _against_bench(agreements: Mapping[str, Agreement]) -> Table:
     rows = [(name, f"{a.diagonal_gain_db:.2f}", f"{a.diagonal_phase_deg:.1f}") for name, a in agreements.items()]
     low, high = next(iter(agreements.values())).band_hz
-    caption = f"Largest error on the diagonal against the bench's own linear response, {low:g}-{high:g} Hz"
+    caption = f"Largest error on the diagonal against the bench's own linear response, {low:.4g}-{high:.4g} Hz"
     return Table(caption, ("model", "gain dB", "phase °"), rows)
 
 
@@ -180,7 +137,7 @@ def _time_figures(result: StudyResult, models: tuple[str, ...]) -> list[Figure]:
         if simulated is not None:
             rows = dict(zip((c.name for c in simulated.sensors), simulated.outputs, strict=True))
             shown = {key: rows[key] for key in models if key in rows}
-            note = _note(result, "Figs. 8 to 10")
+            note = noted(result, "Figs. 8 to 10")
             figures.append(study.simulation(name, result.records[name], shown, fit.actuator, fit.channel, note))
     return figures
 
@@ -208,16 +165,23 @@ def analysis(result: StudyResult) -> Section:
         bands["the paper's structure"] = facts.singular_values.paper
     nyquist = next(iter(result.records.values())).rate_hz / 2
     poles = [(f"{p.frequency_hz:.2f}", f"{p.zeta:.4f}", "unstable" if p.outside else "") for p in facts.poles]
-    tables = [Table("Poles of the design plant", ("Hz", "damping", ""), _merged(poles))]
+    tables = [Table("Poles of the design plant", ("Hz", "damping", ""), _merged(poles), folded=True)]
     sentences = [_about_zeros(facts.transmission_zeros, nyquist), *_about_symmetry(facts)]
     if facts.paper_zeros:
         low_hz = LOW * result.plan.band_hz[0]
         low = [(k + 1, _frequencies(zeros, 0.0, low_hz)) for k, zeros in enumerate(facts.paper_zeros)]
-        caption = f"Zeros outside the unit circle below {low_hz:g} Hz, paper's structure"
+        caption = f"Zeros outside the unit circle below {low_hz:.4g} Hz, paper's structure"
         tables.insert(0, Table(caption, ("channel", "Hz"), low))
         sentences.append(_about_low_zeros(facts, low_hz, AT_DC * nyquist))
-    figure = study.singular_values(facts.f_hz, bands, _wires(result), _note(result, "Fig. 12"))
-    return Section("Analysis", sentences, tables, [figure])
+    figures = [
+        pages.poles_and_zeros(
+            [(p.frequency_hz, p.zeta) for p in facts.poles],
+            [(z.frequency_hz, z.zeta) for z in facts.transmission_zeros],
+            span(result),
+        ),
+        pages.singular_value_chart(facts.f_hz, bands, wires(result), noted(result, "Fig. 12")),
+    ]
+    return Section("Analysis", sentences, tables, figures)
 
 
 def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
@@ -234,7 +198,7 @@ def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
 def _about_low_zeros(facts: AnalysisFacts, low_hz: float, dc_hz: float) -> str:
     own = _frequencies(facts.transmission_zeros, dc_hz, low_hz)
     return (
-        f"Outside the unit circle below {low_hz:g} Hz the paper's structure has the zeros of the table, the design "
+        f"Outside the unit circle below {low_hz:.4g} Hz the paper's structure has the zeros of the table, the design "
         f"plant has: {own}. The physics, eq. (10), has its zeros at 0 Hz: what a model of low order adds there comes "
         f"from its order."
     )

@@ -13,3 +13,4 @@ def _rising(band_hz: tuple[float, float]) -> tuple[float, float]:
 
 Positive = Annotated[float, Field(gt=0)]
 Band = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
+Order = Annotated[int, Field(ge=1, le=20)]

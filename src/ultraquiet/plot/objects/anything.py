@@ -21,6 +21,12 @@ DEEPEST = 2
 PANEL_IN = (6.0, 2.2)
 
 
+@draws(Figure)
+def itself(figure: Figure) -> Figure:
+    """A figure as it is."""
+    return figure
+
+
 @draws(object)
 def any_figure(shown: Any) -> Figure:
     """Arrays over the frequencies or times that stand beside them, over their index where none do."""

@@ -1,5 +1,6 @@
 """Arithmetic of linear systems: sums, products, feedback, side by side."""
 
+from collections.abc import Sequence
 from typing import Any, Self, cast
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet.values.channel import Channel
-from ultraquiet.values.joined.wires import apart, meet
+from ultraquiet.values.joined.wires import apart, meet, places
 
 SINGULAR = 1e-12  # what is left of I - D D, as a share of what it was made of, when a loop has no solution
 Matrices = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -115,6 +116,21 @@ class Algebra:
         C, D = np.asarray(y[:, : n + nk], dtype=np.float64), np.asarray(y[:, n + nk :], dtype=np.float64)
         matrices = states[:, : n + nk], states[:, n + nk :], C, D
         return self._joined(matrices, (self.actuators, self.sensors))
+
+    def pick(self, inputs: Sequence[int | str] | None = None, outputs: Sequence[int | str] | None = None) -> Self:
+        """Return the system between some of its channels, by index from 0 or by name; all of a side when absent.
+
+        Raises:
+            InputError: no such channel.
+
+        >>> from ultraquiet.values import StateSpace
+        >>> both = StateSpace([[0.5]], [[1.0, 2.0]], [[1.0]], [[0.0, 0.0]], 1.0, ["force", "heat"], ["speed"])
+        >>> both.pick(inputs=["heat"]).B
+        array([[2.]])
+        """
+        j, i = (places("pick", side, wires) for side, wires in ((inputs, self.actuators), (outputs, self.sensors)))
+        wires = tuple(self.actuators[k] for k in j), tuple(self.sensors[k] for k in i)
+        return self._joined((self.A, self.B[:, j], self.C[i], self.D[np.ix_(i, j)]), wires)
 
     def append(self, *others: Any) -> Self:
         """Return the systems side by side, diag(G1, G2, ...): each keeps its own inputs and outputs.

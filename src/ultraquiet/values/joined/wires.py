@@ -41,3 +41,17 @@ def apart(one: Sequence[Channel], other: Sequence[Channel], word: str) -> tuple[
     """Return the channels of two systems side by side, numbered ones numbered through."""
     both = [*one, *other]
     return tuple(Channel(f"{word} {k + 1}") if is_numbered(c) else c for k, c in enumerate(both))
+
+
+def places(who: str, chosen: Sequence[int | str] | None, wires: Sequence[Channel]) -> list[int]:
+    """Return the indices of channels that are named or counted from 0."""
+    names = [c.name for c in wires]
+    if chosen is None:
+        return list(range(len(names)))
+    out: list[int] = []
+    for each in chosen:
+        known = names.index(each) if isinstance(each, str) and each in names else each
+        if isinstance(known, str) or not -len(names) <= known < len(names):
+            raise InputError(f"StateSpace.{who}: there is no channel {each!r}; there are {', '.join(names)}.")
+        out.append(int(known))
+    return out

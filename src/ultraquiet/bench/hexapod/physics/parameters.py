@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 RATE_HZ = 3500.0  # section 3.1
 STRUTS = 6
+GEOPHONE_HZ = 12.0  # section 2.1
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Electronics:
     """Amplifier, conditioning and converters."""
 
     amplifier_hz: float = 102.0  # the pole 0.8325 of eq. (12)
-    geophone_hz: float = 12.0  # section 2.1
+    geophone_hz: float = GEOPHONE_HZ
     geophone_damping: float = 0.65  # assumed
     geophone_v_per_m_s: float = 100.0  # section 2.1: 0.1 V s/mm
     gain: float = 94.5  # needed to meet the gain of eq. (12)

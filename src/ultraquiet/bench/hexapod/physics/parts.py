@@ -7,7 +7,17 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench.hexapod.physics.geometry import Joints, joints
 from ultraquiet.bench.hexapod.physics.monitors import AXES, BODIES, PROOF_MASSES, TRIAXIAL_GAIN, ProofMass
-from ultraquiet.bench.hexapod.physics.parameters import BASES, PAYLOAD, STRUTS, Base, Body, Electronics, Geometry, Strut
+from ultraquiet.bench.hexapod.physics.parameters import (
+    BASES,
+    GEOPHONE_HZ,
+    PAYLOAD,
+    STRUTS,
+    Base,
+    Body,
+    Electronics,
+    Geometry,
+    Strut,
+)
 
 INSTRUMENTS = ("struts", "all")
 
@@ -55,10 +65,10 @@ class HexapodParts:
         return np.array([getattr(line, name) for line in self.lines])
 
 
-def nominal(unit: str, instruments: str) -> HexapodParts:
-    """Return the parts of a unit, as drawn."""
+def nominal(unit: str, instruments: str, geophone_hz: float = GEOPHONE_HZ) -> HexapodParts:
+    """Return the parts of a unit, as drawn; `geophone_hz` is the corner of the struts' geophones."""
     every = instruments == "all"
-    lines = (Electronics(),) * STRUTS
+    lines = (Electronics(geophone_hz=geophone_hz),) * STRUTS
     if every:
         lines += (replace(Electronics(), gain=TRIAXIAL_GAIN),) * (len(BODIES) * len(AXES))
     proof_masses = PROOF_MASSES if every else ()

@@ -1,11 +1,11 @@
-"""`ultraquiet doctor`: what is installed, what is missing, how to mend it."""
+"""`ultraquiet doctor`: what is installed, what is missing, what is slow, how to mend it."""
 
-import os
 import shutil
 from importlib import metadata
 
 from ultraquiet._base.errors import ToolError
 from ultraquiet._base.provenance import versions
+from ultraquiet.cli.doctor import speed
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -38,7 +38,7 @@ TOOLS = (
 
 
 def doctor() -> None:
-    """Say what is installed, what is missing and how to mend it; something missing that is needed ends with 1."""
+    """Say what is installed, missing or slow, and how to mend it; something missing that is needed ends with 1."""
     grid = TextTable(("part", "found", "for", "to mend"))
     grid.add("ultraquiet", versions()["ultraquiet"], "Python " + versions()["python"], "")
     for name in PYTHON_PARTS:
@@ -48,7 +48,8 @@ def doctor() -> None:
     for name, use, mend in TOOLS:
         path = shutil.which(name)
         grid.add(name, path or "missing", use, "" if path else mend)
-    grid.add("cores", str(os.cpu_count()), "identification runs on all of them", "")
+    for row in speed.rows():
+        grid.add(*row)
     screen().table(grid)
     screen().result(grid.records())
     missing = [name for name in PYTHON_PARTS if _version(name) is None]

@@ -1,0 +1,1 @@
+"""`ultraquiet serve`."""

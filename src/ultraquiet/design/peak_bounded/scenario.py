@@ -1,0 +1,89 @@
+"""A plant sampled where a loop around it is judged: its response at lines, and the poles of the loop."""
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.analyse.margins import REACHED
+from ultraquiet.analyse.peaks import response_at
+from ultraquiet.design.fixed_structure.plane import Plane
+from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.values.state_space import StateSpace
+
+SHARP = 0.2  # poles of less damping get lines of their own
+FAN = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])  # of those lines, in half widths of the pole
+NEAR = 0.25  # of a half width: a line as near as this shows the mode already
+NEAREST = 1e-7  # lines closer than this, relatively, are one
+
+
+class Scenario:
+    """One plant, in the scales of the search.
+
+    Args:
+        plant: G.
+        plane: in which the law lives.
+        f_hz: lines, besides those that the plant's own poles need.
+        band_hz: in which S counts over the directions that inputs reach; (0, 0) for nowhere.
+    """
+
+    def __init__(self, plant: StateSpace, plane: Plane, f_hz: FloatArray, band_hz: tuple[float, float]) -> None:
+        self.plant, self.plane, self.band_hz = plant, plane, band_hz
+        self.loop: Matrices = plane.to_plane(plant)
+        self._at = response_at(plant)
+        own = self._modes(
+            np.linalg.eigvals(self.loop[0]).astype(np.complex128) if plant.states else np.zeros(0, complex)
+        )
+        fan = (own.imag[:, None] + np.abs(own.real)[:, None] * FAN).ravel()
+        self.w = np.zeros(0)
+        self.f_hz = np.zeros(0)
+        self.G = np.zeros((0, *plant.D.shape), dtype=np.complex128)
+        self.reached = np.zeros((0, plant.D.shape[0], min(plant.D.shape)), dtype=np.complex128)
+        self.add(np.concatenate([plane.of_hz(f_hz), fan[fan > 0]]))
+
+    def add(self, w: FloatArray) -> bool:
+        """Take more lines, places in the plane; return whether any was new."""
+        merged = np.unique(np.concatenate([self.w, w]))
+        merged = merged[np.concatenate([[True], np.diff(merged) > NEAREST * merged[1:]])]
+        kept = np.isin(self.w, merged)
+        new = merged[~np.isin(merged, self.w[kept])]
+        if not new.size:
+            return False
+        f = self.plane.hz(new)
+        G = np.moveaxis(self._at(f), 2, 0)
+        reached = np.zeros((new.size, G.shape[1], min(G.shape[1:])), dtype=np.complex128)
+        inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
+        if G.shape[1] > G.shape[2] and inside.any():
+            U, gains, _ = np.linalg.svd(G[inside], full_matrices=False)
+            reached[inside] = U * (gains > REACHED * gains[:, :1])[:, None, :]
+        elif inside.any():
+            reached[inside] = np.eye(G.shape[1])
+        joined = np.concatenate([self.w[kept], new])
+        order = np.argsort(joined)
+        self.w, self.f_hz = joined[order], np.concatenate([self.f_hz[kept], f])[order]
+        self.G = np.concatenate([self.G[kept], G])[order]
+        self.reached = np.concatenate([self.reached[kept], reached])[order]
+        return True
+
+    def poles(self, law: Matrices) -> ComplexArray:
+        """Return the poles of the loop in the plane."""
+        A, B, C, D = self.loop
+        a, b, c, d = law
+        E = np.linalg.solve(np.eye(D.shape[0]) - D @ d, np.hstack([C, D @ c]))
+        n = A.shape[0]
+        U = d @ E + np.hstack([np.zeros((D.shape[1], n)), c])
+        top = np.hstack([A, np.zeros((n, a.shape[0]))]) + B @ U
+        low = np.hstack([np.zeros((a.shape[0], n)), a]) + b @ E
+        return np.linalg.eigvals(np.vstack([top, low])).astype(np.complex128)
+
+    def look(self, poles: ComplexArray) -> bool:
+        """Take the lines at which modes of a loop would show and that are not there; return whether any was new."""
+        modes = self._modes(poles)
+        if not modes.size:
+            return False
+        k = np.clip(np.searchsorted(self.w, modes.imag), 1, self.w.size - 1)
+        distance = np.minimum(np.abs(self.w[k] - modes.imag), np.abs(self.w[k - 1] - modes.imag))
+        return self.add(modes.imag[distance > NEAR * np.abs(modes.real)])
+
+    @staticmethod
+    def _modes(poles: ComplexArray) -> ComplexArray:
+        """Return the poles that may make a narrow peak, one of each pair."""
+        return poles[(poles.imag > 0) & (np.abs(poles.real) < SHARP * np.abs(poles))]

@@ -1,0 +1,137 @@
+"""Two studies side by side: what each reached, their loops in one picture, and which settings differ."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ultraquiet import files
+from ultraquiet._base.errors import InputError
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.loops import StableLoop
+from ultraquiet.pipeline.report import laws
+from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.plot.pages.loops import LoopCurve, measured_loops, worst_direction_db
+from ultraquiet.report import Picture, Section, Table
+from ultraquiet.values import FrequencyResponse
+
+# Figures of a loop as a reader says them, and whether more of it is better.
+FIGURES = {
+    "worst_direction_band_db": ("worst direction over the band, dB", True),
+    "peak_amplification_db": ("largest amplification, dB", False),
+    "broadband_db": ("rms of the worst sensor over the band, dB", True),
+}
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a finished study left, as plain JSON: its summary and its settings."""
+
+    folder: Path
+    summary: Mapping[str, Any]
+    settings: Mapping[str, Any]
+
+    @property
+    def title(self) -> str:
+        """Its title and where it stands."""
+        return f"{self.summary.get('title', 'a study')} ({self.folder.name})"
+
+
+def finished(folder: Path) -> Finished:
+    """Read what a study left.
+
+    Raises:
+        InputError: the folder holds no finished study.
+    """
+    try:
+        read = [json.loads((folder / name).read_text(encoding="utf-8")) for name in ("summary.json", "study.json")]
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"report: '{folder}' holds no finished study to compare with ({type(error).__name__}); run it first."
+        ) from error
+    if not all(isinstance(content, dict) for content in read):
+        raise InputError(f"report: '{folder}' holds no finished study to compare with; run it first.")
+    return Finished(folder, *read)
+
+
+def compared(result: StudyResult, other: Finished) -> Section:
+    """Return both studies' figures, loops and settings side by side."""
+    rows = list(_figures(result, other))
+    changed = list(_changed(_flat(json.loads(result.study.model_dump_json())), _flat(other.settings)))
+    better = sum(1 for row in rows if str(row[-1]).startswith("better"))
+    worse = sum(1 for row in rows if str(row[-1]).startswith("worse"))
+    both = f"of {len(rows)} figures that both have, {better} are better here, {worse} worse"
+    text = f"Beside {other.title}: {both if rows else 'no law of both ran on one unit'}; "
+    text += f"{len(changed) or 'no'} settings differ."
+    heads = ("law", "unit", "figure", "here", "there", "difference")
+    tables = [Table("What both reached on the bench", heads, rows)] if rows else []
+    if changed:
+        tables.append(Table("Settings that differ", ("setting", "here", "there"), changed, folded=True))
+    return Section("Compared", [text], tables, _loops(result, other))
+
+
+def _figures(result: StudyResult, other: Finished) -> Iterator[tuple[object, ...]]:
+    there = other.summary.get("closed_loop") or {}
+    for name, outcome in result.loops.items():
+        for unit, loop in outcome.facts.units.items():
+            found = (there.get(name) or {}).get(unit)
+            if found is None or not isinstance(loop, StableLoop) or not found.get("stable"):
+                continue
+            for key, (words, more) in FIGURES.items():
+                here, beyond = getattr(loop, key), found.get(key)
+                if here is not None and beyond is not None:
+                    yield name, unit, words, f"{here:.1f}", f"{beyond:.1f}", _difference(here - beyond, more)
+            for tone, facts in loop.tones.items():
+                beyond = ((found.get("tones") or {}).get(tone) or {}).get("reduction_db")
+                if beyond is not None:
+                    words, here = f"worst channel at {tone} Hz, dB", facts.reduction_db
+                    yield name, unit, words, f"{here:.1f}", f"{beyond:.1f}", _difference(here - beyond, True)
+
+
+def _difference(by: float, more: bool) -> str:
+    if abs(by) < 0.05:
+        return "the same"
+    return f"{'better' if (by > 0) == more else 'worse'} by {abs(by):.1f}"
+
+
+def _loops(result: StudyResult, other: Finished) -> list[Picture]:
+    """Return the chosen law of both studies, as measured, in one picture."""
+    name, theirs = laws.chosen(result), _chosen(other)
+    curves: list[LoopCurve] = []
+    for unit in result.plan.units:
+        mine = result.sensitivity(name, unit) if name in result.loops else None
+        path = other.folder / "loops" / f"{stored.sensitivity(theirs, unit)}.h5"
+        beyond = files.load(path) if path.exists() else None
+        for S, label, colour in ((mine, f"here: {name}", "chosen"), (beyond, f"there: {theirs}", "law-1")):
+            if isinstance(S, FrequencyResponse):
+                dash = "-" if unit == result.plan.units[0] else "--"
+                curves.append(LoopCurve(f"{label}, {unit}", S.f_hz, worst_direction_db(S.values), colour, dash))
+    return [measured_loops("compared", curves, laws.asked(result))] if curves else []
+
+
+def _chosen(other: Finished) -> str:
+    """Return the law of the other study's requirements, or that of its loops that is quietest."""
+    asked = other.summary.get("requirements")
+    if asked:
+        return str(asked["law"])
+    loops = other.summary.get("closed_loop") or {}
+
+    def worst(name: str) -> float:
+        return min((u.get("worst_direction_band_db") or -np.inf for u in loops[name].values()), default=-np.inf)
+
+    return max(loops, key=worst, default="")
+
+
+def _flat(value: Any, at: str = "") -> dict[str, str]:
+    if isinstance(value, Mapping):
+        return {k: v for key, each in value.items() for k, v in _flat(each, f"{at}.{key}" if at else str(key)).items()}
+    return {at: json.dumps(value)}
+
+
+def _changed(here: Mapping[str, str], there: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+    for key in dict.fromkeys([*here, *there]):
+        if here.get(key) != there.get(key):
+            yield key, here.get(key, "-"), there.get(key, "-")

@@ -1,0 +1,118 @@
+"""What several sections show of laws: which one was chosen, its colour, its loop as measured and as designed."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.chart import Chart, law_colours
+from ultraquiet.pipeline.facts.loops import StableLoop
+from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.plot.pages.loops import (
+    AskedOfLoop,
+    LoopCurve,
+    loci,
+    margin_bars,
+    measured_loops,
+    shaped_loops,
+    worst_direction_db,
+)
+from ultraquiet.values.channel import ratio
+
+LOCUS = 1500  # points of an eigenvalue locus, which turns quickly near a resonance
+
+
+def chosen(result: StudyResult) -> str:
+    """Return the law that the study is for: that of its requirements, or the one that is quietest where it is worst."""
+    if result.requirements is not None:
+        return result.requirements.law
+
+    def worst(name: str) -> float:
+        if name not in result.loops:
+            return -np.inf
+        loops = result.loops[name].facts.units.values()
+        return min(loop.worst_direction_band_db if isinstance(loop, StableLoop) else -np.inf for loop in loops)
+
+    return max(result.designs, key=worst)
+
+
+def colours(result: StudyResult) -> dict[str, str]:
+    """Return the colour of every law, the same in all sections."""
+    return law_colours(result.designs, chosen(result))
+
+
+def asked(result: StudyResult) -> AskedOfLoop:
+    """Return what is required of the sensitivity, or the band alone."""
+    required = result.study.requirements
+    if required is None or result.requirements is None:
+        return AskedOfLoop(result.plan.band_hz)
+    return AskedOfLoop(result.requirements.band_hz, required.attenuation_db, required.peak_db)
+
+
+def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensitivity") -> Chart | None:
+    """Return the worst direction of laws as measured on every unit; None where none settled."""
+    paint, curves = colours(result), list[LoopCurve]()
+    units = result.plan.units
+    for name in (n for n in names if n in result.loops):
+        for unit, dash in zip(units, ("-", "--", ":", "-.") * len(units), strict=False):
+            S = result.sensitivity(name, unit)
+            if S is None:
+                continue
+            label = name if len(units) == 1 else f"{name}, {unit}"
+            curves.append(LoopCurve(label, S.f_hz, worst_direction_db(S.values), paint[name], dash))
+    return measured_loops(stem, curves, asked(result)) if curves else None
+
+
+def _responses(result: StudyResult) -> tuple[FloatArray, ComplexArray, Mapping[str, ComplexArray]]:
+    """Return the plant and every law over frequency, `(nf, outputs, inputs)`."""
+    f = result.analysis.facts.f_hz
+    plant = np.moveaxis(result.design_plant.frequency_response(f), 2, 0)
+    return f, plant, {name: np.moveaxis(law.frequency_response(f), 2, 0) for name, law in result.laws.items()}
+
+
+def shaped_charts(result: StudyResult, shown: Sequence[str] = ("S", "T", "KS"), stem: str = "loops") -> list[Chart]:
+    """Return S, T and KS of all laws on the design model, or some of them; nothing where there is no law."""
+    f, G, laws = _responses(result)
+    if not laws:
+        return []
+    members: dict[str, dict[str, FloatArray]] = {member: {} for member in shown}
+    eye = np.eye(G.shape[1])
+    for name, K in laws.items():
+        S = np.linalg.inv(eye - G @ K)
+        values = {"S": S, "T": S - eye, "KS": K @ S}
+        for member in shown:
+            members[member][name] = np.linalg.svd(values[member], compute_uv=False)[:, 0].astype(np.float64)
+    return [shaped_loops(stem, f, members, colours(result), {"KS": _unit_of_control(result)}, asked(result))]
+
+
+def _unit_of_control(result: StudyResult) -> str:
+    over, under = ({c.unit for c in wires} for wires in (result.design_plant.actuators, result.design_plant.sensors))
+    if len(over) > 1 or len(under) > 1:
+        return ""
+    return ratio(next(iter(over), ""), next(iter(under), ""))
+
+
+def margin_charts(result: StudyResult) -> list[Chart]:
+    """Return the disk margins of every channel at both ends of the design model."""
+    plant = result.design_plant
+    channels = {"input": [c.name for c in plant.actuators], "output": [c.name for c in plant.sensors]}
+    ends: dict[str, dict[str, FloatArray]] = {}
+    for end, names in channels.items():
+        for name, outcome in result.designs.items():
+            margins = outcome.facts.law_margins.get(end)
+            if margins is not None and margins.disk.size == len(names):
+                ends.setdefault(end, {})[name] = margins.disk
+    if not ends:
+        return []
+    required = result.study.requirements
+    return [margin_bars(ends, channels, colours(result), None if required is None else required.disk_margin)]
+
+
+def locus_charts(result: StudyResult) -> list[Chart]:
+    """Return the eigenvalue loci of the chosen law's loop."""
+    name, shown = chosen(result), result.analysis.facts.f_hz
+    if name not in result.laws:
+        return []
+    f = np.geomspace(shown[0], shown[-1], LOCUS)
+    G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (result.design_plant, result.laws[name]))
+    return [loci(name, np.moveaxis(G @ K, 0, 2))]

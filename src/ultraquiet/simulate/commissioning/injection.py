@@ -1,0 +1,176 @@
+"""What a loop answers to injections at its commands: both sensitivities from readings and commands alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import InputError
+from ultraquiet.bench import Bench, Streaming
+from ultraquiet.values import Record, StateSpace
+from ultraquiet.values.controller import Controller
+
+WHO = "commission"
+PERIODS = 2  # measured; what they differ by is noise
+PER_OCTAVE, MANY = 16, 8  # lines of an injection, and of one stretch at least
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """The same period of sines for every actuator in turn: `lines` of the period, at `f_hz`, and its signal of peak 1.
+
+    Phases are Schroeder's, which keep the peak low.
+    """
+
+    f_hz: FloatArray
+    lines: np.ndarray[Any, np.dtype[np.int64]]
+    period: FloatArray
+
+    @classmethod
+    def of(cls, band_hz: tuple[float, float], count: int, seconds: float, rate_hz: float) -> "Injection":
+        """Return `count` lines or fewer, evenly over the logarithm of a band, in a period of `seconds`."""
+        n = round(seconds * rate_hz)
+        wanted = np.geomspace(band_hz[0] * n / rate_hz, band_hz[1] * n / rate_hz, count)
+        lines = np.unique(np.clip(np.rint(wanted), 1, (n - 1) // 2)).astype(np.int64)
+        phase = -np.pi * np.arange(lines.size) * (np.arange(lines.size) - 1) / lines.size
+        spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
+        spectrum[lines] = np.exp(1j * phase)
+        signal = np.fft.irfft(spectrum, n)
+        return cls(lines * rate_hz / n, lines, signal / np.abs(signal).max())
+
+    @classmethod
+    def passes(cls, edges_hz: Sequence[float], seconds: float, rate_hz: float) -> "list[Injection]":
+        """Return an injection for each stretch between edges: what is loud in one must not quieten the rest."""
+        many = [
+            cls.of(band, max(MANY, round(PER_OCTAVE * np.log2(band[1] / band[0]))), seconds, rate_hz)
+            for band in pairwise(edges_hz)
+        ]
+        return [each for each in many if each.lines.size]
+
+    def run(self, settle: int) -> FloatArray:
+        """Return the signal of a run: `settle` samples, then the periods that are measured."""
+        samples = settle + PERIODS * self.period.size
+        return self.period[(np.arange(samples) - settle) % self.period.size]
+
+    def amplitudes(self, signals: FloatArray) -> ComplexArray:
+        """Return what each of the last periods holds at the lines, `(period, channel, line)`."""
+        n = self.period.size
+        last = signals[:, -PERIODS * n :].reshape(len(signals), PERIODS, n)
+        return np.moveaxis(np.fft.rfft(last, axis=2)[:, :, self.lines], 1, 0) * (2.0 / n)
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredLoop:
+    """Both sensitivities over `f_hz`, and the deviation that noise leaves of the largest singular value of each.
+
+    `at_input` `(nu, nu, nf)` = (I - K G)^-1 is what the commands are of what was injected; `at_output` `(ny, ny, nf)`
+    = (I - G K)^-1 = I + G (I - K G)^-1 K, with K as the commands show it, or as it is known.
+    """
+
+    f_hz: FloatArray
+    at_input: ComplexArray
+    at_output: ComplexArray
+    deviation: FloatArray
+
+    def ends(self) -> dict[str, ComplexArray]:
+        """Return the sensitivity at each end of the plant."""
+        return {"input": self.at_input, "output": self.at_output}
+
+
+class Halted(Exception):  # noqa: N818 - it ends a run on purpose and is told, not raised to a caller
+    """A run was faded out because a reading stood at its limit."""
+
+
+def measured_loop(
+    bench: Bench, law: StateSpace | Controller, injection: Injection, levels: FloatArray, settle: int, ramp: int
+) -> MeasuredLoop:
+    """Inject at each actuator in turn, the law running, and return both sensitivities.
+
+    Raises:
+        Halted: a reading met its limit; the run was faded out within `ramp` samples.
+    """
+    nu, ny, n = len(bench.actuators), len(bench.sensors), injection.lines.size
+    sent, answered = (np.empty((PERIODS, k, nu, n), dtype=np.complex128) for k in (nu, ny))
+    signal = injection.run(settle)
+    for j in range(nu):
+        actuation = np.zeros((nu, signal.size))
+        actuation[j] = levels[j] * signal
+        record = _watched(bench, actuation, law, ramp)
+        r = levels[j] * injection.amplitudes(signal[None])[0, 0]
+        sent[:, :, j] = injection.amplitudes(record.inputs) / r
+        answered[:, :, j] = injection.amplitudes(record.outputs) / r
+    U, Y = (np.moveaxis(x.mean(axis=0), 2, 0) for x in (sent, answered))
+    K = _known(law, injection.f_hz, U, Y)
+    dU, dY = (np.moveaxis(x[0] - x[1], 2, 0) / 2 for x in (sent, answered))
+    # What the two periods differ by is twice the error of their mean; its Frobenius norm bounds the singular value.
+    deviation = np.maximum(np.linalg.norm(dU, axis=(1, 2)), np.linalg.norm(dY @ K, axis=(1, 2)))
+    at_output = np.eye(ny) + Y @ K
+    return MeasuredLoop(injection.f_hz, np.moveaxis(U, 0, 2), np.moveaxis(at_output, 0, 2), deviation)
+
+
+def _known(law: StateSpace | Controller, f_hz: FloatArray, U: ComplexArray, Y: ComplexArray) -> ComplexArray:
+    """Return K `(nf, nu, ny)`: that of a linear law, else what commands beside the injection are of readings."""
+    linear = law if isinstance(law, StateSpace) else getattr(law, "law", None)
+    if isinstance(linear, StateSpace):
+        return np.moveaxis(linear.frequency_response(f_hz), 2, 0)
+    return np.asarray((U - np.eye(U.shape[1])) @ np.linalg.pinv(Y), dtype=np.complex128)
+
+
+def _watched(bench: Bench, actuation: FloatArray, law: StateSpace | Controller, ramp: int) -> Record:
+    """Run the bench; one that streams is faded out as soon as a reading stands at its limit."""
+    if not isinstance(bench, Streaming):
+        record = bench.run(actuation, controller=law)
+        if _limited(record.outputs, bench):
+            raise Halted
+        return record
+    halted = False
+
+    def stop() -> bool:
+        return halted
+
+    blocks: list[Any] = []
+    for block in bench.stream(actuation, controller=law, stop=stop, ramp_samples=ramp):
+        blocks.append(block)
+        halted = halted or bool(np.any(block.limited_readings)) or not np.isfinite(block.readings).all()
+    if halted:
+        raise Halted
+    u, y = (np.concatenate([getattr(block, name) for block in blocks], axis=1) for name in ("command", "readings"))
+    return Record(u, y, bench.rate_hz, bench.actuators, bench.sensors)
+
+
+def _limited(y: FloatArray, bench: Bench) -> bool:
+    low, high = (np.array([getattr(c, end) for c in bench.sensors])[:, None] for end in ("low", "high"))
+    return bool(np.any((y <= low) | (y >= high)))
+
+
+def joined(parts: Sequence[MeasuredLoop]) -> MeasuredLoop:
+    """Return what several injections measured as one, by frequency."""
+    f = np.concatenate([part.f_hz for part in parts])
+    _, order = np.unique(f, return_index=True)
+    at_input, at_output = (
+        np.concatenate([getattr(part, name) for part in parts], axis=2) for name in ("at_input", "at_output")
+    )
+    deviation = np.concatenate([part.deviation for part in parts])
+    return MeasuredLoop(f[order], at_input[:, :, order], at_output[:, :, order], deviation[order])
+
+
+def open_levels(bench: Bench, injection: Injection, share: float, settle: int, most: FloatArray) -> FloatArray:
+    """Return a level for each actuator, `most` at most, at which no reading exceeds `share` of its range without a law.
+
+    Raises:
+        InputError: an actuator that moves no sensor.
+    """
+    levels = most.copy()
+    reach = np.array([min(abs(c.low), abs(c.high)) for c in bench.sensors])
+    for j in range(levels.size):
+        actuation = np.zeros((levels.size, injection.period.size + settle))
+        actuation[j] = levels[j] * injection.run(settle)[: actuation.shape[1]]
+        largest = np.abs(bench.run(actuation).outputs).max(axis=1)
+        if not largest.any():
+            raise InputError(f"{WHO}: '{bench.actuators[j].name}' moves no sensor.")
+        used = float(np.max(np.where(np.isfinite(reach), largest / reach, 0.0)))
+        levels[j] *= min(1.0, share / used) if used else 1.0
+    return levels

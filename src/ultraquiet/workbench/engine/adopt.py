@@ -1,0 +1,47 @@
+"""A study that `ultraquiet run` left, taken over onto the boards as it is."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from ultraquiet.pipeline.identification import grouped
+from ultraquiet.pipeline.study import Study, reload_study
+
+
+def steps_of(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the steps that lead to a folder's study; none where no study ran there."""
+    if not (folder / "study.json").exists():
+        return
+    study = reload_study(folder)
+    yield {"op": "title", "title": study.study.title}
+    content = study.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    content.pop("records", None)
+    asked = content.pop("requirements", None)
+    for name, values in content.items():
+        if name not in ("plant", "controllers"):
+            kept = {k: v for k, v in values.items() if (name, k) != ("study", "title")}
+            yield {"op": "table", "table": name, "values": kept}
+    yield from _boards(study, folder)
+    if asked is not None:
+        yield {"op": "choose", "law": asked.pop("law")}
+        yield {"op": "table", "table": "requirements", "values": asked}
+
+
+def _boards(study: Study, folder: Path) -> Iterator[dict[str, Any]]:
+    names = sorted(path.stem for path in (folder / "records").glob("[!.]*.h5") if ".partial" not in path.name)
+    for name in names:
+        yield {"op": "measure", "name": name, "file": f"records/{name}.h5"}
+    groups = grouped(names)
+    wanted = [each for group in study.plant.records for each in groups.get(group, [group])]
+    if not set(wanted) <= set(names):
+        return
+    method = {"method": study.plant.method, **_plain(study.plant.settings)}
+    period = study.plant.period_samples
+    yield {"op": "identify", "name": "plant", "records": wanted, "period_samples": period, "method": method}
+    for name, law in study.controllers.items():
+        tables = [None if t is None else {"method": t.method, **_plain(t.settings)} for t in (law.design, law.reduce)]
+        yield {"op": "design", "name": name, "model": "plant", "method": tables[0], "reduce": tables[1]}
+
+
+def _plain(settings: Any) -> dict[str, Any]:
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in settings.items()}

@@ -1,0 +1,164 @@
+"""Forms from the registry: for each setting of a method its name, unit, default, range and meaning."""
+
+import inspect
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, fields
+from functools import cache
+from typing import Any
+
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.mistakes import Mistakes
+from ultraquiet._base.registry import lookup, methods
+from ultraquiet._base.tables import settings_object
+
+UNITS = {"hz": "Hz", "v": "V", "s": "s", "db": "dB", "deg": "deg", "percent": "%", "samples": "samples"}
+SIMPLE = (bool, int, float, str)
+# What no text field can hold: systems, records, tables of a method's own.
+CLOSED = ("StateSpace", "Record", "Callable", "Specification", "Channel", "_Line", "_Unpacked")
+ENTRY = re.compile(r"^ {4}([a-z_0-9, ]+): (.*)$")
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One field of a form. `kind` is "flag", "choice" or "text"; `default` is what stands where nothing is entered."""
+
+    name: str
+    unit: str
+    kind: str
+    default: str
+    meaning: str
+    allowed: str
+    choices: tuple[str, ...]
+    plain: bool
+
+    @property
+    def label(self) -> str:
+        """Its name and unit as a label.
+
+        >>> Setting("stop_hz", "Hz", "text", "", "", "", (), True).label
+        'stop (Hz)'
+        """
+        bare = re.sub(rf"_({'|'.join(UNITS)})$", "", self.name).replace("_", " ")
+        return f"{bare} ({self.unit})" if self.unit else bare
+
+
+def offered(family: str) -> dict[str, str]:
+    """Return the methods of a family by name, each with its first line."""
+    return {name: (kind.__doc__ or "").split("\n")[0] for name, kind in methods(family).items()}
+
+
+@cache
+def settings_of(family: str, method: str) -> tuple[Setting, ...]:
+    """Return the fields of a method's form: plain ones first."""
+    kind = lookup(family, method)
+    told = _meanings(kind)
+    made = [_setting(kind, field, told.get(field.name, "")) for field in fields(kind) if _open(field)]
+    return tuple(sorted(made, key=lambda one: not one.plain))
+
+
+def entered(family: str, method: str, texts: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the table that a filled form stands for, and for each field that will not do a sentence.
+
+    Args:
+        family: of the method.
+        method: its name.
+        texts: what was entered, by setting; empty texts stand for the default.
+
+    >>> entered("design", "mixed-sensitivity", {"band_hz": "10, 100", "margin": ""})
+    ({'method': 'mixed-sensitivity', 'band_hz': [10, 100]}, {})
+    """
+    given = {key: _value(text) for key, text in texts.items() if text is not None and text != ""}
+    faults: dict[str, str] = {}
+    mistakes = Mistakes()
+    as_tuples = {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
+    settings_object(family, method, as_tuples, (), mistakes)
+    for _, sentence in mistakes.by_line():
+        named = next((key for key in given if f"'{key}'" in sentence), "")
+        faults[named] = sentence
+    return {"method": method, **given}, faults
+
+
+def _open(field: "Field[Any]") -> bool:
+    return field.init and not field.name.startswith("_") and not _closed(field)
+
+
+def _closed(field: "Field[Any]") -> bool:
+    words = str(field.type)
+    return any(word in words for word in CLOSED) and not any(word in words for word in ("float", "str"))
+
+
+def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
+    unit = UNITS.get(field.name.rpartition("_")[2], "")
+    allowed, choices = _allowed(kind, field)
+    if choices and _shown(field) not in choices:
+        choices = (_shown(field), *choices)
+    flag = field.type is bool or field.type == "bool"
+    form = "flag" if flag else "choice" if choices else "text"
+    plain = field.type in SIMPLE or any(each in str(field.type) for each in ("int |", "float |", "tuple[float, float]"))
+    simple = plain and "StateSpace" not in str(field.type) and "Sequence" not in str(field.type)
+    return Setting(field.name, unit, form, _shown(field), meaning, allowed, choices, simple)
+
+
+def _shown(field: "Field[Any]") -> str:
+    if field.default is MISSING:
+        return "" if field.default_factory is MISSING else "from the data"
+    value = field.default
+    if value is None:
+        return "from the data"
+    if isinstance(value, tuple):
+        return ", ".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _allowed(kind: type[Any], field: "Field[Any]") -> tuple[str, tuple[str, ...]]:
+    """Return the range of a setting in words, and its choices, as its own refusal states them."""
+    probes: tuple[Any, ...] = ("no such choice",) if field.type in (str, "str") else (-10, -1e300, 1e300)
+    for probe in probes:
+        try:
+            kind(**{field.name: probe})
+        except UltraquietError as error:
+            words = str(error)
+            if f"'{field.name}'" not in words:
+                continue
+            if found := re.search(r"must be one of (.+), got", words):
+                return "", tuple(re.findall(r"'([^']*)'", found[1]))
+            if found := re.search(r"must (be|lie) (.+?), got", words):
+                return found[2], ()
+        except Exception:  # a method may be anybody's, and what it is given anything
+            continue
+    return "", ()
+
+
+@cache
+def _meanings(kind: type[Any]) -> dict[str, str]:
+    """Return what the docstrings of a class and those it is made from say of each setting."""
+    told: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        name, inside = "", False
+        for line in (inspect.cleandoc(each.__doc__ or "")).split("\n"):
+            if line in ("Args:", "Attributes:"):
+                inside = True
+            elif inside and (found := ENTRY.match(line)):
+                for name in found[1].split(","):
+                    told[name.strip()] = found[2]
+                name = found[1].split(",")[0].strip()
+            elif inside and line.startswith("        ") and name:
+                told[name] += " " + line.strip()
+            elif inside and line.strip() and not line.startswith(" "):
+                inside = False
+    return told
+
+
+def _value(text: Any) -> Any:
+    """Return what a text stands for: numbers, several of them between commas, words."""
+    if not isinstance(text, str):
+        return text
+    bare = text.strip().strip("()[]")
+    for written in (bare, f"[{bare}]"):
+        try:
+            return tomllib.loads(f"value = {written}")["value"]
+        except tomllib.TOMLDecodeError:
+            continue
+    return text.strip()

@@ -1,0 +1,1 @@
+"""How items are made: what the pipeline does, called for one item at a time."""

@@ -1,0 +1,1 @@
+"""What was done by hand, written down: as Python, as a study file."""

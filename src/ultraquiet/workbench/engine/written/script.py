@@ -1,0 +1,125 @@
+"""The boards as a Python script: one line a step, which gives the same numbers when it is run in the study's folder."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from keyword import iskeyword
+from pathlib import Path
+from typing import Any
+
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.registry import lookup
+from ultraquiet.workbench.engine.items import item_of
+from ultraquiet.workbench.engine.making.imports import CHANNEL_KEYS
+from ultraquiet.workbench.engine.making.laws import design_table
+from ultraquiet.workbench.engine.making.made import tables_of
+from ultraquiet.workbench.engine.making.models import plant_table
+from ultraquiet.workbench.engine.steps import BOARDS, State
+
+HEAD = '''"""{title}: every step that was taken by hand; run it in the study's folder."""
+
+import ultraquiet as uq
+from ultraquiet import files, workbench
+'''
+PREFIX = {"data": "record", "models": "model", "laws": "law", "codes": "code"}
+
+
+def script(state: State, folder: Path) -> str:
+    """Return the script of all items of the boards, in an order in which each can be made."""
+    lines = [HEAD.format(title=state["title"].replace('"', "'"))]
+    for board in BOARDS:
+        for name in state[board]:
+            lines += lines_of(state, folder, board, name)
+    return "\n".join(lines) + "\n"
+
+
+def lines_of(state: State, folder: Path, board: str, name: str) -> list[str]:
+    """Return the lines that make one item; for most it is one."""
+    recipe = state[board][name]
+    return _WRITERS[recipe["op"]](_variable(board, name), name, recipe, state, folder)
+
+
+def _variable(board: str, name: str) -> str:
+    """Return a Python name that no other item has.
+
+    >>> _variable("data", "noise-1"), _variable("data", "noise.1")
+    ('record_noise_1', 'record_noise_x2e1')
+    """
+    bare = re.sub(r"[^A-Za-z0-9_-]", lambda found: f"x{ord(found[0]):x}", name).replace("_", "__").replace("-", "_")
+    return f"{PREFIX[board]}_{bare}"
+
+
+def _imported(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    if not recipe["inputs"] and not recipe["outputs"]:
+        return [f"{variable} = files.read_record({recipe['file']!r}, {recipe['rate_hz']!r})"]
+    sides = {
+        side: [{key: one[key] for key in CHANNEL_KEYS if one.get(key) is not None} for one in recipe[side]]
+        for side in ("inputs", "outputs")
+    }
+    return [
+        f"{variable} = workbench.read_channels({recipe['file']!r}, {recipe['rate_hz']!r}, {sides['inputs']!r}, "
+        f"{sides['outputs']!r})"
+    ]
+
+
+def _measured(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    return [f"{variable} = files.load({recipe['file']!r})"]
+
+
+def _cut(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    return [f"{variable} = {_variable('data', recipe['of'])}.part({recipe['start']}, {recipe['stop']})"]
+
+
+def _detrended(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    return [f"{variable} = workbench.detrended({_variable('data', recipe['of'])}, {recipe['kind']!r})"]
+
+
+def _model(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    records = recipe["records"]
+    if len(records) == 1 and recipe.get("period_samples") is None:
+        settings = _settings("identify", recipe["method"])
+        return [f"{variable} = {settings}.identify({_variable('data', records[0])}).state_space()"]
+    given = ", ".join(f"{each!r}: {_variable('data', each)}" for each in records)
+    return [f"{variable} = workbench.plant({{{given}}}, {plant_table(recipe)!r})"]
+
+
+def _law(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    model = _variable("models", recipe["model"])
+    if recipe.get("reduce") is None:
+        return [f"{variable} = {_settings('design', recipe['method'])}.design({model}).controller"]
+    loop = state["tables"].get("closed_loop", {})
+    return [f"{variable} = workbench.law({name!r}, {model}, {design_table(recipe)!r}, {loop!r})"]
+
+
+def _code(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
+    law = recipe["law"]
+    model = state["laws"][law]["model"]
+    precision = tables_of(state).deploy.precision
+    limits: Any = item_of(folder, state, "codes", name).facts.get("limits", 25.0)
+    return [
+        f"{variable} = uq.deploy.generate({_variable('laws', law)}, {f'code/{law}'!r}, {precision!r}, "
+        f"limits_v={limits!r}, plant={_variable('models', model)})"
+    ]
+
+
+def _settings(family: str, method: Mapping[str, Any]) -> str:
+    """Return the settings object of a table as Python: `uq.identify.BoxJenkins(order=5)`."""
+    settings = {key: tuple(v) if isinstance(v, list) else v for key, v in method.items() if key != "method"}
+    try:
+        kind = lookup(family, method["method"])
+    except UltraquietError:
+        return f"uq.{family}.{method['method']}"
+    known = [field.name for field in fields(kind)]
+    words = [f"{key}={settings[key]!r}" for key in known if key in settings and not iskeyword(key)]
+    return f"uq.{family}.{kind.__name__}({', '.join(words)})"
+
+
+_WRITERS = {
+    "import": _imported,
+    "measure": _measured,
+    "cut": _cut,
+    "detrend": _detrended,
+    "identify": _model,
+    "design": _law,
+    "deploy": _code,
+}

@@ -1,0 +1,1 @@
+"""What the pages draw: figures as data, made of values; nothing here knows of pages."""

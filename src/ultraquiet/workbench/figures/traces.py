@@ -1,0 +1,101 @@
+"""Records over time, and what cannot be seen at one pixel a sample."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark, Region
+
+HEIGHT = 132
+
+
+def envelope(signals: FloatArray, columns: int = 800) -> tuple[FloatArray, FloatArray]:
+    """Return the places and values that keep the smallest and the largest sample of every bin.
+
+    Args:
+        signals: `(channel, sample)`.
+        columns: bins.
+
+    Returns:
+        Sample numbers `(2 columns,)` and values `(channel, 2 columns)`; all samples where there are no more.
+
+    >>> envelope(np.arange(6.0)[None], 2)[1].tolist()
+    [[0.0, 2.0, 3.0, 5.0]]
+    """
+    n = signals.shape[1]
+    if n <= 2 * columns:
+        return np.arange(n, dtype=float), signals
+    edges = np.linspace(0, n, columns + 1).astype(int)
+    low = np.minimum.reduceat(signals, edges[:-1], axis=1)
+    high = np.maximum.reduceat(signals, edges[:-1], axis=1)
+    rising = np.argmax(signals[:, : edges[1]], axis=1) >= np.argmin(signals[:, : edges[1]], axis=1)
+    first, second = np.where(rising[:, None], low, high), np.where(rising[:, None], high, low)
+    middle = (edges[:-1] + edges[1:]) / 2
+    width = np.diff(edges) / 4
+    places = np.column_stack([middle - width, middle + width]).ravel()
+    return places, np.stack([first, second], axis=2).reshape(len(signals), -1)
+
+
+def traces(
+    title: str,
+    time_s: FloatArray,
+    signals: FloatArray,
+    channels: Sequence[tuple[str, str]],
+    inputs: int,
+    parts: Mapping[str, tuple[float, float]] | None = None,
+) -> Chart:
+    """Return one panel a channel, inputs first; `parts` are named stretches in seconds."""
+    regions = [Region(name, (low, high)) for name, (low, high) in (parts or {}).items()]
+    panels = [
+        ChartPanel(
+            Axis("time (s)"),
+            Axis(unit or "value"),
+            [Curve("command" if k < inputs else "reading", time_s, row, "open" if k < inputs else "measured")],
+            title=f"{'input' if k < inputs else 'output'}: {name}",
+            regions=regions,
+            height=HEIGHT,
+        )
+        for k, (row, (name, unit)) in enumerate(zip(signals, channels, strict=True))
+    ]
+    columns = 1 if len(panels) <= 4 else 2
+    return Chart("record", title, "", panels, columns=columns, legend="below")
+
+
+def overlay(
+    title: str,
+    caption: str,
+    time_s: FloatArray,
+    measured: FloatArray,
+    said: Mapping[str, FloatArray],
+    channels: Sequence[tuple[str, str]],
+    colours: Mapping[str, str],
+) -> Chart:
+    """Return measured outputs with what models say to the same inputs, one panel an output."""
+    panels = [
+        ChartPanel(
+            Axis("time (s)"),
+            Axis(f"{name} ({unit})" if unit else name),
+            [
+                Curve("measured", time_s, measured[k]),
+                *(Curve(model, time_s, rows[k], colours[model]) for model, rows in said.items()),
+            ],
+            title=name,
+            height=176,
+        )
+        for k, (name, unit) in enumerate(channels)
+    ]
+    return Chart("simulated", title, caption, panels, columns=1 if len(panels) < 3 else 2)
+
+
+def correlations(title: str, auto: FloatArray, cross: FloatArray, bound: float, names: Sequence[str]) -> Chart:
+    """Return what is left after a model: correlation with itself and with the inputs, by lag, with its 99 % bounds."""
+    lags = np.arange(auto.shape[1], dtype=float)
+    marks = [Mark("99 % bound", y=bound, colour="fragile"), Mark("99 % bound", y=-bound, colour="fragile")]
+    panels = []
+    for k, name in enumerate(names):
+        for word, rows in (("with itself", auto), ("with the inputs, largest", cross)):
+            curve = Curve(word, lags, rows[k], "measured", kind="stems")
+            axes = Axis("lag (samples)"), Axis("correlation")
+            panels.append(ChartPanel(*axes, [curve], title=f"residual of {name} {word}", marks=marks, height=150))
+    return Chart("residuals", title, "Bars beyond the dashed bounds are what the model left.", panels, columns=2)

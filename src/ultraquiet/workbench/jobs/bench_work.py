@@ -1,0 +1,114 @@
+"""What is done with a bench: its list, a live look, closing a loop on it, and the whole study."""
+
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.errors import InputError
+from ultraquiet._base.progress import noted
+from ultraquiet._base.tables import Method
+from ultraquiet.pipeline import Study, control, load_study, walk
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.typed import finite, to_plain
+from ultraquiet.pipeline.preflight import loop_plan
+from ultraquiet.pipeline.study import ClosedLoop
+from ultraquiet.pipeline.walk import bench_of, measure
+from ultraquiet.workbench.engine.items import FOLDER
+from ultraquiet.workbench.engine.making import work
+from ultraquiet.workbench.engine.making.laws import design_table
+from ultraquiet.workbench.engine.making.models import plant_table
+from ultraquiet.workbench.jobs.lane import STOP_FILE
+
+FRAME_S = 0.05
+LIVE_S = 3600.0
+
+
+def asked_to_stop(folder: Path) -> bool:
+    """Tell whether the stop button was pressed."""
+    return (folder / FOLDER / STOP_FILE).exists()
+
+
+def study_of(state: Mapping[str, Any]) -> Study:
+    """Return the study of the boards as far as its bench and list go; models and laws may still be missing.
+
+    Raises:
+        InputError: it has no bench.
+    """
+    tables = state["tables"]
+    if "bench" not in tables:
+        raise InputError("bench: the study has none; choose one on the page Bench.")
+    model, laws = state["model"], state["laws"]
+    # a study wants a plant and a law, which do not change what is measured for them
+    plant = plant_table(state["models"][model]) if model else {"method": "rational", "records": ["later"]}
+    designs = {name: design_table(recipe) for name, recipe in laws.items()} or {"later": {"design": {"method": "lqg"}}}
+    kept = {name: tables[name] for name in ("bench", "experiment", "blending", "closed_loop") if name in tables}
+    head = {"title": state["title"], **tables.get("study", {})}
+    return Study.model_validate({"study": head, **kept, "plant": plant, "controllers": designs})
+
+
+def measured(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Execute the list of the study on its bench; records that are there stay."""
+    with noted("measure"):
+        records = measure(study_of(state), folder, beside=folder)
+    return {"records": {name: record.hash for name, record in records.items()}}
+
+
+def described(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the bench's rate, channels and limits."""
+    bench = bench_of(study_of(state), folder)
+    sides = {"actuators": bench.actuators, "sensors": bench.sensors}
+    rows = {side: [[c.name, c.unit, c.low, c.high] for c in wires] for side, wires in sides.items()}
+    return finite({"rate_hz": bench.rate_hz, **rows, "name": type(bench).__name__})
+
+
+def live(folder: Path, state: Mapping[str, Any], signal: dict[str, Any], actuator: int) -> Iterator[dict[str, Any]]:
+    """Yield what the bench reads, block by block at its own pace, while one actuator is driven; stop ends it softly."""
+    bench = bench_of(study_of(state), folder)
+    block = max(1, int(FRAME_S * bench.rate_hz))
+    seconds = min(LIVE_S, 10.0)
+    one = Method.model_validate(signal).make("signals").generate(int(seconds * bench.rate_hz), bench.rate_hz)
+    actuation = np.zeros((len(bench.actuators), one.size))
+    actuation[actuator] = one
+    began, sent = time.monotonic(), 0
+    while not asked_to_stop(folder) and time.monotonic() - began < LIVE_S:
+        for part in bench.stream(actuation, block_samples=block, stop=lambda: asked_to_stop(folder)):
+            sent += part.readings.shape[1]
+            yield {
+                "signals": np.vstack([part.command, part.readings]).astype("<f4"),
+                "limited": [*map(int, part.limited_commands), *map(int, part.limited_readings)],
+                "seconds": sent / bench.rate_hz,
+            }
+            ahead = sent / bench.rate_hz - (time.monotonic() - began)
+            if ahead > 0:
+                time.sleep(ahead)
+
+
+def closed(folder: Path, state: dict[str, Any], law: str) -> dict[str, Any]:
+    """Close the loop of a law on the bench of the study: does it settle, what does it do to tones and directions."""
+    study = study_of(state)
+    bench = bench_of(study, folder)
+    model = state["laws"][law]["model"]
+    plant = work.make(folder, state, "models", model).value()
+    system = work.make(folder, state, "laws", law).value()
+    plan = loop_plan(ClosedLoop.model_validate(state["tables"].get("closed_loop", {})), bench, plant)
+    with noted(f"close {law}"):
+        outcome = control.closed(law, system, control.OpenLoops(bench, plan))
+    curves = {}
+    for unit in plan.units:
+        S = outcome.values.get(stored.sensitivity(law, unit))
+        if S is not None:
+            sizes = np.linalg.svd(np.moveaxis(S.values, 2, 0), compute_uv=False)
+            curves[unit] = {"f_hz": S.f_hz.tolist(), "worst": sizes[:, 0].tolist(), "best": sizes[:, -1].tolist()}
+    return finite({"facts": to_plain(outcome.facts), "curves": curves})
+
+
+def whole(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
+    """Run the whole study from where it stands, as `ultraquiet run` does."""
+    said: list[str] = []
+    with noted("run the study"):
+        summary = walk(load_study(folder / "study.toml"), folder, beside=folder, say=said.append)
+    judged = [] if summary.requirements is None else [each.sentence for each in summary.requirements.judged]
+    return {"said": said, "judged": judged, "failures": list(summary.failures)}

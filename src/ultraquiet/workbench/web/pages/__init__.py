@@ -1,0 +1,1 @@
+"""One page a file, in the order of the data."""

@@ -1,0 +1,118 @@
+"""Deploy: a law as C99, compiled, proved against its twin, and handed over."""
+
+import io
+import zipfile
+from typing import Any
+
+from nicegui import ui
+
+from ultraquiet.workbench.engine.items import Item
+from ultraquiet.workbench.engine.making.work import CODE
+from ultraquiet.workbench.web.controls import button, chip, choice, field, heading, table, words
+from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.view import View
+
+SHOWN = (
+    ("states", "states"),
+    ("form", "form"),
+    ("precision", "precision"),
+    ("flash_bytes", "flash (bytes)"),
+    ("ram_bytes", "RAM (bytes)"),
+    ("cortex_m7_instructions", "Cortex-M7 instructions a sample"),
+    ("c31_cycles", "TMS320C31 cycles"),
+    ("c31_budget", "of its budget"),
+    ("bit_exact", "bit by bit its twin"),
+    ("response_error", "rounding, relative"),
+)
+
+
+def build(view: View, columns: Columns) -> None:
+    """Build the page."""
+    _Deploy(view, columns)
+
+
+class _Deploy:
+    def __init__(self, view: View, columns: Columns) -> None:
+        self.view = view
+        with columns.side:
+            self._settings()
+        with columns.main:
+            self._place = ui.element("div").classes("uq-figures")
+        view.watch(self._show)
+
+    def _settings(self) -> None:
+        state = self.view.session.state
+        table_ = state["tables"].get("deploy", {})
+        heading("Deploy")
+        self.law = choice("the law", list(state["laws"]), "deploy-law", state["law"], lambda _: None)
+        precision = table_.get("precision", "float32")
+        self.precision = choice("precision", ("float32", "float64"), "precision", precision, lambda _: None)
+        self.limits = field("largest command", "limits", str(table_.get("limits", "")), "the actuators' own")
+        words("In the actuators' unit; without limits of their own, the largest that the records hold.", "caption")
+        button("Generate and prove", self._deploy, "deploy", main=True)
+
+    def _deploy(self) -> None:
+        if self.law.value is None:
+            say("deploy: there is no law yet; design one first.")
+            return
+        values: dict[str, Any] = {"precision": self.precision.value}
+        try:
+            if self.limits.value:
+                values["limits"] = float(self.limits.value)
+        except ValueError:
+            say("deploy: write the largest command as a number.")
+            return
+        if values != {"precision": "float32"} or "deploy" in self.view.session.state["tables"]:
+            doing(self.view, {"op": "table", "table": "deploy", "values": values})
+        if doing(self.view, {"op": "deploy", "law": self.law.value}):
+            making(self.view, "codes", self.law.value)
+            self.view.set(codes=self.law.value)
+
+    def _show(self) -> None:
+        laws = list(self.view.session.state["laws"])
+        if self.law.options != laws:
+            self.law.set_options(laws, value=self.view.session.state["law"])
+        self._place.clear()
+        with self._place:
+            items = [item for item in self.view.session.items("codes") if item.ready]
+            if not items:
+                words("No code yet: choose a law at the right and press Generate.", "caption")
+            for item in items:
+                self._code(item)
+
+    def _code(self, item: Item) -> None:
+        facts = item.facts
+        with ui.element("section").props(f'data-testid="code-{item.name}"'):
+            with ui.element("div").classes("uq-row"):
+                ui.label(f"{item.name} as C99").classes("uq-title-line")
+                chip(facts["status"], f"proof-{item.name}")
+            words(facts["status"].partition(": ")[2], "caption")
+            rows = [(words_, _said(facts["code"].get(key))) for key, words_ in SHOWN]
+            rows.append(("commands end at", ", ".join(f"{low:.4g} to {high:.4g}" for low, high in facts["limits"][:6])))
+            table(("figure", "value"), rows, f"figures-{item.name}")
+            button("Download (zip)", lambda: _download(item), f"download-{item.name}")
+            heading("Files")
+            for path in sorted((item.folder / CODE).rglob("*")):
+                if path.is_file():
+                    name = path.relative_to(self.view.session.folder)
+                    ui.link(str(path.relative_to(item.folder / CODE)), f"/study/{name}").classes("uq-words caption")
+                    ui.element("br")
+
+
+def _download(item: Item) -> None:
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted((item.folder / CODE).rglob("*")):
+            if path.is_file():
+                archive.write(path, path.relative_to(item.folder / CODE))
+    ui.download.content(memory.getvalue(), f"{item.name}.zip")
+
+
+def _said(value: Any) -> str:
+    if value is None:
+        return "not known"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {each}" for key, each in value.items())
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,192 @@
+"""Identify: a form for the method, the order by a click, and up to eight models over the measurement."""
+
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
+from ultraquiet.pipeline.identification import grouped
+from ultraquiet.workbench.figures.responses import Modelled, pole_map, response_grid
+from ultraquiet.workbench.web.chart import ChartElement
+from ultraquiet.workbench.web.controls import button, field, heading, table, words
+from ultraquiet.workbench.web.method_form import MethodForm
+from ultraquiet.workbench.web.pages.spectra import measured_of
+from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.view import Looker, View
+
+WHOLE = ("arx", "armax", "output-error", "box-jenkins", "subspace", "predictor-subspace", "rational")
+TRIED = list(range(1, 11))
+POINTS = 400
+LEAST = -20.0  # a fit far below zero says no more than one at zero, and would hide the others
+
+
+def build(view: View, columns: Columns) -> None:
+    """Build the page."""
+    _Identify(view, columns)
+
+
+class _Identify:
+    def __init__(self, view: View, columns: Columns) -> None:
+        self.view, self._drawn = view, None
+        self._measured: Any = None
+        self._looker, self._orders = Looker(view), Looker(view)
+        with columns.side:
+            self._settings()
+        with columns.main:
+            self._candidates = ui.element("div")
+            self.responses = ChartElement(view.frames, "models-chart")
+            with ui.element("div").classes("uq-figures").style("grid-template-columns: minmax(0, 1fr) minmax(0, 1fr)"):
+                self.orders = ChartElement(view.frames, "orders-chart", on_point=self._picked)
+                self.poles = ChartElement(view.frames, "poles-chart")
+        view.watch(self._refresh)
+
+    def _settings(self) -> None:
+        heading("Identify")
+        self.record = ui.select(self._records(), label="from the records", value=self._first(), multiple=True)
+        self.record.props('dense outlined options-dense use-chips data-testid="identify-record"').classes("w-full")
+        self.period = field("period (samples)", "period", "", "none: one record that moves all inputs")
+        self.form = MethodForm("identify", "box-jenkins", names=list(WHOLE))
+        self.name = field("name of the model", "model-name", "", "method and order")
+        with ui.element("div").classes("uq-row"):
+            button("Identify", self._identify, "identify", main=True)
+            button("Try orders 1 to 10", self._try, "try-orders")
+        words(
+            "Judged on the last 40 % of the record, which those models have not seen; click an order to take it.",
+            "caption",
+        )
+        heading("Go on")
+        ui.link("Validate", self.view.link("Validate")).props('data-testid="to-validate"')
+        ui.link("Design a law", self.view.link("Design")).props('data-testid="to-design"')
+
+    def _records(self) -> list[str]:
+        names = list(self.view.session.state["data"])
+        return list(dict.fromkeys([*grouped(names), *names]))
+
+    def _first(self) -> list[str]:
+        shown, groups = self.view.shown("data"), grouped(list(self.view.session.state["data"]))
+        return [name for name, members in groups.items() if set(members) & set(shown)][-1:]
+
+    def _members(self) -> list[str]:
+        groups = grouped(list(self.view.session.state["data"]))
+        return [each for name in self.record.value or [] for each in groups.get(name, [name])]
+
+    def _identify(self) -> None:
+        table_ = self.form.table()
+        if table_ is None:
+            return
+        if not self.record.value:
+            say("identify: there is no record yet; drop a file on Records.")
+            return
+        self._take(table_, str(self.name.value or ""))
+
+    def _take(self, method: dict[str, Any], name: str) -> None:
+        names = self._members()
+        try:
+            period = int(self.period.value) if self.period.value else None
+        except ValueError:
+            say("identify: write the period as a whole number of samples.")
+            return
+        name = name or f"{method['method']}-{method.get('order', 'auto')}"
+        step = {"op": "identify", "name": name, "records": names, "period_samples": period, "method": method}
+        if doing(self.view, step):
+            making(self.view, "models", name)
+            shown = [each for each in self.view.shown("models") if each != name]
+            self.view.set(models=",".join([*shown, name][-8:]))
+
+    def _try(self) -> None:
+        made = self.form.table()
+        members = self._members()
+        if made is None or not members:
+            return
+        bare = {key: value for key, value in made.items() if key != "order"}
+        ui.notify(f"Trying orders {TRIED[0]} to {TRIED[-1]} of {bare['method']} …", timeout=3000)
+        self._tried = bare
+        self._orders.ask("orders", "orders", self._show_orders, data=members[0], method=bare, tried=TRIED)
+
+    def _show_orders(self, found: dict[str, Any], _: Any) -> None:
+        rows = [row for row in found["rows"] if "unseen" in row]
+        if not rows:
+            say(found["rows"][0].get("refused", "identify: no order could be identified."))
+            return
+        x = np.array([row["order"] for row in rows], dtype=float)
+        seen, unseen = (np.maximum([row[key] for row in rows], LEAST) for key in ("seen", "unseen"))
+        curves = [
+            Curve("seen", x, seen, "open", "--", "path"),
+            Curve("not seen", x, unseen, "chosen", "-", "path"),
+            Curve("click to take", x, unseen, "chosen", kind="points"),
+        ]
+        best = max(rows, key=lambda row: row["unseen"])
+        caption = f"Order {best['order']} meets unseen data best, {best['unseen']:.1f} %; prefer the knee of the curve."
+        panel = ChartPanel(Axis("order"), Axis("median fit (%)"), curves, height=300)
+        self.orders.show(Chart("orders", f"Orders of {self._tried['method']}", caption, [panel]))
+
+    def _picked(self, at: dict[str, Any]) -> None:
+        if at.get("x") is not None and hasattr(self, "_tried"):
+            order = min(TRIED, key=lambda each: abs(each - at["x"]))
+            self._take({**self._tried, "order": order}, "")
+
+    def _refresh(self) -> None:
+        self._table()
+        data, models = self.view.ready("data"), self.view.ready("models")
+        asked = ([i.key for i in data], [i.key for i in models], self.view.scale, self.view.session.state["model"])
+        if asked == self._drawn:
+            return
+        self._drawn = asked
+        if data:
+            names, settings = [item.name for item in data], {"estimator": "H1"}
+            self._looker.ask("response", "frequency response", self._measure, names=names, settings=settings)
+        else:
+            self._draw()
+
+    def _measure(self, _: Any, found: dict[str, Any]) -> None:
+        self._measured = measured_of(self.view, found)
+        self._draw()
+
+    def _draw(self) -> None:
+        models, colours = self.view.ready("models"), self.view.colours("models")
+        systems = {item.name: item.value() for item in models}
+        measured = self._measured
+        if measured is None and not systems:
+            return
+        drawn = []
+        for name, system in systems.items():
+            f_hz = np.geomspace(system.rate_hz * 1e-4, 0.49 * system.rate_hz, POINTS)
+            if measured is not None:
+                f_hz = np.geomspace(measured.f_hz[measured.f_hz > 0][0], measured.f_hz[-1], POINTS)
+            drawn.append(Modelled(name, f_hz, system.frequency_response(f_hz), colours[name]))
+        if measured is not None:
+            drawn = [m for m in drawn if m.values.shape[:2] == measured.values.shape[:2]]
+        title = "Models over the measurement" if drawn else "SeenResponse response"
+        self.responses.show(response_grid(title, measured, drawn, self.view.scale))
+        if systems:
+            poles = {name: (system.poles(), colours[name]) for name, system in systems.items()}
+            self.poles.show(pole_map("Poles", poles))
+
+    def _table(self) -> None:
+        self._candidates.clear()
+        session, names = self.view.session, list(self.view.session.state["models"])
+        rows = [_row(session.item("models", name)) for name in names]
+        chosen = session.state["model"]
+        strong = names.index(chosen) if chosen in names else None
+        with self._candidates:
+            if not rows:
+                words(
+                    "No model yet: choose a method at the right and press Identify, or try some orders first.",
+                    "caption",
+                )
+                return
+            heading("Candidates; a click chooses the study's model")
+            columns = ("model", "method", "from", "states", "fit %", "white p", "status")
+            table(columns, rows, "candidates", lambda k: doing(self.view, {"op": "choose", "model": names[k]}), strong)
+
+
+def _row(item: Any) -> tuple[str, ...]:
+    facts, recipe = item.facts, item.recipe
+    fit = facts.get("plant", {}).get("fit_percent")
+    fits = "" if fit is None else ", ".join(f"{f:.1f}" for f in fit[:4]) + (" …" if len(fit) > 4 else "")
+    white = facts.get("whiteness_p")
+    whites = "" if not white else f"{min(white):.2g}"
+    method = f"{recipe['method']['method']} {recipe['method'].get('order', '')}".strip()
+    status = facts.get("status", "not made yet")
+    return item.name, method, ", ".join(recipe["records"][:3]), str(facts.get("states", "")), fits, whites, status

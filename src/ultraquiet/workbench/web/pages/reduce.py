@@ -1,0 +1,129 @@
+"""Reduce: how many states a law needs: what each state carries, and what the loop loses without the others."""
+
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark
+from ultraquiet.linalg import balance
+from ultraquiet.values import StateSpace
+from ultraquiet.workbench.engine.live import live_loop, responses
+from ultraquiet.workbench.figures.loops import loop_grid, sizes_of
+from ultraquiet.workbench.web.chart import ChartElement
+from ultraquiet.workbench.web.controls import button, choice, field, heading, table, words
+from ultraquiet.workbench.web.method_form import MethodForm
+from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.view import View
+
+
+def build(view: View, columns: Columns) -> None:
+    """Build the page."""
+    _Reduce(view, columns)
+
+
+class _Reduce:
+    def __init__(self, view: View, columns: Columns) -> None:
+        self.view, self._drawn = view, None
+        with columns.side:
+            heading("Reduce")
+            laws = list(view.session.state["laws"])
+            self.law = choice("the law", laws, "reduce-law", view.session.state["law"], lambda _: self._refresh())
+            self.form = MethodForm("reduce", "closed-loop-weighted")
+            self.name = field("name of the new law", "reduced-name", "", "as the law, -small")
+            button("Reduce", self._reduce, "reduce", main=True)
+            words("Without a number of states the fewest are kept that lose no more than is allowed.", "caption")
+            words("A click on the chart below writes the number of states into the form.", "caption")
+            ui.link("Deploy", view.link("Deploy")).props('data-testid="to-deploy"')
+        with columns.main:
+            self._table = ui.element("div")
+            self.states = ChartElement(view.frames, "hankel-chart", on_point=self._picked)
+            self.loops = ChartElement(view.frames, "reduced-chart")
+        view.watch(self._refresh)
+
+    def _picked(self, at: dict[str, Any]) -> None:
+        if at.get("x") is not None and "states" in self.form.names():
+            self.form.put("states", max(1, round(at["x"])))
+
+    def _reduce(self) -> None:
+        made = self.form.table()
+        if made is None or self.law.value is None:
+            say("reduce: there is no law yet; design one first.")
+            return
+        recipe = self.view.session.state["laws"][self.law.value]
+        name = str(self.name.value or f"{self.law.value}-small")
+        step = {"op": "design", "name": name, "model": recipe["model"], "method": recipe["method"], "reduce": made}
+        if doing(self.view, step):
+            making(self.view, "laws", name)
+            shown = [each for each in self.view.shown("laws") if each != name]
+            self.view.set(laws=",".join([*shown, name][-8:]))
+
+    def _refresh(self) -> None:
+        session = self.view.session
+        laws = list(session.state["laws"])
+        if self.law.options != laws:
+            self.law.set_options(laws, value=self.law.value if self.law.value in laws else session.state["law"])
+        ready = [item for item in session.items("laws") if item.ready]
+        asked = ([item.key for item in ready], self.law.value, self.view.scale)
+        if asked == self._drawn:
+            return
+        self._drawn = asked
+        self._list(ready)
+        shown = [item for item in ready if item.name in self.view.shown("laws")]
+        if shown:
+            self._loops(shown)
+        if self.law.value in [item.name for item in ready]:
+            self._hankel(session.item("laws", self.law.value).value())
+
+    def _list(self, ready: list[Any]) -> None:
+        self._table.clear()
+        with self._table:
+            if not ready:
+                words("No law yet: design one first.", "caption")
+                return
+            rows = []
+            for item in ready:
+                cut = (item.facts["design"].get("reduction") or {}).get("from_states")
+                peak = item.facts["peaks"]["S"][0]
+                size = f"{item.facts['states']}" + (f" of {cut}" if cut else "")
+                shown = "infinite" if peak is None else f"{peak:.1f} dB"
+                disks = [f"{item.facts['margins'][end]['disk_all']:.2f}" for end in ("input", "output")]
+                rows.append((item.name, size, shown, *disks, item.facts["status"]))
+            table(("law", "states", "peak of S", "disk, input", "disk, output", "loop"), rows, "reduced")
+
+    def _hankel(self, law: StateSpace) -> None:
+        try:
+            values = hankel_values(law)
+        except (UltraquietError, np.linalg.LinAlgError):
+            return
+        if not values.size:
+            return
+        x = np.arange(1, values.size + 1, dtype=float)
+        curve = Curve("Hankel values", x, values / values[0], "chosen", kind="points")
+        marks = [Mark("a thousandth", y=1e-3)]
+        axes = Axis("state"), Axis("of the largest", "log")
+        panel = ChartPanel(*axes, [curve], marks=marks, height=220)
+        few = int(np.count_nonzero(values > 1e-3 * values[0]))
+        caption = f"{few} of {values.size} states carry more than a thousandth of the largest."
+        self.states.show(Chart("hankel", "What each state of the law carries", caption, [panel], legend="none"))
+
+    def _loops(self, shown: list[Any]) -> None:
+        sizes, unit = {}, ""
+        for item in shown:
+            plant = self.view.session.item("models", item.recipe["model"]).value()
+            known = responses(plant, item.value())
+            loop = live_loop(known.G, known.K, known.f_hz)
+            sizes[item.name], unit = sizes_of(loop.f_hz, loop.S, loop.T, loop.KS), known.unit
+        colours = self.view.colours("laws")
+        self.loops.show(loop_grid("The loops side by side", "", sizes, colours, self.view.scale, unit=unit))
+
+
+def hankel_values(law: StateSpace) -> np.ndarray:
+    """Return the Hankel singular values of the stable part of a law, the largest first, scaled evenly."""
+    A, B, C, _ = balance.scaled(law.A, law.B, law.C)
+    discrete = law.rate_hz is not None
+    T, inverse, stable = balance.stable_first(A, discrete)
+    inner = (inverse @ A @ T)[:stable, :stable]
+    R, L = balance.gramian_factors(inner, (inverse @ B)[:stable], (C @ T)[:, :stable], discrete)
+    return np.linalg.svd(L.T @ R, compute_uv=False)

@@ -1,0 +1,99 @@
+"""Report: the whole study from where it stands, judged and written down."""
+
+import json
+from typing import Any
+
+from nicegui import ui
+
+from ultraquiet.workbench.jobs.lane import WorkItem
+from ultraquiet.workbench.web.controls import button, chip, heading, table, words
+from ultraquiet.workbench.web.shell import Columns, say
+from ultraquiet.workbench.web.view import View
+
+
+def build(view: View, columns: Columns) -> None:
+    """Build the page."""
+    _Report(view, columns)
+
+
+class _Report:
+    def __init__(self, view: View, columns: Columns) -> None:
+        self.view = view
+        with columns.side:
+            heading("Report")
+            words(
+                "What is there is reused; what is missing is computed; everything is judged and written down.",
+                "caption",
+            )
+            button("Run the whole study", self._run, "run-study", main=True)
+            words("The same from a shell, in the study's folder:", "caption")
+            ui.label("ultraquiet run study.toml --out .").classes("uq-lines")
+            ui.link("study.toml", "/study/study.toml").props('data-testid="get-toml"')
+            ui.link("study.py", "/study/study.py").props('data-testid="get-python"')
+        with columns.main:
+            self._place = ui.element("div").classes("uq-figures")
+        view.watch(self._show)
+
+    def _run(self) -> None:
+        state = self.view.session.state
+        if not state["model"] or not any(r["model"] == state["model"] for r in state["laws"].values()):
+            say("report: a study needs a model and a law for it; choose both on their pages.")
+            return
+        self.view.jobs.submit(WorkItem("run", "run the whole study", {}, {}))
+
+    def _show(self) -> None:
+        folder = self.view.session.folder
+        self._place.clear()
+        with self._place:
+            summary = folder / "summary.json"
+            if not summary.exists():
+                words("The study has not run yet.", "caption")
+                self._boards()
+                return
+            try:
+                found = json.loads(summary.read_text(encoding="utf-8"))
+            except (OSError, ValueError) as error:
+                words(f"summary.json cannot be read ({error}); run the study again.", "doubt")
+                return
+            self._judged(found)
+            if (folder / "report.html").exists():
+                ui.link("Open the report", "/study/report.html", new_tab=True).props('data-testid="open-report"')
+            ui.link("summary.json", "/study/summary.json")
+
+    def _judged(self, found: dict[str, Any]) -> None:
+        asked = found.get("requirements")
+        title = self.view.session.state["title"]
+        ui.label(title).classes("uq-title-line")
+        if asked:
+            for each in asked.get("judged", []):
+                with ui.element("div").classes("uq-row"):
+                    chip("ok: met" if each.get("ok") else "short: missed")
+                    words(str(each.get("sentence", "")))
+        rows = [
+            (
+                name,
+                str(law.get("states", "")),
+                f"{law.get('peak_sensitivity_db') or float('nan'):.1f} dB",
+                law["status"],
+            )
+            for name, law in found.get("design", {}).items()
+        ]
+        if rows:
+            table(("law", "states", "peak of S", "status"), rows, "report-laws")
+        for sentence in found.get("failures", []):
+            words(str(sentence), "doubt")
+
+    def _boards(self) -> None:
+        session = self.view.session
+        rows = [
+            (board, item.name, item.recipe["op"], item.facts.get("status", "made" if item.ready else "not made"))
+            for board in ("data", "models", "laws", "codes")
+            for item in session.items(board)
+        ]
+        if rows:
+            heading("What stands on the boards")
+            table(("board", "item", "step", "state"), rows, "everything")
+
+
+def _decibels(value: float | None) -> str:
+    return "infinite" if value is None else f"{value:.1f} dB"

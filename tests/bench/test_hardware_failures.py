@@ -1,0 +1,129 @@
+"""Sixty ways for callbacks to fail, lie or be interrupted: the card comes to zero within the slew limit in each."""
+
+import contextlib
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from ultraquiet.bench import Hardware, Interlocks
+from ultraquiet.values import Channel
+
+RATE_HZ, SLEW_V_PER_S, AT = 1000.0, 2000.0, 60
+RAISED = (RuntimeError, MemoryError, RecursionError, KeyboardInterrupt, SystemExit, GeneratorExit)
+# A write that fails may have reached the card or not; nobody can tell which.
+PLACES = ("read", "write before the card", "write after the card", "wait", "controller", "stop")
+LIES = {
+    "read": (None, [1.0], [np.nan, 0, 0], [np.inf, 0, 0], "abc", object(), [1j, 0, 0], []),
+    "wait": ("late", 10**12, np.nan, [1]),
+    "controller": (np.array([np.nan, 0.0]), np.zeros(5), "u", None),
+}
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGINT five times")
+OTHERS = ("write changes what it is given", "the generator is closed", "the generator is forgotten")
+CASES = [
+    *(("raises", place, error) for place in PLACES for error in RAISED),
+    *(("lies", place, answer) for place, answers in LIES.items() for answer in answers),
+    *(("signal", "read", name) for name in SIGNALS),
+    *(("other", what, None) for what in OTHERS),
+]
+
+
+class Card:
+    """A card that goes wrong at one call."""
+
+    def __init__(self, how, place, what):
+        self.how, self.place, self.what = how, place, what
+        self.held, self.calls = [np.zeros(2)], dict.fromkeys(("read", "write", "wait", "controller", "stop"), 0)
+
+    def turn(self, name):
+        """Count a call; at the one that goes wrong raise, or return the lie in a list."""
+        self.calls[name] += 1
+        if self.calls[name] != AT or self.place.split()[0] != name:
+            return None
+        if self.how == "raises":
+            raise self.what("card")
+        if self.how == "signal":
+            for _ in range(5 if "five" in self.what else 1):
+                os.kill(os.getpid(), getattr(signal, self.what.split()[0]))
+        return [self.what] if self.how == "lies" else None
+
+    def write(self, u):
+        try:
+            if self.place != "write after the card":
+                self.turn("write")
+            self.held.append(np.array(u))
+            if self.place == "write after the card":
+                self.turn("write")
+        finally:
+            if self.place == "write changes what it is given":
+                u[:] = 99.0
+
+    def answer(self, name, regular):
+        lie = self.turn(name)
+        return regular if lie is None else lie[0]
+
+    # What a law and a bench ask for.
+    rate_hz = RATE_HZ
+
+    def reset(self):
+        """Nothing to forget."""
+
+    def step(self, y):
+        del y
+        return self.answer("controller", np.array([0.5, -0.5]))
+
+    def bench(self):
+        stop = lambda: bool(self.answer("stop", False))  # noqa: E731
+        return Hardware(
+            write=self.write,
+            read=lambda: self.answer("read", [0.1, 0.2, 0.3]),
+            rate_hz=RATE_HZ,
+            actuators=[Channel("a", "V", -10, 10), Channel("b", "V", -10, 10)],
+            sensors=["x", "y", "z"],
+            interlocks=Interlocks(slew_v_per_s=SLEW_V_PER_S, ramp_s=0.05, stop=stop),
+            wait=lambda: self.answer("wait", 0),
+        )
+
+
+def test_there_are_sixty():
+    assert len(CASES) == 60
+
+
+@pytest.mark.parametrize(("how", "place", "what"), CASES, ids=lambda value: getattr(value, "__name__", None))
+def test_the_card_comes_to_zero_within_the_slew_limit(how, place, what):
+    card = Card(how, place, what)
+    bench = card.bench()
+    u = np.minimum(np.arange(150) * 0.05, 5.0) * np.array([[1.0], [-0.8]])
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with contextlib.suppress(BaseException):
+        if "generator" in place:
+            stream = bench.stream(u, block_samples=50)
+            next(stream)
+            if "closed" in place:
+                stream.close()
+            del stream
+        else:
+            bench.run(u, controller=card)
+    held = np.array(card.held)
+    assert np.abs(held).max() > 1.0
+    assert not held[-1].any()
+    assert np.abs(np.diff(held, axis=0)).max() <= SLEW_V_PER_S / RATE_HZ * (1 + 1e-9)
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+    assert bench.run(np.zeros((2, 5))).samples == 5  # whatever failed once lets the next run begin
+
+
+@pytest.mark.parametrize("reached", ["before", "after"])
+def test_a_card_that_takes_nothing_any_more_is_named_to_whoever_stands_beside_it(reached):
+    card = Card("none", "none", None)
+
+    def write(u):
+        card.held.append(np.array(u)) if reached == "after" or card.calls["write"] < AT else None
+        card.calls["write"] += 1
+        if card.calls["write"] >= AT:
+            raise OSError("card")
+
+    bench = card.bench()
+    object.__setattr__(bench, "write", write)
+    with pytest.raises(RuntimeError, match="switch them off by hand"):
+        bench.run(np.minimum(np.arange(150) * 0.05, 5.0) * np.array([[1.0], [-0.8]]))

@@ -1,0 +1,274 @@
+"""Compilers, standards and flags: the same bits, or a refusal at compile time; never a guard that is missing."""
+
+import itertools
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from deploy_laws import random_law
+
+from ultraquiet.deploy import generate
+from ultraquiet.deploy.fixed_point.generation import generate_fixed
+from ultraquiet.deploy.toolchain.compiler import CONTRACT_OFF
+from ultraquiet.values import Channel, StateSpace
+
+SOURCES = ("controller.c", "controller_selftest.c")
+STANDARDS = {"gcc": ("-std=c99", "-std=c11", "-std=c17"), "clang": ("-std=c99", "-std=c11", "-std=c17")}
+STANDARDS |= {"g++": ("-std=c++17",), "clang++": ("-std=c++17",)}
+FLAGS = (
+    "-O0",
+    "-O1",
+    "-O2",
+    "-O3",
+    "-Os",
+    "-O3 -flto",
+    "-O3 -march=native",
+    f"-O3 -march=native {' '.join(CONTRACT_OFF)}",
+    "-O2 -march=native -ffp-contract=fast",
+    "-Ofast",
+    "-Ofast -fno-fast-math",
+    "-O2 -ffast-math",
+    "-O3 -march=native -ffast-math",
+    "-O2 -ffinite-math-only",
+    "-O2 -ffinite-math-only -fno-signed-zeros",
+    "-O2 -fno-signed-zeros",
+    "-O2 -funsafe-math-optimizations",
+    "-O2 -march=native -funsafe-math-optimizations",
+    "-O2 -fassociative-math -fno-signed-zeros -fno-trapping-math",
+    "-O2 -freciprocal-math",
+    "-O2 -mfpmath=387",
+    "-O2 -fno-trapping-math",
+)
+LAWS = 28
+
+
+def built(folder, compiler, flags, program):
+    """Return what came of one build: refused, same bits, or what is wrong."""
+    language = ["-x", "c++"] if "++" in compiler else []
+    command = [compiler, *flags.split(), "-w", "-DCONTROLLER_MAIN", *language, *SOURCES, "-o", str(program)]
+    made = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    if made.returncode:
+        ours = re.search(r'error: .*"controller: (.*)"', made.stderr)
+        unknown = re.search(r"error: .*(unrecognized|not supported|unknown argument)", made.stderr)
+        return "refused" if ours else "unknown flag" if unknown else f"broken: {made.stderr[:300]}"
+    told = subprocess.run([program], capture_output=True, text=True, timeout=120, check=False)
+    return "same bits" if told.returncode == 0 else f"other bits: {told.stdout.strip()}"
+
+
+def builds():
+    found = [name for name in STANDARDS if shutil.which(name)]
+    if not found:
+        pytest.skip("no C compiler on this machine")
+    return [(name, f"{std} {flags}") for name in found for std in STANDARDS[name] for flags in FLAGS]
+
+
+def drawn_law(rng, k):
+    """A law of another size, form, precision and unit each time."""
+    states, inputs, outputs = int(rng.integers(2, 16)), int(rng.integers(1, 6)), int(rng.integers(1, 6))
+    unit = 10.0 ** float(rng.choice([-9, -3, 0, 3, 9]))
+    law = random_law(rng, states, inputs, outputs, mixed=bool(k % 2))
+    law = StateSpace(law.A, law.B * unit, law.C, law.D * unit, rate_hz=law.rate_hz)
+    form = ("modal", "delta", "schur", "dense")[k % 4]
+    return law, {"precision": ("float32", "float64")[k // 4 % 2], "form": form, "anti_windup": bool(k // 8 % 2)}
+
+
+def test_flags_that_take_a_guard_away_are_refused_by_the_source(law_of, tmp_path):
+    generate(law_of(6, 2, 3), tmp_path / "code", form="modal", anti_windup=True)
+    fates = {}
+    for compiler in ("gcc", "clang"):
+        if shutil.which(compiler) is None:
+            continue
+        for flags in (
+            "-Ofast",
+            "-O1 -ffinite-math-only",
+            "-O1 -march=native -ffp-contract=fast",
+            "-O1 -fno-signed-zeros",
+        ):
+            fates[compiler, flags] = built(tmp_path / "code", compiler, f"-std=c99 {flags}", tmp_path / "run")
+    for build, fate in fates.items():
+        print(*build, fate)
+        assert fate in ("refused", "same bits")
+    assert all(
+        fate == "refused" for (_, flags), fate in fates.items() if flags[-4:] == "fast" and "contract" not in flags
+    )
+    assert all(fate == "refused" for (_, flags), fate in fates.items() if "finite" in flags)
+
+
+def test_cplusplus_links_against_the_header_and_compiles_the_source(law_of, tmp_path):
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler on this machine")
+    code = tmp_path / "code"
+    generate(law_of(4, 2, 2), code, form="modal")
+    assert built(code, "g++", "-std=c++17 -O1", tmp_path / "run") == "same bits"
+    (code / "main.cpp").write_text(
+        '#include "controller.h"\nint main() { return controller_self_test() == 0U ? 0 : 1; }\n'
+    )
+    subprocess.run(["gcc", "-std=c99", "-O1", "-c", *SOURCES], cwd=code, check=True)
+    objects = ["controller.o", "controller_selftest.o"]
+    subprocess.run(["g++", "-std=c++17", "main.cpp", *objects, "-o", "main"], cwd=code, check=True)
+    assert subprocess.run([code / "main"], check=False).returncode == 0
+
+
+def undefined(compiler, flags, folder, source):
+    subprocess.run([compiler, "-std=c99", *flags.split(), "-c", source, "-o", "made.o"], cwd=folder, check=True)
+    said = subprocess.run(["nm", "-u", "made.o"], cwd=folder, capture_output=True, text=True, check=True).stdout
+    return said.split()[1::2]
+
+
+@pytest.mark.parametrize("states", [pytest.param(8), pytest.param(60, marks=pytest.mark.slow)])
+def test_the_object_calls_nothing_that_it_does_not_define(law_of, tmp_path, states):
+    if shutil.which("nm") is None:
+        pytest.skip("no nm on this machine")
+    generate(law_of(states), tmp_path / "float", form="modal", anti_windup=True)
+    generate_fixed(law_of(8, 2, 2), tmp_path / "fixed", "q31", tolerance=1.0)
+    for folder in ("float", "fixed"):
+        for compiler in filter(shutil.which, ("gcc", "clang")):
+            for flags in ("-O0", "-O2", "-O3 -march=native -DULTRAQUIET_CONTRACT_OFF", "-Os"):
+                assert undefined(compiler, flags, tmp_path / folder, "controller.c") == [], (compiler, flags, folder)
+
+
+@pytest.mark.slow
+def test_compilers_times_standards_times_flags(tmp_path):
+    """Every law meets a share of the builds; together they meet each several times."""
+    rng = np.random.default_rng(16)
+    every = builds()
+    counts, wrong = {}, []
+    share = itertools.cycle(every)
+    per_law = -(-3 * len(every) // LAWS)
+    for k in range(LAWS):
+        law, settings = drawn_law(rng, k)
+        generate(law, tmp_path / "code", **settings)
+        for compiler, flags in itertools.islice(share, per_law):
+            fate = built(tmp_path / "code", compiler, flags, tmp_path / "run")
+            counts[fate.partition(":")[0]] = counts.get(fate.partition(":")[0], 0) + 1
+            if fate.partition(":")[0] in ("broken", "other bits"):
+                wrong.append((k, settings, compiler, flags, fate))
+    print(f"{LAWS} laws, {len(every)} builds each met three times: {counts}")
+    assert not wrong, wrong[:3]
+    assert counts["same bits"] > counts["refused"] > 0
+
+
+def decisions(text):
+    """Return the conditions of every decision with two operators or more as nested tuples."""
+    code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
+    found = []
+    for match in re.finditer(r"\bif \(|= \(|return ", code):
+        start = match.end() - (1 if match.group().endswith("(") else 0)
+        depth, at = 0, start
+        while not (depth == 0 and code[at] in ";{?"):
+            depth += {"(": 1, ")": -1}.get(code[at], 0)
+            at += 1
+        if "&&" in code[start:at] or "||" in code[start:at]:
+            found.append(code[start:at])
+    return found
+
+
+def parts(expression, operator):
+    """Return an expression's parts at an operator outside all parentheses."""
+    depth, last, found = 0, 0, []
+    for k, c in enumerate(expression):
+        depth += {"(": 1, ")": -1}.get(c, 0)
+        if depth == 0 and expression.startswith(operator, k):
+            found.append(expression[last:k])
+            last = k + len(operator)
+    return [*found, expression[last:]]
+
+
+def parsed(expression, counter):
+    """Return an expression as ("||", left, right), ("&&", left, right) or ("leaf", number)."""
+    for operator in ("||", "&&"):
+        first, *others = parts(expression, operator)
+        if others:
+            node = parsed(first, counter)
+            for other in others:
+                node = (operator, node, parsed(other, counter))
+            return node
+    inner = expression.strip()
+    if inner.startswith("(") and inner.endswith(")") and ("&&" in inner or "||" in inner):
+        return parsed(inner[1:-1], counter)
+    return ("leaf", next(counter))
+
+
+def is_tree(expression):
+    """Whether short-circuit evaluation reaches no condition by two ways: then branches of conditions are MC/DC.
+
+    Comar, Guitton, Hainque and Quinot, "Formalization and comparison of MCDC and object branch coverage criteria",
+    ERTS 2012: object branch coverage is MC/DC just for decisions whose decision diagram is a tree.
+    """
+    reached = {}
+    counter = itertools.count()
+
+    def walk(node, true, false):
+        """Return the first condition; `true` and `false` are where evaluation goes on."""
+        if node[0] == "leaf":
+            for end in (true, false):
+                if not isinstance(end, bool):
+                    reached[end] = reached.get(end, 0) + 1
+            return node[1]
+        if node[0] == "&&":
+            return walk(node[1], walk(node[2], true, false), false)
+        return walk(node[1], true, walk(node[2], true, false))
+
+    walk(parsed(expression, counter), True, False)
+    return all(count == 1 for count in reached.values())
+
+
+def covered(folder, source):
+    """Return what gcov says of a source after its self-test: shares of lines and of branches of conditions."""
+    command = ["gcc", "-std=c99", "-O0", "--coverage", "-DCONTROLLER_MAIN", *SOURCES, "-o", "covered"]
+    subprocess.run(command, cwd=folder, check=True)
+    subprocess.run([folder / "covered"], cwd=folder, check=True, capture_output=True)
+    data = next(folder.glob(f"*{source.removesuffix('.c')}.gcda"))
+    said = subprocess.run(
+        ["gcov", "-b", "-c", data.name], cwd=folder, capture_output=True, text=True, check=True
+    ).stdout
+    part = said.partition(f"File '{source}'")[2]
+    lines = re.search(r"Lines executed:([\d.]+)% of (\d+)", part)
+    branches = re.search(r"Taken at least once:([\d.]+)% of (\d+)", part)
+    return (float(lines[1]), int(lines[2])), (float(branches[1]), int(branches[2]))
+
+
+@pytest.mark.gate("modal-True")
+@pytest.mark.parametrize("aware", [True, False])
+@pytest.mark.parametrize("form", ["modal", "delta", "schur", "dense", "q15", "q31"])
+def test_the_self_test_covers_every_line_branch_and_condition(law_of, tmp_path, form, aware):
+    if shutil.which("gcov") is None or shutil.which("gcc") is None:
+        pytest.skip("no gcc with gcov on this machine")
+    folder = tmp_path / "code"
+    if form.startswith("q"):
+        generate_fixed(law_of(8, 2, 3), folder, form, tolerance=10.0, scaling="l2" if aware else "l1")
+    else:
+        generate(law_of(7, 3, 2), folder, form=form, anti_windup=aware)
+    (lines, of_lines), (branches, of_branches) = covered(folder, "controller.c")
+    found = decisions((folder / "controller.c").read_text())
+    trees = sum(map(is_tree, found))
+    print(
+        f"{form}, anti-windup {aware}: {lines} % of {of_lines} lines, {branches} % of {of_branches} branches; of "
+        f"{len(found)} decisions of several conditions {trees} are trees, for which that is MC/DC"
+    )
+    assert lines == 100.0
+    assert branches == 100.0
+    assert trees == len(found)
+
+
+def test_a_tree_of_conditions_is_told_from_a_diamond():
+    assert is_tree("((a == b) && ((c) || (d != 0U)))")
+    assert is_tree("a || (b && c)")
+    assert not is_tree("(a && b) || c")
+    assert len(decisions("if ((a) && (b)) { }\nx = ((a || b) ? 1 : 0);\nif (a) { }")) == 2
+
+
+@pytest.mark.gate("float32-1e30-1e-30", "float32-1e-9-1e9")
+@pytest.mark.parametrize(("y_unit", "u_unit"), [("1e9", "1e-9"), ("1e-9", "1e9"), ("1e30", "1e-30"), ("1e38", "1e38")])
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_constants_exist_in_their_type_whatever_the_units(rng, tmp_path, cc, precision, y_unit, u_unit):
+    """Anti-windup too: what the sensors count in does not decide whether there is a gain."""
+    y, u, law = float(y_unit), float(u_unit), random_law(rng, 6, 2, 2)
+    limits = [Channel(name, "x", -10 * u, 10 * u) for name in "ab"]
+    law = StateSpace(law.A, law.B / y, law.C * u, law.D * (u / y), law.rate_hz, sensors=limits)
+    made = generate(law, tmp_path / "code", precision, anti_windup=True, form="modal")
+    command = [cc, "-std=c99", "-O1", *CONTRACT_OFF, "-Wall", "-Werror", "-DCONTROLLER_MAIN", *SOURCES, "-o", "run"]
+    subprocess.run(command, cwd=made.folder, check=True)
+    assert subprocess.run([made.folder / "run"], check=False).returncode == 0

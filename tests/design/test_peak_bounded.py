@@ -1,0 +1,176 @@
+"""Peak-bounded search: bounds kept by exact norms, steps that lower the merit, plants of any shape in any units."""
+
+import numpy as np
+import pytest
+from ordinary_plants import ordinary, with_units
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.analyse import band_attenuation, hinf_norm, peak_sensitivity
+from ultraquiet.design import PeakBounded
+from ultraquiet.design.fixed_structure.damped_pairs import DampedPairs, Resonances
+from ultraquiet.design.peak_bounded.biquads import in_series
+from ultraquiet.design.peak_bounded.scenarios import perturbed
+from ultraquiet.design.peak_bounded.step import Linearised, step
+from ultraquiet.values import StateSpace
+from ultraquiet.values.interconnect import sensitivity, series
+
+PEAK_DB = 6.0
+
+
+def resonant(rate_hz=2000.0, channels=1):
+    """A mode at 40 Hz seen by a velocity sensor, with a sample of delay, once or on several channels."""
+    w = 2 * np.pi * 40.0 / rate_hz
+    r = np.exp(-0.05 * w)
+    A = np.array([[2 * r * np.cos(w), -(r**2), 0.0], [1.0, 0.0, 0.0], [0.1, -0.1, 0.0]])
+    one = StateSpace(A, [[1.0], [0.0], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]], rate_hz)
+    return StateSpace(*(np.kron(np.eye(channels), getattr(one, k)) for k in "ABCD"), rate_hz)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return PeakBounded(band_hz=(30.0, 55.0), states=4, steps=10, draws=1).design(resonant())
+
+
+def test_bounds_hold_between_the_lines_too_and_the_figures_are_those_of_the_loop(found):
+    figures, plant = found.details["figures"], resonant()
+    assert found.status.ok, found.status
+    peak, _ = peak_sensitivity(plant, found.controller)
+    assert peak <= PEAK_DB + 0.05
+    attenuation, _ = band_attenuation(plant, found.controller, (30.0, 55.0))
+    assert attenuation > 15
+    assert figures.attenuation_db == pytest.approx(attenuation, abs=1e-6)
+    control = hinf_norm(series(sensitivity(plant, found.controller), found.controller))[0]
+    assert figures.plants[0].control_gain == pytest.approx(control, rel=1e-4)
+    assert found.controller.is_stable()
+
+
+def test_the_same_seed_gives_the_same_law_and_other_units_the_same_loop(found):
+    settings = PeakBounded(band_hz=(30.0, 55.0), states=4, steps=10, draws=1)
+    again = settings.design(resonant())
+    np.testing.assert_array_equal(found.controller.A, again.controller.A)
+    other = settings.design(with_units(resonant(), inputs=2.0**30, outputs=2.0**-33, states=2.0**20))
+    assert other.details["attenuation_db"] == pytest.approx(found.details["attenuation_db"], abs=0.05)
+
+
+@pytest.mark.parametrize("shape", [(4, 3), (3, 5)])
+def test_any_shape_gives_a_stable_law_within_its_bounds(seed, shape):
+    plant = ordinary(np.random.default_rng(seed), shape, modes=3)
+    f = 0.02 * plant.rate_hz
+    turned_back = -0.1 * np.linalg.pinv(plant.frequency_response([f])[:, :, 0]).real
+    none = np.zeros((0, 0)), np.zeros((0, shape[0])), np.zeros((shape[1], 0))
+    start = StateSpace(*none, turned_back, plant.rate_hz)
+    settings = PeakBounded(band_hz=(f / 1.2, 1.2 * f), states=6, steps=4, draws=0, start=start)
+    result = settings.design(plant)
+    assert result.controller is not None
+    assert result.controller.is_stable()
+    figures = result.details["figures"]
+    assert figures.structure == "full"
+    peak, _ = peak_sensitivity(plant, result.controller)
+    assert np.isfinite(peak)
+    short = max(p.excess_db for p in figures.plants) > 0.02
+    assert (result.status.word == "short") == (short and result.status.word not in ("fragile", "unstable"))
+
+
+def test_a_second_plant_counts_and_a_shape_bounds_the_control():
+    plant = resonant()
+    stiff = StateSpace(plant.A, plant.B, 1.3 * plant.C, plant.D, plant.rate_hz)
+    limit = ((1.0, 200.0, 300.0), (50.0, 50.0, 1.0))
+    result = PeakBounded(band_hz=(30.0, 55.0), states=4, steps=12, draws=0, control_limit=limit).design([plant, stiff])
+    figures = result.details["figures"]
+    assert len(figures.plants) == 2
+    assert max(p.excess_db for p in figures.plants) < 0.05
+    f = np.linspace(300.0, 990.0, 200)
+    KS = series(sensitivity(stiff, result.controller), result.controller).frequency_response(f)
+    assert np.abs(KS).max() < 1.01
+
+
+def test_a_repeated_law_is_chosen_where_channels_are_alike():
+    result = PeakBounded(band_hz=(30.0, 55.0), states=4, steps=6, draws=0).design(resonant(channels=2))
+    K = result.controller.frequency_response([20.0, 40.0])
+    assert result.details["figures"].structure == "repeated"
+    np.testing.assert_allclose(K[0, 0], K[1, 1])
+    assert np.abs(K[0, 1]).max() < 1e-12 * np.abs(K).max()
+
+
+def test_a_step_solves_the_linearised_problem():
+    # two lines that cross at d = 1 and a bound that stops at 0.5
+    model = Linearised(
+        np.array([0.0, -2.0, -0.5]),
+        np.array([[-1.0], [1.0], [1.0]]),
+        np.array([True, True, False]),
+        np.zeros(0),
+        np.zeros((0, 1), dtype=complex),
+    )
+    d, promised = step(model, 10.0, 1e-6)
+    assert d[0] == pytest.approx(0.5, abs=1e-3)
+    assert promised == pytest.approx(-0.5, abs=1e-2)
+
+
+def elements():
+    rng = np.random.default_rng(3)
+    poles = [-0.3, -0.02, -0.05 + 0.4j, -0.05 - 0.4j]
+    A = np.diag([-0.3, -0.02]).astype(float)
+    A = np.block([[A, np.zeros((2, 2))], [np.zeros((2, 2)), np.array([[-0.05, 0.4], [-0.4, -0.05]])]])
+    assert sorted(np.linalg.eigvals(A), key=abs) == pytest.approx(sorted(poles, key=abs))
+    M = A, rng.standard_normal((4, 1)), rng.standard_normal((1, 4)), np.array([[0.3]])
+    pairs = DampedPairs(4, 2, 3, np.ones(4), 0.03)
+    tones = Resonances(np.array([0.1, 0.5]), np.array([0.01, 0.02]), 2, 3)
+    cascade, theta = in_series(M, 0.03)
+    return [
+        (cascade, theta, M),
+        (pairs, pairs.start(rng, 0.1, 1.0), None),
+        (tones, rng.standard_normal(tones.size), None),
+    ]
+
+
+@pytest.mark.parametrize("case", range(3))
+def test_elements_agree_with_their_state_space_and_their_slopes_with_differences(case):
+    element, theta, M = elements()[case]
+    s = 1j * np.array([0.03, 0.2, 0.7])
+
+    def response(A, B, C, D):
+        return np.array([C @ np.linalg.solve(x * np.eye(len(A)) - A, B) + D for x in s])
+
+    own = element.response(theta, s)
+    np.testing.assert_allclose(response(*element.system(theta)), own, rtol=1e-9)
+    if M is not None:
+        np.testing.assert_allclose(response(*M), own, rtol=1e-9)
+    rng = np.random.default_rng(4)
+    left, right = (rng.standard_normal((3, n)) + 1j * rng.standard_normal((3, n)) for n in element.shape)
+    d = 1e-6 * rng.standard_normal(theta.size)
+    difference = (element.response(theta + d, s) - element.response(theta - d, s)) / 2
+    expected = np.einsum("ki,kij,kj->k", left, difference, right)
+    np.testing.assert_allclose(element.gradient(theta, s, left, right) @ d, expected, rtol=1e-6)
+
+
+def test_drawn_plants_stay_stable_and_near(seed):
+    plant = ordinary(np.random.default_rng(seed), (2, 2), modes=3)
+    near = perturbed(plant, 3, 0.1, 0.03, np.random.default_rng(seed))
+    f = 0.001 * plant.rate_hz
+    for other in near:
+        assert other.is_stable() == plant.is_stable()
+        ratio = other.frequency_response([f]) / plant.frequency_response([f])
+        assert np.abs(np.abs(ratio) - 1).max() < 0.35
+    for other in perturbed(plant, 1, 0.0, 0.0, np.random.default_rng(seed)):
+        np.testing.assert_allclose(other.frequency_response([f]), plant.frequency_response([f]), rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"states": 3}, "must be even"),
+        ({"structure": "symmetric"}, "needs 'coordinates'"),
+        ({"peak_db": ((1.0, 2.0), (3.0,))}, "rising frequencies"),
+        ({"band_hz": (5.0, 1.0)}, "band_hz"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(settings, sentence):
+    with pytest.raises(InputError, match=sentence):
+        PeakBounded(**settings)
+
+
+def test_plants_that_do_not_go_together_are_refused():
+    with pytest.raises(InputError, match="all need one shape"):
+        PeakBounded().design([resonant(), resonant(channels=2)])
+    with pytest.raises(InputError, match="a sequence of plants"):
+        PeakBounded().design([])

@@ -1,0 +1,239 @@
+"""Every call into the system fails, comes short or is the last one: nothing unreadable, nothing false is left."""
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import siege_works as works
+
+from ultraquiet import files
+from ultraquiet.experiments import journal
+from ultraquiet.experiments.measure import recover
+
+HERE = Path(__file__).parent
+MOST_CALLS = 2000
+KINDS = {"EIO": works.EIO, "ENOSPC": works.ENOSPC, "short": works.SHORT, "kill": works.KILL}
+SIZES = {"first": 1400, "second": 700}
+LOSS_S = 0.1
+HEAD = struct.Struct("<c3xIIIQQd")
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux" or shutil.which("cc") is None, reason="needs LD_PRELOAD, cc")
+
+
+@pytest.fixture(scope="module")
+def forked(tmp_path_factory):
+    """A function that has a job done in a child of a warm process, armed."""
+    folder = tmp_path_factory.mktemp("faulty")
+    library, warm = folder / "faulty.so", folder / "warm"
+    subprocess.run(["cc", "-shared", "-fPIC", "-O1", HERE / "faulty.c", "-o", library, "-ldl"], check=True)
+    warm.mkdir()
+    words = [sys.executable, str(HERE / "siege_works.py"), str(warm)]
+    environment = {**os.environ, "LD_PRELOAD": str(library), "PYTHONWARNINGS": "ignore"}
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as server:
+        assert server.stdin is not None
+        assert server.stdout is not None
+        assert server.stdout.readline() == "ready\n"
+
+        def done(work, place, at=0, kind=works.NOTHING, trace=""):
+            job = {"work": work, "place": str(place), "at": at, "kind": kind, "trace": str(trace)}
+            server.stdin.write(json.dumps(job) + "\n")
+            server.stdin.flush()
+            return json.loads(server.stdout.readline())
+
+        yield done
+        server.stdin.close()
+        server.wait(30)
+
+
+def sound(place):
+    """Fail on a record that cannot be read or holds what was not measured; return name -> samples."""
+    found = {}
+    for path in place.glob("[!.]*.h5"):
+        record, name = files.load(path), path.name.partition(".")[0]
+        run = list(SIZES).index(name)
+        assert np.array_equal(record.outputs, works.readings(run, SIZES[name])[:, : record.samples]), "phantom samples"
+        partial = ".partial" in path.name
+        assert partial == ("partial" in record.provenance.settings)
+        assert partial or record.samples == SIZES[name]
+        found[path.name] = record.samples
+    return found
+
+
+def goes_on(place):
+    """Go on with a list as somebody would who reads what is said, without faults; the whole list is there then."""
+    recover(place)
+    sound(place)
+    begun = [name for name in journal.begun(place) if not (place / f"{name}.h5").exists()]
+    works.record(place, repeat=begun)
+    assert {name: files.load(place / f"{name}.h5").samples for name in SIZES} == SIZES
+    sound(place)
+    assert not list(place.glob(".*.part"))
+
+
+def struck(forked, work, folder, judge, kinds, every=1):
+    """Let each call of a work fail in each way; return how the works ended."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    prepared(work, folder)
+    calls = forked(work, folder, at=10**9, kind=works.EIO)["calls"]
+    fates = Counter()
+    for name, kind in kinds.items():
+        for at in range(1, min(calls, MOST_CALLS) + 1, every):
+            shutil.rmtree(folder)
+            folder.mkdir()
+            prepared(work, folder)
+            fate = forked(work, folder, at, kind)
+            word = "killed" if fate["code"] == -9 else fate["fate"]
+            assert word != "TRACEBACK", (work, name, at, fate["said"])
+            assert fate["code"] in (0, -9), (work, name, at, fate)
+            fates[f"{name}: {word}"] += 1
+            try:
+                judge(folder, word)
+            except BaseException as error:
+                raise AssertionError(f"{work}, {name} at call {at} of {calls}, {fate}: {error!r}") from error
+    return calls, fates
+
+
+BEFORE = b"what was there before"
+
+
+def prepared(work, folder):
+    files.save(works.source(), folder.parent / "source.h5")
+    if work == "convert":
+        (folder / "out.mat").write_bytes(BEFORE)
+
+
+def converted(folder, word):
+    data = (folder / "out.mat").read_bytes()
+    if data != BEFORE:
+        back = files.read_record(folder / "out.mat")
+        assert np.array_equal(back.outputs, works.source().outputs)
+    assert word != "done" or data != BEFORE
+    assert word == "killed" or not list(folder.glob(".*.part"))
+
+
+@pytest.mark.parametrize("every", [23, pytest.param(1, marks=pytest.mark.slow)])
+def test_every_call_of_a_recording_fails(forked, tmp_path, every):
+    place = tmp_path / "records"
+    calls, fates = struck(forked, "record", place, lambda folder, _: goes_on(folder), KINDS, every)
+    print(f"recording, {calls} calls, every {every}: {dict(fates)}")
+
+
+def test_every_call_of_a_conversion_fails(forked, tmp_path):
+    calls, fates = struck(forked, "convert", tmp_path / "out", converted, KINDS)
+    print(f"convert, {calls} calls: {dict(fates)}")
+
+
+# The power-cut model: what was done since a file's last fsync is lost, in part or whole, and in any order.
+
+
+def operations(trace):
+    """Yield what was done to files, as the library wrote it down."""
+    data, at = trace.read_bytes(), 0
+    while at + HEAD.size <= len(data):
+        op, length, other, _, file, place, when = HEAD.unpack_from(data, at)
+        at += HEAD.size
+        yield op.decode(), file, place, data[at : at + length], data[at + length : at + length + other].decode(), when
+        at += length + other
+
+
+class Disk:
+    """Files by number, names by path; each with what is safe and what is under way."""
+
+    def __init__(self, root):
+        self.root = str(root)
+        self.safe, self.names, self.loose, self.moves = {}, {}, {}, []
+
+    def do(self, op, file, place, data, other):
+        """Take one operation."""
+        if op in "wt":
+            self.loose.setdefault(file, []).append((op, place, data))
+        elif op == "s":
+            self._write(file, self.loose.pop(file, []))
+            self._name(self.moves)  # a journalling file system commits names with any sync
+            self.moves = []
+        else:
+            self.moves.append((op, file, data.decode(), other))
+
+    def _write(self, file, writes):
+        held = self.safe.setdefault(file, bytearray())
+        for op, place, data in writes:
+            if op == "t":
+                del held[place:]
+            else:
+                held.extend(bytes(max(0, place - len(held))))
+                held[place : place + len(data)] = data
+
+    def _name(self, moves):
+        for op, file, source, path in moves:
+            if op == "r":
+                self.names.pop(source, None)
+            if op == "u":
+                self.names.pop(path, None)
+            else:
+                self.names[path] = file
+
+    def cut(self, rng, folder):
+        """Lose the power: leave in a folder what a disk may hold then."""
+        for file, writes in self.loose.items():
+            kept = [w for w in writes if rng.random() < 0.5]
+            if kept and rng.random() < 0.5 and kept[-1][0] == "w":  # the last one is torn
+                op, place, data = kept[-1]
+                kept[-1] = (op, place, data[: int(rng.integers(len(data) + 1))])
+            if rng.random() < 0.3:
+                rng.shuffle(kept)
+            self._write(file, kept)
+        self._name(self.moves[: int(rng.integers(len(self.moves) + 1))])
+        for path, file in self.names.items():
+            target = folder / Path(path).relative_to(self.root)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(self.safe.get(file, b""))
+
+
+def due(trace, count, root):
+    """Return how many samples of which record were handed to the system more than 0.1 s before a cut."""
+    done = list(operations(trace))[:count]
+    names, written = {}, {}
+    for op, file, _, data, other, when in done:
+        if op in "crl" and other.endswith(".log"):
+            names[file] = Path(other).stem
+        if op == "w" and data[4:5] == b"D" and file in names:
+            written.setdefault(names[file], []).append((when, struct.unpack_from("<I", data, 32)[0]))
+    return {n: sum(m for when, m in rows if when < done[-1][5] - LOSS_S) for n, rows in written.items()}
+
+
+@pytest.mark.parametrize("cuts", [12, pytest.param(200, marks=pytest.mark.slow)])
+def test_power_cuts_cost_a_tenth_of_a_second(forked, tmp_path, cuts):
+    place, trace = tmp_path / "records", tmp_path / "trace"
+    place.mkdir()
+    assert forked("paced", place, trace=trace)["fate"] == "done"
+    done, rng = list(operations(trace)), np.random.default_rng(16)
+    counts = Counter(op for op, *_ in done)
+    assert counts["w"] > 15
+    assert counts["s"] > 5
+    lost = []
+    for k in range(cuts):
+        after = 1 + k * (len(done) - 1) // max(cuts - 1, 1) if cuts < len(done) else int(rng.integers(1, len(done) + 1))
+        disk, left = Disk(place), tmp_path / "left"
+        for op, file, at, data, other, _ in done[:after]:
+            disk.do(op, file, at, data, other)
+        shutil.rmtree(left, ignore_errors=True)
+        left.mkdir()
+        disk.cut(rng, left)
+        recover(left)
+        found = sound(left)
+        for name, samples in due(trace, after, place).items():
+            there = max((n for file, n in found.items() if file.partition(".")[0] == name), default=0)
+            lost.append(max(0, samples - there))
+            # One block may stand between two syncs besides.
+            assert there >= samples - works.BLOCK, (after, name, samples, found)
+        goes_on(left)
+    print(f"{cuts} power cuts over {len(done)} operations ({dict(counts)}): {max(lost, default=0)} samples older than")
+    print(f"{LOSS_S} s lost at most, nothing false read")

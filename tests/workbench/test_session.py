@@ -1,0 +1,148 @@
+"""A study by hand without a browser: steps, undo, stale marks, and what is written down of them."""
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import pytest
+from workbench_helpers import columns, csv_of
+
+from ultraquiet import files
+from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.pipeline import load_study, walk
+from ultraquiet.pipeline.study import parse
+from ultraquiet.workbench import Session
+from ultraquiet.workbench.engine.making.imports import import_step, inside, received
+
+IDENTIFY = {"op": "identify", "name": "arx4", "records": ["fit"], "period_samples": None}
+METHOD = {"method": "arx", "order": 4}
+
+
+@pytest.fixture
+def session(tmp_path, seed):
+    made = Session(tmp_path / "study")
+    file = received(made.folder, "run.csv", csv_of(tmp_path / "run.csv", seed))
+    made.do(import_step(made.folder, "run", file, columns(1, 1)))
+    made.do({"op": "cut", "name": "fit", "of": "run", "start": 0, "stop": 1000})
+    return made
+
+
+def test_steps_can_be_undone_and_outlive_the_program(session):
+    session.do({**IDENTIFY, "method": METHOD})
+    item = session.make("models", "arx4")
+    assert item.ready
+    session.undo()
+    assert not session.state["models"]
+    session.redo()
+    assert session.item("models", "arx4").ready, "what was made is found again"
+    again = Session(session.folder)
+    assert again.state == session.state
+    assert [dict(step) for step in again.steps] == [dict(step) for step in session.steps]
+
+
+def test_a_changed_input_makes_stale_and_says_what_changed(session):
+    session.do({**IDENTIFY, "method": METHOD})
+    session.make("models", "arx4")
+    assert session.stale("models", "arx4") is None
+    session.do({"op": "cut", "name": "fit", "of": "run", "start": 0, "stop": 800})
+    old, words = session.stale("models", "arx4")
+    assert "data/fit: stop was 1000, is 800" in words
+    assert old.ready
+    session.undo()
+    assert session.stale("models", "arx4") is None
+
+
+@pytest.mark.parametrize(
+    ("step", "words"),
+    [
+        ({"op": "cut", "name": "a/b", "of": "run", "start": 0, "stop": 9}, "cannot name an item"),
+        ({"op": "cut", "name": "x", "of": "gone", "start": 0, "stop": 9}, "holds no 'gone'"),
+        ({"op": "cut", "name": "fit", "of": "fit", "start": 0, "stop": 9}, "made of itself"),
+        ({"op": "cut", "name": "run", "of": "fit", "start": 0, "stop": 9}, "cannot be made of it"),
+        ({"op": "remove", "board": "data", "name": "run"}, "remove that first"),
+        ({"op": "choose", "model": "none"}, "no model 'none'"),
+        ({"op": "identfy"}, "did you mean 'identify'"),
+    ],
+)
+def test_a_step_that_will_not_do_changes_nothing(session, step, words):
+    before = json.dumps(session.state)
+    with pytest.raises(InputError, match=words):
+        session.do(step)
+    assert json.dumps(session.state) == before
+
+
+def test_paths_outside_the_study_are_refused(session):
+    for name in ("../secret.csv", "/etc/passwd", "imports/../../x"):
+        with pytest.raises(InputError, match="not in the study's folder"):
+            inside(session.folder, name)
+
+
+def test_a_file_that_was_changed_after_it_was_dropped_is_refused(session):
+    (session.folder / "imports" / "run.csv").write_text("other")
+    with pytest.raises(StorageError, match="drop it once again"):
+        session.make("data", "run")
+
+
+def test_a_log_that_cannot_be_read_is_said_and_not_overwritten(session):
+    log = session.folder / "workbench" / "log.json"
+    log.write_text("{ torn")
+    with pytest.raises(StorageError, match="move it away"):
+        Session(session.folder)
+    assert log.read_text() == "{ torn"
+
+
+def walked(folder: Path, seed: int, nu: int, ny: int, scale: float) -> Session:
+    """A study from a file to a law, its records detrended."""
+    made = Session(folder / "study")
+    file = received(made.folder, "run.csv", csv_of(folder / "run.csv", seed, nu, ny, scale))
+    made.do(import_step(made.folder, "run", file, columns(nu, ny)))
+    made.do({"op": "detrend", "name": "flat", "of": "run", "kind": "line"})
+    made.do({"op": "cut", "name": "fit", "of": "flat", "start": 0, "stop": 1000})
+    made.do({**IDENTIFY, "method": {"method": "subspace", "order": 8}})
+    made.do({"op": "design", "name": "quiet", "model": "arx4", "method": {"method": "lqg"}, "reduce": None})
+    made.make("laws", "quiet")
+    return made
+
+
+@pytest.mark.parametrize(
+    ("nu", "ny", "scale"),
+    [(1, 1, 1.0), pytest.param(3, 4, 1e9, marks=pytest.mark.slow), pytest.param(5, 3, 1e-9, marks=pytest.mark.slow)],
+)
+def test_the_recorded_python_gives_the_same_numbers(tmp_path, seed, monkeypatch, nu, ny, scale):
+    made = walked(tmp_path, seed, nu, ny, scale)
+    monkeypatch.chdir(made.folder)
+    found: dict[str, object] = {}
+    exec(compile((made.folder / "study.py").read_text(), "study.py", "exec"), found)
+    model, law = made.item("models", "arx4").value(), made.item("laws", "quiet").value()
+    assert found["record_fit"].hash == made.item("data", "fit").facts["hash"]
+    assert found["model_arx4"].hash == model.hash
+    assert found["law_quiet"].hash == law.hash
+
+
+def test_the_recorded_study_is_a_study_and_holds_the_same_records(tmp_path, seed):
+    made = walked(tmp_path, seed, 1, 1, 1.0)
+    text = (made.folder / "study.toml").read_text()
+    study = parse(text)
+    assert study.plant.method == "subspace"
+    assert list(study.controllers) == ["quiet"]
+    assert tomllib.loads(text)["records"]["files"] == ["data/fit.h5"]
+    assert files.load(made.folder / "data" / "fit.h5").hash == made.item("data", "fit").facts["hash"]
+
+
+@pytest.mark.slow
+def test_a_run_goes_on_from_what_was_done_by_hand_and_the_other_way_round(tmp_path, seed):
+    made = walked(tmp_path, seed, 1, 1, 1.0)
+    said: list[str] = []
+    study = load_study(made.folder / "study.toml")
+    left = {name: (made.folder / "stages" / f"{name}.json").stat().st_mtime_ns for name in ("plant", "design-quiet")}
+    walk(study, made.folder, beside=made.folder, say=said.append)
+    for name, before in left.items():
+        assert (made.folder / "stages" / f"{name}.json").stat().st_mtime_ns == before, f"{name} was computed again"
+    law = files.load(made.folder / "controllers" / "quiet.h5")
+    assert law.hash == made.item("laws", "quiet").value().hash
+    shutil.rmtree(made.folder / "workbench")
+    adopted = Session(made.folder)
+    assert list(adopted.state["laws"]) == ["quiet"]
+    assert adopted.make("laws", "quiet").value().hash == law.hash
+    assert (made.folder / "stages" / "design-quiet.json").stat().st_mtime_ns == left["design-quiet"]
