@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 # Directions of the input's lagged covariance weaker than this share of the strongest carry no evidence.
 EXCITED_SHARE = 1e-8
+BLOCKS_PER_LAG = 10  # block means a test needs for each of its lags
+NEAR_ONE = 1e-9  # a pole no further from the circle, or from one, is on it
 
 
 class Evidence(NamedTuple):
@@ -52,6 +54,43 @@ def cross_correlation(e: FloatArray, u: FloatArray, lags: int, residual_lags: in
     return cross_correlation_of(
         _lagged(e, u, lags) / n, _lagged(u, u, lags + residual_lags) / n, _lagged(e, e, residual_lags) / n, n
     )
+
+
+def free_of_inputs(e: FloatArray, inputs: FloatArray, lags: int, residual_lags: int = 0, span: int = 0) -> float:
+    """Return the p-value that e holds nothing of any input within `lags` samples, nor within `span` of them.
+
+    What a slow mode leaves is spread over its whole period and shows at no single lag. So the means of e and u over
+    blocks of samples are tested too, the blocks so long that as many lags of them reach across the span; the means of
+    white noise are white. What rings on for many spans may still pass for colour of the noise.
+
+    Args:
+        e: `(n,)` errors.
+        inputs: `(nu, n)`.
+        lags: of each test.
+        residual_lags: of e's own correlation, taken into account; 0 takes e as white.
+        span: samples to look back, such as the period of the slowest mode.
+    """
+    values = [cross_correlation(e, u, lags, residual_lags).p_value for u in inputs]
+    block = min(-(-span // max(1, lags)), e.size // (BLOCKS_PER_LAG * max(1, lags)))
+    if block > 1:
+        slow, memory = _block_means(e, block), min(residual_lags, e.size // block // 10)
+        values += [cross_correlation(slow, _block_means(u, block), lags, memory).p_value for u in inputs]
+    return sidak(values)
+
+
+def slowest_period(poles: ComplexArray) -> int:
+    """Return the samples of the longest time constant among discrete poles: 1 / |ln p| rad, a whole turn of it.
+
+    >>> slowest_period(np.array([0.9, np.exp(0.1j)]))
+    63
+    """
+    size = np.abs(np.log(poles[(poles != 0.0) & (np.abs(poles) < 1.0 + NEAR_ONE)]))
+    slowest = float(np.min(size, initial=np.pi))
+    return int(np.ceil(2 * np.pi / max(slowest, NEAR_ONE)))
+
+
+def _block_means(x: FloatArray, block: int) -> FloatArray:
+    return x[: x.size // block * block].reshape(-1, block).mean(axis=1)
 
 
 def cross_correlation_of(r: FloatArray, covariance: FloatArray, color: FloatArray, n: int) -> Evidence:

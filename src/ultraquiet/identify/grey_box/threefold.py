@@ -182,7 +182,7 @@ def _verdict(p_value: float, share: FloatArray) -> Status:
     evidence = (
         "its noise is not known, so this is not tested"
         if np.isnan(p_value)
-        else f"noise explains it (p = {p_value:.2f})"
+        else f"noise explains it (p = {p_value:.2g})"
     )
     return Status(
         StatusWord.OK, f"What a threefold symmetry forbids is {size:.2g} % of the response (median line); {evidence}."

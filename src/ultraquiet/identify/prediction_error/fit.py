@@ -240,7 +240,7 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
             f"unexplained, or the search found a poor minimum.",
         )
     return Status(
-        StatusWord.OK, f"Converged; the residual is white (p = {white:.2f}) and free of the input (p = {free:.2f})."
+        StatusWord.OK, f"Converged; the residual is white (p = {white:.2g}) and free of the input (p = {free:.2g})."
     )
 
 

@@ -150,7 +150,7 @@ def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: fl
     if min(white, free) < SIGNIFICANCE:
         what = "is not white" if white < free else "still holds something of the input"
         return Status(StatusWord.NOT_WHITE, f"The residual {what} (p = {min(white, free):.1e}): raise 'lags'.")
-    return Status(StatusWord.OK, f"The residual is white (p = {white:.2f}) and free of the input (p = {free:.2f}).")
+    return Status(StatusWord.OK, f"The residual is white (p = {white:.2g}) and free of the input (p = {free:.2g}).")
 
 
 def _simulated_fit(model: PolynomialModel, record: Record, i: int) -> float:

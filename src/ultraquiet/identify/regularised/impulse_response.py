@@ -182,4 +182,4 @@ def _verdict(converged: bool, p: float, left: float) -> Status:
         return Status(
             StatusWord.NOT_WHITE, f"The last twentieth of the taps holds {left:.0%} of the response: raise 'taps'."
         )
-    return Status(StatusWord.OK, f"The response has decayed, and the error is free of earlier inputs (p = {p:.2f}).")
+    return Status(StatusWord.OK, f"The response has decayed, and the error is free of earlier inputs (p = {p:.2g}).")

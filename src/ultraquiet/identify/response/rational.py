@@ -14,7 +14,7 @@ from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.fewest_modes import Task, fewest
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
-from ultraquiet.linalg import pole_residue, rank_one, vector_fitting
+from ultraquiet.linalg import pole_residue, portmanteau, rank_one, vector_fitting
 from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
@@ -120,7 +120,8 @@ class Rational:
         simulated = simulated + unknown_past(fitted.model.A, fitted.model.C, record.outputs - simulated)
         residual = record.outputs - simulated
         fits = np.array([fit_percent(y, m) for y, m in zip(record.outputs, simulated, strict=True)])
-        statuses = [_simulated(fitted.status, p, e, record.inputs) for p, e in zip(fits, residual, strict=True)]
+        span = portmanteau.slowest_period(fitted.model.poles())
+        statuses = [_simulated(fitted.status, p, e, record.inputs, span) for p, e in zip(fits, residual, strict=True)]
         ny = len(record.sensors)
         unknown = np.full(ny, np.nan)
         provenance = Provenance("rational", asdict(self), parents=(record.hash,), versions=versions())
@@ -254,14 +255,14 @@ def _verdict(error: float) -> Status:
     return Status(StatusWord.OK, f"Held-out lines are met within {100 * error:.2g} % of the response (RMS).")
 
 
-def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray) -> Status:
+def _simulated(status: Status, fit: float, e: FloatArray, u: FloatArray, span: int) -> Status:
     """Return the verdict on one output: a large simulated error that follows the inputs is no noise.
 
     An error larger than the output needs no test: slow ones are too coloured for it.
     """
     if not status.ok or fit >= 100.0 * (1.0 - POOR):
         return status
-    if fit > 0.0 and free_of_inputs(e, u, RESIDUAL_LAGS) >= SIGNIFICANCE:
+    if fit > 0.0 and free_of_inputs(e, u, RESIDUAL_LAGS, span) >= SIGNIFICANCE:
         return status
     return Status(
         StatusWord.POOR_FIT,

@@ -67,7 +67,8 @@ def judged(
     v = data.y - system.simulated(data.u) if system.stable() else np.full_like(data.y, np.inf)
     e = system.errors(data.u, data.y)
     tested = e if search.predicts else v
-    free = [free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS) for x in tested]
+    span = portmanteau.slowest_period(np.linalg.eigvals(system.A).astype(np.complex128))
+    free = [free_of_inputs(x, data.u, 0 if search.predicts else RESIDUAL_LAGS, span) for x in tested]
     lags = min(TEST_LAGS, record.samples // 10)
     white = [portmanteau.ljung_box(x, lags).p_value for x in e]
     spare = spare_modes(system, data, search.predicts)
@@ -161,12 +162,12 @@ def growing(record: Record) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(growth(record.outputs) > GROWTH * level))
 
 
-def free_of_inputs(e: FloatArray, u: FloatArray, memory: int) -> float:
-    """Return the p-value that e, `(n,)`, holds nothing of the inputs, itself coloured over `memory` samples."""
+def free_of_inputs(e: FloatArray, u: FloatArray, memory: int, span: int) -> float:
+    """Return the p-value that e, `(n,)`, coloured over `memory` samples, holds nothing of the inputs `span` back."""
     if not np.all(np.isfinite(e)):
         return 0.0
     lags = min(TEST_LAGS, e.size // 10)
-    return portmanteau.sidak(portmanteau.cross_correlation(e, x, lags, min(memory, e.size // 10)).p_value for x in u)
+    return portmanteau.free_of_inputs(e, u, lags, min(memory, e.size // 10), span)
 
 
 def _verdict(search: SearchSummary, free: float, white: float, spare: int, order: int, grows: bool) -> Status:
@@ -194,6 +195,6 @@ def _verdict(search: SearchSummary, free: float, white: float, spare: int, order
         )
     if search.predicts:
         return Status(
-            StatusWord.OK, f"The one-step error is white (p = {white:.2f}) and free of the inputs (p = {free:.2f})."
+            StatusWord.OK, f"The one-step error is white (p = {white:.2g}) and free of the inputs (p = {free:.2g})."
         )
-    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {free:.2f}).")
+    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {free:.2g}).")

@@ -239,4 +239,4 @@ def _verdict(
             StatusWord.NOT_WHITE,
             f"{statistics.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
         )
-    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {p:.2f}).")
+    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {p:.2g}).")
