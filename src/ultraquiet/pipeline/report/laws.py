@@ -9,8 +9,8 @@ from ultraquiet.chart import Chart, law_colours
 from ultraquiet.pipeline.facts.loops import StableLoop
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages.loops import (
-    AskedOfLoop,
     LoopCurve,
+    RequiredOfLoop,
     loci,
     margin_bars,
     measured_loops,
@@ -41,12 +41,12 @@ def colours(result: StudyResult) -> dict[str, str]:
     return law_colours(result.designs, chosen(result))
 
 
-def asked(result: StudyResult) -> AskedOfLoop:
+def asked(result: StudyResult) -> RequiredOfLoop:
     """Return what is required of the sensitivity, or the band alone."""
     required = result.study.requirements
     if required is None or result.requirements is None:
-        return AskedOfLoop(result.plan.band_hz)
-    return AskedOfLoop(result.requirements.band_hz, required.attenuation_db, required.peak_db)
+        return RequiredOfLoop(result.plan.band_hz)
+    return RequiredOfLoop(result.requirements.band_hz, required.attenuation_db, required.peak_db)
 
 
 def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensitivity") -> Chart | None:

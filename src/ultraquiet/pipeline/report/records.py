@@ -157,11 +157,11 @@ def response(result: StudyResult) -> Section:
         NamedResponse(name, model.frequency_response(f[lines]), colour)
         for (name, model), colour in zip(shown_models(result).items(), ("chosen", "law-1", "law-2"), strict=False)
     ]
-    ny, nu = result.design_plant.C.shape[0], result.design_plant.B.shape[1]
-    text = (
-        f"{nu} actuator{'s' * (nu > 1)} to {ny} sensor{'s' * (ny > 1)}. The plant that designs use is the whole matrix "
-    )
-    text += f"at once ({result.study.plant.method}, {result.plant.facts.states} states). {result.plant.facts.status}"
+    actuators, sensors = (", ".join(c.name for c in side) for side in wires(result))
+    unit = study.gain_unit(wires(result)).removeprefix("dB").removeprefix(" re ")
+    gains = f", in {unit}" if unit else ""
+    text = f"From {actuators} to {sensors}{gains}. The plant that designs use is the whole matrix at once "
+    text += f"({result.study.plant.method}, {result.plant.facts.states} states). {result.plant.facts.status}"
     if measured is None:
         text += " It was fitted to a record, so there is no response beside it that owes nothing to a model."
     return Section("Response", [text], [], [transfer_grid(f[lines], picked, models, wires(result))])

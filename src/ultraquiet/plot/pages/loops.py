@@ -15,7 +15,7 @@ LOW_DB = 60.0  # below 0 dB: what is quieter is not told apart
 
 
 @dataclass(frozen=True)
-class AskedOfLoop:
+class RequiredOfLoop:
     """What is required of the sensitivity: so much attenuation over the band, at most such a peak anywhere, in dB."""
 
     band_hz: tuple[float, float]
@@ -56,7 +56,7 @@ def worst_direction_db(values: ComplexArray) -> FloatArray:
     return 20 * np.log10(np.maximum(size, 1e-6))
 
 
-def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: AskedOfLoop) -> Chart:
+def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: RequiredOfLoop) -> Chart:
     """The worst direction of every loop as measured on the bench, over what is asked of it."""
     lines = [Curve(c.name, c.f_hz, np.maximum(c.amplification_db, -LOW_DB), c.colour, c.dash) for c in curves]
     panel = ChartPanel(
@@ -89,7 +89,7 @@ def shaped_loops(
     members: Mapping[str, Mapping[str, FloatArray]],
     colours: Mapping[str, str],
     units: Mapping[str, str],
-    asked: AskedOfLoop,
+    asked: RequiredOfLoop,
 ) -> Chart:
     """Largest singular values `(nf,)` of S, T and KS of each law, by member and law; `units` follow "dB re"."""
     panels: list[ChartPanel] = []
