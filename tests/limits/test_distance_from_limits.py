@@ -59,6 +59,20 @@ def test_several_channels(rng):
             assert found.left_db >= -ROUNDING_DB
 
 
+def test_an_uncertainty_lowers_the_limit_of_every_direction():
+    lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
+    pair, asked = append(lag, lag), {"control_gain": 10.0, "basis": 25, "directions": [[1.0], [0.0]]}
+    certain = by_direction(pair, (20.0, 100.0), 6.0, **asked)[0].limit
+    table = by_direction(pair, (20.0, 100.0), 6.0, uncertainty=([1.0, 100.0, 120.0], [0.1, 0.1, 1.5]), **asked)[0].limit
+    alone = best_flat_attenuation(
+        lag, (20.0, 100.0), 6.0, control_gain=10.0, basis=25, uncertainty=([1.0, 100.0, 120.0], [0.1, 0.1, 1.5])
+    )
+    print(f"{certain.attenuation_db:.2f} dB, {table.attenuation_db:.2f} dB with the uncertainty")
+    assert table.attenuation_db < certain.attenuation_db - 1
+    assert table.attenuation_db == pytest.approx(alone.attenuation_db, abs=0.05)
+    assert table.bound_db >= table.attenuation_db - ROUNDING_DB
+
+
 def test_alike_channels_have_the_limit_of_one():
     lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
     one = best_flat_attenuation(lag, (20.0, 100.0), 6.0, control_gain=10.0, basis=25)

@@ -1,6 +1,7 @@
 """Limits of a plant of several channels, direction by direction."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,10 +10,11 @@ from ultraquiet._base.constraints import FloatArray, between, real_array, rising
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.limits._limit import Limit, refused
-from ultraquiet.limits.demands import Wishes, largest_control
+from ultraquiet.limits.demands import Wishes, checked_uncertainty, largest_control
 from ultraquiet.limits.directions import AllActuators, along, coupling_db, principal
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "by_direction"
@@ -35,6 +37,7 @@ class DirectionLimit:
     coupling_db: float
 
 
+@takes_systems
 @single_threaded
 def by_direction(
     plant: StateSpace,
@@ -44,6 +47,7 @@ def by_direction(
     control_gain: float | None = None,
     directions: ArrayLike | None = None,
     basis: int = 60,
+    uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | float | None" = None,
 ) -> tuple[DirectionLimit, ...]:
     """Return the best flat attenuation in each of a few constant directions of a square, stable plant.
 
@@ -57,6 +61,9 @@ def by_direction(
         directions: `(ny, k)` orthonormal columns v; when absent, the eigenvectors of the mean of G G* over the band,
             from the one that the plant moves least.
         basis: states of Q besides those of the plant's function along v.
+        uncertainty: W of a relative error of the plant, G_true = (I + E) G with ||E|| <= |W|, which every loop is to
+            stand: a number for all frequencies, a scalar system, or a table `(f_hz, size)`. |W v' T v| <= 1 is asked,
+            which ||W T|| <= 1 implies, so that the bound holds in every direction.
 
     Returns:
         One `DirectionLimit` a column. The least `limit.bound_db` of them bounds the worst direction of every
@@ -80,18 +87,32 @@ def by_direction(
     if plant.D.shape[0] != plant.D.shape[1] or not plant.is_stable():
         raise InputError(f"{WHO}: the plant must be square and stable, got {plant.D.shape[0]} x {plant.D.shape[1]}.")
     V = principal(plant, band) if directions is None else _unit(directions, plant.D.shape[0])
-    return tuple(one_direction(plant, v, band, peak_db, control_gain, basis) for v in V.T)
+    weight = checked_uncertainty(plant, _over_all(uncertainty))
+    return tuple(one_direction(plant, v, band, peak_db, control_gain, basis, weight) for v in V.T)
+
+
+def _over_all(uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | float | None") -> Any:
+    """Return a number as a table of one line, which holds at all frequencies."""
+    if isinstance(uncertainty, int | float):
+        return [1.0], [between(WHO, "uncertainty", uncertainty, 1e-6, 10.0)]
+    return uncertainty
 
 
 def one_direction(
-    plant: StateSpace, v: FloatArray, band: tuple[float, float], peak_db: float, control_gain: float | None, basis: int
+    plant: StateSpace,
+    v: FloatArray,
+    band: tuple[float, float],
+    peak_db: float,
+    control_gain: float | None,
+    basis: int,
+    uncertainty: "StateSpace | tuple[FloatArray, FloatArray] | None" = None,
 ) -> DirectionLimit:
     """Return the limit along one unit vector."""
     search = LimitSearch(stabilised(along(plant, v)), band, basis)
     if not np.any(search.lines.b[search.inside]):
         return DirectionLimit(v, refused(f"{WHO}: the plant does not answer along this direction in the band."), 0.0)
     gain = largest_control(control_gain, search.lines, search.inside)
-    wishes = Wishes(band, 10 ** (peak_db / 20), gain)
+    wishes = Wishes(band, 10 ** (peak_db / 20), gain, uncertainty)
     all_actuators = None if plant.D.shape == (1, 1) else AllActuators(plant, v, search.circle)
     return DirectionLimit(v, search.limit(wishes, bounded_by=all_actuators), coupling_db(plant, v, band))
 

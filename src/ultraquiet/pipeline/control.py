@@ -34,6 +34,8 @@ from ultraquiet.pipeline.facts.loops import (
     ToneFacts,
     UnstableLoop,
 )
+from ultraquiet.pipeline.facts.models import PlantFacts
+from ultraquiet.pipeline.further_units import for_method
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Band, Deploy, Design
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord
@@ -44,15 +46,22 @@ from ultraquiet.values.controller import Controller
 COMPARED_STEPS, TARGETS = 5_000, ("cortex-m7",)
 
 
-def designed(name: str, plant: StateSpace, settings: Design, loop: LoopPlan) -> Outcome[DesignFacts]:
+def designed(
+    name: str,
+    plant: StateSpace,
+    settings: Design,
+    loop: LoopPlan,
+    others: Mapping[str, Outcome[PlantFacts]] | None = None,
+) -> Outcome[DesignFacts]:
     """Design one controller from the identified plant, and reduce it when the study says so.
 
     What a reduction must keep is what the study measures: the worst direction over its band, its tones, the peak, and
-    the margins. The facts are those of the law that runs, the reduced one unless it loses the loop.
+    the margins. The facts are those of the law that runs, the reduced one unless it loses the loop. `others` are models
+    of further units, for designs that hold on several plants.
     """
     with task(f"design {name}", 1 + (settings.reduce is not None)) as progress:
         method = settings.design.make("design")
-        result = method.design(plant)
+        result = method.design(for_method(method, plant, others or {}))
         progress.advance(note=str(result.status))
         law = result.controller
         if law is None:

@@ -90,6 +90,11 @@ def usual_amplitude(bench: Any) -> float:
 
 
 def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
+    for k, unit in enumerate(study.plant.units):
+        try:
+            as_unit(bench, unit)
+        except UltraquietError as error:
+            mistakes.add(("plant", "units", k), f"plant.units: {error}")
     for k, unit in enumerate(study.closed_loop.units):
         try:
             as_unit(bench, unit)

@@ -7,6 +7,7 @@ from typing import Any
 
 from ultraquiet._base.beside import beside
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
@@ -16,10 +17,12 @@ from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
-from ultraquiet.pipeline.facts.mission import CampaignFacts, PayloadFacts
+from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.further_units import further, of_unit
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
+from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
@@ -87,6 +90,7 @@ class Stages:
             limits=self._limits(system, laws, plan),
             requirements=self._judge(system, laws, loops, plan, payload),
             payload=payload,
+            commissioning=self._commission(laws, plan),
             campaign=self._campaign(laws, plan),
         )
 
@@ -111,6 +115,21 @@ class Stages:
         if name not in design.values:
             raise InputError(f"campaign: {name} has no law: {design.facts.status}")
         return defined(self.study, self.bench, design.values[name], plan, table)
+
+    def _commission(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[CommissioningFacts] | None:
+        """Put the law on, step by step, where the study asks for it."""
+        table = self.study.commission
+        if table is None or self.bench is None:
+            return None
+        name = law_of(self.study, table)
+        if name not in laws:
+            return None
+        key = [laws[name].hash, self.bench_key, plan.units, plan.band_hz, table]
+        compute = partial(commissioned, name, laws[name], self.bench, plan, table)
+        outcome = self.cache.stage("commission", "loops", key, CommissioningFacts, compute)
+        for unit, found in outcome.facts.units.items():
+            self.say(f"commissioned {name}, {unit}: {found.status}")
+        return outcome
 
     def _campaign(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> CampaignOutcome | None:
         """Run the campaign that the study asks for; results that are there stay."""
@@ -242,6 +261,17 @@ class Stages:
         self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
         return outcome
 
+    @cached_property
+    def _further(self) -> dict[str, Outcome[PlantFacts]]:
+        """Models of the bench's further units, for designs that hold on several."""
+        settings, found = self.study.plant, {}
+        for unit in settings.units if self.bench is not None else ():
+            compute = partial(further, self.bench, unit, self.records, settings)
+            key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
+            found[unit] = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
+            self.say(f"plant for design, {unit}: {found[unit].facts.states} states, {found[unit].facts.status}")
+        return found
+
     def _models_key(self, plant: StateSpace) -> list[Any]:
         return [self._record_hashes, self.study.identify, self.bench_key, plant.hash]
 
@@ -269,8 +299,11 @@ class Stages:
     def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
+        several = getattr(lookup("design", settings.design.method), "several_plants", False)
+        others = self._further if several else {}
         key = design_key(plant, settings, loop)
-        compute = partial(control.designed, name, plant, settings, loop)
+        key += [{unit: outcome.values[of_unit(unit)].hash for unit, outcome in others.items()}] if others else []
+        compute = partial(control.designed, name, plant, settings, loop, others)
         outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
@@ -331,7 +364,7 @@ class _Controller:
 
 def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
     """Return what the stage `plant` depends on: all records of the study by their hashes, and `[plant]`."""
-    return [dict(record_hashes), _key(settings)]
+    return [dict(record_hashes), settings.model_dump(exclude={"units"})]
 
 
 def design_key(plant: StateSpace, settings: Design, loop: LoopPlan) -> list[Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from ultraquiet.values.state_space import StateSpace
 
 WHO = "PeakBounded"
 STRUCTURES = (REPEATED, DECENTRALISED, SYMMETRIC, FULL)
-INVERSIONS = 30.0  # by default K S may be so many times what inverting the plant's weakest direction in the band takes
+INVERSIONS = 60.0  # by default K S may be so many times what inverting the plant's weakest direction in the band takes
 HEARD = 1e-3  # of the strongest direction: weaker ones do not count for that
 ALIKE_COSINE = 0.5  # of the phases of a plant's eigenvalues: within 60 degrees of their mean one scalar law serves all
 ALIKE_SHARE = 0.9  # of the lines of the band
@@ -54,7 +54,7 @@ class PeakBounded(StatedRobustness):
             where the plant moves all channels alike over the band, else `full`.
         coordinates: orthonormal columns, `(channels, channels)`.
         blocks: a number for each of them.
-        control_limit: largest K S in command per reading, or a shape (frequencies in Hz, gains); absent, 30 times what
+        control_limit: largest K S in command per reading, or a shape (frequencies in Hz, gains); absent, 60 times what
             inverting the weakest direction in the band takes.
         complementary_db: shape for T = G K S, in dB; none when absent.
         tones_hz, tone_db: where S is to be lower still, by resonators inside the law, and how low, in dB.
@@ -77,6 +77,8 @@ class PeakBounded(StatedRobustness):
     Boyd, Hast and Astrom 2016, doi:10.1002/rnc.3376 (multivariable PID by convex steps, the idea); Fletcher 1987,
     "Practical Methods of Optimization", chapter 14 (exact penalty and second-order correction).
     """
+
+    several_plants: ClassVar[bool] = True  # `design` takes a sequence of them
 
     band_hz: tuple[float, float] | None = None
     peak_db: Any = 6.0

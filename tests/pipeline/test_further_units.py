@@ -1,0 +1,46 @@
+"""Further units of a bench: recorded with the study's signals, identified likewise, given to designs that take them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ultraquiet.bench import Hexapod
+from ultraquiet.design import Lqg, PeakBounded
+from ultraquiet.pipeline import further_units as module
+from ultraquiet.pipeline import packaged_study
+from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.facts import stored
+from ultraquiet.values import StateSpace
+
+
+def one():
+    return StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+
+
+def test_the_same_signals_go_to_the_other_unit_and_its_model_has_a_name_of_its_own(monkeypatch):
+    bench, seen = Hexapod(unit="ground", linear=True), {}
+    rng = np.random.default_rng(1)
+    records = {f"low-{k}": bench.run(rng.standard_normal((6, 50))) for k in (1, 2)} | {
+        "step": bench.run(np.ones((6, 50)))
+    }
+
+    def identified(again, settings):
+        seen.update(again)
+        return Outcome(SimpleNamespace(states=1), {stored.PLANT: one(), stored.RESPONSE: None})
+
+    monkeypatch.setattr(module, "plant", identified)
+    settings = packaged_study("suite").plant.model_copy(update={"records": ["low"]})
+    outcome = module.further(bench, "flight", records, settings)
+    assert list(seen) == ["low-1", "low-2"]
+    assert list(outcome.values) == ["plant-flight"]
+    for name, record in seen.items():
+        np.testing.assert_array_equal(record.inputs, records[name].inputs)
+        assert not np.array_equal(record.outputs, records[name].outputs)
+
+
+@pytest.mark.parametrize(("method", "given"), [(PeakBounded(), 2), (Lqg(), 1)])
+def test_only_designs_that_hold_on_several_plants_are_given_them(method, given):
+    others = {"flight": Outcome(SimpleNamespace(), {"plant-flight": one()})}
+    plants = module.for_method(method, one(), others)
+    assert (len(plants) if isinstance(plants, list) else 1) == given
