@@ -1,5 +1,6 @@
 """Sphinx: Markdown pages, the API written from the objects themselves, search that works without a network."""
 
+import re
 import sys
 import tomllib
 from pathlib import Path
@@ -37,7 +38,18 @@ html_theme_options = {
 }
 
 
+# Pages of the repository's root that are part of the site, where readers of the repository find them beside the code.
+AT_THE_ROOT = {"SECURITY.md": "/reference/security.md", "CHANGELOG.md": "/reference/changelog.md"}
+
+
+def lead_to_pages(app, docname, source):
+    """Let links to pages of the root lead to those of the site."""
+    for name, page in AT_THE_ROOT.items():
+        source[0] = re.sub(rf"\]\((?:\.\./)+{re.escape(name)}", f"]({page}", source[0])
+
+
 def setup(app):
     """Write what is generated before any page is read."""
+    app.connect("source-read", lead_to_pages)
     api_pages.write(HERE / "reference" / "api")
     pictures.write(HERE / "gallery" / "pictures", HERE / "gallery" / "index.md")

@@ -52,7 +52,7 @@ def site(tmp_path_factory):
     left_out = shutil.ignore_patterns("_build", "api", "gallery", "__pycache__")
     shutil.copytree(ROOT / "docs", tree / "docs", ignore=left_out)
     shutil.copytree(ROOT / "src", tree / "src", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "CHANGELOG.md"):
+    for name in ("pyproject.toml", "CHANGELOG.md", "SECURITY.md"):
         shutil.copy(ROOT / name, tree)
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-n", "-q", "-b", "html", "docs", "out"]
     begun = time.perf_counter()
