@@ -26,7 +26,7 @@ class Sizes:
 
 
 @dataclass(frozen=True, eq=False)
-class AskedOfLoop:
+class SensitivityDemand:
     """What is asked of |S|: quieter than `-attenuation_db` over `band_hz`, nowhere above `peak_db`."""
 
     band_hz: tuple[float, float] | None = None
@@ -40,7 +40,7 @@ def loop_grid(
     laws: Mapping[str, Sizes],
     colours: Mapping[str, str],
     scale: Scale,
-    asked: AskedOfLoop = AskedOfLoop(),
+    asked: SensitivityDemand = SensitivityDemand(),
     bound: Sizes | None = None,
     unit: str = "",
 ) -> Chart:
@@ -85,7 +85,7 @@ def sizes_of(f_hz: FloatArray, S: np.ndarray, T: np.ndarray, KS: np.ndarray) -> 
     return Sizes(f_hz, largest)
 
 
-def _asked(asked: AskedOfLoop, scale: Scale) -> tuple[list[Region], list[Mark]]:
+def _asked(asked: SensitivityDemand, scale: Scale) -> tuple[list[Region], list[Mark]]:
     regions, marks = [], []
     if asked.band_hz is not None and asked.attenuation_db is not None:
         low, high = (float(scale.x(f)) for f in asked.band_hz)

@@ -5,7 +5,7 @@ from typing import Any
 from nicegui import ui
 
 from ultraquiet.workbench.engine.items import Item
-from ultraquiet.workbench.figures.loops import AskedOfLoop
+from ultraquiet.workbench.figures.loops import SensitivityDemand
 from ultraquiet.workbench.web.controls import button, chip, field, heading, table, words
 from ultraquiet.workbench.web.shell import doing, making, say
 from ultraquiet.workbench.web.view import View
@@ -78,11 +78,11 @@ class LawTable:
             table(COLUMNS, rows, "laws", lambda k: doing(self.view, {"op": "choose", "law": names[k]}), strong)
 
 
-def asked_of(view: View) -> AskedOfLoop:
+def asked_of(view: View) -> SensitivityDemand:
     """Return what the study asks of |S|."""
     tables = view.session.state["tables"]
     asked, band = tables.get("requirements", {}), tables.get("closed_loop", {}).get("band_hz")
-    return AskedOfLoop(tuple(band) if band else None, asked.get("attenuation_db"), asked.get("peak_db"))
+    return SensitivityDemand(tuple(band) if band else None, asked.get("attenuation_db"), asked.get("peak_db"))
 
 
 def judged(facts: dict[str, Any], asked: dict[str, Any]) -> str:

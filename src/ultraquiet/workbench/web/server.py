@@ -41,8 +41,14 @@ class _Server(uvicorn.Server):
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._stop)
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to serve; who was stopped meanwhile is brought down as it came up."""
+        await super().startup(sockets)
+        if self.should_exit and self.started:
+            await self.shutdown(sockets)
+
     def _stop(self, *_: Any) -> None:
-        self.force_exit, self.should_exit = self.should_exit, True
+        self.should_exit = True
 
 
 def serve(folder: Path, port: int = 0, opens: bool = False) -> None:
