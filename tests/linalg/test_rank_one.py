@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ultraquiet.linalg import rank_elimination, rank_one
+from ultraquiet.linalg.modes import rank_elimination, rank_one
 
 Z = np.exp(1j * np.linspace(0.02, 3.0, 80))
 
@@ -21,7 +21,7 @@ def moved(modes, step):
     u, ny = modes.upper, len(modes.c)
     x = step.reshape(modes.poles.size, -1)
     v = np.concatenate([x[:u] + 1j * x[u : 2 * u], x[:u] - 1j * x[u : 2 * u], x[2 * u :]])
-    return rank_one.Modes(modes.poles + v[:, -1], modes.c + v[:, :ny].T, modes.b + v[:, ny:-1])
+    return rank_one.RankOneModes(modes.poles + v[:, -1], modes.c + v[:, :ny].T, modes.b + v[:, ny:-1])
 
 
 @pytest.mark.parametrize(("ny", "nu", "zeros"), [(1, 1, 0), (4, 3, 0), (3, 5, 2)])
@@ -29,15 +29,16 @@ def test_normal_equations_are_those_of_differences(rng, ny, nu, zeros):
     modes = drawn(rng, ny, nu, 3, 2)
     H = drawn(rng, ny, nu, 3, 2).response(Z)
     samples = rank_one.Samples(Z, H, rng.uniform(0.5, 2.0, Z.size), zeros)
-    N, g = rank_one.normal_equations(rank_one.Point.of(modes, samples))
+    N, g = rank_one.normal_equations(rank_one.FittedModes.of(modes, samples))
     rows = []
     for k in range(len(g)):
         e = 1e-6 * np.eye(len(g))[k]
         difference = (
-            rank_one.Point.of(moved(modes, e), samples).left - rank_one.Point.of(moved(modes, -e), samples).left
+            rank_one.FittedModes.of(moved(modes, e), samples).left
+            - rank_one.FittedModes.of(moved(modes, -e), samples).left
         )
         rows.append(-difference.ravel() / 2e-6)
-    left = rank_one.Point.of(modes, samples).left.ravel()
+    left = rank_one.FittedModes.of(modes, samples).left.ravel()
     J, r = (np.concatenate([x.real, x.imag]) for x in (np.array(rows).T, left))
     assert np.abs(J.T @ J - N).max() < 1e-6 * np.abs(N).max()
     assert np.abs(J.T @ r - g).max() < 1e-6 * np.abs(g).max()
@@ -47,7 +48,7 @@ def test_normal_equations_are_those_of_differences(rng, ny, nu, zeros):
 def test_a_disturbed_start_returns_to_the_truth(rng, size):
     truth = drawn(rng, 4, 3, 4, 1)
     samples = rank_one.Samples(Z, size * truth.response(Z), np.ones(Z.size) / size)
-    start = rank_one.Modes(truth.poles * 0.995, truth.c, truth.b)
+    start = rank_one.RankOneModes(truth.poles * 0.995, truth.c, truth.b)
     found = rank_one.refined(rank_one.fitted_outputs(start, samples), samples, 60)
     print(f"error {samples.error(start):.2g} at the start, {samples.error(found):.2g} at the end")
     assert samples.error(found) < 1e-8

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.linalg import rank_elimination, rank_one, vector_fitting
+from ultraquiet.linalg import vector_fitting
+from ultraquiet.linalg.modes import rank_elimination, rank_one
 
 ROUGH_STEPS, FINE_STEPS = 8, 40  # of the search for directions and poles, to compare sets of modes and at the end
 REACH = 2.0  # error in units of the goal, from which the search for poles and directions may still lead back
@@ -16,12 +17,12 @@ FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is 
 class Trial(NamedTuple):
     """Modes, and their weighted RMS error at the lines fitted and at those held out."""
 
-    modes: rank_one.Modes
+    modes: rank_one.RankOneModes
     error: float
     held_out: float
 
 
-class Task(NamedTuple):
+class Thinning(NamedTuple):
     """Lines to fit, lines to judge by, the error there that must be met, and what precision is not worth a state."""
 
     fitted: rank_one.Samples
@@ -29,17 +30,17 @@ class Task(NamedTuple):
     goal: float
     spare: float
 
-    def tried(self, modes: rank_one.Modes, steps: int) -> Trial:
+    def tried(self, modes: rank_one.RankOneModes, steps: int) -> Trial:
         """Return the modes refined."""
         found = rank_one.refined(modes, self.fitted, steps, AMPLE * self.goal)
         return Trial(found, self.fitted.error(found), self.held_out.error(found))
 
-    def tightened(self, best: float) -> "Task":
+    def tightened(self, best: float) -> "Thinning":
         """Return the task with a goal that also keeps what a set of modes was seen to reach."""
         return self._replace(goal=min(self.goal, float(np.hypot(best, self.spare))))
 
 
-def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Task) -> Trial | None:
+def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Trial | None:
     """Return modes that meet the goal with as few states as found, or None.
 
     Every direction of every residue begins as a mode. The faintest leave, poles held, until what is left misses the
@@ -58,7 +59,7 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Task) -> Trial |
     return None
 
 
-def _eliminated(fit: vector_fitting.PoleResidueFit, task: Task) -> tuple[int, list[rank_one.Modes]]:
+def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int, list[rank_one.RankOneModes]]:
     """Return with how many states the goal is met while the poles are held, and the sets of modes, falling in size."""
     modes = rank_elimination.all_directions(fit.poles, fit.residues)
     sets, least = [modes], modes.poles.size
@@ -72,7 +73,7 @@ def _eliminated(fit: vector_fitting.PoleResidueFit, task: Task) -> tuple[int, li
     return least, sets
 
 
-def _thinned(trial: Trial, task: Task) -> Trial:
+def _thinned(trial: Trial, task: Thinning) -> Trial:
     """Take off one mode after the other, the faintest first, as long as the goal is met."""
     failed = 0
     while failed < FAILURES and len(trial.modes.heads()) > failed + 1:

@@ -11,11 +11,12 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import usable
-from ultraquiet.identify.response.fewest_modes import Task, fewest
+from ultraquiet.identify.response.fewest_modes import Thinning, fewest
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
-from ultraquiet.linalg import pole_residue, portmanteau, rank_one, vector_fitting
+from ultraquiet.linalg import pole_residue, portmanteau, vector_fitting
 from ultraquiet.linalg.innovation import unknown_past
+from ultraquiet.linalg.modes import rank_one
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
 from ultraquiet.spectra import frf
@@ -91,7 +92,7 @@ class Rational:
     >>> bool(Rational(order=2).identify(Record(u, plant.simulate(u), 100.0)).fit_percent[0] > 98)
     True
 
-    References: see `ultraquiet.linalg.vector_fitting` and `ultraquiet.linalg.rank_one`.
+    References: see `ultraquiet.linalg.vector_fitting` and `ultraquiet.linalg.modes.rank_one`.
     """
 
     order: int | None = None
@@ -165,7 +166,7 @@ class Rational:
         goal = max(errors_by_order[chosen], EXACT * self.floor)
         model = _realised(self, fits[chosen], f, rate_hz, weight, response)
         error = fits[chosen].error, errors_by_order[chosen]
-        lean = fewest([fits[n] for n in sorted({chosen, best})], Task(fitted, held_out, goal, worth))
+        lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth))
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
             model = _assembled(self, _blocks(lean.modes), rate_hz, response)
             error = lean.error, lean.held_out
@@ -295,7 +296,7 @@ def _realised(
     return _assembled(method, blocks, rate_hz, response)
 
 
-def _blocks(modes: rank_one.Modes) -> list[pole_residue.Block]:
+def _blocks(modes: rank_one.RankOneModes) -> list[pole_residue.Block]:
     """Return real blocks of modes of rank one, slowest first."""
     heads = modes.heads()
     heads = heads[np.argsort(np.abs(np.log(modes.poles[heads])), kind="stable")]

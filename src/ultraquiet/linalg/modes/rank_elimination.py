@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.linalg import rank_one
+from ultraquiet.linalg.modes import rank_one
 
 LEAVE = 0.06  # of the modes, in a round
 LEAVE_EARLY, EARLY = 0.15, 4  # while there are so many times the modes that the poles alone would make
@@ -13,7 +13,7 @@ LEAVE_EARLY, EARLY = 0.15, 4  # while there are so many times the modes that the
 RIDGE = 1e-13
 
 
-def all_directions(poles: ComplexArray, residues: ComplexArray) -> rank_one.Modes:
+def all_directions(poles: ComplexArray, residues: ComplexArray) -> rank_one.RankOneModes:
     """Return modes of rank one for every direction of residues `(ny, nu, poles)`, poles with their conjugates."""
     heads = np.flatnonzero(poles.imag >= 0)
     U, s, Vh = np.linalg.svd(np.moveaxis(residues, 2, 0)[heads], full_matrices=False)
@@ -25,7 +25,7 @@ def all_directions(poles: ComplexArray, residues: ComplexArray) -> rank_one.Mode
     )
 
 
-def eliminated(modes: rank_one.Modes, samples: rank_one.Samples) -> Iterator[rank_one.Modes]:
+def eliminated(modes: rank_one.RankOneModes, samples: rank_one.Samples) -> Iterator[rank_one.RankOneModes]:
     """Give ever fewer modes, the poles held, down to one."""
     alone = len(np.unique(modes.poles[modes.heads()]))
     table = _Products.of(modes.poles, samples)
@@ -37,7 +37,7 @@ def eliminated(modes: rank_one.Modes, samples: rank_one.Samples) -> Iterator[ran
         yield modes
 
 
-def faintest(modes: rank_one.Modes, samples: rank_one.Samples) -> np.ndarray:
+def faintest(modes: rank_one.RankOneModes, samples: rank_one.Samples) -> np.ndarray:
     """Return which of `modes.heads()` would be missed least, second least, and so on."""
     return _Products.of(modes.poles, samples).faintest(modes)[1]
 
@@ -58,7 +58,7 @@ class _Products:
         """Return the table of the transposed samples."""
         return _Products(self.poles, self.F, self.M.transpose(0, 2, 1))
 
-    def faintest(self, modes: rank_one.Modes) -> tuple[rank_one.Modes, np.ndarray]:
+    def faintest(self, modes: rank_one.RankOneModes) -> tuple[rank_one.RankOneModes, np.ndarray]:
         """Return the modes fitted again, and the places of `heads` in the order in which they may leave.
 
         A mode counts by how much the squared error would rise without it, all other output directions fitted again, or
@@ -69,7 +69,7 @@ class _Products:
         states = np.where(np.arange(by_inputs.size) < modes.upper, 2, 1)
         return _turned(turned), np.argsort(np.minimum(by_outputs, by_inputs) / states, kind="stable")
 
-    def refitted(self, modes: rank_one.Modes) -> tuple[rank_one.Modes, FloatArray]:
+    def refitted(self, modes: rank_one.RankOneModes) -> tuple[rank_one.RankOneModes, FloatArray]:
         """Return the modes with the best output directions, and the rise of the squared error without each of them."""
         from scipy.linalg import cho_factor, cho_solve
 
@@ -87,7 +87,7 @@ class _Products:
         x = x / size[:, None]
         c = x[:u] + 1j * x[u : 2 * u]
         found = np.vstack([c, c.conj(), x[2 * u :]]).T.astype(np.complex128)
-        return rank_one.Modes(modes.poles, found, modes.b), rise
+        return rank_one.RankOneModes(modes.poles, found, modes.b), rise
 
 
 def _pairs(x: FloatArray, y: FloatArray, inverse: FloatArray, u: int) -> FloatArray:
@@ -102,7 +102,7 @@ def _singles(x: FloatArray, inverse: FloatArray, u: int) -> FloatArray:
     return (x * x).sum(axis=1) / np.diag(inverse)[2 * u :]
 
 
-def _orthogonal(modes: rank_one.Modes) -> rank_one.Modes:
+def _orthogonal(modes: rank_one.RankOneModes) -> rank_one.RankOneModes:
     """Return the modes of each pole in orthogonal directions: side by side, each would pass for the other."""
     heads = modes.heads()
     _, where = np.unique(modes.poles[heads], return_inverse=True)
@@ -115,5 +115,5 @@ def _orthogonal(modes: rank_one.Modes) -> rank_one.Modes:
     return rank_one.of(modes.poles[heads], c, b)
 
 
-def _turned(modes: rank_one.Modes) -> rank_one.Modes:
-    return rank_one.Modes(modes.poles, modes.b.T, modes.c.T)
+def _turned(modes: rank_one.RankOneModes) -> rank_one.RankOneModes:
+    return rank_one.RankOneModes(modes.poles, modes.b.T, modes.c.T)

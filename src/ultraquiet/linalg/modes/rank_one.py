@@ -19,7 +19,7 @@ GAIN = 1e-4  # share of the cost that a step must take for another to follow
 HELD = 100.0  # weight of a known zero, in units of all lines together; a last exact step removes what is left
 
 
-class Modes(NamedTuple):
+class RankOneModes(NamedTuple):
     """Poles of the upper half plane, their conjugates, real ones, `(m,)`; `c` `(ny, m)` and `b` `(m, nu)` likewise."""
 
     poles: ComplexArray
@@ -37,11 +37,11 @@ class Modes(NamedTuple):
             (self.c[:, None] * self.b.T).reshape(-1, self.poles.size) @ functions(self.poles, z).T
         ).reshape(len(self.c), self.b.shape[1], -1)
 
-    def only(self, kept: np.ndarray) -> "Modes":
+    def only(self, kept: np.ndarray) -> "RankOneModes":
         """Return the modes whose upper or real pole is among `kept`, indices from `heads`."""
         u = self.upper
         rows = np.concatenate([kept[kept < u], kept[kept < u] + u, kept[kept >= 2 * u]]).astype(int)
-        return Modes(self.poles[rows], self.c[:, rows], self.b[rows])
+        return RankOneModes(self.poles[rows], self.c[:, rows], self.b[rows])
 
     def heads(self) -> np.ndarray:
         """Return the indices of upper and real poles: one a mode."""
@@ -58,23 +58,23 @@ class Samples(NamedTuple):
     zeros_at_one: int = 0
     slowest: float = 0.0  # least |ln p| of a pole: of what lies below the lowest sample nothing is known
 
-    def error(self, modes: Modes) -> float:
+    def error(self, modes: RankOneModes) -> float:
         """Return the weighted RMS error."""
         return float(np.sqrt(np.mean(np.abs(self.weight * (modes.response(self.z) - self.H)) ** 2)))
 
 
-def of(poles: ComplexArray, c: ComplexArray, b: ComplexArray) -> Modes:
+def of(poles: ComplexArray, c: ComplexArray, b: ComplexArray) -> RankOneModes:
     """Return modes from upper and real poles alone, in any order."""
     real = poles.imag == 0
     up, on = np.flatnonzero(~real), np.flatnonzero(real)
-    return Modes(
+    return RankOneModes(
         np.concatenate([poles[up], poles[up].conj(), poles[on]]),
         np.hstack([c[:, up], c[:, up].conj(), c[:, on].real]).astype(np.complex128),
         np.vstack([b[up], b[up].conj(), b[on].real]).astype(np.complex128),
     )
 
 
-def refined(modes: Modes, samples: Samples, steps: int, enough: float = 0.0) -> Modes:
+def refined(modes: RankOneModes, samples: Samples, steps: int, enough: float = 0.0) -> RankOneModes:
     """Return modes of less weighted error, poles inside the circle, zeros at z = 1 exact.
 
     Args:
@@ -83,7 +83,7 @@ def refined(modes: Modes, samples: Samples, steps: int, enough: float = 0.0) -> 
         steps: taken at most.
         enough: RMS error at which the search may end.
     """
-    at = Point.of(modes, samples)
+    at = FittedModes.of(modes, samples)
     damping = DAMPING
     for _ in range(steps):
         if at.cost <= enough**2 * samples.H.size:
@@ -101,7 +101,7 @@ def refined(modes: Modes, samples: Samples, steps: int, enough: float = 0.0) -> 
     return fitted_outputs(at.modes, samples)
 
 
-def fitted_outputs(modes: Modes, samples: Samples) -> Modes:
+def fitted_outputs(modes: RankOneModes, samples: Samples) -> RankOneModes:
     """Return the modes with the output directions c of least error, zeros at z = 1 exact where they can be."""
     u, m = modes.upper, modes.poles.size
     phi = samples.weight[:, None] * functions(modes.poles, samples.z)
@@ -118,7 +118,7 @@ def fitted_outputs(modes: Modes, samples: Samples) -> Modes:
         free = Vh[int(np.count_nonzero(s > s[0] * np.finfo(float).eps * max(rows.shape))) :].T
     x = (free @ np.linalg.lstsq(X / size @ free, y, rcond=None)[0]) / size[:, None]
     c = x[:u] + 1j * x[u : 2 * u]
-    return Modes(modes.poles, np.vstack([c, c.conj(), x[2 * u :]]).T.astype(np.complex128), modes.b)
+    return RankOneModes(modes.poles, np.vstack([c, c.conj(), x[2 * u :]]).T.astype(np.complex128), modes.b)
 
 
 def weighted(poles: ComplexArray, samples: Samples) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -138,10 +138,10 @@ def weighted(poles: ComplexArray, samples: Samples) -> tuple[ComplexArray, Compl
     return phi, psi, H
 
 
-class Point(NamedTuple):
+class FittedModes(NamedTuple):
     """Modes with what they leave of the weighted samples, and its sum of squares."""
 
-    modes: Modes
+    modes: RankOneModes
     samples: Samples
     phi: ComplexArray
     psi: ComplexArray
@@ -149,7 +149,7 @@ class Point(NamedTuple):
     cost: float
 
     @classmethod
-    def of(cls, modes: Modes, samples: Samples) -> "Point":
+    def of(cls, modes: RankOneModes, samples: Samples) -> "FittedModes":
         """Evaluate the modes."""
         phi, psi, H = weighted(modes.poles, samples)
         gains = (modes.c[:, None] * modes.b.T).reshape(-1, modes.poles.size)
@@ -157,7 +157,7 @@ class Point(NamedTuple):
         return cls(modes, samples, phi, psi, left, float(np.sum(np.abs(left) ** 2)))
 
 
-def normal_equations(at: Point) -> tuple[FloatArray, FloatArray]:
+def normal_equations(at: FittedModes) -> tuple[FloatArray, FloatArray]:
     """Return J'J and J'r of real and imaginary parts of c, b and p, mode by mode."""
     (p, c, b), phi, psi = at.modes, at.phi, at.psi
     m, ny, nu = p.size, len(c), b.shape[1]
@@ -186,7 +186,7 @@ def normal_equations(at: Point) -> tuple[FloatArray, FloatArray]:
     return real_rows(real_columns(N.reshape(m * size, m * size), u), u), real_rows(g.reshape(-1, 1), u)[:, 0]
 
 
-def _stepped(at: Point, N: FloatArray, g: FloatArray, damping: float) -> Point | None:
+def _stepped(at: FittedModes, N: FloatArray, g: FloatArray, damping: float) -> FittedModes | None:
     from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
     size = np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
@@ -200,13 +200,13 @@ def _stepped(at: Point, N: FloatArray, g: FloatArray, damping: float) -> Point |
     m, u, ny = p.size, at.modes.upper, len(c)
     x = step.reshape(m, -1)
     v = np.concatenate([x[:u] + 1j * x[u : 2 * u], x[:u] - 1j * x[u : 2 * u], x[2 * u :]])
-    moved = Modes(p + v[:, -1], c + v[:, :ny].T, b + v[:, ny:-1])
+    moved = RankOneModes(p + v[:, -1], c + v[:, :ny].T, b + v[:, ny:-1])
     if not _admissible(moved, u, at.samples.slowest):
         return None
-    return Point.of(moved, at.samples)
+    return FittedModes.of(moved, at.samples)
 
 
-def _admissible(modes: Modes, upper: int, slowest: float) -> bool:
+def _admissible(modes: RankOneModes, upper: int, slowest: float) -> bool:
     p = modes.poles
     if modes.upper != upper or np.any(np.abs(p) >= 1.0) or np.any(p == 0.0):
         return False
