@@ -46,6 +46,7 @@ def test_an_object_is_a_card(objects, name):
             assert wire.unit in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_an_object_has_a_figure(objects, name):
     figure = uq.plot.figure(objects[name])

@@ -1,5 +1,7 @@
 """Fixed-structure H-infinity against known optima, and a law of few states for every strut of the bench."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from named_plants import bbmx, sensitivity_db
@@ -7,14 +9,14 @@ from named_plants import bbmx, sensitivity_db
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
-from ultraquiet.design import FixedStructure, Specification, common_mode, synthesize_structured
+from ultraquiet.design import FixedStructure, LeadLag, Specification, common_mode, four_block, synthesize_structured
 from ultraquiet.design.fixed_structure.controller_structure import decentralised, one_element, repeated
 from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
 from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.design.fixed_structure.tuning import posed
-from ultraquiet.linalg import balance
+from ultraquiet.linalg import balance, discretize
 from ultraquiet.values import StateSpace
-from ultraquiet.values.interconnect import feedback, lft
+from ultraquiet.values.interconnect import feedback, gain, lft
 
 
 @pytest.fixture(scope="module")
@@ -227,3 +229,33 @@ def test_bad_input_is_refused(ground):
         FixedStructure(specification={"peak": 3.0})
     with pytest.raises(InputError, match="rising"):
         Specification(band_hz=(100.0, 10.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [None, 1000.0])
+def test_poles_of_the_plant_on_the_axis(rate):
+    """An integrator beside an undamped mode: the plant has no response there, the loop has."""
+    A = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 30.0], [0.0, -30.0, 0.0]])
+    G = StateSpace(A, [[1.0], [0.0], [0.5]], [[1.0, 0.0, 0.5]], [[0.0]])
+    if rate is not None:
+        G = StateSpace(*discretize.zero_order_hold(G.A, G.B, G.C, G.D, 1 / rate), rate_hz=rate)
+    result = LeadLag(zeros_hz=(1.0,), poles_hz=(20.0,)).design(G)
+    assert np.isfinite(result.achieved)
+    P = four_block(G, gain([[1.0]], rate), gain([[0.1]], rate), np.eye(1), np.eye(1))
+    result = synthesize_structured(P, 1, 1, states=1, starts=2)
+    print(f"integrator and undamped mode: {result.achieved:.3f} against {result.details['optimum']:.3f}")
+    assert np.isfinite(result.gamma)
+    assert np.isfinite(result.achieved)
+    assert result.achieved < 2 * result.details["optimum"]
+
+
+@pytest.mark.slow
+def test_static_output_feedback_of_a_reactor():
+    """COMPleib REA3: a constant gain reaches what laws of any order do, 74.2513; D21 lacks rank."""
+    z = np.load(Path(__file__).parents[1] / "data" / "problems" / "rea3.npz")
+    ny, nu = z["C"].shape[0], z["B"].shape[1]
+    D = np.block([[z["D11"], z["D12"]], [z["D21"], np.zeros((ny, nu))]])
+    P = StateSpace(z["A"], np.hstack([z["B1"], z["B"]]), np.vstack([z["C1"], z["C"]]), D)
+    result = synthesize_structured(P, ny, nu, states=0, starts=2)
+    print(f"REA3, constant gain: {result.achieved:.4f}")
+    assert result.achieved < 74.2513 * 1.001

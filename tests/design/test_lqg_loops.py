@@ -229,3 +229,21 @@ BAD = [
 def test_bad_settings_are_refused_by_name(rng, settings, error, match):
     with pytest.raises(error, match=match):
         Lqg(**FLAT | settings).design(minimum_phase(rng))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
+@pytest.mark.parametrize("plant", ["integrator", "two integrators", "undamped mode"])
+def test_poles_on_the_boundary_at_the_default_disturbance(plant, unit):
+    A, B = {
+        "integrator": ([[0.0]], [[1.0]]),
+        "two integrators": ([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]),
+        "undamped mode": ([[0.0, 20.0], [-20.0, 0.0]], [[0.0], [1.0]]),
+    }[plant]
+    C = np.eye(1, len(A))
+    M = discretize.zero_order_hold(np.array(A), unit * np.array(B), C, np.zeros((1, 1)), 1e-3)
+    result = Lqg().design(StateSpace(*M, rate_hz=1000.0))
+    assert result.status.ok, result.status
+    if unit == 1:
+        result = Lqg(control_weight=1e-4).design(StateSpace(*M, rate_hz=1000.0))
+        assert result.status.ok, result.status

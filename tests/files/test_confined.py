@@ -119,9 +119,10 @@ def npz(path, members):
     return path
 
 
-def test_what_a_file_says_it_unpacks_into_is_checked_before(tmp_path):
+def test_what_a_file_says_it_unpacks_into_is_checked_before(tmp_path, monkeypatch):
+    monkeypatch.setattr("ultraquiet.files.confined.unpacked.FREE_BYTES", 8 << 20)
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    zeros = array_head((1, 45_000_000)) + bytes(360_000_000)
+    zeros = array_head((1, 2_000_000)) + bytes(16_000_000)
     cases = {
         "bomb": npz(tmp_path / "bomb.npz", {"u.npy": zeros}),
         "declared": npz(tmp_path / "declared.npz", {"u.npy": array_head((1, 10**12))}),

@@ -178,3 +178,66 @@ def test_noise_in_the_record_is_no_fault_of_the_model(rng):
     found = uq.identify.Rational(order=2, floor=0.2).identify(noisy)
     print(found.status, found.fit_percent)
     assert found.status.word != "poor fit" or "simulated" not in found.status.sentence
+
+
+def measured_with_noise(rng, plant, f, noise_share):
+    G = plant.frequency_response(f)
+    noise = noise_share * np.sqrt(np.mean(np.abs(G) ** 2))
+    drawn = noise * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)) / np.sqrt(2)
+    return uq.FrequencyResponse(f, G + drawn, variance=np.full(G.shape, noise**2))
+
+
+def lean_against_full(rng, modes, channels, noise_share):
+    """States found, and the error at fresh lines against that of residues of full rank at the same order."""
+    plant, _ = random_modal(rng, modes, *channels)
+    f = np.arange(1, 3400) * 0.5
+    fit = uq.identify.Rational().identify_response(measured_with_noise(rng, plant, f, noise_share), RATE_HZ)
+    held_out_before = fit.errors_by_order[fit.order]
+    print(f"{fit.model.states} states of {2 * modes}, held out {held_out_before:.5f} -> {fit.error[1]:.5f}")
+    assert fit.model.is_stable()
+    assert fit.status.ok
+    return fit.model.states / (2 * modes), fit.error[1] / held_out_before
+
+
+@pytest.mark.parametrize("channels", [(2, 2), (4, 3), (3, 5)])
+def test_a_mode_costs_two_states(first_seed, channels):
+    states, error = lean_against_full(np.random.default_rng(first_seed), 6, channels, 1e-2)
+    assert states <= 1.0
+    assert error <= 1.0
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e9])
+def test_units_change_no_states(first_seed, size):
+    rng = np.random.default_rng(first_seed)
+    plant, _ = random_modal(rng, 3, 2, 3)
+    f = np.arange(1, 1700.0)
+    G = measured_with_noise(rng, plant, f, 1e-2)
+    assert G.variance is not None
+    scaled = uq.FrequencyResponse(f, size * G.values, variance=size**2 * G.variance)
+    one, other = (uq.identify.Rational().identify_response(g, RATE_HZ) for g in (G, scaled))
+    assert one.model.states == other.model.states
+    difference = other.model.frequency_response(f) / size - one.model.frequency_response(f)
+    assert np.abs(difference).max() < 1e-6 * np.abs(G.values).max()
+
+
+def test_the_zero_at_dc_outlasts_the_leaving_of_modes():
+    truth = uq.bench.Hexapod(unit="ground").linear_model()
+    f = np.geomspace(1, 1700, 400)
+    found = uq.identify.Rational(order=6, zeros_at_dc=1, delay=2).identify_response(response(truth, f), RATE_HZ).model
+    still, lowest = (np.abs(found.frequency_response(np.array([f_hz]))).max() for f_hz in (1e-9, 1.0))
+    print(f"{found.states} states; gain at 1e-9 Hz {still:.1e}, at 1 Hz {lowest:.1e}")
+    assert still < 1e-7 * lowest
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("modes", "channels"), [(15, 6), (30, 12)])
+def test_drawn_truths_come_back_with_their_states(modes, channels):
+    """Twenty lightly damped truths each, 6x6 of 30 and 12x12 of 60 states, at two levels of noise."""
+    found = []
+    for k in range(20):
+        rng = np.random.default_rng(k)
+        found.append(lean_against_full(rng, modes, (channels, channels), 10.0 ** -(2 + k % 2)))
+    states, errors = np.array(found).T
+    print(f"states over the truth's: median {np.median(states):.2f}, most {states.max():.2f}; error {errors.max():.2f}")
+    assert states.max() <= 1.2
+    assert errors.max() <= 1.0

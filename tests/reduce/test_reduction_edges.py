@@ -257,3 +257,13 @@ def test_tangled_modes_are_left_to_projection(loop):
     print(small.status)
     assert small.controller.states == law.states
     assert small.details["certificate"]["stable"] == feedback(plant, small.controller).is_stable()
+
+
+def test_hankel_norm_keeps_every_state_that_it_is_asked_to_keep():
+    """A mode of 1e-15 is round-off to a balanced form; with as many states as there are none is left out."""
+    G = StateSpace(np.diag([-1.0, -2.0, -3.0]), [[1.0], [1.0], [1e-9]], [[1.0, 0.5, 1e-9]], [[0.0]])
+    for states in (3, 5):
+        result = HankelNorm(states=states).reduce(G)
+        assert result.controller.states == 3
+        np.testing.assert_array_equal(result.controller.A, G.A)
+    assert HankelNorm(states=2).reduce(G).controller.states == 2

@@ -15,7 +15,7 @@ from ultraquiet._base.errors import UltraquietError
 
 SLOWEST_S = 10.0
 SEED = 16
-GATE, CAMPAIGN = 150, 20_000
+GATE, CAMPAIGN = 36, 20_000
 
 
 def spent():
@@ -82,6 +82,7 @@ def campaign(tmp_path, count):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="no fork")
+@pytest.mark.timeout(10800)
 @pytest.mark.parametrize("count", [GATE, pytest.param(CAMPAIGN, marks=pytest.mark.slow)])
 def test_mutants_at_every_door(tmp_path, count):
     if shutil.which("cc") is None:

@@ -1,5 +1,7 @@
 """A law comes on in steps: margins measured without a model are those of algebra, and no unstable gain ever runs."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,12 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import disk_margin, peak_sensitivity
 from ultraquiet.bench import LinearBench
+from ultraquiet.pipeline.facts.mission import CommissioningFacts
+from ultraquiet.pipeline.facts.typed import from_plain, to_plain
+from ultraquiet.pipeline.mission.commission import commissioned
+from ultraquiet.pipeline.preflight import LoopPlan
+from ultraquiet.pipeline.report import mission as report
+from ultraquiet.pipeline.tables.mission import CommissionTable
 from ultraquiet.simulate import commission
 from ultraquiet.simulate.commissioning.commission import replace_gain
 from ultraquiet.testing.problems import damped_plant
@@ -163,3 +171,17 @@ def test_a_damped_plant_of_another_kind(seed):
     K = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.01]], G.rate_hz)
     found = commission(LinearBench(G), K, (10.0, 60.0), gains=(1.0,), seconds=1.0, settle_s=1.0)
     assert found.steps[0].disk["output"] == pytest.approx(found.steps[0].disk["input"], rel=1e-6)
+
+
+def test_a_study_puts_its_law_on_and_tells_every_step():
+    plan = LoopPlan(("bench",), (), 1.0, 2.0, BAND_HZ)
+    table = CommissionTable(gains=[0.1, 1.0], seconds=2.0, settle_s=1.0)
+    facts = commissioned("calm", law(1, 1), LinearBench(plant(1, 1)), plan, table).facts
+    assert from_plain(CommissioningFacts, json.loads(json.dumps(to_plain(facts)))).units["bench"].ok
+    assert [step.gain for step in facts.units["bench"].steps] == [0.1, 1.0]
+    section = report.commissioning(facts)
+    assert len(section.tables[0].rows) == 2
+    assert "The law runs at 100% of its gain" in " ".join(section.paragraphs)
+    refused = commissioned("calm", law(1, 1), LinearBench(plant(1, 1, gain=0.0)), plan, table).facts.units["bench"]
+    assert not refused.ok
+    assert "moves no sensor" in refused.status

@@ -11,7 +11,9 @@ import pytest
 
 from ultraquiet import analyse
 from ultraquiet._base import registry
+from ultraquiet._base.errors import ToolError
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
+from ultraquiet.cli.workbench import command
 from ultraquiet.values import Channel, StateSpace
 from ultraquiet.workbench.engine.forms import entered, settings_of
 from ultraquiet.workbench.engine.live import Notched, attenuation_db, live_loop, responses
@@ -181,3 +183,10 @@ def test_a_killed_process_fails_its_work_and_the_next_goes_on(tmp_path):
         assert "not in the study's folder" in second.sentence
     finally:
         jobs.close()
+
+
+def test_without_its_package_a_sentence_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(command.util, "find_spec", lambda name: None)
+    with pytest.raises(ToolError, match=r"pip install 'ultraquiet\[workbench\]'"):
+        command.serve(tmp_path / "study")
+    assert not (tmp_path / "study").exists()

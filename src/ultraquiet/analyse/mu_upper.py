@@ -51,6 +51,18 @@ class _Basis(NamedTuple):
     start: Array
     join: Array
 
+    @property
+    def scalar(self) -> bool:
+        """Whether every block is one full channel, as in disk margins: D is then diagonal."""
+        p, n = self.start.size, self.into.shape[-1]
+        return p == n == self.out.shape[-1] and not np.any(self.G) and not np.any(self.out - self.into)
+
+
+class _Rows(NamedTuple):
+    """The directions of a problem of single channels, m* m for every row m of M `(nf, n, n)`."""
+
+    M: Array
+
 
 def upper_bound(M: Array, blocks: BlockStructure) -> Upper:
     """Return the bound for matrices `(nf, nz, nw)`."""
@@ -154,9 +166,12 @@ def _hermitian(k: int) -> list[Array]:
 def _centres(M: Array, basis: _Basis) -> tuple[Array, Array, Array, Array]:
     """Return t, D at outputs and inputs, and G, for matrices of norm one."""
     nf, p = M.shape[0], basis.start.size
-    moved = np.einsum("fzv,pzy,fyw->fpvw", M.conj(), basis.out, M, optimize=True)
-    GM = np.einsum("pvz,fzw->fpvw", basis.G @ basis.join, M, optimize=True)
-    F = moved + 1j * (GM - GM.conj().swapaxes(2, 3))
+    if basis.scalar:
+        F: Array | _Rows = _Rows(M)
+    else:
+        moved = np.einsum("fzv,pzy,fyw->fpvw", M.conj(), basis.out, M, optimize=True)
+        GM = np.einsum("pvz,fzw->fpvw", basis.G @ basis.join, M, optimize=True)
+        F = moved + 1j * (GM - GM.conj().swapaxes(2, 3))
     y = np.broadcast_to(basis.start, (nf, p)).copy()
     value = _eigenvalue(F, basis, y)
     t, best, kept = START * np.abs(value) + TOLERANCE, value.copy(), y.copy()
@@ -164,7 +179,7 @@ def _centres(M: Array, basis: _Basis) -> tuple[Array, Array, Array, Array]:
     for _ in range(ROUNDS):
         if not left.size:
             break
-        y[left], eigenvalue = _next(F[left], basis, t[left], y[left])
+        y[left], eigenvalue = _next(_chosen(F, left), basis, t[left], y[left])
         finite, better = np.isfinite(eigenvalue), eigenvalue < best[left]
         gained = best[left] - eigenvalue
         stalled[left] = np.where(gained > TOLERANCE * np.abs(best[left]), 0, stalled[left] + 1)
@@ -178,7 +193,7 @@ def _centres(M: Array, basis: _Basis) -> tuple[Array, Array, Array, Array]:
     )
 
 
-def _next(F: Array, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
+def _next(F: Array | _Rows, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
     """Return the centres and the largest eigenvalues there; infinity where rounding ends the search.
 
     LAPACK refuses a whole stack for one matrix on the edge of its cone: the stack is halved until that one is alone.
@@ -191,24 +206,24 @@ def _next(F: Array, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
         if len(y) == 1:
             return y, np.array([np.inf])
     half = len(y) // 2
-    parts = [_next(F[k], basis, t[k], y[k]) for k in (slice(None, half), slice(half, None))]
+    parts = [_next(_chosen(F, k), basis, t[k], y[k]) for k in (slice(None, half), slice(half, None))]
     return np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
 
 
-def _eigenvalue(F: Array, basis: _Basis, y: Array) -> Array:
+def _eigenvalue(F: Array | _Rows, basis: _Basis, y: Array) -> Array:
     """Return the largest eigenvalue of F(y) - t D(y)."""
     D = np.einsum("fp,pab->fab", y, basis.into, optimize=True)
     root = np.linalg.inv(np.linalg.cholesky(D))
-    A = root @ np.einsum("fp,fpab->fab", y, F, optimize=True) @ root.conj().swapaxes(1, 2)
+    A = root @ _summed(F, y) @ root.conj().swapaxes(1, 2)
     return np.linalg.eigvalsh(A)[:, -1]
 
 
-def _centred(F: Array, basis: _Basis, t: Array, y: Array) -> Array:
+def _centred(F: Array | _Rows, basis: _Basis, t: Array, y: Array) -> Array:
     """Return the analytic centre of t D(y) - F(y) > 0, D(y) > 0 by Newton's method with exact line search."""
     y = y.copy()
     left = np.arange(y.shape[0])
     for _ in range(NEWTON):
-        step, decrement = _newton(F[left], basis, t[left], y[left])
+        step, decrement = _newton(_chosen(F, left), basis, t[left], y[left])
         y[left] += step
         left = left[decrement > CENTRED]
         if not left.size:
@@ -216,13 +231,13 @@ def _centred(F: Array, basis: _Basis, t: Array, y: Array) -> Array:
     return y
 
 
-def _newton(F: Array, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
+def _newton(F: Array | _Rows, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
     """Return a step and the Newton decrement of the barrier -log det X - log det D at each frequency.
 
     Every term is homogeneous, so that a linear term in the trace of D holds the scale without a constraint.
     """
     fixed, pull = _cones(basis)
-    gradient, hessian, root = _terms(t[:, None, None, None] * basis.into - F, y)
+    gradient, hessian, root = _of_rows(F, t, y) if isinstance(F, _Rows) else _terms(_pencil(F, basis, t), y)
     gradient += pull
     parts = [_terms(cone, y) if cone.ndim == 3 else _diagonal_terms(cone, y) for cone in fixed]
     for more, bent, _ in parts:
@@ -230,7 +245,10 @@ def _newton(F: Array, basis: _Basis, t: Array, y: Array) -> tuple[Array, Array]:
         hessian += bent
     step = -_solved(hessian, gradient)
     decrement = np.sqrt(np.maximum(-np.einsum("fp,fp->f", step, gradient), 0.0))
-    moves = [_moves(t[:, None, None, None] * basis.into - F, root, step)]
+    if isinstance(F, _Rows):
+        moves = [np.linalg.eigvalsh(root @ (_diagonal(t, step) - _summed(F, step)) @ root.conj().swapaxes(1, 2))]
+    else:
+        moves = [_moves(_pencil(F, basis, t), root, step)]
     moves += [_moves(cone, part[2], step) for cone, part in zip(fixed, parts, strict=True)]
     length = _line(np.concatenate(moves, axis=1), step @ pull)
     return length[:, None] * step, decrement
@@ -258,6 +276,39 @@ def _terms(cone: Array, y: Array) -> tuple[Array, Array, Array]:
     Z = (L.conj().swapaxes(1, 2) @ L)[:, None] @ cone
     flat, turned = (z.reshape(*y.shape, -1) for z in (Z, Z.swapaxes(2, 3)))
     return -np.einsum("fpaa->fp", Z).real, (flat @ turned.swapaxes(1, 2)).real, L
+
+
+def _pencil(F: Array, basis: _Basis, t: Array) -> Array:
+    return t[:, None, None, None] * basis.into - F
+
+
+def _diagonal(t: Array, y: Array) -> Array:
+    """Return t diag(y) at each frequency."""
+    return (t[:, None] * y)[:, :, None] * np.eye(y.shape[1])
+
+
+def _chosen(F: "Array | _Rows", k: Array | slice) -> "Array | _Rows":
+    return _Rows(F.M[k]) if isinstance(F, _Rows) else F[k]
+
+
+def _summed(F: "Array | _Rows", y: Array) -> Array:
+    """Return the sum of y times the directions of F."""
+    if isinstance(F, _Rows):
+        return F.M.conj().swapaxes(1, 2) @ (y[:, :, None] * F.M)
+    return np.einsum("fp,fpab->fab", y, F, optimize=True)
+
+
+def _of_rows(F: "_Rows", t: Array, y: Array) -> tuple[Array, Array, Array]:
+    """Do what `_terms` does where direction i is t e e' - m* m, e a unit vector and m a row of M: n^3 work, not n^5."""
+    X = _diagonal(t, y) - _summed(F, y)
+    L = np.linalg.inv(np.linalg.cholesky(X))
+    W = L.conj().swapaxes(1, 2) @ L
+    b = W @ F.M.conj().swapaxes(1, 2)
+    c = F.M @ b
+    s = t[:, None, None]
+    across = np.abs(b) ** 2
+    gradient = np.einsum("fii->fi", c).real - t[:, None] * np.einsum("fii->fi", W).real
+    return gradient, s**2 * np.abs(W) ** 2 - s * (across + across.swapaxes(1, 2)) + np.abs(c) ** 2, L
 
 
 def _diagonal_terms(cone: Array, y: Array) -> tuple[Array, Array, Array]:

@@ -3,9 +3,11 @@
 import numpy as np
 
 from ultraquiet.linalg import norms
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 
+@takes_systems
 def hinf_norm(G: StateSpace, tolerance: float = 1e-7) -> tuple[float, float]:
     """Return the H-infinity norm of a system and the frequency at which it is reached.
 
@@ -33,6 +35,7 @@ def hinf_norm(G: StateSpace, tolerance: float = 1e-7) -> tuple[float, float]:
     return gain, w / (2 * np.pi) * (1.0 if G.rate_hz is None else G.rate_hz)
 
 
+@takes_systems
 def h2_norm(G: StateSpace) -> float:
     """Return the H2 norm, the standard deviation of the output (summed over channels) to white unit noise.
 
@@ -50,6 +53,7 @@ def h2_norm(G: StateSpace) -> float:
     return norms.mean_square_gain(G.A, G.B, G.C, G.D, G.rate_hz is not None)
 
 
+@takes_systems
 def l2_norm(G: StateSpace) -> float:
     """Return the L2 norm, the root mean square of the response over all frequencies, of an unstable system too.
 

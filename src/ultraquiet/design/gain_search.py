@@ -7,7 +7,9 @@ import numpy as np
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, even_sensitivity
+from ultraquiet.analyse.mu_upper import balanced_norm
 from ultraquiet.analyse.peaks import response_at
+from ultraquiet.analyse.structure import structure
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
@@ -17,6 +19,7 @@ from ultraquiet.values.state_space import StateSpace
 
 FIRST = 32.0  # 30 dB of loop gain in the mean over the band: more is noise in the actuators
 LAST = 2.0**-6  # below it nothing worth calling control is left
+CLEARLY = 1.1  # times the margin, on the lines of a grid: peaks between them are lower than that
 SPARE = 1.02  # of the margin, so that the last digits of another coordinate system do not decide
 
 
@@ -80,7 +83,7 @@ def margin_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
             return 0.0
     except InputError:  # not well posed
         return 0.0
-    most = np.inf
+    most, sure = np.inf, np.inf
     for side in ENDS:
         S = even_sensitivity(plant, law, side)
         if not S.is_stable():
@@ -88,6 +91,10 @@ def margin_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
         X = np.moveaxis(response_at(S)(default_grid(S)), 2, 0) - np.eye(S.D.shape[0]) / 2
         largest = max(np.abs(np.linalg.eigvals(X)).max(initial=0.0), np.abs(np.einsum("fii->fi", X)).max(initial=0.0))
         most = min(most, 1 / float(largest))
+        channels = structure("margin_kept", None, S.D.shape)
+        sure = min(sure, 1 / float(balanced_norm(X, channels).max(initial=np.finfo(float).tiny)))
     if most < asked:
         return most
+    if sure >= CLEARLY * asked:
+        return sure  # a norm says enough; the margin itself is found where the loop is judged
     return min(disk_margin(plant, law, side) for side in ENDS)

@@ -15,6 +15,8 @@ from ultraquiet.values.state_space import StateSpace
 WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
 ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
 LINES = 200  # over a given band, besides those of the poles
+BOUNDARY = 1e-9  # poles this near the stability boundary are on it, relative to their modulus
+PULLED = 5e-3  # of the slowest frequency of the poles: as far inside they are moved, a damping ratio for a resonance
 SWEEPS = 60  # of rows and columns in turn; a matrix of positive powers converges geometrically
 
 
@@ -78,14 +80,18 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
         band_hz: a band in place of the plant's own.
         who: asks, for the sentence of a refusal.
 
+    A plant with poles on the stability boundary is measured with all poles a little inside it: there its gain has no
+    bound, and neither a mean nor a band.
+
     Sinkhorn 1964, doi:10.1214/aoms/1177703591 (rows and columns in turn).
     """
-    f = default_grid(plant)
+    seen = _pulled_in(plant)
+    f = default_grid(seen)
     f = f[(f > 0) & (f <= below_nyquist(np.inf, plant.rate_hz))]
     if band_hz is not None:
         low, high = rising_band(who, band_hz, plant.rate_hz)
         f = np.unique(np.concatenate([f[(f > low) & (f < high)], np.geomspace(low, high, LINES)]))
-    G = np.moveaxis(response_at(plant)(f), 2, 0)
+    G = np.moveaxis(response_at(seen)(f), 2, 0)
     power, widths = np.abs(G) ** 2, _widths(f)
     # powers of squares of units many decades apart: the largest of each row and column first
     y, u = _peaks(power)
@@ -103,6 +109,24 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
     states = evened(plant.A, plant.B * u, plant.C * y[:, None])
     even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
     return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines)
+
+
+def _pulled_in(plant: StateSpace) -> StateSpace:
+    """Return the plant as it is, or with its poles moved inside where one lies on the stability boundary."""
+    poles = plant.poles()
+    if plant.rate_hz is None:
+        scale = np.abs(poles)
+        on = np.abs(poles.real) <= BOUNDARY * np.maximum(scale, scale.max(initial=0.0) * BOUNDARY)
+        inside = scale[scale > BOUNDARY * scale.max(initial=0.0)]
+        slowest = float(inside.min(initial=np.inf))
+        move = PULLED * (slowest if np.isfinite(slowest) else 1.0)
+        A = plant.A - move * np.eye(plant.states)
+    else:
+        on = np.abs(np.abs(poles) - 1) <= BOUNDARY
+        turns = np.abs(np.angle(poles[on]))
+        turns = turns[turns > np.sqrt(BOUNDARY)]
+        A = plant.A * (1 - PULLED * min(float(turns.min(initial=1.0)), 1.0))
+    return StateSpace(A, plant.B, plant.C, plant.D, plant.rate_hz) if np.any(on) else plant
 
 
 def _widths(f: FloatArray) -> FloatArray:

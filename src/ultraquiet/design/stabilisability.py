@@ -4,6 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
@@ -16,6 +17,8 @@ def lost_modes(who: str, plant: StateSpace, inputs: str = "B", outputs: str = "C
 
     Hautus: a mode z is out of reach when [A - zI, B] loses rank, unseen when [A' - zI, C'] does.
     """
+    d = even_scale(plant.A, plant.B, plant.C)
+    plant = StateSpace(plant.A * d / d[:, None], plant.B / d[:, None], plant.C * d, plant.D, plant.rate_hz)
     poles = plant.poles()
     unstable = poles[poles.real >= -BORDER if plant.rate_hz is None else np.abs(poles) >= 1 - BORDER]
     for lacking, A, B, wires in (

@@ -14,6 +14,7 @@ from ultraquiet.limits.demands import Wishes, checked_uncertainty, largest_contr
 from ultraquiet.limits.directions import AllActuators, along, coupling_db, principal
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "by_direction"
@@ -36,6 +37,7 @@ class DirectionLimit:
     coupling_db: float
 
 
+@takes_systems
 @single_threaded
 def by_direction(
     plant: StateSpace,

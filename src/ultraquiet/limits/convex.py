@@ -11,11 +11,13 @@ from ultraquiet.limits.delays import delayed
 from ultraquiet.limits.demands import WHO, Wishes, checked_uncertainty, largest_control
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 NO_PATH = 1e-12
 
 
+@takes_systems
 @single_threaded
 def best_flat_attenuation(
     plant: StateSpace,

@@ -60,16 +60,20 @@ def _refined(
 
     def at(x: float) -> float:
         z = np.exp(1j * x) if discrete else 1j * x
-        return float(np.linalg.norm(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D, 2))
+        try:
+            return float(np.linalg.norm(C @ np.linalg.solve(z * np.eye(len(A)) - A, B) + D, 2))
+        except np.linalg.LinAlgError:  # a pole on the axis, but for round-off
+            return np.inf
 
-    places = (
-        np.log(np.where(poles == 0, EARLIEST, poles).astype(complex)) if discrete else poles
-    )  # as rates of decay and frequencies, both times the same
-    sharp = places[(places.imag > 0) & (np.abs(places.real) < SHARP * np.abs(places))]
+    # as rates of decay and frequencies, in both times the same
+    places = _rates(poles) if discrete else poles
+    sharp: Array = places[(places.imag > 0) & (np.abs(places.real) < SHARP * np.abs(places))]
     rivals = [
         float(p.imag) for p in sharp[np.argsort(np.abs(sharp.imag - w))[:RIVALS]] if at(float(p.imag)) > RIVAL * gain
     ]
     best, where = at(w), w
+    if not np.isfinite(best):
+        return gain, w
     for start in [w, *rivals]:
         near = places[np.argmin(np.abs(places - 1j * start))]
         top, x = _parabola(at, start, abs(float(near.real)))
@@ -77,6 +81,10 @@ def _refined(
             best, where = top, x
     # what lies off every resonance is as the modal form says, and no light damping spoils it there
     return best, where
+
+
+def _rates(poles: Array) -> Array:
+    return np.log(np.where(poles == 0, EARLIEST, poles).astype(np.complex128))
 
 
 def _parabola(at: Callable[[float], float], w: float, width: float) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
-from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, PayloadFacts
+from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.preflight import LoopPlan
@@ -33,6 +33,7 @@ class StudyResult:
     deployment: Mapping[str, DeploymentFacts]
     limits: Outcome[LimitFacts]
     requirements: RequirementsFacts | None = None
+    commissioning: Outcome[CommissioningFacts] | None = None
     campaign: tuple[CampaignFacts, CampaignCurves] | None = None
     payload: Mapping[str, Outcome[PayloadFacts]] = field(default_factory=dict[str, Outcome[PayloadFacts]])
 

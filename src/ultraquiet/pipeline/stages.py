@@ -17,11 +17,12 @@ from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
-from ultraquiet.pipeline.facts.mission import CampaignFacts, PayloadFacts
+from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
+from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
 from ultraquiet.pipeline.result import StudyResult
@@ -89,6 +90,7 @@ class Stages:
             limits=self._limits(system, laws, plan),
             requirements=self._judge(system, laws, loops, plan, payload),
             payload=payload,
+            commissioning=self._commission(laws, plan),
             campaign=self._campaign(laws, plan),
         )
 
@@ -113,6 +115,21 @@ class Stages:
         if name not in design.values:
             raise InputError(f"campaign: {name} has no law: {design.facts.status}")
         return defined(self.study, self.bench, design.values[name], plan, table)
+
+    def _commission(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[CommissioningFacts] | None:
+        """Put the law on, step by step, where the study asks for it."""
+        table = self.study.commission
+        if table is None or self.bench is None:
+            return None
+        name = law_of(self.study, table)
+        if name not in laws:
+            return None
+        key = [laws[name].hash, self.bench_key, plan.units, plan.band_hz, table]
+        compute = partial(commissioned, name, laws[name], self.bench, plan, table)
+        outcome = self.cache.stage("commission", "loops", key, CommissioningFacts, compute)
+        for unit, found in outcome.facts.units.items():
+            self.say(f"commissioned {name}, {unit}: {found.status}")
+        return outcome
 
     def _campaign(self, laws: Mapping[str, StateSpace], plan: LoopPlan) -> CampaignOutcome | None:
         """Run the campaign that the study asks for; results that are there stay."""

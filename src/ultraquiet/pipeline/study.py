@@ -15,7 +15,7 @@ from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
-from ultraquiet.pipeline.tables.mission import CampaignTable, PayloadTable
+from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
 from ultraquiet.pipeline.tables.numbers import Band, Order, Positive
 from ultraquiet.pipeline.tables.paper import Paper
 
@@ -192,6 +192,7 @@ class Study(Strict):
     requirements: Requirements | None = None
     payload: PayloadTable | None = None
     campaign: CampaignTable | None = None
+    commission: CommissionTable | None = None
     validate_models: ValidateTable = Field(default=ValidateTable(), alias="validate")
     limits: LimitsTable = LimitsTable()
     _places: Mapping[Place, int] | None = PrivateAttr(default=None)
@@ -343,15 +344,15 @@ def _check_requirements(study: Study, mistakes: Mistakes) -> None:
 
 
 def _check_campaign(study: Study, mistakes: Mistakes) -> None:
-    """Note a campaign without a bench, or about a law that the study does not design."""
-    table = study.campaign
-    if table is None:
-        return
-    if study.bench is None:
-        mistakes.add(("campaign",), "campaign: the study has no bench that could be drawn; leave it away.")
-    if table.law is not None and table.law not in study.controllers:
-        fault = f"there is no law '{table.law}' among the controllers {', '.join(study.controllers)}."
-        mistakes.add(("campaign", "law"), f"campaign.law: {fault}")
+    """Note a campaign or a commissioning without a bench, or about a law that the study does not design."""
+    for name, table in (("campaign", study.campaign), ("commission", study.commission)):
+        if table is None:
+            continue
+        if study.bench is None:
+            mistakes.add((name,), f"{name}: the study has no bench for it; leave it away.")
+        if table.law is not None and table.law not in study.controllers:
+            fault = f"there is no law '{table.law}' among the controllers {', '.join(study.controllers)}."
+            mistakes.add((name, "law"), f"{name}.law: {fault}")
 
 
 def _check_method(place: Place, family: str, table: Mapping[str, Any], mistakes: Mistakes) -> None:

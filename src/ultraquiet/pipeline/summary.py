@@ -15,7 +15,7 @@ from ultraquiet.pipeline.facts.loops import (
     StableLoop,
     UnstableLoop,
 )
-from ultraquiet.pipeline.facts.mission import CampaignFacts, NoPayload, PayloadLoop
+from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, NoPayload, PayloadLoop
 from ultraquiet.pipeline.facts.models import Agreement, PaperFit, PlantFacts, PreferredModels, RankedModel
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import fact, finite, schema_of, to_plain
@@ -71,6 +71,7 @@ class Summary:
         default_factory=dict[str, Mapping[str, PayloadLoop | NoPayload]]
     )
     campaign: CampaignFacts | None = None
+    commissioning: CommissioningFacts | None = None
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -111,6 +112,7 @@ def summarise(result: StudyResult) -> Summary:
         versions=versions(),
         seed=result.study.study.seed,
         requirements=result.requirements,
+        commissioning=None if result.commissioning is None else result.commissioning.facts,
         campaign=None if result.campaign is None else result.campaign[0],
         payload={name: outcome.facts.units for name, outcome in result.payload.items()},
         lines_missing=sum(

@@ -105,6 +105,8 @@ def _labels(panel: Panel) -> int:
 
 def panel_on(axes: "Axes", panel: Panel) -> None:
     """Draw one panel on matplotlib axes."""
+    from matplotlib.ticker import LogFormatter, StrMethodFormatter
+
     if panel.words:
         axes.axis("off")
         said = axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
@@ -121,6 +123,8 @@ def panel_on(axes: "Axes", panel: Panel) -> None:
         axes.axvspan(low, high, color="#f0e442", alpha=0.25, linewidth=0)
     if panel.x_log:
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
     if panel.y_log:
         axes.set_yscale("log")
     if panel.x_range:

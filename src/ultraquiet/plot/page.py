@@ -63,8 +63,9 @@ def _still(panel: ChartPanel) -> Panel:
             lines.append(Line(np.array(ends), np.full(2, mark.y), mark.name, "--", shade))
     spans = [(low, high) for r in panel.regions if r.x for low, high in [r.x] if low is not None and high is not None]
     logs = panel.x.scale == "log", panel.y.scale == "log"
+    x_range = ends if logs[0] else panel.x.range
     names = (panel.title, panel.x.label, panel.y.label)
-    return Panel(lines, *names, logs[0], panel.x.range, panel.y.range, spans, logs[1], panel.x.names)
+    return Panel(lines, *names, logs[0], x_range, panel.y.range, spans, logs[1], panel.x.names)
 
 
 def _ends(curves: Sequence[Curve]) -> tuple[float, float] | None:

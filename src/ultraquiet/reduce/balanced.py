@@ -11,6 +11,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -43,6 +44,7 @@ class Balanced:
         one_of("Balanced", "method", self.method, METHODS)
         between("Balanced", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
+    @takes_systems
     @single_threaded
     def reduce(
         self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None

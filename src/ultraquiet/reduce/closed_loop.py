@@ -14,6 +14,7 @@ from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, renam
 from ultraquiet.reduce.candidates import Candidates, ReducedLaw
 from ultraquiet.reduce.certificate import NORMS, certified, fits, held, judging_plant
 from ultraquiet.reduce.promises import LOSS_DB, Judge, Promise
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 USUAL_LOSS = 0.05  # allowed growth of a mean square where neither states, nor budget, nor a loss are asked for
@@ -84,6 +85,7 @@ class ClosedLoopWeighted:
         one_of(who, "norm", self.norm, NORMS)
         whole(who, "steps", self.steps, 0)
 
+    @takes_systems
     @single_threaded
     def reduce(
         self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None

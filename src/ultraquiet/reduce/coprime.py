@@ -15,6 +15,7 @@ from ultraquiet.linalg.equations import continuous_riccati, discrete_riccati, ly
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, project, renamed
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 SIDES = ("left", "right")
@@ -48,6 +49,7 @@ class CoprimeFactors:
         whole("CoprimeFactors", "states", self.states, 0)
         one_of("CoprimeFactors", "method", self.method, METHODS)
 
+    @takes_systems
     @single_threaded
     def reduce(
         self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None

@@ -13,6 +13,7 @@ from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_dis
 from ultraquiet.linalg.ordered import Array, Matrices
 from ultraquiet.reduce._abstract import ReductionResult, Weights, joined, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 MINIMAL = 1e-13  # states with Hankel values below this share of the largest are round-off
@@ -48,6 +49,7 @@ class HankelNorm:
         whole("HankelNorm", "states", self.states, 0)
         between("HankelNorm", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
+    @takes_systems
     @single_threaded
     def reduce(
         self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None
@@ -58,6 +60,11 @@ class HankelNorm:
         """
         if plant is not None:
             fits("HankelNorm", controller, plant)
+        if self.states >= controller.states:
+            # nothing is to be left out, be it round-off: the system is returned as it came
+            P_loop = None if plant is None else judging_plant(plant, weights)
+            hankel = _balanced_values(controller, self.slowest_hz)
+            return certified(controller, controller, hankel, P=P_loop, details={"bound": 0.0})
         stable, kept, _ = split(controller, self.slowest_hz)
         keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
         discrete = controller.rate_hz is not None
@@ -69,6 +76,13 @@ class HankelNorm:
         P_loop = None if plant is None else judging_plant(plant, weights)
         result = certified(controller, small, hankel, P=P_loop, details={"bound": bound})
         return kept_promise(result, controller, plant)
+
+
+def _balanced_values(controller: StateSpace, slowest_hz: float) -> FloatArray:
+    """Return the Hankel values of the part that decays faster than the slowest frequency."""
+    stable, _, _ = split(controller, slowest_hz)
+    R, L = balance.gramian_factors(*stable[:3], discrete=controller.rate_hz is not None)
+    return np.asarray(np.linalg.svd(L.T @ R, compute_uv=False), dtype=np.float64)
 
 
 def hankel_approximation(M: Matrices, order: int) -> tuple[Matrices, FloatArray, float]:

@@ -15,6 +15,7 @@ from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.reduce.weighting import input_gramian, output_gramian, static
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
 
@@ -62,6 +63,7 @@ class FrequencyWeighted:
         between(who, "combination", self.combination, 0.0, 1.0)
         between(who, "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
+    @takes_systems
     @single_threaded
     def reduce(
         self, controller: StateSpace, plant: StateSpace | None = None, weights: Weights = None

@@ -8,9 +8,10 @@ from ultraquiet._base.shown import show
 from ultraquiet.simulate.attenuation import Attenuation, attenuation
 from ultraquiet.simulate.campaign import campaign, drawn_benches
 from ultraquiet.simulate.campaigns.drawing import drawn_bench, drawn_parameters
-from ultraquiet.simulate.campaigns.evaluation import Campaign
+from ultraquiet.simulate.campaigns.evaluation import Campaign, Tuning
 from ultraquiet.simulate.campaigns.run import is_of, run_campaign
 from ultraquiet.simulate.commissioning.commission import Commissioning, CommissioningStep, commission
+from ultraquiet.simulate.commissioning.tuning import Tuned, tune_in_place
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.simulate.noise import NoiseReduction, noise_reduction
 from ultraquiet.simulate.open_loop import OpenLoop
@@ -35,6 +36,8 @@ __all__ = [
     "PayloadSetup",
     "PayloadVibration",
     "StepReduction",
+    "Tuned",
+    "Tuning",
     "attenuation",
     "campaign",
     "check_stability",
@@ -49,6 +52,7 @@ __all__ = [
     "noise_reduction",
     "run_campaign",
     "step_reduction",
+    "tune_in_place",
 ]
 
 show(globals(), __all__)

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from ultraquiet._base.shown import counted
+
 Row = tuple[str, str, str, str]  # part, found, what it is for, how to mend it
 SLOW_BLAS = ("netlib", "reference", "unknown")
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
@@ -53,7 +55,8 @@ def _linear_algebra(found: list[dict[str, Any]]) -> Row:
     if threads > (allowed := _allowed()):
         mend = f"export {THREADS[0]}={allowed}"
         return part, f"slow: {threads} threads on {allowed} processors", use, mend
-    return part, f"{', '.join(names)}, {threads} threads; one inside small solvers", use, ""
+    found_words = f"{', '.join(names)}, {counted(threads, 'thread')}; one inside small solvers"
+    return part, found_words, use, ""
 
 
 def _cache_folder() -> Path:

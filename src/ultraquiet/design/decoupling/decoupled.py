@@ -18,6 +18,7 @@ from ultraquiet.design.structure_words import FULL, REPEATED
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
 from ultraquiet.linalg import common_axes as axes
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace
 
@@ -60,6 +61,7 @@ class Decoupled(StatedRobustness):
         rising_band("Decoupled", self.band_hz)
         between("Decoupled", "tolerance", self.tolerance, 0.0, 1.0)
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the joined controller u = K y, judged with the whole plant.

@@ -14,6 +14,7 @@ from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 NEAR = 1e-6  # relative: an eigenvalue this near to where a mode was is that mode
@@ -56,6 +57,7 @@ class Modal(StatedRobustness):
         if np.any(np.asarray(self.zeta) <= 0) or np.any(np.asarray(self.zeta) >= 1):
             raise InputError(f"Modal: 'zeta' must lie between 0 and 1, got {self.zeta}.")
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a discrete plant; `details["modes"]` are frequency and damping.

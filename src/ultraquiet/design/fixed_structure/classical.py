@@ -19,6 +19,7 @@ from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, REPEATED, structure_word
 from ultraquiet.design.verification import judged
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 # Gains tried when none is given: this many a decade over these decades about 1 / |G|, of both signs.
@@ -52,6 +53,7 @@ class ClassicalMethod(StatedRobustness):
         """Return kind, values and which of them are frequencies in Hz, of the method's own sections."""
         raise NotImplementedError
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return u = K y with the same sections on every channel, or each its own when tuned `decentralised`.

@@ -22,6 +22,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, structure_word
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 STRUCTURES = (REPEATED, DECENTRALISED, FULL)
@@ -67,6 +68,7 @@ class FixedStructure(StatedRobustness):
         whole(who, "starts", self.starts, 1)
         object.__setattr__(self, "specification", specified(self.specification))
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y; its status is `short` when the specification is not met by the best law found.

@@ -20,6 +20,8 @@ from ultraquiet.values.state_space import StateSpace
 POINTS = 220  # of the first grid
 MARGIN = 1e-9  # a loop counts as stable when its slowest pole is this far inside, relative to its size
 INFINITE = 1e6  # stands for infinite frequency, times the fastest pole
+ON_AXIS = 1e-9  # relative to its size, a pole with less damping has no response at its own frequency
+BESIDE = 1e-5  # relative; nearer to such a pole the plant's response is too large to be of use
 SHARP = 0.05  # resonances of less damping may hide between the points of the grid
 HIDDEN = 1.01  # a peak higher than all points by this factor was hidden
 TOPS = 20  # hidden peaks that one look adds
@@ -84,7 +86,11 @@ class TuningProblem:
         self._terms = residues(*M)
         self.loop = self.plane.to_plane(plant)
         poles = np.linalg.eigvals(M[0])
-        size = np.abs(poles[poles != 0])
+        self._on_axis = poles[
+            np.abs(poles.real) <= ON_AXIS * np.maximum(np.abs(poles), ON_AXIS * np.abs(poles).max(initial=0))
+        ]
+        size = np.abs(poles)
+        size = size[size > ON_AXIS * size.max(initial=0.0)]
         size = size if size.size else np.ones(1)  # a static plant, or integrators alone
         self.low, self.high = float(size.min()), float(size.max())
         if P.rate_hz is not None:
@@ -99,6 +105,10 @@ class TuningProblem:
         """Return P and the bounds at frequencies of the plane."""
         w = np.unique(w)
         w = w[np.concatenate([[True], np.diff(w) > SAME * w[1:]])]
+        # at a pole of the plant on the axis only the loop has a response: its neighbours on the grid speak for it
+        if self._on_axis.size:
+            away = np.abs(w[:, None] - np.abs(self._on_axis.imag))
+            w = w[np.all(away > BESIDE * np.maximum(np.abs(self._on_axis), self.low), axis=1)]
         R = np.moveaxis(self._terms.at(_axis(w)), 2, 0)
         p, m = R.shape[1] - self.ny, R.shape[2] - self.nu
         f = self.plane.hz(w)

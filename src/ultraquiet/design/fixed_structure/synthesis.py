@@ -12,11 +12,13 @@ from ultraquiet.design.fixed_structure.controller_structure import ControllerStr
 from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
 from ultraquiet.design.fixed_structure.minimax import lowest
 from ultraquiet.design.fixed_structure.problem import Requirement, TuningProblem
+from ultraquiet.design.hinf.problem.units import even_problem
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
@@ -31,6 +33,7 @@ class _Settings(StatedRobustness):
     seed: int
 
 
+@takes_systems
 @single_threaded
 def synthesize_structured(
     P: StateSpace,
@@ -77,6 +80,9 @@ def synthesize_structured(
     nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
     n = whole(who, "states", states, 0)
     rng = np.random.default_rng(seed)
+    given, problem_units = P, even_problem(P, ny, nu)
+    if structure is None:  # of one whose every entry is free, units of u and y can be chosen
+        P = problem_units.plant
     plant = StateSpace(P.A, P.B[:, -nu:], P.C[-ny:], P.D[-ny:, -nu:], P.rate_hz)
     element = StablePairs(n, nu, ny, np.ones(n)) if stable else Dense(n, nu, ny)
     law = structure or one_element(element)
@@ -91,7 +97,10 @@ def synthesize_structured(
         return refused(f"{who}: no start gave a stable loop with {n} states; allow more states or starts.")
     theta, level = lowest_point
     K = problem.plane.from_plane(law.system(theta))
-    achieved = hinf_norm(lft(P, K))[0]
+    if structure is None:
+        K, level, optimum = problem_units.law(K), level / problem_units.level, optimum / problem_units.level
+        plant = StateSpace(given.A, given.B[:, -nu:], given.C[-ny:], given.D[-ny:, -nu:], given.rate_hz)
+    achieved = hinf_norm(lft(given, K))[0]
     details = {"optimum": optimum, "ratio": achieved / optimum, "theta": theta, "points": problem.samples.w.size}
     return judged(plant, K, _Settings(n, stable, starts, seed), level, achieved, {}, details)
 
@@ -99,7 +108,7 @@ def synthesize_structured(
 def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, float]:
     """Return the law of full order and the smallest norm it proves; nothing where the problem is singular."""
     try:
-        result = synthesize_hinf(P, ny, nu)
+        result = synthesize_hinf(P, ny, nu, regularise=True)
     except UltraquietError:
         return None, float("nan")
     return (result.controller, float(result.details["optimum"][1])) if result.controller else (None, float("nan"))

@@ -25,11 +25,12 @@ from ultraquiet.design.h2.synthesis import AGREEMENT
 from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.stabilisability import lost_modes, stable_weight
+from ultraquiet.design.stabilisability import BORDER, lost_modes, stable_weight
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import full
 from ultraquiet.values.interconnect import append, feedback, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
@@ -58,7 +59,8 @@ class Lqg(StatedRobustness):
         control_hz: corner from which on Wu rises, tenfold at most; None for a constant.
         disturbance: variance of d per input (volts squared) when it enters at the plant's input, of the output
             disturbance (output units squared) when `disturbance_at` is `output`; 1 where only others are given.
-        disturbance_at: `output` or `input`; absent, at the input by default and at the output where numbers are given.
+        disturbance_at: `output` or `input`; absent, at the input by default and at the output where numbers are given
+            for a plant without poles on or beyond the stability boundary, whose state nothing at the output moves.
             White noise at the input, as in the paper's section 4.2, is mostly noise at the plant's resonances, and that
             is where the controller then works; at the output, all frequencies of the band count alike.
         sensor_noise: variance of v per output; 0.01 where only others are given. The paper calls 0.01 a covariance; it
@@ -126,6 +128,7 @@ class Lqg(StatedRobustness):
             if model is not None and not isinstance(model, StateSpace):
                 object.__setattr__(self, name, frozen(real_array("Lqg", name, model, 2)))
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a discrete plant.
@@ -145,7 +148,8 @@ class Lqg(StatedRobustness):
             return refused(sentence)
         if self._measured_by_the_plant():
             return from_plant(plant, self, self._attempt, self.band_hz)
-        found = self._found(plant)
+        settled = self if self.disturbance_at else replace(self, disturbance_at=_place(plant))
+        found = settled._found(plant)
         if found.controller is None:
             return found
         law, details = found.controller, found.details
@@ -280,6 +284,14 @@ def _number(settings: Lqg, name: str) -> float:
     """Return a number as given, or what it is where only others are."""
     given: float | None = getattr(settings, name)
     return ABSOLUTE[name] if given is None else given
+
+
+def _place(plant: StateSpace) -> str:
+    """Return where the disturbance enters where nobody says it.
+
+    White noise at the output leaves an integrator or an undamped mode at rest: no filter of finite gain then exists.
+    """
+    return "output" if np.abs(plant.poles()).max(initial=0.0) < 1 - BORDER else "input"
 
 
 def _advice(P: StateSpace, ny: int, nu: int) -> str:

@@ -22,6 +22,7 @@ from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg import balance
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import append
 from ultraquiet.values.state_space import StateSpace
@@ -112,6 +113,7 @@ class BandAttenuation(StatedRobustness):
             if getattr(self, name) is not None:
                 positive(WHO, name, getattr(self, name))
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a square plant; peak, margins and poles are those with the whole plant.

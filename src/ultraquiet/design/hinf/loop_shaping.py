@@ -22,6 +22,7 @@ from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.linalg.even import evened
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import four_block
 from ultraquiet.values.interconnect import append, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
@@ -90,6 +91,7 @@ class LoopShaping(StatedRobustness):
         if not positive(WHO, "margin", self.margin) >= 1:
             raise InputError(f"{WHO}: 'margin' must be at least one, got {self.margin!r}.")
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a plant, continuous or discrete, stable or not.

@@ -21,6 +21,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import four_block, output_shaping
 from ultraquiet.values.state_space import StateSpace
 
@@ -126,6 +127,7 @@ class MixedSensitivity(StatedRobustness):
         if self.uncertainty is not None and self.form == "skst" and self.complementary is not None:
             raise InputError(f"{WHO}: give 'uncertainty' or 'complementary', both are the weight on T.")
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a plant, continuous or discrete.

@@ -18,6 +18,7 @@ from ultraquiet.design.hinf.problem.units import EvenProblem, even_problem
 from ultraquiet.design.hinf.problem.verified import Reached, Verifier
 from ultraquiet.design.hinf.verification import WIDTH, heard
 from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -30,6 +31,7 @@ LEAST = 0.5  # of the optimum: lowest level the second opinion is asked about
 AGREEMENT = 1e-3  # reported and achieved norm must agree this well
 
 
+@takes_systems
 @single_threaded
 def synthesize_hinf(
     P: StateSpace,

@@ -11,6 +11,7 @@ from ultraquiet.design.hinf.lower_bound import lower_bound
 from ultraquiet.design.hinf.problem.hidden import without_hidden
 from ultraquiet.design.hinf.problem.units import even_problem
 from ultraquiet.design.hinf.problem.verified import Verifier
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 WIDTH = 1e-3  # relative distance from the optimum at which the two sides are asked for
@@ -34,6 +35,7 @@ class Opinion(NamedTuple):
     decided: bool = True
 
 
+@takes_systems
 @single_threaded
 def verify_level(
     P: StateSpace, measurements: int, controls: int, gamma: float, tolerance: float = WIDTH, below: float | None = None

@@ -17,6 +17,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import from_synthesis
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import uncertain
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -107,6 +108,7 @@ class MuSynthesis(StatedRobustness):
         whole(WHO, "iterations", self.iterations, 1, 50)
         whole(WHO, "scaling_order", self.scaling_order, 0, 10)
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of least mu among the iterations.

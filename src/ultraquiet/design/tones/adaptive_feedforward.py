@@ -16,6 +16,7 @@ from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguo
 from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design.tones.resonators import SETTLED, facts, quiet_bank, resonators
 from ultraquiet.design.verification import judged
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 STATIONS = 5  # frequencies of the span at which the linear law must be stable
@@ -73,6 +74,7 @@ class AdaptiveFeedforward(StatedRobustness):
         between("AdaptiveFeedforward", "span", self.span, 0.0, 0.5)
         between("AdaptiveFeedforward", "weakest", self.weakest, 0.0, 1.0)
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the law of a discrete plant: `law` adapts, `controller` is the linear law at the nominal tones.

@@ -14,6 +14,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
 from ultraquiet.design.verification import judged
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
@@ -71,6 +72,7 @@ class FilteredXLms(StatedRobustness):
         if not positive("FilteredXLms", "step", self.step) < STEP_BOUND:
             raise InputError(f"FilteredXLms: 'step' must be below 2 to converge, got {self.step:g}.")
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the law of a discrete plant, whose outputs are errors and references: `law` adapts.

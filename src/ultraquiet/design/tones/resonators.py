@@ -16,6 +16,7 @@ from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.inner_loop import Around, Inner, Inverse, checked_tones, inner_loop, inverse
 from ultraquiet.design.verification import judged
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import feedback, gain, parallel, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -64,6 +65,7 @@ class Resonators(StatedRobustness):
             positive("Resonators", name, getattr(self, name))
         between("Resonators", "weakest", self.weakest, 0.0, 1.0)
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace, drawn: Sequence[StateSpace] = ()) -> DesignResult:
         """Return the linear law of a discrete plant.

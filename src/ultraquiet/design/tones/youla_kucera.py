@@ -14,6 +14,7 @@ from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguo
 from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
+from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
@@ -144,6 +145,7 @@ class YoulaKucera(StatedRobustness):
         for name in ("order", "update_every"):
             whole("YoulaKucera", name, getattr(self, name), 1)
 
+    @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the law of a discrete plant: `law` adapts, `controller` is the central law.

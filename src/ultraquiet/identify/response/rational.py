@@ -11,9 +11,10 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.response.fewest_modes import Task, fewest
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
-from ultraquiet.linalg import pole_residue, vector_fitting
+from ultraquiet.linalg import pole_residue, rank_one, vector_fitting
 from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
@@ -21,13 +22,20 @@ from ultraquiet.spectra import frf
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
 
 ORDERS = tuple(range(4, 33, 2))
+# Tried when the held-out error still falls at the last of those, until two in turn do not lower it.
+HIGHER_ORDERS = (36, 40, 44, 48, 54, 60, 66, 72, 80, 90, 100)
+PATIENCE = 2
+LINES_PER_POLE = 3  # fitted lines that a pole takes
 # The smallest order is taken whose held-out error exceeds the best by less than this share of the floor (root of the
 # difference of squares): spare poles have nothing to do but to ring at noise.
 WORTH = 0.3
 # Starting poles: this relative damping, from the lowest line to the highest.
 START_DAMPING = 0.1
+# Nearer to the response than this share of the floor nothing is gained by a state.
+EXACT = 1e-4
 # A line whose noise is this share of its response is left out: it tells little, and its pole would be noise.
 HIDDEN = 0.3
+SECOND = 1e-9
 # An order that misses the held-out lines by more than this share of the response has not caught the plant.
 POOR = 0.2
 
@@ -37,7 +45,8 @@ class ResponseFit:
     """A system fitted to a response.
 
     Attributes:
-        model: stable, discrete, `order` poles shared by all channels (each as often as its residue has rank).
+        model: stable, discrete, in modal blocks: modes of rank one, which began as `order` poles shared by all
+            channels; or, where they would save no state, those poles, each as often as its residue has rank.
         status: `ok`, or `poor fit` with the error.
         order: number of common poles.
         error: weighted RMS error relative to the response, at lines used for the fit and at held-out ones.
@@ -60,13 +69,18 @@ class Rational:
     the noise of the line: weak bands count as much as strong ones, noisy lines less. Every other line is held out, to
     choose the order and to judge the fit.
 
+    A mode of a structure has one shape at the sensors and one at the actuators, a residue of rank one; noise makes the
+    rank full. So of all directions of all residues only those stay whose loss the held-out lines would notice, poles
+    and directions of what stays being fitted once more, together: a mode then costs two states.
+
     Args:
         order: number of common poles; chosen on held-out lines when None.
         delay: samples before the first response, at least one.
         iterations: relocations of the poles.
         floor: relative error below which precision is not worth having.
         most_lines: lines used at most, half of them spaced evenly in frequency and half in its logarithm.
-        rank_tolerance: residue directions that matter less than this share of the response are left out.
+        rank_tolerance: residue directions that matter less than this share of the response are left out where no
+            smaller set of modes meets the response.
         zeros_at_dc: zeros that every channel is known to have at z = 1. Of several at s = 0 a hold leaves one;
             the images of the spectrum move the rest: one of the three of eq. (10) stays. More would bend the lowest
             lines.
@@ -77,7 +91,7 @@ class Rational:
     >>> bool(Rational(order=2).identify(Record(u, plant.simulate(u), 100.0)).fit_percent[0] > 98)
     True
 
-    References: see `ultraquiet.linalg.vector_fitting`.
+    References: see `ultraquiet.linalg.vector_fitting` and `ultraquiet.linalg.rank_one`.
     """
 
     order: int | None = None
@@ -140,24 +154,49 @@ class Rational:
         z = points(f, rate_hz)
         H = G * z ** (self.delay - 1)
         used = np.arange(f.size) % 2 == 0
-        orders = ORDERS if self.order is None else (self.order,)
-        orders = tuple(n for n in orders if n * 4 <= np.count_nonzero(used))
-        fits: dict[int, vector_fitting.PoleResidueFit] = {}
-        errors_by_order: dict[int, float] = {}
         slowest = float(2 * np.pi * f[0] / rate_hz)
-        with task("rational fit", len(orders)) as progress:
-            for n in orders:
-                start = _starting_poles(n, f, rate_hz)
-                fits[n] = vector_fitting.fit(
-                    z[used], H[:, :, used], weight[used], start, self.iterations, self.zeros_at_dc, slowest
-                )
-                errors_by_order[n] = _error(fits[n], z[~used], H[:, :, ~used], weight[~used])
-                progress.advance(note=f"order {n}: {errors_by_order[n]:.4f}")
-        best = min(errors_by_order.values())
-        chosen = min(n for n in errors_by_order if errors_by_order[n] ** 2 <= best**2 + (WORTH * self.floor) ** 2)
+        fitted = rank_one.Samples(z[used], H[:, :, used], weight[used], self.zeros_at_dc, slowest)
+        held_out = rank_one.Samples(z[~used], H[:, :, ~used], weight[~used])
+        fits, errors_by_order = _by_order(self, fitted, held_out, f, rate_hz)
+        best = min(errors_by_order, key=lambda n: errors_by_order[n])
+        worth = WORTH * self.floor
+        chosen = min(n for n, e in errors_by_order.items() if e <= np.hypot(errors_by_order[best], worth))
+        goal = max(errors_by_order[chosen], EXACT * self.floor)
         model = _realised(self, fits[chosen], f, rate_hz, weight, response)
         error = fits[chosen].error, errors_by_order[chosen]
+        lean = fewest([fits[n] for n in sorted({chosen, best})], Task(fitted, held_out, goal, worth))
+        if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
+            model = _assembled(self, _blocks(lean.modes), rate_hz, response)
+            error = lean.error, lean.held_out
         return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order)
+
+
+def _by_order(
+    method: Rational, fitted: rank_one.Samples, held_out: rank_one.Samples, f: FloatArray, rate_hz: float
+) -> tuple[dict[int, vector_fitting.PoleResidueFit], dict[int, float]]:
+    """Return fits with residues of full rank and their errors at the lines held out."""
+    fits: dict[int, vector_fitting.PoleResidueFit] = {}
+    errors: dict[int, float] = {}
+    orders = ORDERS + HIGHER_ORDERS if method.order is None else (method.order,)
+    orders = tuple(n for n in orders if n * LINES_PER_POLE <= fitted.z.size)
+    with task("rational fit", sum(n <= ORDERS[-1] for n in orders) or 1) as progress:
+        for n in orders:
+            if n in HIGHER_ORDERS and method.order is None and not _falling(errors, WORTH * method.floor):
+                break
+            start = _starting_poles(n, f, rate_hz)
+            fits[n] = vector_fitting.fit(
+                fitted.z, fitted.H, fitted.weight, start, method.iterations, method.zeros_at_dc, fitted.slowest
+            )
+            errors[n] = _error(fits[n], held_out.z, held_out.H, held_out.weight)
+            progress.advance(note=f"order {n}: {errors[n]:.4f}")
+    return fits, errors
+
+
+def _falling(errors: dict[int, float], worth: float) -> bool:
+    """Return whether one of the last orders was worth more than all before them."""
+    tried = list(errors.values())
+    before, last = tried[:-PATIENCE], tried[-PATIENCE:]
+    return not before or np.hypot(min(last), worth) < min(before)
 
 
 def _checked(
@@ -252,6 +291,24 @@ def _realised(
             f"Rational: no residue of order {fit.poles.size} reaches {method.rank_tolerance:g} of the response, so "
             f"nothing would be left; lower 'rank_tolerance', or measure a response that stands above its noise."
         )
+    return _assembled(method, blocks, rate_hz, response)
+
+
+def _blocks(modes: rank_one.Modes) -> list[pole_residue.Block]:
+    """Return real blocks of modes of rank one, slowest first."""
+    heads = modes.heads()
+    heads = heads[np.argsort(np.abs(np.log(modes.poles[heads])), kind="stable")]
+    residues = [np.outer(modes.c[:, k], modes.b[k]) for k in heads]
+    # the second singular value of an outer product is rounding
+    return [
+        pole_residue.block(complex(modes.poles[k]), R, SECOND * float(np.linalg.norm(R)))
+        for k, R in zip(heads, residues, strict=True)
+    ]
+
+
+def _assembled(
+    method: Rational, blocks: list[pole_residue.Block], rate_hz: float, response: FrequencyResponse
+) -> StateSpace:
     ny, nu = response.values.shape[:2]
     A, B, C, D = pole_residue.delayed(*pole_residue.joined(blocks), np.zeros((ny, nu)), method.delay - 1)
     provenance = Provenance("rational", asdict(method), parents=response.provenance.parents, versions=versions())

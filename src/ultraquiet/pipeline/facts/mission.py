@@ -120,3 +120,35 @@ class CampaignCurves:
     f_hz: Vector
     median_case_db: Vector | None = None
     worst_case_db: Vector | None = None
+
+
+@fact
+class CommissionedStep:
+    """One gain of a law that came on: margins and peaks by end; `next_disk` was foreseen at `next_gain`."""
+
+    gain: float
+    disk: Mapping[str, float]
+    disk_hz: Mapping[str, float]
+    peak_db: Mapping[str, float]
+    reduction_db: float | None
+    next_disk: float | None = None
+    next_gain: float | None = None
+
+
+@fact
+class CommissionedUnit:
+    """How a law came on on one unit; `gain` is the last share of it that ran."""
+
+    status: str
+    ok: bool
+    gain: float
+    steps: tuple[CommissionedStep, ...]
+
+
+@fact
+class CommissioningFacts:
+    """Stage `commission`: one law on every unit, without a model."""
+
+    law: str
+    margin: float
+    units: Mapping[str, CommissionedUnit]

@@ -11,11 +11,12 @@ import numpy as np
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import write_bytes
+from ultraquiet.identify import Rational
 from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Study
-from ultraquiet.pipeline.tables.mission import CampaignTable
+from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable
 from ultraquiet.simulate.campaigns import findings
 from ultraquiet.simulate.campaigns.evaluation import DRAWN, Row
 from ultraquiet.simulate.campaigns.run import write_table
@@ -41,8 +42,8 @@ class How:
     replay: str = "ultraquiet campaign STUDY.toml"
 
 
-def law_of(study: Study, table: CampaignTable) -> str:
-    """Return the name of the law that a campaign is about.
+def law_of(study: Study, table: CampaignTable | CommissionTable) -> str:
+    """Return the name of the law that a campaign or a commissioning is about.
 
     Raises:
         InputError: the study designs no such law.
@@ -67,7 +68,16 @@ def defined(study: Study, bench: Any, law: StateSpace, plan: LoopPlan, table: Ca
     units = tuple((unit, as_unit(bench, unit)) for unit in plan.units)
     for _, each in units:
         simulate.drawn_bench(each, table.first_seed)
-    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed)
+    return simulate.Campaign(units, law, band_hz, table.on, table.first_seed, _tuning(study, table))
+
+
+def _tuning(study: Study, table: CampaignTable) -> simulate.Tuning | None:
+    if not table.tune:
+        return None
+    identify = study.plant.make("identify")
+    if not isinstance(identify, Rational):
+        raise InputError("campaign: 'tune' fits responses; give [plant] the method \"rational\".")
+    return simulate.Tuning(study.controllers[law_of(study, table)].design.make("design"), identify)
 
 
 def conducted(campaign: simulate.Campaign, name: str, table: CampaignTable, folder: Path, how: How) -> CampaignOutcome:

@@ -28,6 +28,7 @@ def report(result: StudyResult, other: Finished | None = None) -> Report:
         loops.code(result),
         *([] if bench is None else [loops.closed_loop(result)]),
         *([mission.payload(result)] if result.payload else []),
+        *([] if result.commissioning is None else [mission.commissioning(result.commissioning.facts)]),
         *([] if result.campaign is None else [mission.campaign(*result.campaign)]),
         *([] if printed is None else [printed]),
         provenance.provenance(result),

@@ -3,7 +3,13 @@
 from collections.abc import Iterator
 
 from ultraquiet.chart import Chart
-from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, NoPayload, PayloadLoop
+from ultraquiet.pipeline.facts.mission import (
+    CampaignCurves,
+    CampaignFacts,
+    CommissioningFacts,
+    NoPayload,
+    PayloadLoop,
+)
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages import campaign as pages
 from ultraquiet.plot.pages.payload import Before, payload_chart
@@ -134,3 +140,26 @@ def _worst(facts: CampaignFacts) -> Table:
     ]
     columns = ("case", "unit", "attenuation, dB", "peak, dB", "pulls hardest", "evaluate it again")
     return Table("The worst cases", columns, rows)
+
+
+def commissioning(facts: CommissioningFacts) -> Section:
+    """How the law came on: at each gain the margins of both ends, measured without a model."""
+    text = [
+        f"{facts.law} came on at rising shares of its gain. Margins are those of all channels at once, from sines "
+        f"injected while it ran; below {facts.margin:g} it is taken off.",
+        *(f"{unit}: {found.status}" for unit, found in facts.units.items()),
+    ]
+    rows = [
+        (
+            unit,
+            f"{step.gain:.0%}",
+            ", ".join(f"{end} {alpha:.2f} at {step.disk_hz[end]:.3g} Hz" for end, alpha in step.disk.items()),
+            ", ".join(f"{end} {db:.1f}" for end, db in step.peak_db.items()),
+            "-" if step.reduction_db is None else f"{step.reduction_db:.1f}",
+            "-" if step.next_disk is None else f"{step.next_disk:.2f}",
+        )
+        for unit, found in facts.units.items()
+        for step in found.steps
+    ]
+    columns = ("unit", "gain", "disk margin", "peak of S, dB, noise counted", "band, dB", "foreseen for the next")
+    return Section("How the law came on", text, [Table("Steps of the gain", columns, rows)])

@@ -54,6 +54,8 @@ class CampaignTable(Strict):
         law: which of the controllers; that of `[requirements]` when absent, else the first.
         first_seed: case k is drawn by the seed `first_seed` + k.
         keep: how many of the worst cases are named.
+        tune: make the law again on each drawn bench, from a record of it, by the design and the identification of the
+            study; one that begins with a law begins with the study's.
     """
 
     benches: Annotated[int, Field(ge=1)] = 50
@@ -61,3 +63,18 @@ class CampaignTable(Strict):
     law: str | None = None
     first_seed: Annotated[int, Field(ge=0)] = 0
     keep: Annotated[int, Field(ge=1, le=100)] = 5
+    tune: bool = False
+
+
+class CommissionTable(Strict):
+    """`[commission]`: the law comes on at rising shares of its gain on every unit, its margins measured at each.
+
+    `law` is that of `[requirements]` when absent, else the first; below a disk margin of `margin`, all channels at
+    once, it is taken off. `seconds` is a period of the injection, `settle_s` runs before it.
+    """
+
+    law: str | None = None
+    gains: list[Positive] = Field(default=[0.1, 0.3, 1.0], min_length=1)
+    margin: Annotated[float, Field(gt=0, le=2)] = 0.2
+    seconds: Positive = 4.0
+    settle_s: Positive = 2.0

@@ -6,10 +6,13 @@ from typing import Any, cast
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.shown import draws
+from ultraquiet._base.shown import draws, figure_of
 from ultraquiet._base.shown.line import attributes, line, text, word
 from ultraquiet.plot.figure import Figure, Line, Panel
+from ultraquiet.values import FrequencyResponse, PolynomialMatrix, PolynomialModel, StateSpace
 
+HOLDERS = ("model", "controller", "system", "response")
+MODELS = (FrequencyResponse, PolynomialMatrix, PolynomialModel, StateSpace)
 AXES = {"f_hz": "frequency (Hz)", "time_s": "time (s)", "tones_hz": "tone (Hz)"}
 # The last part of a name says its unit.
 UNITS = {
@@ -29,7 +32,12 @@ def itself(figure: Figure) -> Figure:
 
 @draws(object)
 def any_figure(shown: Any) -> Figure:
-    """Arrays over the frequencies or times that stand beside them, over their index where none do."""
+    """The model or law that it holds; else arrays over the frequencies or times beside them, or over their index."""
+    for name in HOLDERS:
+        held = getattr(shown, name, None)
+        if isinstance(held, MODELS):
+            drawn = figure_of(held)
+            return Figure(name, type(shown).__name__, line(shown), drawn.panels, drawn.columns, drawn.size_in)
     panels = [panel for panel, _ in zip(_curves(shown, DEEPEST), range(MOST_PANELS), strict=False)] or [_words(shown)]
     size = (PANEL_IN[0], max(PANEL_IN[1] * len(panels), 3.0))
     return Figure(type(shown).__name__.lower(), type(shown).__name__, line(shown), panels, 1, size)

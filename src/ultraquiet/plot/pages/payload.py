@@ -47,7 +47,9 @@ def payload_chart(
             over.append(Curve(f"{word}{place}", felt.f_hz, db, colour, dash))
             total.append(Curve(f"{word}{place}", felt.f_hz, felt.cumulative[which], colour, dash))
     ratio, per, rms = words
-    band = [Region(f"asked over {band_hz[0]:.4g}-{band_hz[1]:.4g} Hz", band_hz)]
+    f = next(iter(units.values())).f_hz
+    narrower = band_hz[0] > 1.2 * f[0] or band_hz[1] < f[-1] / 1.2  # a band that is all there is needs no shade
+    band = [Region(f"{band_hz[0]:.4g}-{band_hz[1]:.4g} Hz", band_hz)] if narrower else []
     panels = [
         ChartPanel(frequency_axis(), decibel_axis(ratio, per), over, regions=band, height=250),
         ChartPanel(frequency_axis(), Axis(f"rms up to here ({rms})"), total, regions=band, height=150),

@@ -10,7 +10,9 @@ from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet._base.threads import one_blas_thread
 from ultraquiet.bench import Bench
+from ultraquiet.identify import Rational
 from ultraquiet.simulate.campaigns.drawing import WHO, drawn_bench, drawn_parameters
+from ultraquiet.simulate.commissioning.tuning import tune_in_place
 from ultraquiet.simulate.sensitivity import measure_sensitivity
 from ultraquiet.simulate.stability import check_stability
 from ultraquiet.values import StateSpace
@@ -25,6 +27,14 @@ WIDTHS = (-1.0, -0.5, 0.0, 0.5, 1.0)  # of such a pole
 Row = dict[str, Any]
 
 
+@dataclass(frozen=True)
+class Tuning:
+    """How a law is made again on each drawn bench, from a record of it: see `tune_in_place`."""
+
+    design: Any
+    identify: Rational
+
+
 @dataclass(frozen=True, eq=False)
 class Campaign:
     """What is evaluated: one law on benches drawn from several units in turn.
@@ -35,6 +45,7 @@ class Campaign:
         band_hz: where the worst direction counts.
         on: "truth", the linear model of the drawn bench (its `linear_model()`), or "bench", measured on it.
         first_seed: case k is drawn by the seed `first_seed` + k.
+        tuning: where given, each bench is recorded and gets a law of its own that begins with `law`.
 
     Raises:
         InputError: no units, a bench without a linear model for "truth", a band that does not rise.
@@ -45,6 +56,7 @@ class Campaign:
     band_hz: tuple[float, float]
     on: str = "truth"
     first_seed: int = 0
+    tuning: Tuning | None = None
 
     def __post_init__(self) -> None:
         one_of(WHO, "on", self.on, ON)
@@ -63,7 +75,8 @@ class Campaign:
     def digest(self) -> str:
         """What a result depends on besides the number of its case."""
         benches = [(name, _told(bench)) for name, bench in self.units]
-        return content_hash(benches, self.law.hash, list(self.band_hz), self.on, self.first_seed, versions())[:16]
+        how = (list(self.band_hz), self.on, self.first_seed, repr(self.tuning), versions())
+        return content_hash(benches, self.law.hash, *how)[:16]
 
     def bench_of(self, case: int) -> tuple[str, Bench]:
         """Return unit and bench of a case, drawn."""
@@ -78,22 +91,37 @@ class Campaign:
         with one_blas_thread():
             unit, bench = self.bench_of(case)
             row: Row = {"case": case, "seed": self.first_seed + case, "unit": unit}
-            figures = _on_truth(bench, self.law, self.band_hz) if self.on == "truth" else self._measured(bench)
+            law, tuned = self._law_of(bench)
+            figures = _on_truth(bench, law, self.band_hz) if self.on == "truth" else self._measured(bench, law)
             parameters = drawn_parameters(bench)
-        return {**row, **figures, **{DRAWN + name: value for name, value in parameters.items()}}
+        return {**row, **figures, **tuned, **{DRAWN + name: value for name, value in parameters.items()}}
 
     def worst_direction(self, case: int, f_hz: FloatArray) -> FloatArray | None:
         """Return the largest singular value of S of a case at `f_hz`; None where its bench has no linear model."""
         _, bench = self.bench_of(case)
         model = getattr(bench, "linear_model", None)
-        return None if model is None else _largest(model(), self.law, f_hz)
+        if model is None:
+            return None
+        return _largest(model(), self._law_of(bench)[0], f_hz)
 
-    def _measured(self, bench: Bench) -> Row:
-        check = check_stability(bench, self.law)
+    def _law_of(self, bench: Bench) -> tuple[StateSpace, Row]:
+        """Return the law that runs on a bench, and what came of making it there."""
+        if self.tuning is None:
+            return self.law, {}
+        try:
+            made = tune_in_place(bench, self.tuning.design, self.band_hz, law=self.law, identify=self.tuning.identify)
+        except UltraquietError as error:
+            return self.law, {"tuned": f"refused: {error}"}
+        if made.law is None or not made.status.ok:
+            return self.law, {"tuned": f"as before: {made.status}", "fit_error": made.fit_error}
+        return made.law, {"tuned": str(made.status), "fit_error": made.fit_error}
+
+    def _measured(self, bench: Bench, law: StateSpace) -> Row:
+        check = check_stability(bench, law)
         if not check.status.ok:
             return _lost(str(check.status))
         try:
-            found = measure_sensitivity(bench, self.law)
+            found = measure_sensitivity(bench, law)
         except UltraquietError as error:
             # A law that runs away under a stronger disturbance is a finding about the law.
             return _lost(f"unstable: Under disturbances the loop ran away: {error}")

@@ -15,6 +15,7 @@ from ultraquiet.values.controller import Controller
 
 WHO = "commission"
 PERIODS = 2  # measured; what they differ by is noise
+NEAR = 9  # lines that share an estimate of noise
 PER_OCTAVE, MANY = 16, 8  # lines of an injection, and of one stretch at least
 
 
@@ -42,11 +43,13 @@ class Injection:
         return cls(lines * rate_hz / n, lines, signal / np.abs(signal).max())
 
     @classmethod
-    def passes(cls, edges_hz: Sequence[float], seconds: float, rate_hz: float) -> "list[Injection]":
+    def passes(
+        cls, edges_hz: Sequence[float], seconds: float, rate_hz: float, per_octave: Sequence[int] = ()
+    ) -> "list[Injection]":
         """Return an injection for each stretch between edges: what is loud in one must not quieten the rest."""
         many = [
-            cls.of(band, max(MANY, round(PER_OCTAVE * np.log2(band[1] / band[0]))), seconds, rate_hz)
-            for band in pairwise(edges_hz)
+            cls.of(band, max(MANY, round(density * np.log2(band[1] / band[0]))), seconds, rate_hz)
+            for band, density in zip(pairwise(edges_hz), (*per_octave, *[PER_OCTAVE] * len(edges_hz)), strict=False)
         ]
         return [each for each in many if each.lines.size]
 
@@ -78,6 +81,34 @@ class MeasuredLoop:
     def ends(self) -> dict[str, ComplexArray]:
         """Return the sensitivity at each end of the plant."""
         return {"input": self.at_input, "output": self.at_output}
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredResponse:
+    """G `(ny, nu, nf)` over `f_hz` without a law, and the variance of each entry that noise leaves."""
+
+    f_hz: FloatArray
+    G: ComplexArray
+    variance: FloatArray
+
+
+def measured_response(bench: Bench, injection: Injection, levels: FloatArray, settle: int) -> MeasuredResponse:
+    """Inject at each actuator in turn, no law running, and return the response from commands to readings."""
+    nu, ny, n = len(bench.actuators), len(bench.sensors), injection.lines.size
+    answered = np.empty((PERIODS, ny, nu, n), dtype=np.complex128)
+    signal = injection.run(settle)
+    for j in range(nu):
+        actuation = np.zeros((nu, signal.size))
+        actuation[j] = levels[j] * signal
+        record = bench.run(actuation)
+        # differs from G U = Y: commands that a limit has cut would be told by the record, so it is asked
+        answered[:, :, j] = injection.amplitudes(record.outputs) / injection.amplitudes(record.inputs)[:, j, None]
+    G = answered.mean(axis=0)
+    each = np.abs(answered[0] - answered[1]) ** 2 / (2 * PERIODS)
+    # Two periods tell little of one entry: noise is that of all entries of a sensor near a line.
+    smooth = np.stack([np.convolve(row.mean(axis=0), np.ones(NEAR) / NEAR, mode="same") for row in each])
+    variance = np.maximum(np.repeat(smooth[:, None], nu, axis=1), np.finfo(float).tiny)
+    return MeasuredResponse(injection.f_hz, G, variance)
 
 
 class Halted(Exception):  # noqa: N818 - it ends a run on purpose and is told, not raised to a caller

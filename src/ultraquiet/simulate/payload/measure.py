@@ -84,7 +84,7 @@ class OpenPayload:
     def under(self, shaken: Shaken, law: StateSpace | Controller) -> PayloadReduction:
         """Return what a law does under one of the disturbances."""
         apart = self.setup.names
-        acting = on_all_channels(law, self.own, self.bench, apart, WHO)
+        acting = on_all_channels(law, self.own, self.bench, apart, WHO, self.setup.reads)
         return PayloadReduction(
             source=self.bench.actuators[shaken.actuator].name,
             level=shaken.level,

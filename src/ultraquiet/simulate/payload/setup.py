@@ -30,6 +30,8 @@ class PayloadSetup:
         seconds: length of the period that is measured, at the end of each run.
         settle_s: what runs before it, with the same period.
         seed: of the noise.
+        reads: names of the sensors that the law reads, where those are not the bench's own: sensors on the payload, for
+            a law that is to answer a force there.
     """
 
     shaker: str
@@ -42,6 +44,7 @@ class PayloadSetup:
     seconds: float = 8.0
     settle_s: float = 4.0
     seed: int = 0
+    reads: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         positive(WHO, "seconds", self.seconds, "s")
@@ -56,7 +59,7 @@ class PayloadSetup:
     @property
     def names(self) -> tuple[str, ...]:
         """Every channel that is needed."""
-        return (self.shaker, *self.sensors, *self.base, *(() if self.force is None else (self.force,)))
+        return (self.shaker, *self.sensors, *self.base, *(() if self.force is None else (self.force,)), *self.reads)
 
     def listened(self, bench: Bench, names: tuple[str, ...]) -> list[int]:
         """Return the places of named sensors, of one unit.

@@ -49,7 +49,7 @@ def place_of(name: str, channels: Sequence[Channel], who: str, kind: str) -> int
 
 
 def on_all_channels(
-    law: StateSpace | Controller, own: Bench, full: Bench, apart: Sequence[str], who: str
+    law: StateSpace | Controller, own: Bench, full: Bench, apart: Sequence[str], who: str, reads: Sequence[str] = ()
 ) -> StateSpace | Controller:
     """Return a law of a bench's own channels as one of all channels of the bench with its instruments.
 
@@ -59,6 +59,7 @@ def on_all_channels(
         full: the bench on which it runs.
         apart: names of channels that no law takes by itself: shakers and what is only listened to.
         who: opens the sentence of a refusal.
+        reads: names of the sensors that it reads, where those are not the own bench's.
     """
     if isinstance(own, Blended):
         law, own = own.on_the_bench(law), own.bench
@@ -66,21 +67,22 @@ def on_all_channels(
     every = len(full.actuators), len(full.sensors)
     if shape == every or (shape is None and own is full):
         return law
-    reads, drives = _named(own.sensors, full.sensors), _named(own.actuators, full.actuators)
-    if shape is not None and shape != (len(drives), len(reads)):
-        reads, drives = (
+    read = [place_of(name, full.sensors, who, "sensor") for name in reads] or _named(own.sensors, full.sensors)
+    drives = _named(own.actuators, full.actuators)
+    if shape is not None and shape != (len(drives), len(read)) and not reads:
+        read, drives = (
             [k for k, c in enumerate(wires) if c.name not in apart] for wires in (full.sensors, full.actuators)
         )
-    if shape is not None and shape != (len(drives), len(reads)):
+    if shape is not None and shape != (len(drives), len(read)):
         raise InputError(
-            f"{who}: the law takes {shape[1]} readings and gives {shape[0]} commands; the bench offers {len(reads)} "
+            f"{who}: the law takes {shape[1]} readings and gives {shape[0]} commands; the bench offers {len(read)} "
             f"sensors and {len(drives)} actuators besides those that shake and listen."
         )
     if isinstance(law, StateSpace):
-        return _padded(law, reads, drives, every)
+        return _padded(law, read, drives, every)
     if not (hasattr(law, "step") and hasattr(law, "reset")):
         raise InputError(f"{who}: a law is a StateSpace or has step(y) and reset(), got {type(law).__name__}.")
-    return _OnSome(law, np.array(reads), np.array(drives), every[0], full.rate_hz)
+    return _OnSome(law, np.array(read), np.array(drives), every[0], full.rate_hz)
 
 
 def _padded(law: StateSpace, reads: list[int], drives: list[int], every: tuple[int, int]) -> StateSpace:

@@ -21,6 +21,7 @@ class Jobs:
         self.session = session
         self.version = 0
         self.recent: deque[WorkItem] = deque(maxlen=SHOWN)
+        self.looked: deque[WorkItem] = deque(maxlen=SHOWN)
         self._lanes = {name: Lane(session.folder, self._told) for name in ("make", "look", "bench")}
 
     def warm(self) -> None:
@@ -53,8 +54,7 @@ class Jobs:
     def submit(self, job: WorkItem, lane: str = "make") -> WorkItem:
         """Take a job with the boards as they stand."""
         job.state = dict(self.session.state)
-        if lane != "look":
-            self.recent.append(job)
+        (self.looked if lane == "look" else self.recent).append(job)
         return self._lanes[lane].submit(job)
 
     def cancel(self, job: WorkItem | None = None) -> None:

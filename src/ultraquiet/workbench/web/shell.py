@@ -59,7 +59,7 @@ def shell(view: View) -> Generator[Columns]:
         log = ui.element("footer").classes("uq-log").props('data-testid="log"')
     yield Columns(main, side)
     view.watch(lambda: _boards(view, boards))
-    view.watch(lambda: _log(view, log))
+    view.watch(lambda: _log(view, log), often=True)
     ui.timer(POLL_S, view.tick)
 
 
@@ -105,6 +105,7 @@ def _header(view: View) -> None:
     with ui.element("header").classes("uq-header"):
         ui.label("Ultraquiet").classes("uq-brand")
         ui.label(view.session.state["title"]).classes("uq-study").props('data-testid="study"')
+        busy = ui.label("").classes("uq-study").props('data-testid="busy" aria-live="polite"')
         with ui.element("nav").classes("uq-pages").props('aria-label="pages"') as pages:
             pass
         with (
@@ -121,6 +122,12 @@ def _header(view: View) -> None:
             .props('type="button" data-testid="stop" onclick="uqStop()" title="Esc twice" aria-label="stop everything"')
         ):
             ui.html("STOP", sanitize=False)
+
+    def looking() -> None:
+        at_work = [job.title for job in view.jobs.looked if not job.over]
+        busy.text = f"computing: {at_work[-1]} …" if at_work else ""
+
+    view.watch(looking, often=True)
 
     def links() -> None:
         pages.clear()

@@ -33,7 +33,9 @@ class View:
         self.place, self.page = place, page
         self.params = {key: value for key, value in params.items() if key != "token"}
         self._watchers: list[Callable[[], object]] = []
+        self._often: list[Callable[[], object]] = []
         self._seen = place.version
+        self._stood = self._standing()
 
     @property
     def session(self) -> Session:
@@ -101,16 +103,30 @@ class View:
         kept = {key: value for key, value in self.params.items() if key in ("data", "models", "laws", "f", "g")}
         return f"/{page.lower().replace(' ', '-')}" + (f"?{urlencode(kept)}" if kept else "")
 
-    def watch(self, watcher: Callable[[], object]) -> None:
-        """Call `watcher` now and after every change of the study, its work, or what is shown."""
-        self._watchers.append(watcher)
+    def watch(self, watcher: Callable[[], object], often: bool = False) -> None:
+        """Call `watcher` now, after every change of the study, of what is shown, and when work begins or ends.
+
+        Args:
+            watcher: what is called.
+            often: also while work only goes on; what a user may be pointing at should not be built anew so often.
+        """
+        (self._often if often else self._watchers).append(watcher)
         watcher()
 
     def refresh(self) -> None:
         """Tell everyone on this page."""
-        self._seen = self.place.version
-        for watcher in self._watchers:
+        self._seen, standing = self.place.version, self._standing()
+        if standing != self._stood:
+            self._stood = standing
+            for watcher in self._watchers:
+                watcher()
+        for watcher in self._often:
             watcher()
+
+    def _standing(self) -> tuple[object, ...]:
+        """Return what changes when there is something else to see or to press."""
+        work = tuple((job.number, job.status) for job in self.jobs.recent)
+        return self.session.version, tuple(self.params.items()), work, self.place.stopped
 
     def tick(self) -> None:
         """Refresh when something has changed since."""

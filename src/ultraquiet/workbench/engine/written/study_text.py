@@ -33,12 +33,24 @@ def content(state: State) -> dict[str, Any]:
     laws = {name: design_table(recipe) for name, recipe in state["laws"].items() if recipe["model"] == model}
     if laws:
         study["controllers"] = laws
+    study |= _on_a_bench(tables, laws)
     asked = tables.get("requirements")
     if asked is not None and state["law"] in laws:
         # what only a bench measures is asked of no study without one
         kept = asked if "bench" in tables else {key: asked[key] for key in ("band_hz", "disk_margin") if key in asked}
         study["requirements"] = {"law": state["law"], **kept}
     return study
+
+
+def _on_a_bench(tables: Mapping[str, Any], laws: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables that a study without a bench, or without the law they name, refuses."""
+    if "bench" not in tables:
+        return {}
+    kept = {"payload": tables["payload"]} if "payload" in tables else {}
+    campaign = tables.get("campaign")
+    if campaign is not None and campaign.get("law", next(iter(laws), None)) in laws:
+        kept["campaign"] = campaign
+    return kept
 
 
 def toml(state: State) -> str:

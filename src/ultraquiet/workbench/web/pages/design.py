@@ -28,6 +28,8 @@ class _Design:
     def __init__(self, view: View, columns: Columns) -> None:
         self.view, self._drawn = view, None
         self._known: dict[str, tuple[str, Responses]] = {}
+        self._still: dict[str, tuple[LiveLoop, Sizes]] = {}
+        self._names: dict[str, list[str]] = {}
         self._touched = False
         with columns.main:
             self.table = LawTable(view)
@@ -135,16 +137,21 @@ class _Design:
                 plant = self.view.session.item("models", item.recipe["model"]).value()
                 self._known[item.name] = (item.key, responses(plant, item.value()))
         self._known = {item.name: self._known[item.name] for item in laws}
+        # while a hand moves, only what it moves is computed
+        self._still = {name: _sized(live_loop(r.G, r.K, r.f_hz)) for name, (_, r) in self._known.items()}
+        if laws:
+            facts = self.view.session.item("models", laws[0].recipe["model"]).facts
+            self._names = {"input": [c[0] for c in facts["actuators"]], "output": [c[0] for c in facts["sensors"]]}
         self._draw()
 
     def _draw(self) -> None:
         if not self._known:
             return
-        loops = {name: live_loop(known.G, known.K, known.f_hz) for name, (_, known) in self._known.items()}
         colours = {**self.view.colours("laws"), MOVED: "law-5"}
         moved = self._moved()
-        shown = {**loops, **({MOVED: moved} if moved is not None else {})}
-        sizes = {name: sizes_of(loop.f_hz, loop.S, loop.T, loop.KS) for name, loop in shown.items()}
+        drawn = {**self._still, **({MOVED: _sized(moved)} if moved is not None else {})}
+        shown = {name: loop for name, (loop, _) in drawn.items()}
+        sizes = {name: size for name, (_, size) in drawn.items()}
         first = next(iter(self._known.values()))[1]
         asked = asked_of(self.view)
         figure = loop_grid("The loop, its worst direction", _caption(shown), sizes, colours, self.view.scale, asked,
@@ -153,11 +160,8 @@ class _Design:
         self._draw_margins(shown, colours)
 
     def _draw_margins(self, shown: dict[str, LiveLoop], colours: dict[str, str]) -> None:
-        model = self.view.session.item("models", self.view.ready("laws")[0].recipe["model"])
-        wires = (("input", "actuators"), ("output", "sensors"))
-        names = {end: [c[0] for c in model.facts[kind]] for end, kind in wires}
-        ends = {end: {law: loop.channels[end] for law, loop in shown.items()} for end in names}
-        self.margins.show(margin_bars(ends, names, colours))
+        ends = {end: {law: loop.channels[end] for law, loop in shown.items()} for end in self._names}
+        self.margins.show(margin_bars(ends, self._names, colours))
 
     def _moved(self) -> LiveLoop | None:
         at = self._slid()
@@ -176,6 +180,10 @@ class _Design:
         band = sorted((10 ** at["low"], 10 ** at["high"]))
         bound = weight_bound({"band_hz": band, "height": 10 ** (at["height"] / 20)}, known.f_hz)
         return None if bound is None else Sizes(known.f_hz, {"S": bound})
+
+
+def _sized(loop: LiveLoop) -> tuple[LiveLoop, Sizes]:
+    return loop, sizes_of(loop.f_hz, loop.S, loop.T, loop.KS)
 
 
 def _slider(label: str, mark: str, low: float, high: float, step: float, move: Any, let_go: Any) -> ui.slider:

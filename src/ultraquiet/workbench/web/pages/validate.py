@@ -29,6 +29,7 @@ class _Validate:
             words("Take a record that no model here was made from; Records splits one in two.", "caption")
             words("Models are those marked on the board at the left, up to eight.", "caption")
             self._facts = ui.element("div").props('data-testid="fits"')
+            self._asking = ui.element("div")  # holds the timers of those who ask
             heading("Go on")
             ui.link("Design a law", view.link("Design")).props('data-testid="to-design"')
         with columns.main:
@@ -56,7 +57,7 @@ class _Validate:
         self._asked, self._found = asked, {}
         for item in models:
             if item.name not in self._lookers:
-                with self._facts:
+                with self._asking:
                     self._lookers[item.name] = Looker(self.view)
             self._ask(item.name)
 
@@ -86,7 +87,6 @@ class _Validate:
 
     def _table(self, fits: dict[str, Any], channels: list[tuple[str, str]]) -> None:
         self._facts.clear()
-        self._lookers.clear()
         with self._facts:
             heading("Fit (%)")
             rows = [(c[0], *(f"{fit[k]:.1f}" for fit in fits.values())) for k, c in enumerate(channels)]

@@ -1,0 +1,86 @@
+"""As few modes of rank one as meet a response like residues of full rank do."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet.linalg import rank_elimination, rank_one, vector_fitting
+
+ROUGH_STEPS, FINE_STEPS = 8, 40  # of the search for directions and poles, to compare sets of modes and at the end
+REACH = 2.0  # error in units of the goal, from which the search for poles and directions may still lead back
+AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
+FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
+
+
+class Trial(NamedTuple):
+    """Modes, and their weighted RMS error at the lines fitted and at those held out."""
+
+    modes: rank_one.Modes
+    error: float
+    held_out: float
+
+
+class Task(NamedTuple):
+    """Lines to fit, lines to judge by, the error there that must be met, and what precision is not worth a state."""
+
+    fitted: rank_one.Samples
+    held_out: rank_one.Samples
+    goal: float
+    spare: float
+
+    def tried(self, modes: rank_one.Modes, steps: int) -> Trial:
+        """Return the modes refined."""
+        found = rank_one.refined(modes, self.fitted, steps, AMPLE * self.goal)
+        return Trial(found, self.fitted.error(found), self.held_out.error(found))
+
+    def tightened(self, best: float) -> "Task":
+        """Return the task with a goal that also keeps what a set of modes was seen to reach."""
+        return self._replace(goal=min(self.goal, float(np.hypot(best, self.spare))))
+
+
+def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Task) -> Trial | None:
+    """Return modes that meet the goal with as few states as found, or None.
+
+    Every direction of every residue begins as a mode. The faintest leave, poles held, until what is left misses the
+    goal by far. Of several fits the one goes on that meets the goal with fewest states by then: from its smallest set
+    upwards all poles and directions are sought together, until one meets the goal.
+    """
+    _, sets = min((_eliminated(fit, task) for fit in fits), key=lambda found: found[0])
+    while sets:
+        trial = task.tried(sets.pop(), ROUGH_STEPS)
+        if trial.held_out > task.goal:
+            continue
+        larger = task.tried(sets.pop(), ROUGH_STEPS) if sets else trial
+        task = task.tightened(min(trial.held_out, larger.held_out))
+        chosen = trial if trial.held_out <= task.goal else larger
+        return _thinned(task.tried(chosen.modes, FINE_STEPS), task)
+    return None
+
+
+def _eliminated(fit: vector_fitting.PoleResidueFit, task: Task) -> tuple[int, list[rank_one.Modes]]:
+    """Return with how many states the goal is met while the poles are held, and the sets of modes, falling in size."""
+    modes = rank_elimination.all_directions(fit.poles, fit.residues)
+    sets, least = [modes], modes.poles.size
+    for fewer in rank_elimination.eliminated(modes, task.fitted):
+        error = task.held_out.error(fewer)
+        if error > REACH * task.goal:
+            break
+        sets.append(fewer)
+        if error <= task.goal:
+            least = fewer.poles.size
+    return least, sets
+
+
+def _thinned(trial: Trial, task: Task) -> Trial:
+    """Take off one mode after the other, the faintest first, as long as the goal is met."""
+    failed = 0
+    while failed < FAILURES and len(trial.modes.heads()) > failed + 1:
+        heads = trial.modes.heads()
+        faint = rank_elimination.faintest(trial.modes, task.fitted)[failed]
+        tried = task.tried(trial.modes.only(np.delete(heads, faint)), ROUGH_STEPS)
+        if tried.held_out <= task.goal:
+            trial, failed = tried, 0
+        else:
+            failed += 1
+    return trial

@@ -1,0 +1,230 @@
+"""A sum of modes of rank one, H(z) = sum_k c_k b_k' / (z - p_k), fitted to samples: poles and directions together.
+
+A mode of a structure has one shape at the sensors and one at the actuators: its residue has rank one, and it costs two
+states. Levenberg and Marquardt's steps on all of p, c and b. Since the weight of a line is the same for every channel,
+their normal matrix follows from Gram matrices of the functions 1 / (z - p) and 1 / (z - p)^2 alone; its cost does not
+grow with channels times lines (variable projection's cousin; Golub and Pereyra 2003, doi:10.1088/0266-5611/19/2/201).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+
+# Damping of the steps: first, least (c and b share a factor: the matrix is singular), and where the search ends.
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
+EASED, STIFFENED = 0.2, 8.0
+GAIN = 1e-4  # share of the cost that a step must take for another to follow
+HELD = 100.0  # weight of a known zero, in units of all lines together; a last exact step removes what is left
+
+
+class Modes(NamedTuple):
+    """Poles of the upper half plane, their conjugates, real ones, `(m,)`; `c` `(ny, m)` and `b` `(m, nu)` likewise."""
+
+    poles: ComplexArray
+    c: ComplexArray
+    b: ComplexArray
+
+    @property
+    def upper(self) -> int:
+        """Number of complex pairs."""
+        return int(np.count_nonzero(self.poles.imag > 0))
+
+    def response(self, z: ComplexArray) -> ComplexArray:
+        """Return `(ny, nu, nf)`."""
+        return np.asarray(
+            (self.c[:, None] * self.b.T).reshape(-1, self.poles.size) @ functions(self.poles, z).T
+        ).reshape(len(self.c), self.b.shape[1], -1)
+
+    def only(self, kept: np.ndarray) -> "Modes":
+        """Return the modes whose upper or real pole is among `kept`, indices from `heads`."""
+        u = self.upper
+        rows = np.concatenate([kept[kept < u], kept[kept < u] + u, kept[kept >= 2 * u]]).astype(int)
+        return Modes(self.poles[rows], self.c[:, rows], self.b[rows])
+
+    def heads(self) -> np.ndarray:
+        """Return the indices of upper and real poles: one a mode."""
+        u = self.upper
+        return np.concatenate([np.arange(u), np.arange(2 * u, self.poles.size)])
+
+
+class Samples(NamedTuple):
+    """Points on the circle `(nf,)`, samples `(ny, nu, nf)`, a weight `(nf,)` for all channels, zeros known at z = 1."""
+
+    z: ComplexArray
+    H: ComplexArray
+    weight: FloatArray
+    zeros_at_one: int = 0
+    slowest: float = 0.0  # least |ln p| of a pole: of what lies below the lowest sample nothing is known
+
+    def error(self, modes: Modes) -> float:
+        """Return the weighted RMS error."""
+        return float(np.sqrt(np.mean(np.abs(self.weight * (modes.response(self.z) - self.H)) ** 2)))
+
+
+def of(poles: ComplexArray, c: ComplexArray, b: ComplexArray) -> Modes:
+    """Return modes from upper and real poles alone, in any order."""
+    real = poles.imag == 0
+    up, on = np.flatnonzero(~real), np.flatnonzero(real)
+    return Modes(
+        np.concatenate([poles[up], poles[up].conj(), poles[on]]),
+        np.hstack([c[:, up], c[:, up].conj(), c[:, on].real]).astype(np.complex128),
+        np.vstack([b[up], b[up].conj(), b[on].real]).astype(np.complex128),
+    )
+
+
+def refined(modes: Modes, samples: Samples, steps: int, enough: float = 0.0) -> Modes:
+    """Return modes of less weighted error, poles inside the circle, zeros at z = 1 exact.
+
+    Args:
+        modes: where to begin.
+        samples: what to meet.
+        steps: taken at most.
+        enough: RMS error at which the search may end.
+    """
+    at = Point.of(modes, samples)
+    damping = DAMPING
+    for _ in range(steps):
+        if at.cost <= enough**2 * samples.H.size:
+            break
+        N, g = normal_equations(at)
+        last = at.cost
+        while damping < MOST_DAMPING:
+            trial = _stepped(at, N, g, damping)
+            if trial is not None and trial.cost < at.cost:
+                at, damping = trial, max(damping * EASED, LEAST_DAMPING)
+                break
+            damping *= STIFFENED
+        if last - at.cost <= GAIN * last:
+            break
+    return fitted_outputs(at.modes, samples)
+
+
+def fitted_outputs(modes: Modes, samples: Samples) -> Modes:
+    """Return the modes with the output directions c of least error, zeros at z = 1 exact where they can be."""
+    u, m = modes.upper, modes.poles.size
+    phi = samples.weight[:, None] * functions(modes.poles, samples.z)
+    X = real_columns((phi[:, None] * modes.b.T).reshape(-1, m), u)
+    wanted = (samples.weight * samples.H).transpose(2, 1, 0).reshape(len(X), -1)
+    X, y = np.concatenate([X.real, X.imag]), np.concatenate([wanted.real, wanted.imag])
+    size = np.linalg.norm(X, axis=0)
+    size[size == 0.0] = 1.0
+    free = np.eye(m)
+    if samples.zeros_at_one:
+        powers = 1.0 / (1.0 - modes.poles) ** np.arange(1, samples.zeros_at_one + 1)[:, None]
+        rows = real_columns((powers[:, None] * modes.b.T).reshape(-1, m), u).real / size
+        _, s, Vh = np.linalg.svd(rows)
+        free = Vh[int(np.count_nonzero(s > s[0] * np.finfo(float).eps * max(rows.shape))) :].T
+    x = (free @ np.linalg.lstsq(X / size @ free, y, rcond=None)[0]) / size[:, None]
+    c = x[:u] + 1j * x[u : 2 * u]
+    return Modes(modes.poles, np.vstack([c, c.conj(), x[2 * u :]]).T.astype(np.complex128), modes.b)
+
+
+def weighted(poles: ComplexArray, samples: Samples) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return 1 / (z - p) and its slope by p `(lines, m)`, and samples, all weighted; a known zero is a heavy line."""
+    plain = functions(poles, samples.z)
+    phi = samples.weight[:, None] * plain
+    psi = phi * plain
+    H = np.asarray(samples.weight * samples.H, dtype=np.complex128)
+    if samples.zeros_at_one:
+        near = 1.0 - poles
+        powers = np.arange(1, samples.zeros_at_one + 1)[:, None]
+        # 1 / |z - 1| of the lowest line is about what a slow pole has at most, there and at z = 1
+        heavy = HELD * np.linalg.norm(samples.weight) * np.abs(samples.z[0] - 1.0) ** (powers - 1.0)
+        phi = np.vstack([phi, heavy / near**powers])
+        psi = np.vstack([psi, heavy * powers / near ** (powers + 1.0)])
+        H = np.concatenate([H, np.zeros((*H.shape[:2], samples.zeros_at_one), dtype=np.complex128)], axis=2)
+    return phi, psi, H
+
+
+class Point(NamedTuple):
+    """Modes with what they leave of the weighted samples, and its sum of squares."""
+
+    modes: Modes
+    samples: Samples
+    phi: ComplexArray
+    psi: ComplexArray
+    left: ComplexArray
+    cost: float
+
+    @classmethod
+    def of(cls, modes: Modes, samples: Samples) -> "Point":
+        """Evaluate the modes."""
+        phi, psi, H = weighted(modes.poles, samples)
+        gains = (modes.c[:, None] * modes.b.T).reshape(-1, modes.poles.size)
+        left = H - (gains @ phi.T).reshape(H.shape)
+        return cls(modes, samples, phi, psi, left, float(np.sum(np.abs(left) ** 2)))
+
+
+def normal_equations(at: Point) -> tuple[FloatArray, FloatArray]:
+    """Return J'J and J'r of real and imaginary parts of c, b and p, mode by mode."""
+    (p, c, b), phi, psi = at.modes, at.phi, at.psi
+    m, ny, nu = p.size, len(c), b.shape[1]
+    F, FS, S = phi.conj().T @ phi, phi.conj().T @ psi, psi.conj().T @ psi
+    cc, bb = c.conj().T @ c, b.conj() @ b.T
+    N = np.zeros((m, ny + nu + 1, m, ny + nu + 1), dtype=np.complex128)
+    outputs, inputs = np.arange(ny), np.arange(ny, ny + nu)
+    for i in outputs:
+        N[:, i, :, i] = F * bb
+    for j in inputs:
+        N[:, j, :, j] = F * cc
+    cross = np.einsum("kl,kj,il->kilj", F, b.conj(), c)
+    N[:, :ny, :, ny : ny + nu] = cross
+    N[:, ny : ny + nu, :, :ny] = cross.transpose(2, 3, 0, 1).conj()
+    to_c, to_b = np.einsum("kl,il->kil", FS * bb, c), np.einsum("kl,lj->kjl", FS * cc, b)
+    N[:, :ny, :, -1], N[:, -1, :, :ny] = to_c, to_c.transpose(2, 0, 1).conj()
+    N[:, ny : ny + nu, :, -1], N[:, -1, :, ny : ny + nu] = to_b, to_b.transpose(2, 0, 1).conj()
+    N[:, -1, :, -1] = S * cc * bb
+    by_phi = np.einsum("fk,ijf->kij", phi.conj(), at.left, optimize=True)
+    by_psi = np.einsum("fk,ijf->kij", psi.conj(), at.left, optimize=True)
+    g = np.zeros((m, ny + nu + 1), dtype=np.complex128)
+    g[:, :ny] = np.einsum("kij,kj->ki", by_phi, b.conj())
+    g[:, ny : ny + nu] = np.einsum("kij,ik->kj", by_phi, c.conj())
+    g[:, -1] = np.einsum("kij,ik,kj->k", by_psi, c.conj(), b.conj())
+    size, u = ny + nu + 1, at.modes.upper * (ny + nu + 1)
+    return real_rows(real_columns(N.reshape(m * size, m * size), u), u), real_rows(g.reshape(-1, 1), u)[:, 0]
+
+
+def _stepped(at: Point, N: FloatArray, g: FloatArray, damping: float) -> Point | None:
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+    size = np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
+    scaled = N / np.outer(size, size)
+    scaled[np.diag_indices_from(scaled)] += damping
+    try:
+        step = cho_solve(cho_factor(scaled, check_finite=False), g / size) / size
+    except LinAlgError:
+        return None
+    p, c, b = at.modes
+    m, u, ny = p.size, at.modes.upper, len(c)
+    x = step.reshape(m, -1)
+    v = np.concatenate([x[:u] + 1j * x[u : 2 * u], x[:u] - 1j * x[u : 2 * u], x[2 * u :]])
+    moved = Modes(p + v[:, -1], c + v[:, :ny].T, b + v[:, ny:-1])
+    if not _admissible(moved, u, at.samples.slowest):
+        return None
+    return Point.of(moved, at.samples)
+
+
+def _admissible(modes: Modes, upper: int, slowest: float) -> bool:
+    p = modes.poles
+    if modes.upper != upper or np.any(np.abs(p) >= 1.0) or np.any(p == 0.0):
+        return False
+    return bool(np.all(np.abs(np.log(p)) >= 0.999 * slowest))
+
+
+def functions(poles: ComplexArray, z: ComplexArray) -> ComplexArray:
+    """Return 1 / (z - p), `(nf, m)`."""
+    return np.asarray(1.0 / (z[:, None] - poles))
+
+
+def real_columns(X: ComplexArray, upper: int) -> ComplexArray:
+    """Return columns of real unknowns x, y for those of v = x + iy and its conjugate, which come first."""
+    one, other = X[:, :upper], X[:, upper : 2 * upper]
+    return np.concatenate([one + other, 1j * (one - other), X[:, 2 * upper :]], axis=1)
+
+
+def real_rows(X: ComplexArray, upper: int) -> FloatArray:
+    """Return the real part of products with those columns, from the rows of products with v and its conjugate."""
+    one, other = X[:upper], X[upper : 2 * upper]
+    return np.concatenate([one.real + other.real, one.imag - other.imag, X[2 * upper :].real])

@@ -1,0 +1,77 @@
+"""Modes of rank one: the normal equations against differences, zeros at one, what elimination leaves."""
+
+import numpy as np
+import pytest
+
+from ultraquiet.linalg import rank_elimination, rank_one
+
+Z = np.exp(1j * np.linspace(0.02, 3.0, 80))
+
+
+def drawn(rng, ny, nu, pairs, reals):
+    upper = np.exp(rng.uniform(-0.2, -0.02, pairs) + 1j * np.linspace(0.2, 2.8, pairs))
+    poles = np.concatenate([upper, rng.uniform(0.3, 0.95, reals)])
+    m = poles.size
+    c = rng.standard_normal((ny, m)) + 1j * rng.standard_normal((ny, m))
+    return rank_one.of(poles, c, rng.standard_normal((m, nu)) + 1j * rng.standard_normal((m, nu)))
+
+
+def moved(modes, step):
+    """The modes with real unknowns moved: real and imaginary parts of c, b and p of pairs, then of real modes."""
+    u, ny = modes.upper, len(modes.c)
+    x = step.reshape(modes.poles.size, -1)
+    v = np.concatenate([x[:u] + 1j * x[u : 2 * u], x[:u] - 1j * x[u : 2 * u], x[2 * u :]])
+    return rank_one.Modes(modes.poles + v[:, -1], modes.c + v[:, :ny].T, modes.b + v[:, ny:-1])
+
+
+@pytest.mark.parametrize(("ny", "nu", "zeros"), [(1, 1, 0), (4, 3, 0), (3, 5, 2)])
+def test_normal_equations_are_those_of_differences(rng, ny, nu, zeros):
+    modes = drawn(rng, ny, nu, 3, 2)
+    H = drawn(rng, ny, nu, 3, 2).response(Z)
+    samples = rank_one.Samples(Z, H, rng.uniform(0.5, 2.0, Z.size), zeros)
+    N, g = rank_one.normal_equations(rank_one.Point.of(modes, samples))
+    rows = []
+    for k in range(len(g)):
+        e = 1e-6 * np.eye(len(g))[k]
+        difference = (
+            rank_one.Point.of(moved(modes, e), samples).left - rank_one.Point.of(moved(modes, -e), samples).left
+        )
+        rows.append(-difference.ravel() / 2e-6)
+    left = rank_one.Point.of(modes, samples).left.ravel()
+    J, r = (np.concatenate([x.real, x.imag]) for x in (np.array(rows).T, left))
+    assert np.abs(J.T @ J - N).max() < 1e-6 * np.abs(N).max()
+    assert np.abs(J.T @ r - g).max() < 1e-6 * np.abs(g).max()
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_disturbed_start_returns_to_the_truth(rng, size):
+    truth = drawn(rng, 4, 3, 4, 1)
+    samples = rank_one.Samples(Z, size * truth.response(Z), np.ones(Z.size) / size)
+    start = rank_one.Modes(truth.poles * 0.995, truth.c, truth.b)
+    found = rank_one.refined(rank_one.fitted_outputs(start, samples), samples, 60)
+    print(f"error {samples.error(start):.2g} at the start, {samples.error(found):.2g} at the end")
+    assert samples.error(found) < 1e-8
+    assert np.sort_complex(found.poles) == pytest.approx(np.sort_complex(truth.poles), abs=1e-8)
+
+
+def test_zeros_at_one_are_exact(rng):
+    modes = drawn(rng, 3, 2, 4, 1)
+    samples = rank_one.Samples(Z, modes.response(Z), np.ones(Z.size), 1)
+    found = rank_one.refined(modes, samples, 10)
+    assert np.abs(found.response(np.ones(1, complex))).max() < 1e-10 * np.abs(found.response(Z)).max()
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3), (3, 5)])
+def test_elimination_comes_past_the_truth(rng, ny, nu):
+    truth = drawn(rng, ny, nu, 4, 1)
+    noise = 1e-3 * (rng.standard_normal((ny, nu, Z.size)) + 1j * rng.standard_normal((ny, nu, Z.size)))
+    heads = truth.heads()
+    residues = np.einsum("ik,kj->ijk", truth.c, truth.b)
+    residues = residues + 1e-3 * np.abs(residues).max()  # rank one no longer, as after a fit to noise
+    order = np.concatenate([[k, k + 4] if k < 4 else [k] for k in heads])
+    samples = rank_one.Samples(Z, truth.response(Z) + noise, np.ones(Z.size))
+    modes = rank_elimination.all_directions(truth.poles[order], residues[:, :, order])
+    modes = rank_one.fitted_outputs(modes, samples)
+    assert len(modes.heads()) == 5 * min(ny, nu)
+    least = min(m.poles.size for m in [modes, *rank_elimination.eliminated(modes, samples)] if samples.error(m) < 2e-3)
+    assert least == truth.poles.size
