@@ -34,7 +34,7 @@ THREE_DRAWS = (
     "tests/values/",
 )
 # Of the packaged study: one that pays in flight, one that asks for nothing, the one that its requirements name.
-GATE_LAWS = ("lqg-ltr", "hinf-as-printed", "hinf-tones")
+GATE_LAWS = ("lqg-ltr", "hinf-as-printed", "quiet")
 # Folders whose set-up is the longest: their tests come first, so that no worker is left alone with them at the end.
 FIRST = ("tests/pipeline/", "tests/report/")
 

@@ -346,7 +346,7 @@ def test_a_study_can_be_ended_in_every_stage_and_goes_on(tmp_path):
         "design-lqg-ltr",
         "loop-lqg-ltr",
         "deploy-lqg-ltr",
-        "deploy-hinf-tones",
+        "deploy-quiet",
     ):
         done = out / "stages" / f"{stage}.json"
         if done.exists():
