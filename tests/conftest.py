@@ -25,7 +25,6 @@ THREE_DRAWS = (
     "tests/architecture/",
     "tests/base/",
     "tests/identify/test_kernels_twins.py",
-    "tests/identify/test_rational.py",
     "tests/identify/test_refit.py",
     "tests/identify/test_slicot_ib01.py",
     "tests/linalg/",

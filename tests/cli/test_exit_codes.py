@@ -133,6 +133,8 @@ CASES = {
     "run": {2: "absent.toml"},
     "demo": {2: "--seed -1"},
     "report": {2: "absent"},
+    "campaign": {2: "absent.toml"},
+    "serve": {2: "--port 70000"},
 }
 
 
@@ -202,7 +204,9 @@ def test_ctrl_c_ends_every_command_alike(run, folder, monkeypatch, name):
         monkeypatch.setattr(f"ultraquiet.{place}", stopped)
     monkeypatch.setattr("ultraquiet.cli.doctor.versions", stopped)
     monkeypatch.setattr("ultraquiet._base.registry.methods", stopped)
-    words = {"convert": "record.h5 b.csv", "report": ".", "run": "list.toml", "demo": ""}
+    if name == "serve":
+        monkeypatch.setattr("ultraquiet.workbench.web.server.serve", stopped)
+    words = {"convert": "record.h5 b.csv", "report": ".", "run": "list.toml", "demo": "", "campaign": "list.toml"}
     code, _, err = run(name, *words.get(name, CASES.get(name, {}).get(0, "")).split())
     print(err)
     assert code == 130

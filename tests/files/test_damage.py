@@ -82,6 +82,7 @@ def test_the_wrong_suffix(good, tmp_path, suffix):
         print(refused(wrong))
 
 
+@pytest.mark.gate(".mat", ".h5")
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".h5", ".hdf5", ".uff", ".tdms", ".parquet", ".wav"])
 def test_files_cut_short(good, tmp_path, rng, suffix):
     """No cut is taken for a whole file, wherever it falls; the last bytes included."""
@@ -125,6 +126,7 @@ def test_text_cut_short_is_refused_or_a_part(good, tmp_path, rng):
 
 
 # HDF5 of others and MAT 7.3, its relative, are tried below, in a process of their own.
+@pytest.mark.gate(".npz", ".csv")
 @pytest.mark.parametrize("suffix", [".mat", ".npz", ".uff", ".tdms", ".parquet", ".wav", ".csv", ".h5"])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")  # of NumPy, on absurd numbers
 def test_damaged_bytes_leave_no_traceback(good, tmp_path, rng, suffix):
@@ -160,6 +162,7 @@ for path in sys.argv[1:]:
 """
 
 
+@pytest.mark.gate(".hdf5")
 @pytest.mark.parametrize("suffix", [".mat", ".hdf5"])
 def test_damaged_hdf5_of_others(good, tmp_path, rng, suffix):
     """MAT 7.3 and foreign HDF5 carry no checksum: every cut is refused, changed bytes are refused or read, no more."""

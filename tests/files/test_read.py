@@ -194,6 +194,7 @@ def test_files_that_are_not_there_or_not_what_they_say(tmp_path, table):
         read(tmp_path / "latin.csv")
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused_in_one_sentence_or_read(tmp_path, rng):
     np.savez_compressed(tmp_path / "whole.npz", u=rng.standard_normal((2, 40)), y=rng.standard_normal((2, 40)))
     refused, sentences = 0, set()

@@ -94,6 +94,7 @@ def test_noise_makes_no_poles(seed, rng):
     assert np.median(error) < 0.03
 
 
+@pytest.mark.slow
 def test_a_hold_leaves_one_of_three_zeros_at_dc():
     """The bench's own response, without noise: asked for all three of eq. (10), the lowest lines cannot be met."""
     truth = uq.bench.Hexapod(unit="ground").linear_model()
