@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet.pipeline.control import designed
 from ultraquiet.pipeline.facts.typed import finite, to_plain
-from ultraquiet.pipeline.report.loops import design
+from ultraquiet.pipeline.report.loops import margins_table
 from ultraquiet.pipeline.study import ClosedLoop, Design
 from ultraquiet.values import StateSpace
 
@@ -34,7 +34,6 @@ def test_margins_of_the_law_that_runs_stand_in_facts_and_report():
     assert small.facts.margins["input"].disk_all == plain.facts.margins["input"].disk_all
     assert small.facts.law_margins["input"].disk_all != small.facts.margins["input"].disk_all
     assert finite(to_plain(small.facts))["law_margins"]["output"]["least_change"]["kind"] in {"gain", "phase"}
-    section = design(SimpleNamespace(designs={"plain": plain, "small": small}))
-    rows = section.tables[1].rows
+    rows = margins_table(SimpleNamespace(designs={"plain": plain, "small": small})).rows
     assert [row[:2] for row in rows] == [(n, side) for n in ("plain", "small") for side in plain.facts.law_margins]
     assert any(wire in str(rows[0][-1]) + str(rows[1][-1]) for wire in ("left", "right"))

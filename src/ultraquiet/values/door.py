@@ -13,7 +13,7 @@ from ultraquiet.values.state_space import StateSpace
 
 P = ParamSpec("P")
 R = TypeVar("R")
-HUGE = 1e150  # squares of entries beyond it overflow
+HUGE = 1e152  # sums of squares of entries beyond it overflow
 
 
 def system(who: str, name: str, value: Any) -> StateSpace:

@@ -32,7 +32,7 @@ def design(result: StudyResult) -> Section:
         sentences.append(f"{name}: {' '.join([facts.status, *_remarks(facts)])}")
     columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
     caption = "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction"
-    tables = [Table(caption, columns, rows), _margins(result)]
+    tables = [Table(caption, columns, rows), margins_table(result)]
     figures = [*laws.shaped_charts(result), *laws.margin_charts(result), *laws.locus_charts(result)]
     return Section("Design", [_in_short(result)], tables, figures, sentences)
 
@@ -73,7 +73,7 @@ def _reductions(result: StudyResult) -> list[Table]:
     return [Table("What each reduction left, on the design model, dB", columns, rows)] if rows else []
 
 
-def _margins(result: StudyResult) -> Table:
+def margins_table(result: StudyResult) -> Table:
     """What every law stands at both ends of the design model, as it runs."""
     rows: list[tuple[object, ...]] = []
     for name, outcome in result.designs.items():

@@ -30,7 +30,7 @@ def identity(bench: Any, table: Mapping[str, Any], beside: Path | None = None) -
     >>> from ultraquiet.bench import Process
     >>> process = Process(("no-such-plant", "--quiet"), timeout_s=3.0)
     >>> settings_of(process, ())
-    {'command': ['no-such-plant', '--quiet'], 'host': '127.0.0.1', 'port': None}
+    {'command': ['no-such-plant', '--quiet'], 'host': '127.0.0.1', 'port': None, 'token_file': ''}
     """
     places = (*(() if beside is None else (beside,)), Path())
     kind = type(bench)

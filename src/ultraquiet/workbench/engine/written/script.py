@@ -43,7 +43,7 @@ def _variable(board: str, name: str) -> str:
     """Return a Python name that no other item has.
 
     >>> _variable("data", "noise-1"), _variable("data", "noise.1")
-    ('record_noise_1', 'record_noise_x2e1')
+    ('record_noise_1', 'record_noisex2e1')
     """
     bare = re.sub(r"[^A-Za-z0-9_-]", lambda found: f"x{ord(found[0]):x}", name).replace("_", "__").replace("-", "_")
     return f"{PREFIX[board]}_{bare}"
