@@ -397,6 +397,7 @@ def _is_zombie(pid):
         return True
 
 
+@pytest.mark.slow
 def test_endless_handshakes_end():
     for head, words in (
         ("while True: out('sensor V -1 1 s')", "up to 4096 channels"),

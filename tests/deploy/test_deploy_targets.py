@@ -103,6 +103,7 @@ def test_without_it_no_file_knows_of_it(law_of, tmp_path):
     assert not any("m33" in text or "an505" in text for text in texts)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("emulated", "cc")
 def test_another_family_is_one_folder(law_of, tmp_path, monkeypatch):
     """A family whose folder is found beside the others brings its own compiler, emulator, program and rules."""

@@ -106,6 +106,7 @@ def test_a_law_that_loses_attenuation_is_degraded(loop, seed, tmp_path):
     assert measured.status.word == "degraded"
 
 
+@pytest.mark.slow
 def test_rounding_that_upsets_the_loop_is_said(loop):
     plant, law = loop
     wrong = StateSpace(law.A, law.B, -3.0 * law.C, -3.0 * law.D, rate_hz=law.rate_hz)
@@ -116,6 +117,7 @@ def test_rounding_that_upsets_the_loop_is_said(loop):
     assert "already as designed" in reanalysis(wrong, law, plant).status.sentence
 
 
+@pytest.mark.slow
 def test_a_loop_unstable_by_design_says_nothing_against_the_code(loop, seed, tmp_path):
     plant, law = loop
     wrong = StateSpace(law.A, law.B, -3.0 * law.C, -3.0 * law.D, rate_hz=law.rate_hz)

@@ -84,6 +84,7 @@ def test_moving_tones_against_a_fixed_law(designed, bench, rng):
         assert learned > kept + 6
 
 
+@pytest.mark.slow
 def test_the_internal_model_arrives_by_itself(designed, bench, rng):
     plant = bench.linear_model()
     f = rng.uniform(23, 27)

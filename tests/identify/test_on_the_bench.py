@@ -48,6 +48,7 @@ class _Diagonal:
         return self.bench.linear_response(f_hz)[self.k : self.k + 1, self.k : self.k + 1]
 
 
+@pytest.mark.slow
 @pytest.mark.gate("ground")
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_design_model_from_all_struts_at_once(unit, seed):

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 import scipy.io
 
 import ultraquiet as uq
@@ -64,6 +65,7 @@ def test_hair_dryer():
         assert one >= fit
 
 
+@pytest.mark.slow
 def test_steel_frame_by_subspace():
     data = scipy.io.loadmat(DATA / "daisy" / "flexibleStructure.mat")["flexibleStructure"].T
     record = uq.Record(data[:2], data[2:], 1024.0)
