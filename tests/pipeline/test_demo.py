@@ -148,7 +148,7 @@ def test_the_report_stands_alone(demo):
     print(f"report: {len(page) / 1e6:.1f} MB, {page.count('<figure')} figures, {page.count('<table')} tables")
     fetched = re.findall(r'(?:src|href)\s*=\s*"(?!#)([^"]*)"|@import|url\((?!#)([^)]*)\)', page)
     assert not [f for f in fetched if any(f) and not f[0].startswith("data:")], "only what the page holds"
-    for figure in ("test_signals", "responses", "step", "tone", "bode", "singular_values", "sensitivity", "bode_grid"):
+    for figure in ("test_signals", "responses", "step", "tone", "bode", "singular_values", "sensitivity", "response"):
         assert f'id="{figure}"' in page, figure
 
 
