@@ -8,9 +8,10 @@ import numpy as np
 from ultraquiet.linalg import vector_fitting
 from ultraquiet.linalg.modes import rank_elimination, rank_one
 
-ROUGH_STEPS, FINE_STEPS = 8, 40  # of the search for directions and poles, to compare sets of modes and at the end
+ROUGH_STEPS, FINE_STEPS = 8, 20  # of the search for directions and poles: to compare sets of modes, and at the end
 REACH = 2.0  # error in units of the goal, from which the search for poles and directions may still lead back
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
+TOGETHER = 0.1  # share of the modes that is tried to leave at once
 FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
 
 
@@ -55,7 +56,8 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
         larger = task.tried(sets.pop(), ROUGH_STEPS) if sets else trial
         task = task.tightened(min(trial.held_out, larger.held_out))
         chosen = trial if trial.held_out <= task.goal else larger
-        return _thinned(task.tried(chosen.modes, FINE_STEPS), task)
+        least = _thinned(chosen, task)
+        return min(least, task.tried(least.modes, FINE_STEPS), key=lambda found: found.held_out)
     return None
 
 
@@ -74,14 +76,16 @@ def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int
 
 
 def _thinned(trial: Trial, task: Thinning) -> Trial:
-    """Take off one mode after the other, the faintest first, as long as the goal is met."""
-    failed = 0
-    while failed < FAILURES and len(trial.modes.heads()) > failed + 1:
+    """Take off the faintest modes, several at once and fewer where that is too many, as long as the goal is met."""
+    together, failed = max(1, round(TOGETHER * len(trial.modes.heads()))), 0
+    while failed < FAILURES and len(trial.modes.heads()) > failed + together:
         heads = trial.modes.heads()
-        faint = rank_elimination.faintest(trial.modes, task.fitted)[failed]
+        faint = rank_elimination.faintest(trial.modes, task.fitted)[failed : failed + together]
         tried = task.tried(trial.modes.only(np.delete(heads, faint)), ROUGH_STEPS)
         if tried.held_out <= task.goal:
             trial, failed = tried, 0
+        elif together > 1:
+            together //= 2
         else:
             failed += 1
     return trial
