@@ -46,19 +46,32 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
 
     Every direction of every residue begins as a mode. The faintest leave, poles held, until what is left misses the
     goal by far. Of several fits the one goes on that meets the goal with fewest states by then: from its smallest set
-    upwards all poles and directions are sought together, until one meets the goal.
+    upwards all poles and directions are sought together, until one meets the goal, or else nearly does.
     """
     _, sets = min((_eliminated(fit, task) for fit in fits), key=lambda found: found[0])
+    missed: list[Trial] = []
     while sets:
         trial = task.tried(sets.pop(), ROUGH_STEPS)
         if trial.held_out > task.goal:
+            missed.append(trial)
             continue
         larger = task.tried(sets.pop(), ROUGH_STEPS) if sets else trial
         task = task.tightened(min(trial.held_out, larger.held_out))
         chosen = trial if trial.held_out <= task.goal else larger
-        least = _thinned(chosen, task)
-        return min(least, task.tried(least.modes, FINE_STEPS), key=lambda found: found.held_out)
-    return None
+        return _thinned(chosen, task)
+    return _nearly(missed, task)
+
+
+def _nearly(missed: list[Trial], task: Thinning) -> Trial | None:
+    """Return the smallest of rising sets of modes that misses the goal by what precision is not worth a state."""
+    eased = task._replace(goal=float(np.hypot(task.goal, task.spare)))
+    found = next((trial for trial in missed if trial.held_out <= eased.goal), None)
+    return None if found is None else _thinned(found, eased)
+
+
+def settled(modes: rank_one.RankOneModes, samples: rank_one.Samples) -> rank_one.RankOneModes:
+    """Return the modes fitted once more, to all lines: those that chose them tell of their poles too."""
+    return rank_one.refined(modes, samples, FINE_STEPS)
 
 
 def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int, list[rank_one.RankOneModes]]:
