@@ -141,8 +141,8 @@ def nanoseconds(folder: Path, rng: np.random.Generator, samples: int) -> tuple[f
     from ultraquiet.identify.long_record_statistics import survey
     from ultraquiet.identify.prediction_error import long_record
     from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
-    from ultraquiet.identify.subspace import long_record_bank
-    from ultraquiet.identify.subspace.long_record import ScaledStream
+    from ultraquiet.identify.subspace.disk import long_record_bank
+    from ultraquiet.identify.subspace.disk.long_record import ScaledStream
     from ultraquiet.linalg.lagged import Lagged
 
     method = uq.identify.BoxJenkins(order=5)

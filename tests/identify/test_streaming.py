@@ -18,8 +18,8 @@ from ultraquiet.identify.prediction_error.signals import signals_of
 from ultraquiet.identify.prediction_error.structure import free_rows
 from ultraquiet.identify.subspace import kernels as state_kernels
 from ultraquiet.identify.subspace import modal_least_squares
-from ultraquiet.identify.subspace.long_record import hankel_gram
-from ultraquiet.identify.subspace.long_record_bank import StreamedBank
+from ultraquiet.identify.subspace.disk.long_record import hankel_gram
+from ultraquiet.identify.subspace.disk.long_record_bank import StreamedBank
 from ultraquiet.linalg.lagged import Lagged
 
 

@@ -50,9 +50,9 @@ def draw(name, rng, samples=None, u=None):
     return Draw(uq.Record(u, clean + noise, rate_hz), clean, e[SETTLE:], model)
 
 
-def modal_truth(rng, samples=24_000):
+def modal_truth(rng, samples=24_000, snr_db=30.0):
     """A 6 x 6 system of 15 modes and a record of it, as `modal_6x6` says."""
-    rate_hz, modes, wires, snr_db = 3500.0, 15, 6, 30.0
+    rate_hz, modes, wires = 3500.0, 15, 6
     f = np.geomspace(8, 350, modes) * np.exp(0.05 * rng.standard_normal(modes))
     zeta = rng.uniform(0.005, 0.03, modes)
     A, B, C = np.zeros((30, 30)), np.zeros((30, wires)), np.zeros((wires, 30))

@@ -3,18 +3,22 @@
 from dataclasses import asdict, dataclass, replace
 from typing import ClassVar
 
+import numpy as np
+
 from ultraquiet._base.constraints import ComplexArray
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import Result
-from ultraquiet.identify.subspace import evidence, fit, hankel, order_selection
-from ultraquiet.identify.subspace.long_record import identify_long_subspace
+from ultraquiet.identify.subspace import evidence, fit, hankel, missing_modes, modal_least_squares, order_selection
+from ultraquiet.identify.subspace.disk.long_record import identify_long_subspace
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import SubspaceStart
 from ultraquiet.values import Record
+
+RETURNS = 4  # to the search with modes that its end had missed
 
 
 @register("identify", "subspace")
@@ -77,7 +81,7 @@ class Subspace(SubspaceSettings):
         data = fit.Scaled.of(record)
         order = order_selection.chosen(self, record) if self.order is None else self.order
         starts = (self._start(data, rows, order) for rows in self.horizons(record, order))
-        return self._finished(record, data, min(starts, key=lambda start: start.loss))
+        return self._finished(record, data, self._replenished(data, min(starts, key=lambda start: start.loss)))
 
     def _start(self, data: fit.Scaled, rows: int, order: int) -> SubspaceStart:
         """Return the modes found with `rows` block rows."""
@@ -87,10 +91,38 @@ class Subspace(SubspaceSettings):
 
         return SubspaceStart.of(self, hankel.factor(data.centred_u, data.y, rows), rows, order, bank_at)
 
-    def _finished(self, record: Record, data: fit.Scaled, start: SubspaceStart) -> Result:
-        system, steps, converged = fit.system(start.modes if self.refine else start.settled()), 0, True
+    def _replenished(self, data: fit.Scaled, start: SubspaceStart) -> SubspaceStart:
         if self.refine:
-            system, steps, converged = fit.refined_simulation(system, data, self.options())
+            return start
+        bank, modes = missing_modes.replenished(start.bank, start.modes, self._sought(data))
+        return replace(start, bank=bank, modes=modes)
+
+    def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
+        return missing_modes.Sought(data, self.feedthrough, self.offset, self.order is None)
+
+    def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> tuple[fit.System, int, bool]:
+        """Return the system of least simulated error, modes that it misses put in and sought with the others."""
+        sought = self._sought(data)
+        found = fit.refined_simulation(fit.system(modes), data, self.options())
+        steps = found[1]
+        bank, modes = sought.fitted(found[0])
+        for _ in range(RETURNS):
+            other_bank, other = missing_modes.replenished(bank, modes, sought)
+            if np.array_equal(other.poles, modes.poles):
+                break
+            trial = fit.refined_simulation(fit.system(other), data, self.options())
+            other_bank, other = sought.fitted(trial[0])
+            steps += trial[1]
+            if not order_selection.cost(other_bank, other) < order_selection.cost(bank, modes):
+                break
+            found, bank, modes = trial, other_bank, other
+        return found[0], steps, found[2]
+
+    def _finished(self, record: Record, data: fit.Scaled, start: SubspaceStart) -> Result:
+        if self.refine:
+            system, steps, converged = self._refined(data, start.modes)
+        else:
+            system, steps, converged = fit.system(start.settled()), 0, True
         system = replace(system, K=fit.noise_gain(system, start.innovations(data), data))
         if self.refine and self.focus == "prediction":
             system, more, converged = fit.refined_prediction(system, data, self.options())

@@ -122,7 +122,7 @@ def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Itera
 
 
 def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> FilterBank:
-    from ultraquiet.identify.subspace.long_record_bank import StreamedBank
+    from ultraquiet.identify.subspace.disk.long_record_bank import StreamedBank
 
     shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
     return StreamedBank(poles, data.blocks(title), shape, settings.feedthrough, settings.offset)
@@ -201,7 +201,7 @@ def _judged(
 
 def _errors(system: fit.System, data: ScaledStream) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
     """Yield inputs, simulated and one-step errors block by block."""
-    from ultraquiet.identify.subspace.long_record_bank import simulated
+    from ultraquiet.identify.subspace.disk.long_record_bank import simulated
 
     inner = np.ascontiguousarray(system.A - system.K @ system.C)
     A, into = np.ascontiguousarray(system.A), system.B - system.K @ system.D

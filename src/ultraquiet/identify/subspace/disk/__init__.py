@@ -1,0 +1,1 @@
+"""Subspace models of records that stay on disk, read in blocks."""

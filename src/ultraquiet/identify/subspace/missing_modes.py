@@ -1,0 +1,148 @@
+"""Modes that a subspace of a short horizon has missed: sought in what it leaves, put in the place of the faintest.
+
+A mode whose period is many horizons shows as a drift in the Hankel matrix and may be lost in noise there, while the
+whole record tells of it plainly: one filter at its pole explains a part of the simulated error that noise cannot.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.identify.subspace import fit, modal_least_squares, order_selection
+from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes
+
+DAMPING = 0.02  # of the filters tried, relative
+SPACING = 1.06  # from one filter's frequency to the next
+SLOWEST = 8.0  # periods that a record must hold of a mode that is sought
+FASTEST = 0.9 * np.pi  # radians a sample
+FINER = (0.03, 0.015, 0.008)  # steps by which the best filter is then moved, in the logarithm of frequency and damping
+ROUNDS, GAIN = 20, 1e-5  # of alternating least squares, and what one must gain for another to follow
+MEMORY, RIDGE = 8, 1e-9  # of the autoregressions that tell how much of the error's power is noise at a frequency
+MOST = 3  # modes put in at most
+
+
+class Sought(NamedTuple):
+    """Signals and what a fit to them may hold."""
+
+    data: fit.Scaled
+    feedthrough: bool
+    offset: bool
+    may_grow: bool  # whether more states are allowed, or a mode must leave for each that comes
+
+    def bank(self, poles: ComplexArray) -> FilterBank:
+        """Return the products of the filters at some poles."""
+        return FilterBank(poles, self.data.u, self.data.y, self.feedthrough, self.offset)
+
+    def fitted(self, system: fit.System) -> tuple[FilterBank, Modes]:
+        """Return the modes of a system, fitted again to the record."""
+        poles, directions, _ = fit.modes_of(system.A, system.C)
+        bank = self.bank(poles)
+        return bank, bank.fit_b(directions)
+
+
+def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterBank, Modes]:
+    """Return the modes, faint ones replaced by those that the error shows, as long as that lowers it."""
+    for _ in range(MOST):
+        error = sought.data.y - fit.system(modes).simulated(sought.data.u)
+        pole, explained = strongest(error, sought.data.u)
+        if explained < 2 * (bank.nu + bank.ny) * np.log(bank.n):
+            break
+        kept = _without_the_faintest(bank, modes, explained)
+        if kept is None and not sought.may_grow:
+            break
+        kept = np.arange(modes.poles.size) if kept is None or sought.may_grow else kept
+        poles = np.concatenate([modes.poles[kept], np.array([pole], dtype=np.complex128)])
+        c = np.column_stack([modes.c[:, kept], _direction(error, sought.data.u, pole)])
+        pairs_first = np.argsort(poles.imag == 0.0, kind="stable")
+        other = sought.bank(poles[pairs_first])
+        trial = modal_least_squares.alternate(other, c[:, pairs_first], ROUNDS, GAIN)
+        if not order_selection.cost(other, trial) < order_selection.cost(bank, modes):
+            break
+        bank, modes = other, trial
+    return modal_least_squares.pruned(bank, modes) if sought.may_grow else (bank, modes)
+
+
+def strongest(error: FloatArray, u: FloatArray) -> tuple[complex, float]:
+    """Return the pole of the filter that explains most of what is left, and how many noise variances that is.
+
+    The variance counted is that of the noise at the filter's frequency, from the smooth spectrum of what the filter
+    leaves: coloured noise has more power in one band than in another, and none of it is a mode.
+    """
+    slowest = 2 * np.pi * SLOWEST / u.shape[1]
+    angles = np.exp(np.arange(np.log(slowest), np.log(FASTEST), np.log(SPACING)))
+    found = max(((_share(w, DAMPING, error, u), w, DAMPING) for w in angles), key=lambda one: one[0])
+    for step in FINER:
+        near = [(found[1] * np.exp(a * step), found[2] * np.exp(b * 10 * step)) for a in (-1, 0, 1) for b in (-1, 0, 1)]
+        tried = [(_share(w, zeta, error, u), w, zeta) for w, zeta in near if w < FASTEST and zeta < 1.0]
+        found = max([found, *tried], key=lambda one: one[0])
+    pole = _pole(found[1], found[2])
+    bank, x = _alone(pole, error, u)
+    left = error - _response(pole, x, u)
+    return pole, float(np.sum(np.sum(bank.G[: bank.modes, bank.modes :] * x, axis=0) / _noise_level(left, found[1])))
+
+
+def _noise_level(left: FloatArray, angle: float) -> FloatArray:
+    """Return the spectrum of each channel at `angle` radians a sample, from a short autoregression; white: variance."""
+    from scipy.linalg import solve_toeplitz
+
+    n = left.shape[1]
+    lags = min(MEMORY, n // 10)
+    centred = left - left.mean(axis=1, keepdims=True)
+    r = np.stack([np.sum(centred[:, k:] * centred[:, : n - k], axis=1) / n for k in range(lags + 1)], axis=1)
+    r[:, 0] = np.maximum(r[:, 0] * (1.0 + RIDGE), np.finfo(float).tiny)
+    a = np.stack([np.asarray(solve_toeplitz(one[:-1], one[1:]), dtype=np.float64) for one in r])
+    variance = np.maximum(r[:, 0] - np.sum(a * r[:, 1:], axis=1), RIDGE * r[:, 0])
+    return variance / np.maximum(np.abs(1.0 - a @ np.exp(-1j * angle * np.arange(1, lags + 1))) ** 2, RIDGE)
+
+
+def _pole(angle: float, zeta: float) -> complex:
+    return complex(np.exp(angle * (-zeta + 1j * np.sqrt(1 - zeta**2))))
+
+
+def _share(angle: float, zeta: float, error: FloatArray, u: FloatArray) -> float:
+    """Return the share of each channel's power that the filter explains, summed."""
+    bank, x = _alone(_pole(angle, zeta), error, u)
+    products = bank.G[: bank.modes, bank.modes :]
+    return float(np.sum(np.sum(products * x, axis=0) / np.maximum(bank.power, np.finfo(float).tiny)))
+
+
+def _response(pole: complex, x: FloatArray, u: FloatArray) -> FloatArray:
+    """Return what the filter explains, the free decay from before the first sample too."""
+    from scipy.signal import lfilter
+
+    parts = x.reshape(len(u) + 1, 2, -1)
+    pulse = np.zeros((1, u.shape[1]))
+    pulse[0, 0] = 1.0
+    late = np.vstack([np.hstack([np.zeros((len(u), 1)), u[:, :-1]]), pulse])
+    states = np.asarray(lfilter([1.0], [1.0, -pole], late, axis=1))
+    return np.asarray(((parts[:, 0] - 1j * parts[:, 1]).T @ states).real, dtype=np.float64)
+
+
+def _direction(error: FloatArray, u: FloatArray, pole: complex) -> ComplexArray:
+    """Return the output direction `(ny,)` of the residue of rank one nearest to that which explains most."""
+    bank, x = _alone(pole, error, u)
+    gains = x.reshape(bank.nu + 1, 2, bank.ny)[:-1]
+    U, _, _ = np.linalg.svd((gains[:, 0] - 1j * gains[:, 1]).T, full_matrices=False)
+    return np.asarray(U[:, 0], dtype=np.complex128)
+
+
+def _alone(pole: complex, error: FloatArray, u: FloatArray) -> tuple[FilterBank, FloatArray]:
+    """Return the products of one filter with the error, and real parts and negative imaginary ones of its gains."""
+    bank = FilterBank(np.array([pole]), u, error, feedthrough=False, offset=False)
+    return bank, modal_least_squares.solve(bank.G[: bank.modes, : bank.modes], bank.G[: bank.modes, bank.modes :])
+
+
+def _without_the_faintest(bank: FilterBank, modes: Modes, explained: float) -> np.ndarray | None:
+    """Return which modes stay when two states are freed, or None where none is fainter than what is sought."""
+    carried = modal_least_squares.carried(bank, modes)
+    real = np.flatnonzero(modes.poles.imag == 0.0)
+    choices = [np.array([k]) for k in np.flatnonzero(modes.poles.imag != 0.0)]
+    if real.size > 1:
+        choices.append(real[np.argsort(carried[real], kind="stable")[:2]])
+    if not choices:
+        return None
+    gone = min(choices, key=lambda some: float(carried[some].sum()))
+    if carried[gone].sum() >= explained:
+        return None
+    return np.setdiff1d(np.arange(modes.poles.size), gone)

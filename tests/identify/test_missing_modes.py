@@ -1,0 +1,77 @@
+"""Modes far slower than the horizon: found in what the first model leaves."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from test_subspace import fit_percent, modes_found
+from truths import modal_truth
+
+import ultraquiet as uq
+from ultraquiet.identify.subspace import missing_modes
+
+RATE_HZ = 3500.0
+
+
+def modal(rng, f_hz, zeta, ny, nu, size=1.0):
+    """Modes of given frequencies and damping, each of about the same power at the outputs for white inputs."""
+    n = len(f_hz)
+    A, B, C = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, nu)), np.zeros((ny, 2 * n))
+    for k, f in enumerate(f_hz):
+        p = np.exp(2 * np.pi * f / RATE_HZ * (-zeta + 1j * np.sqrt(1 - zeta**2)))
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+        B[2 * k + 1] = rng.standard_normal(nu) * np.sqrt(1 - abs(p) ** 2)
+        C[:, 2 * k] = size * rng.standard_normal(ny)
+    return uq.StateSpace(A, B, C, np.zeros((ny, nu)), RATE_HZ)
+
+
+def noisy(rng, plant, samples, snr_db):
+    u = rng.standard_normal((len(plant.actuators), samples))
+    clean = plant.simulate(u)
+    noise = 10 ** (-snr_db / 20) * clean.std(axis=1, keepdims=True) * rng.standard_normal(clean.shape)
+    return uq.Record(u, clean + noise, RATE_HZ), clean
+
+
+@pytest.mark.parametrize(("ny", "nu"), [(1, 1), (4, 3)])
+def test_the_filter_that_explains_most_is_the_mode_s(rng, ny, nu):
+    plant = modal(rng, [12.0], 0.01, ny, nu)
+    record, _ = noisy(rng, plant, 6000, 0.0)
+    pole, explained = missing_modes.strongest(record.outputs, record.inputs)
+    f_hz = abs(np.log(pole)) * RATE_HZ / (2 * np.pi)
+    print(f"{f_hz:.2f} Hz of 12, explains {explained:.0f} error variances of {6000 * ny}")
+    assert f_hz == pytest.approx(12.0, rel=0.02)
+    assert explained > 0.3 * 6000 * ny
+
+
+@pytest.mark.parametrize("colour", [[1.0], [1.0, -0.99], [1.0, -1.96 * np.cos(0.05), 0.98**2]])
+def test_noise_alone_has_no_mode(rng, colour):
+    u, e = rng.standard_normal((2, 4000)), lfilter([1.0], colour, rng.standard_normal((3, 4000)), axis=1)
+    _, explained = missing_modes.strongest(e, u)
+    print(f"noise: {explained:.0f} error variances, {2 * 5 * np.log(4000):.0f} are asked for")
+    assert explained < 2 * 5 * np.log(4000)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_mode_of_many_horizons_is_found(rng, size):
+    plant = modal(rng, [6.0, 150.0, 400.0], 0.02, 3, 5, size)
+    record, clean = noisy(rng, plant, 6000, 10.0)
+    result = uq.identify.Subspace(order=6, horizon=6, feedthrough=False, refine=True).identify(record)
+    fit = fit_percent(clean, result.state_space().simulate(record.inputs))
+    print(f"{modes_found(plant, result.model)} of 3 modes, fit {fit.min():.1f} %, {result.status}")
+    assert modes_found(plant, result.model) == 3
+    assert fit.min() > 95.0
+
+
+@pytest.mark.slow
+def test_all_modes_at_ten_decibels_in_nineteen_of_twenty():
+    """6 x 6, 15 lightly damped modes from 8 to 350 Hz at 3.5 kHz, 8000 samples: found, or the verdict is not ok."""
+    found, told = 0, 0
+    for k in range(20):
+        plant, record, clean = modal_truth(np.random.default_rng(k), samples=8000, snr_db=10.0)
+        result = uq.identify.Subspace(order=30, feedthrough=False, refine=True).identify(record)
+        near = modes_found(plant, result.model)
+        fit = fit_percent(clean, result.state_space().simulate(record.inputs))
+        found, told = found + (near == 15), told + (near < 15 and not result.status.ok)
+        print(f"draw {k}: {near} of 15 modes, fit {fit.min():.1f} .. {fit.max():.1f} %, {result.status}")
+    print(f"all modes in {found} of 20, told in {told} of the others")
+    assert found >= 19
+    assert found + told == 20
