@@ -1,8 +1,9 @@
 """The stages of a study after its records, each reused when nothing it depends on has changed."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
+from threading import Lock
 from typing import Any
 
 from ultraquiet._base.beside import beside
@@ -49,6 +50,7 @@ class Stages:
     records: Mapping[str, Record]
     say: Say
     bench_key: Any = None
+    _once: Lock = field(default_factory=Lock, init=False, repr=False, compare=False)
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
@@ -300,7 +302,10 @@ class Stages:
         """Design and reduce one controller."""
         settings = self.study.controllers[name]
         several = getattr(lookup("design", settings.design.method), "several_plants", False)
-        others = self._further if several else {}
+        others: Mapping[str, Outcome[PlantFacts]] = {}
+        if several:
+            with self._once:  # designs are made side by side; the first makes the models for all
+                others = self._further
         key = design_key(plant, settings, loop)
         key += [{unit: outcome.values[of_unit(unit)].hash for unit, outcome in others.items()}] if others else []
         compute = partial(control.designed, name, plant, settings, loop, others)
