@@ -1,12 +1,13 @@
 """The stages of a study after its records, each reused when nothing it depends on has changed."""
 
+import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from functools import cached_property, partial
-from threading import Lock
 from typing import Any
 
-from ultraquiet._base.beside import beside
+from ultraquiet._base.beside import Said, beside
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
@@ -21,19 +22,22 @@ from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFa
 from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Band, Design, Plant, Study
+from ultraquiet.pipeline.study import Band, Design, LimitsTable, Plant, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 from ultraquiet.values.controller import Controller
 
 WORKER = "ultraquiet.pipeline.worker"
+FAR = 2  # so many designs are worth a process of their own
+_OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
 Say = Callable[[str], object]
 
 
@@ -50,32 +54,34 @@ class Stages:
     records: Mapping[str, Record]
     say: Say
     bench_key: Any = None
-    _once: Lock = field(default_factory=Lock, init=False, repr=False, compare=False)
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
-        identify = "compare structures and orders", WORKER, str(self.cache.folder)
-        with beside(
-            *identify,
-            wanted=several and self.study.blending is None and not self._is_identified(),
-            holds=self.cache.lock,
-        ) as wait:
+        with self._beside("compare structures and orders", "identify", several and not self._is_identified()) as models:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:
                 control.require_bench(self.bench, system)
             plan = loop_plan(self.study.closed_loop, self.bench, system)
             names = list(self.study.controllers)
-            first = sorted(names, key=self._is_optional)
+            first = by_need(self.study)
             opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
             payloads = self._payloads(plan)
-            work = {name: partial(self._controller, name, system, plan, opened, payloads) for name in first}
-            jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, plan, wait)}
-            done = in_threads("study", lambda job: jobs[job](), list(jobs), None if several else 1, bars=True)
-        identified, validated, analysed = done[None]
+            far = several and sum(not self._is_designed(name, system, plan) for name in first) >= FAR
+            words = json.dumps(to_plain(plan)), *self._further
+            with self._beside("design controllers", "design", far, *words) as designs:
+                one = partial(self._controller, plant=system, plan=plan, opened=opened, payloads=payloads, said=designs)
+                jobs: dict[str, Callable[[], Any]] = {_OPEN: opened.apart} if far and opened is not None else {}
+                jobs |= {name: partial(one, name) for name in first}
+                jobs[_MODELS] = partial(self._models, system, plan, models)
+                # what waits for another process takes no processor's time
+                workers = len(jobs) if far else None if several else 1
+                done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
+                laws = {name: law for name in names if (law := done[name].law) is not None}
+                designs.wait()  # it says what can be reached last
+        identified, validated, analysed = done[_MODELS]
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
-        laws = {name: law for name in names if (law := done[name].law) is not None}
         payload = {name: heard for name in names if (heard := done[name].payload) is not None}
         return StudyResult(
             study=self.study,
@@ -146,15 +152,11 @@ class Stages:
         self.say(f"campaign: {outcome[0].status}")
         return outcome
 
-    def _is_optional(self, name: str) -> bool:
-        """Tell whether nothing is required of a controller; one that the study is for comes first."""
-        return self.study.requirements is None or name != self.study.requirements.law
-
     def _models(
-        self, plant: StateSpace, plan: LoopPlan, wait: Callable[[], object]
+        self, plant: StateSpace, plan: LoopPlan, models: Said
     ) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
         """Identify channel by channel, and see what all models are worth."""
-        wait()
+        models.wait()
         identified = self.identify()
         best = identified.facts.preferred
         if best is None:
@@ -172,8 +174,10 @@ class Stages:
         plan: LoopPlan,
         opened: control.OpenLoops | None,
         payloads: OpenPayloads | None,
+        said: Said,
     ) -> "_Controller":
         """Design one controller, close its loop, turn it into code and listen to the payload."""
+        said.wait(name)
         design = self._design(name, plant, plan)
         if name not in design.values:
             return _Controller(design)
@@ -264,14 +268,17 @@ class Stages:
         return outcome
 
     @cached_property
-    def _further(self) -> dict[str, Outcome[PlantFacts]]:
-        """Models of the bench's further units, for designs that hold on several."""
+    def _further(self) -> dict[str, StateSpace]:
+        """Models of the bench's further units, where a design holds on several."""
         settings, found = self.study.plant, {}
-        for unit in settings.units if self.bench is not None else ():
+        if self.bench is None or not any(map(_takes_several, self.study.controllers.values())):
+            return found
+        for unit in settings.units:
             compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
             key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
-            found[unit] = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
-            self.say(f"plant for design, {unit}: {found[unit].facts.states} states, {found[unit].facts.status}")
+            outcome = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
+            self.say(f"plant for design, {unit}: {outcome.facts.states} states, {outcome.facts.status}")
+            found[unit] = outcome.values[of_unit(unit)]
         return found
 
     def _models_key(self, plant: StateSpace) -> list[Any]:
@@ -298,18 +305,14 @@ class Stages:
         key = [*self._models_key(plant), self.study.paper]
         return self.cache.stage("analyse", "models", key, AnalysisFacts, compute)
 
-    def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
-        """Design and reduce one controller."""
+    def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]
-        several = getattr(lookup("design", settings.design.method), "several_plants", False)
-        others: Mapping[str, Outcome[PlantFacts]] = {}
-        if several:
-            with self._once:  # designs are made side by side; the first makes the models for all
-                others = self._further
-        key = design_key(plant, settings, loop)
-        key += [{unit: outcome.values[of_unit(unit)].hash for unit, outcome in others.items()}] if others else []
-        compute = partial(control.designed, name, plant, settings, loop, others)
-        outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+        others = self._further if _takes_several(settings) else {}
+        return self.cache.holds(f"design-{name}", design_key(plant, settings, plan, others))
+
+    def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
+        """Design and reduce one controller."""
+        outcome = design_stage(self.cache, name, self.study.controllers[name], plant, plan, self._further)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
 
@@ -348,12 +351,15 @@ class Stages:
         return facts
 
     def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[LimitFacts]:
-        settings = self.study.limits
-        key = [plant.hash, plan.band_hz, settings, {name: law.hash for name, law in laws.items()}]
-        compute = partial(attainable.bounded, plant, laws, plan.band_hz, settings)
-        outcome = self.cache.stage("limits", "models", key, LimitFacts, compute)
+        outcome = limit_stage(self.cache, self.study.limits, plant, laws, plan)
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
+
+    def _beside(self, title: str, job: str, wanted: bool, *words: str) -> AbstractContextManager[Said]:
+        """Return a process that leaves stages in this folder while this one goes on."""
+        wanted = wanted and self.study.blending is None
+        folder = str(self.cache.folder)
+        return beside(title, WORKER, job, folder, *words, wanted=wanted, holds=self.cache.lock, say=self.cache.say)
 
 
 @dataclass(frozen=True)
@@ -372,10 +378,47 @@ def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
     return [dict(record_hashes), settings.model_dump(exclude={"units"})]
 
 
-def design_key(plant: StateSpace, settings: Design, loop: LoopPlan) -> list[Any]:
-    """Return what the stage `design-NAME` depends on: the plant, the table, and what a reduction is held to."""
+def design_key(
+    plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, StateSpace] | None = None
+) -> list[Any]:
+    """Return what the stage `design-NAME` depends on: plants, the table, and what a reduction is held to."""
     promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
-    return [plant.hash, _key(settings.design), promised]
+    further = [{unit: model.hash for unit, model in others.items()}] if others else []
+    return [plant.hash, _key(settings.design), promised, *further]
+
+
+def design_stage(
+    cache: Cache,
+    name: str,
+    settings: Design,
+    plant: StateSpace,
+    plan: LoopPlan,
+    others: Mapping[str, StateSpace],
+) -> Outcome[DesignFacts]:
+    """Design and reduce one controller; `others` are models of further units, for designs that hold on several."""
+    known = others if _takes_several(settings) else {}
+    compute = partial(control.designed, name, plant, settings, plan, known)
+    key = design_key(plant, settings, plan, known)
+    return cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+
+
+def limit_stage(
+    cache: Cache, settings: LimitsTable, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan
+) -> Outcome[LimitFacts]:
+    """Say what no law can reach, and how far each is from it."""
+    key = [plant.hash, plan.band_hz, settings, {name: law.hash for name, law in laws.items()}]
+    compute = partial(attainable.bounded, plant, laws, plan.band_hz, settings)
+    return cache.stage("limits", "models", key, LimitFacts, compute)
+
+
+def by_need(study: Study) -> list[str]:
+    """Return the names of a study's controllers, first the one of which something is required."""
+    asked = study.requirements
+    return sorted(study.controllers, key=lambda name: asked is None or name != asked.law)
+
+
+def _takes_several(settings: Design) -> bool:
+    return getattr(lookup("design", settings.design.method), "several_plants", False)
 
 
 def _key(method: Method) -> dict[str, Any]:
