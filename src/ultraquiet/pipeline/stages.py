@@ -9,8 +9,6 @@ from typing import Any
 
 from ultraquiet._base.beside import Said, beside
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import lookup
-from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, requirements, validation
@@ -24,18 +22,28 @@ from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts,
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.identification import further, of_unit
+from ultraquiet.pipeline.making.designs import (
+    by_need,
+    design_key,
+    design_stage,
+    identify_key,
+    identify_stage,
+    key_of,
+    plant_key,
+    takes_several,
+)
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Band, Design, LimitsTable, Plant, Study
+from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 from ultraquiet.values.controller import Controller
 
-WORKER = "ultraquiet.pipeline.worker"
+WORKER = "ultraquiet.pipeline.making.worker"
 FAR = 2  # so many designs are worth a process of their own
 _OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
 Say = Callable[[str], object]
@@ -157,7 +165,7 @@ class Stages:
     ) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
         """Identify channel by channel, and see what all models are worth."""
         models.wait()
-        identified = self.identify()
+        identified = identify_stage(self.cache, self.study, self.records)
         best = identified.facts.preferred
         if best is None:
             self.say("not ranked: no records drive one actuator after the other")
@@ -209,7 +217,7 @@ class Stages:
         asked, deploy = self.study.requirements, self.study.deploy
         as_code = deploy if asked is None or name == asked.law else None  # a stepped law takes a minute
         key = [law.hash, self.bench_key, payloads.setup, payloads.units, limits, as_code, compiler(), stable]
-        key += [] if adapting is None else [_key(self.study.controllers[name].design)]
+        key += [] if adapting is None else [key_of(self.study.controllers[name].design)]
 
         def compute() -> Outcome[PayloadFacts]:
             acting = law if adapting is None else adapting() or law
@@ -246,18 +254,8 @@ class Stages:
     def _record_hashes(self) -> dict[str, str]:
         return {name: record.hash for name, record in self.records.items()}
 
-    @cached_property
-    def _identify_key(self) -> list[Any]:
-        return [self._record_hashes, self.study.identify, self.study.paper]
-
     def _is_identified(self) -> bool:
-        return self.cache.holds("identify", self._identify_key)
-
-    def identify(self) -> Outcome[IdentificationFacts]:
-        """Identify channel by channel."""
-        settings = self.study.identify
-        compute = partial(identification.identified, self.records, settings, self.study.paper)
-        return self.cache.stage("identify", "models", self._identify_key, IdentificationFacts, compute)
+        return self.cache.holds("identify", identify_key(self._record_hashes, self.study))
 
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
@@ -271,7 +269,7 @@ class Stages:
     def _further(self) -> dict[str, StateSpace]:
         """Models of the bench's further units, where a design holds on several."""
         settings, found = self.study.plant, {}
-        if self.bench is None or not any(map(_takes_several, self.study.controllers.values())):
+        if self.bench is None or not any(map(takes_several, self.study.controllers.values())):
             return found
         for unit in settings.units:
             compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
@@ -307,7 +305,7 @@ class Stages:
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]
-        others = self._further if _takes_several(settings) else {}
+        others = self._further if takes_several(settings) else {}
         return self.cache.holds(f"design-{name}", design_key(plant, settings, plan, others))
 
     def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
@@ -322,7 +320,7 @@ class Stages:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
         plan, design = opened.plan, self.study.controllers[name]
         required_hz = self._required_hz(name, plan)
-        key = [law.hash, self.bench_key, plan, *([plant.hash, _key(design.design)] if adaptive else [])]
+        key = [law.hash, self.bench_key, plan, *([plant.hash, key_of(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
@@ -351,7 +349,7 @@ class Stages:
         return facts
 
     def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[LimitFacts]:
-        outcome = limit_stage(self.cache, self.study.limits, plant, laws, plan)
+        outcome = attainable.stage(self.cache, self.study.limits, plant, laws, plan.band_hz)
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
 
@@ -371,56 +369,3 @@ class _Controller:
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
     payload: Outcome[PayloadFacts] | None = None
-
-
-def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
-    """Return what the stage `plant` depends on: all records by their hashes, and `[plant]` but its units."""
-    return [dict(record_hashes), settings.model_dump(exclude={"units"})]
-
-
-def design_key(
-    plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, StateSpace] | None = None
-) -> list[Any]:
-    """Return what the stage `design-NAME` depends on: plants, the table, and what a reduction is held to."""
-    promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
-    further = [{unit: model.hash for unit, model in others.items()}] if others else []
-    return [plant.hash, _key(settings.design), promised, *further]
-
-
-def design_stage(
-    cache: Cache,
-    name: str,
-    settings: Design,
-    plant: StateSpace,
-    plan: LoopPlan,
-    others: Mapping[str, StateSpace],
-) -> Outcome[DesignFacts]:
-    """Design and reduce one controller; `others` are models of further units, for designs that hold on several."""
-    known = others if _takes_several(settings) else {}
-    compute = partial(control.designed, name, plant, settings, plan, known)
-    key = design_key(plant, settings, plan, known)
-    return cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
-
-
-def limit_stage(
-    cache: Cache, settings: LimitsTable, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan
-) -> Outcome[LimitFacts]:
-    """Say what no law can reach, and how far each is from it."""
-    key = [plant.hash, plan.band_hz, settings, {name: law.hash for name, law in laws.items()}]
-    compute = partial(attainable.bounded, plant, laws, plan.band_hz, settings)
-    return cache.stage("limits", "models", key, LimitFacts, compute)
-
-
-def by_need(study: Study) -> list[str]:
-    """Return the names of a study's controllers, first the one of which something is required."""
-    asked = study.requirements
-    return sorted(study.controllers, key=lambda name: asked is None or name != asked.law)
-
-
-def _takes_several(settings: Design) -> bool:
-    return getattr(lookup("design", settings.design.method), "several_plants", False)
-
-
-def _key(method: Method) -> dict[str, Any]:
-    """Return all that a method's table says; its settings are not declared fields and must be asked for."""
-    return method.model_dump()

@@ -1,8 +1,8 @@
 """Stages of a study folder, made beside the process that walks the study; each is left in the folder.
 
-`python -m ultraquiet.pipeline.worker identify FOLDER` identifies the records; `design FOLDER PLAN UNIT ...` designs the
-controllers, each said by its name when it is there, and then the limits; PLAN is a `LoopPlan` in JSON, units are those
-whose models the designs are given besides.
+`python -m ultraquiet.pipeline.making.worker identify FOLDER` identifies the records. `design FOLDER PLAN UNIT ...`
+designs the controllers, each said by its name when it is there, and then finds the limits; PLAN is a `LoopPlan` in
+JSON, units are those whose models the designs are given besides.
 """
 
 import json
@@ -15,12 +15,13 @@ from ultraquiet._base.beside import TICKS, Ticks, end_with_parent, tell
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.progress import listening
 from ultraquiet._base.threads import one_blas_thread
+from ultraquiet.pipeline import limits
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import from_plain
 from ultraquiet.pipeline.identification import of_unit
+from ultraquiet.pipeline.making.designs import by_need, design_stage, identify_stage
 from ultraquiet.pipeline.preflight import LoopPlan
-from ultraquiet.pipeline.stages import Stages, by_need, design_stage, limit_stage
 from ultraquiet.pipeline.store.recorded import finished_names
 from ultraquiet.pipeline.study import reload_study
 from ultraquiet.values import Record, StateSpace
@@ -31,7 +32,7 @@ def identify(folder: Path) -> None:
     names = finished_names(folder)
     records: dict[str, Record] = {name: files.load(folder / "records" / f"{name}.h5") for name in names}
     with listening(Ticks()):
-        Stages(reload_study(folder), Cache(folder, tell), None, records, tell).identify()
+        identify_stage(Cache(folder, tell), reload_study(folder), records)
 
 
 def design(folder: Path, plan: LoopPlan, units: list[str]) -> None:
@@ -45,7 +46,8 @@ def design(folder: Path, plan: LoopPlan, units: list[str]) -> None:
             laws |= design_stage(cache, name, study.controllers[name], plant, plan, others).values
         print(name, TICKS // (1 + len(study.controllers)), sep="\n", flush=True)
     with suppress(UltraquietError):
-        limit_stage(cache, study.limits, plant, {name: laws[name] for name in study.controllers if name in laws}, plan)
+        known = {name: laws[name] for name in study.controllers if name in laws}
+        limits.stage(cache, study.limits, plant, known, plan.band_hz)
 
 
 def _model(folder: Path, name: str) -> StateSpace:
