@@ -16,6 +16,7 @@ from ultraquiet.pipeline.limits import stage as limits
 from ultraquiet.pipeline.making.designs import by_need, design_key, design_stage
 from ultraquiet.pipeline.preflight import LoopPlan
 
+pytestmark = pytest.mark.slow  # two processes and limits of three seconds each
 PLAN = LoopPlan(("bench",), (12.0,), 1.0, 2.0, (8.0, 40.0))
 STUDY = """
 [study]
