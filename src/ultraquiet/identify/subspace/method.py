@@ -49,7 +49,8 @@ class Subspace(SubspaceSettings):
 
     Returns of `identify`: `Result` whose model is an `InnovationForm` in real modal blocks. `loss` is of the one-step
     errors, `fit_percent` of the simulated output. `not white` says that the errors still hold something of the inputs,
-    or of their own past when the one-step errors were the aim. `details`: horizon, order, singular values.
+    a mode that the model has not, or of their own past when the one-step errors were the aim. `details`: horizon,
+    order, singular values.
 
     Reference: Verhaegen 1994, doi:10.1016/0005-1098(94)90229-1; Van Overschee and De Moor 1996, chapter 4; Ljung,
     System Identification, 2nd ed., section 10.6.
@@ -130,4 +131,5 @@ class Subspace(SubspaceSettings):
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         search = evidence.SearchSummary(steps, converged, self.focus == "prediction" and self.refine)
         details = {"horizon": start.rows, "order": len(system.A), "singular_values": start.values}
-        return evidence.judged(system, record, data, search, provenance, details)
+        result = evidence.judged(system, record, data, search, provenance, details)
+        return result if search.predicts else missing_modes.told(result, system, data, record.rate_hz)

@@ -4,13 +4,16 @@ A mode whose period is many horizons shows as a drift in the Hankel matrix and m
 whole record tells of it plainly: one filter at its pole explains a part of the simulated error that noise cannot.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.identify.result import Result
 from ultraquiet.identify.subspace import fit, modal_least_squares, order_selection
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes
+from ultraquiet.values import Status, StatusWord
 
 DAMPING = 0.02  # of the filters tried, relative
 SPACING = 1.06  # from one filter's frequency to the next
@@ -46,7 +49,7 @@ def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterB
     for _ in range(MOST):
         error = sought.data.y - fit.system(modes).simulated(sought.data.u)
         pole, explained = strongest(error, sought.data.u)
-        if explained < 2 * (bank.nu + bank.ny) * np.log(bank.n):
+        if explained < _asked_for(bank.nu, bank.ny, bank.n):
             break
         kept = _without_the_faintest(bank, modes, explained)
         if kept is None and not sought.may_grow:
@@ -61,6 +64,27 @@ def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterB
             break
         bank, modes = other, trial
     return modal_least_squares.pruned(bank, modes) if sought.may_grow else (bank, modes)
+
+
+def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float) -> Result:
+    """Return the result, no longer `ok` where the simulated error plainly shows a mode that the model has not."""
+    if not result.status.ok or not system.stable():
+        return result
+    pole, explained = strongest(data.y - system.simulated(data.u), data.u)
+    if explained < _asked_for(len(data.u), len(data.y), data.samples):
+        return result
+    f_hz = abs(np.log(pole)) * rate_hz / (2 * np.pi)
+    status = Status(
+        StatusWord.NOT_WHITE,
+        f"The simulated error holds a response to the inputs near {f_hz:.3g} Hz ({explained:.0f} times the noise's "
+        f"variance there): a mode is missing or off its place; set refine=True, or raise the order or the horizon.",
+    )
+    return replace(result, status=status, statuses=(status,) * len(result.statuses))
+
+
+def _asked_for(nu: int, ny: int, n: int) -> float:
+    """Return how many noise variances a mode must explain: log n for each of its numbers, by Schwarz's criterion."""
+    return float(2 * (nu + ny) * np.log(n))
 
 
 def strongest(error: FloatArray, u: FloatArray) -> tuple[complex, float]:
