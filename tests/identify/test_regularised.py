@@ -238,3 +238,16 @@ def test_too_short_a_record_is_refused_with_the_length_that_would_do(rng):
     record = uq.Record(rng.standard_normal(90), rng.standard_normal(90), 100.0)
     with pytest.raises(InputError, match=r"record has 90 samples.*at least 110"):
         uq.identify.ImpulseResponse(taps=80).identify(record)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("excitation", ["two tones", "a step"])
+def test_the_prior_settles_what_the_regressors_leave_open(size, excitation):
+    """Sixty regressors of rank six, and of rank four: without noise any of many models explains the record."""
+    t = np.arange(2000)
+    u = np.sin(0.1 * t) + np.sin(0.33 * t) if excitation == "two tones" else np.where(t < 200, 0.0, 1.0)
+    plant = uq.StateSpace([[0.9, 0.3], [-0.3, 0.9]], [[1.0], [1.0]], [[1.0, 0.0]], [[0.0]], rate_hz=100.0)
+    result = uq.identify.RegularisedArx().identify(uq.Record(u[None], size * plant.simulate(u[None]), 100.0))
+    print(f"{excitation}: fit {result.fit_percent[0]:.3f} %, {result.status}")
+    assert result.status.ok
+    assert result.fit_percent[0] > 99.9

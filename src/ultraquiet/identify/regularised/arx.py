@@ -121,8 +121,8 @@ class RegularisedArx(RegularisedFit):
             ]
         )
         statuses = [
-            _arx_verdict(m, f[2].converged, float(w), float(c))
-            for m, f, w, c in zip(models, fits, white, free, strict=True)
+            _arx_verdict(m, f[2].converged, float(w), float(c), _share(e, y))
+            for m, f, w, c, e, y in zip(models, fits, white, free, residuals, record.outputs, strict=True)
         ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         return ResponseResult(
@@ -140,10 +140,18 @@ class RegularisedArx(RegularisedFit):
         )
 
 
-def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: float) -> Status:
+def _share(residual: FloatArray, y: FloatArray) -> float:
+    return float(np.mean(residual**2) / np.maximum(y.var(), np.finfo(float).tiny))
+
+
+def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: float, share: float) -> Status:
     if not model.is_stable():
         return Status(
             StatusWord.NOT_CONVERGED, "A has a root outside the unit circle, the model cannot simulate: lower 'lags'."
+        )
+    if share <= marginal_likelihood.LEAST_ERROR:
+        return Status(
+            StatusWord.OK, f"The residual is {np.sqrt(share):.1e} of the output: the record holds no noise to test."
         )
     if not converged:
         return unsettled()

@@ -32,6 +32,9 @@ TAIL_RISE = 0.25  # of -2 log likelihood: half a standard deviation of the size 
 TAIL_DECAY = 2.0  # the tail's variance falls by so many e-folds over all taps
 TAIL_SHARE = (-40.0, 0.0)  # logarithm of its variance beside the kernel's first
 TAIL_HALVINGS = 12
+# Share of the power of y that counts as error at least: without one, a record that follows exactly from its own past
+# has a likelihood without bound, and the prior nothing to settle among the many taps that all explain it.
+LEAST_ERROR = 1e-10
 LOST = 1e10  # what a point without a likelihood costs
 
 
@@ -154,7 +157,8 @@ class _Likelihood:
     """-2 log marginal likelihood (less constants) as a function of all hyper-parameters."""
 
     def __init__(self, R: FloatArray, samples: int, taps: tuple[int, ...], kernel: str) -> None:
-        self.R, self.r, self.rho2 = R[:-1, :-1], R[:-1, -1], float(R[-1, -1] ** 2)
+        self.R, self.r = R[:-1, :-1], R[:-1, -1]
+        self.rho2 = float(R[-1, -1] ** 2 + LEAST_ERROR * np.sum(R[:, -1] ** 2))
         self.samples, self.taps = samples, taps
         self.make, self.each = KERNELS[kernel]
         self.evaluations = 0
