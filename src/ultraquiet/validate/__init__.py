@@ -8,6 +8,7 @@ from ultraquiet.validate.criteria import Selection, information_criteria, select
 from ultraquiet.validate.draws import drawn_plants
 from ultraquiet.validate.predict import innovations, predicted, simulated
 from ultraquiet.validate.residuals import ResidualTest, residual_test
+from ultraquiet.validate.state_space_bands import state_space_band
 from ultraquiet.validate.uncertainty import Uncertainty, UncertaintyWeight, combined, from_covariance, from_spread
 from ultraquiet.validate.verdict import verdict
 
@@ -34,6 +35,7 @@ __all__ = [
     "response_band",
     "select",
     "simulated",
+    "state_space_band",
     "verdict",
 ]
 

@@ -63,6 +63,11 @@ class ResponseBand:
         """E |error|^2 at each line, `(ny, nu, nf)`."""
         return np.trace(self.covariance, axis1=-2, axis2=-1)
 
+    @property
+    def percent(self) -> FloatArray:
+        """Standard deviation of the error in per cent of the gain at each line, `(ny, nu, nf)`."""
+        return 100.0 * np.sqrt(self.variance) / np.maximum(np.abs(self.values), np.finfo(float).tiny)
+
     def distance(self, truth: ArrayLike) -> FloatArray:
         """Return the squared distance of another response in standard deviations, chi-squared with 2 degrees if true.
 
@@ -135,7 +140,7 @@ def channels(who: str, result: Identified) -> Iterator[tuple[PolynomialModel, Fl
     if not isinstance(result.model, PolynomialMatrix):
         raise InputError(
             f"{who}: bands are drawn from the covariance of coefficients, which a {type(result.model).__name__} does "
-            f"not carry; identify by a polynomial method, or take the spread over several records."
+            f"not carry; take 'state_space_band', a polynomial method, or the spread over several records."
         )
     for i, row in enumerate(result.model.rows):
         for j, model in enumerate(row):
