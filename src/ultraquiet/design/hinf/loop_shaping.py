@@ -58,7 +58,8 @@ class LoopShaping(StatedRobustness):
         band_hz: corners of the band where the loop is to be high, Hz; the plant's own band when absent.
         height: geometric mean of the loop's gains over the band and all directions; 4 where only others are given.
         align: whether W1 starts with the real matrix that makes the plant nearest to one at the band's centre, so that
-            the loop is as high in its weak directions as in its strong ones; square plants only.
+            the loop is as high in its weak directions as in its strong ones; square plants only. By default it is
+            left away where it costs the margin.
         floor: share of it that is left far outside the band, 0.05 likewise.
         order: states of the band-pass per channel, even.
         integral_hz: below this frequency the loop rises like an integrator, Hz; none when absent.
@@ -115,7 +116,13 @@ class LoopShaping(StatedRobustness):
         it says besides which band, units and height the plant gave (`from_plant`).
         """
         if self._measured_by_the_plant():
-            return from_plant(plant, self, self._attempt, self.band_hz)
+            aligned = from_plant(plant, self, self._attempt, self.band_hz)
+            if aligned.status.ok or not self.align or plant.D.shape[0] != plant.D.shape[1]:
+                return aligned
+            # a direction that the plant hardly has is not raised robustly; as it is, it does no harm
+            plain = replace(self, align=False)
+            other = from_plant(plant, plain, plain._attempt, self.band_hz)
+            return other if other.status.ok else aligned
         found = self._found(plant)
         law = found.controller
         if law is None:
