@@ -50,8 +50,8 @@ def work(tmp_path, monkeypatch):
 
 def test_it_is_waited_for_and_its_progress_is_heard(work):
     heard = Heard()
-    with listening(heard), beside("work", "some_work", "0", str(work)) as wait:
-        wait()
+    with listening(heard), beside("work", "some_work", "0", str(work)) as said:
+        said.wait()
         assert work.exists()
     assert (heard.steps, heard.open) == (TICKS, 0)
 
@@ -65,10 +65,10 @@ def test_it_ends_with_the_block_whatever_happens_there(work):
 
 
 def test_what_cannot_be_run_leaves_no_trace_and_no_error(work):
-    with beside("work", "no_such_module") as wait:
-        wait()
-    with beside("work", "some_work", "0", str(work), wanted=False) as wait:
-        wait()
+    with beside("work", "no_such_module") as said:
+        said.wait()
+    with beside("work", "some_work", "0", str(work), wanted=False) as said:
+        said.wait()
     assert not work.exists()
 
 
@@ -92,8 +92,8 @@ import fcntl, os, sys
 from ultraquiet._base.beside import beside
 lock = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
 fcntl.flock(lock, fcntl.LOCK_EX)
-with beside("work", "some_child", sys.argv[2], holds=lock) as wait:
-    wait()
+with beside("work", "some_child", sys.argv[2], holds=lock) as said:
+    said.wait()
 """
 
 

@@ -85,12 +85,6 @@ FIGURES = {
         "step", record.part(0, 800), {"model": np.ones(800)}, 0, 1
     ),
     "bode": lambda record, result, frames: study.bode(responses(record), wires(record), 1, 0, (2.0, 200.0)),
-    "bode-grid": lambda record, result, frames: study.bode_grid(responses(record), wires(record), (2.0, 200.0)),
-    "singular-values": lambda record, result, frames: study.singular_values(
-        F_HZ, {"plant": np.outer([1, 2], F_HZ)}, wires(record)
-    ),
-    "closed-loop": lambda record, result, frames: study.closed_loop("quiet", 25.0, 2.5, record, record),
-    "sensitivity": lambda record, result, frames: study.sensitivity({"quiet": (F_HZ, 20 - F_HZ / 5)}, (10.0, 100.0)),
 }  # fmt: skip
 
 
@@ -227,24 +221,6 @@ def test_bode_curves_are_gain_and_phase(record):
     assert magnitude.x_range == phase.x_range == (2.0, 200.0)
 
 
-def test_every_channel_has_its_panel_of_the_transfer_matrix(record):
-    both = responses(record)
-    figure = study.bode_grid(both, wires(record), (2.0, 200.0))
-    assert figure.columns == 2
-    named = [f"{a.name} → {s.name}" for s in record.sensors for a in record.actuators]
-    assert [panel.title for panel in figure.panels] == named
-    assert figure.panels[5].lines[1].y == pytest.approx(20 * np.log10(np.abs(both[1][2][2, 1])))
-    assert all(f"{name} (" in figure.caption for name, _, _ in both)
-
-
-def test_a_reduction_is_drawn_as_less_amplification():
-    reduction = 20 - F_HZ / 5
-    (panel,) = study.sensitivity({"quiet": (F_HZ, reduction)}, (10.0, 100.0)).panels
-    assert panel.lines[0].y == pytest.approx(-reduction)
-    assert panel.lines[0].label == "quiet"
-    assert list(panel.spans) == [(10.0, 100.0)]
-
-
 def test_time_responses_show_bench_and_models_on_one_clock(record):
     short = record.part(0, 800)
     model = np.linspace(0, 1, 800)
@@ -274,17 +250,6 @@ def test_units_of_gains_are_those_of_the_channels():
     assert study.gain_unit((wire("N"), wire("m/s"))) == "dB re (m/s)/N"
     assert study.gain_unit((wire(""), wire(""))) == "dB"
     assert study.gain_unit((wire("N") + wire("V"), wire("m"))) == "dB"
-
-
-def test_an_open_and_a_closed_loop_are_told_apart(record):
-    quiet = Record(record.inputs, 0.1 * record.outputs, RATE_HZ, record.actuators, record.sensors).part(0, 400)
-    figure = study.closed_loop("fixed / structure", 25.0, 2.5, quiet, record.part(0, 400))
-    assert figure.name == "closed_loop_fixed_-_structure_25hz"
-    for panel, loud, still in zip(figure.panels, record.outputs, quiet.outputs, strict=True):
-        opened, closed = panel.lines
-        assert opened.y == pytest.approx(loud[:400])
-        assert closed.y == pytest.approx(still)
-        assert opened.shade != closed.shade
 
 
 def test_the_frame_figure_counts_what_the_code_counted(frames):

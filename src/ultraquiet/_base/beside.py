@@ -5,42 +5,81 @@ import subprocess
 import sys
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from threading import Thread
+from threading import Condition, Thread
 
 from ultraquiet._base.progress import Task, task
 
 TICKS = 100  # of the bar
+SENTENCE = "say "  # before a sentence, among the words of a process
 
 
 @contextmanager
 def beside(
-    title: str, module: str, *words: str, wanted: bool = True, holds: int | None = None
-) -> Generator[Callable[[], object]]:
+    title: str,
+    module: str,
+    *words: str,
+    wanted: bool = True,
+    holds: int | None = None,
+    say: Callable[[str], object] = str,
+) -> Generator["Said"]:
     """Run `python -m module words` for the length of a block, where there is a second processor for it.
 
     Args:
         title: what the progress bar says.
-        module: prints its progress as `Ticks` does, and leaves what it makes in files. How it ended is not told: who
-            finds nothing there makes it.
+        module: prints its progress as `Ticks` does, and words; it leaves what it makes in files. How it ended is not
+            told: who finds nothing there makes it.
         words: its arguments.
         wanted: nothing is run without.
         holds: an open file that the process keeps open too, a lock that it works under.
+        say: told the sentences that it tells (`tell`).
 
     Yields:
-        What waits until it is done. It is ended with the block.
+        What waits for it, or for a word of it. It is ended with the block.
     """
     process = _started(module, words, holds) if wanted and (os.cpu_count() or 1) > 1 else None
     if process is None:
-        yield lambda: None
+        yield Said(ended=True)
         return
     with process, task(title, TICKS) as progress:
-        reader = Thread(target=_follow, args=(process, progress), daemon=True)
+        said = Said()
+        reader = Thread(target=_follow, args=(process, progress, said, say), daemon=True)
         reader.start()
         try:
-            yield reader.join
+            yield said
         finally:
             process.kill()
             reader.join()
+
+
+class Said:
+    """The words that a process has said."""
+
+    def __init__(self, ended: bool = False) -> None:
+        self._words: set[str] = set()
+        self._ended = ended
+        self._changed = Condition()
+
+    def wait(self, word: str | None = None) -> None:
+        """Wait until the process has said a word, or has ended; without a word, until it has ended."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or word in self._words)
+
+    def add(self, word: str) -> None:
+        """Take note of a word."""
+        with self._changed:
+            self._words.add(word)
+            self._changed.notify_all()
+
+    def end(self) -> None:
+        """Take note that no more will come."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+
+def tell(sentence: str) -> None:
+    """Tell the process that began this one a sentence."""
+    print(f"{SENTENCE}{sentence}", flush=True)
 
 
 class Ticks:
@@ -87,7 +126,16 @@ def _started(module: str, words: tuple[str, ...], holds: int | None) -> "subproc
         return None
 
 
-def _follow(process: "subprocess.Popen[str]", progress: Task) -> None:
+def _follow(process: "subprocess.Popen[str]", progress: Task, said: Said, say: Callable[[str], object]) -> None:
     assert process.stdout is not None
-    for line in process.stdout:
-        progress.advance(int(line))
+    try:
+        for line in process.stdout:
+            word = line.strip()
+            if word.isdecimal():
+                progress.advance(int(word))
+            elif word.startswith(SENTENCE):
+                say(word.removeprefix(SENTENCE))
+            else:
+                said.add(word)
+    finally:
+        said.end()

@@ -11,6 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.peaks import response_at
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.interconnect import lft, series
 from ultraquiet.values.state_space import StateSpace
 
@@ -163,8 +164,7 @@ def peak_gain(system: StateSpace) -> Peak:
 
 def _sizes(system: StateSpace, f: FloatArray) -> FloatArray:
     """Return singular values `(directions, nf)`, by modes: some hundred times faster than by triangular solves."""
-    values = response_at(system)(f)
-    return np.asarray(np.linalg.svd(np.moveaxis(values, 2, 0), compute_uv=False).T, dtype=np.float64)
+    return principal_gains(response_at(system)(f))
 
 
 def _opened(plant: StateSpace) -> StateSpace:

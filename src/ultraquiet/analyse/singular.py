@@ -1,9 +1,9 @@
 """Gains by direction."""
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.state_space import StateSpace
 
 
@@ -22,5 +22,4 @@ def singular_values(G: StateSpace, f_hz: ArrayLike) -> FloatArray:
     >>> float(singular_values(G, [0.0])[0, 0])
     2.0
     """
-    values = np.linalg.svd(np.moveaxis(G.frequency_response(f_hz), 2, 0), compute_uv=False)
-    return np.asarray(values.T, dtype=np.float64)
+    return principal_gains(G.frequency_response(f_hz))

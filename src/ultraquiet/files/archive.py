@@ -34,27 +34,7 @@ _sound: dict[bytes, None] = {}  # digests of what this process wrote, or underst
 
 
 def save(value: Value, path: _Path, overwrite: bool = True) -> Path:
-    """Write one value to an HDF5 file, whole or not at all.
-
-    Args:
-        value: any value of `ultraquiet.values`; floats keep every bit.
-        path: the file, by custom with the suffix `.h5`.
-        overwrite: False refuses a name that is taken.
-
-    Returns:
-        The path.
-
-    Raises:
-        StorageError: disk full, folder missing or closed, name taken; what was there before is untouched.
-        InputError: not a value that an archive holds.
-
-    >>> import tempfile
-    >>> from ultraquiet.values import Record
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     path = save(Record([[1.0, 0.0]], [[0.1, 0.3]], rate_hz=3500.0), Path(folder) / "step.h5")
-    ...     load(path).outputs
-    array([[0.1, 0.3]])
-    """
+    """Write one value to an HDF5 file of any suffix; arguments and errors as in `ultraquiet.files.save`."""
     return save_many({ALONE: value}, path, overwrite)
 
 

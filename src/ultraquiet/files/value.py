@@ -7,7 +7,6 @@ from typing import Any
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import archive
-from ultraquiet.files.archive import ALONE
 from ultraquiet.files.atomic import name_taken, write_bytes
 from ultraquiet.files.formats import ARCHIVES
 from ultraquiet.files.matlab_values import mat_image, read_mat_value
@@ -50,7 +49,7 @@ def save(value: Value, path: str | os.PathLike[str], overwrite: bool = True) -> 
         if not overwrite and os.path.lexists(path):
             raise name_taken(path)
         return write_bytes(path, mat_image(value), overwrite)
-    return archive.save_many({ALONE: value}, path, overwrite)
+    return archive.save(value, path, overwrite)
 
 
 def save_many(values: Mapping[str, Value], path: str | os.PathLike[str], overwrite: bool = True) -> Path:

@@ -18,6 +18,12 @@ def points(f_hz: FloatArray, rate_hz: float | None) -> ComplexArray:
     return np.asarray(s if rate_hz is None else np.exp(s / rate_hz), dtype=np.complex128)
 
 
+def principal_gains(response: ComplexArray) -> FloatArray:
+    """Return the singular values of a response `(ny, nu, nf)`, largest first, `(directions, nf)`."""
+    values = np.linalg.svd(np.moveaxis(response, 2, 0), compute_uv=False)
+    return np.asarray(values.T, dtype=np.float64)
+
+
 def frequency_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, z: ComplexArray) -> ComplexArray:
     """Return C (z I - A)^-1 B + D for each z, `(ny, nu, nz)`.
 

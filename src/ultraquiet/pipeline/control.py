@@ -34,7 +34,6 @@ from ultraquiet.pipeline.facts.loops import (
     ToneFacts,
     UnstableLoop,
 )
-from ultraquiet.pipeline.facts.models import PlantFacts
 from ultraquiet.pipeline.identification import for_method
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.study import Band, Deploy, Design
@@ -51,7 +50,7 @@ def designed(
     plant: StateSpace,
     settings: Design,
     loop: LoopPlan,
-    others: Mapping[str, Outcome[PlantFacts]] | None = None,
+    others: Mapping[str, StateSpace] | None = None,
 ) -> Outcome[DesignFacts]:
     """Design one controller from the identified plant, and reduce it when the study says so.
 

@@ -194,8 +194,8 @@ def of_unit(unit: str) -> str:
     return f"{stored.PLANT}-{unit}"
 
 
-def for_method(method: Any, first: StateSpace, others: Mapping[str, Outcome[PlantFacts]]) -> Any:
+def for_method(method: Any, first: StateSpace, others: Mapping[str, StateSpace]) -> Any:
     """Return what a design is given: all plants where it takes several, else the first."""
     if not others or not getattr(method, "several_plants", False):
         return first
-    return [first, *(outcome.values[of_unit(unit)] for unit, outcome in others.items())]
+    return [first, *others.values()]

@@ -10,7 +10,7 @@ from ultraquiet import limits
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.analyse import singular_values
-from ultraquiet.pipeline.cache import Outcome
+from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
 from ultraquiet.pipeline.study import Band, LimitsTable
 from ultraquiet.values import StateSpace
@@ -19,6 +19,14 @@ from ultraquiet.values import StateSpace
 INVERSIONS, LINES = 10.0, 60
 # Functions of the search: fewer cost sharpness, and on an identified 6x6 plant half as many often certify nothing.
 BASIS = 60
+
+
+def stage(
+    cache: Cache, settings: LimitsTable, plant: StateSpace, laws: Mapping[str, StateSpace], band_hz: Band
+) -> Outcome[LimitFacts]:
+    """Return what `bounded` finds, from the folder where it was found before."""
+    key = [plant.hash, band_hz, settings, {name: law.hash for name, law in laws.items()}]
+    return cache.stage("limits", "models", key, LimitFacts, partial(bounded, plant, laws, band_hz, settings))
 
 
 def bounded(

@@ -1,14 +1,14 @@
 """The stages of a study after its records, each reused when nothing it depends on has changed."""
 
+import json
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
-from ultraquiet._base.beside import beside
+from ultraquiet._base.beside import Said, beside
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import lookup
-from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, requirements, validation
@@ -20,19 +20,32 @@ from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFa
 from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
+from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.identification import further, of_unit
+from ultraquiet.pipeline.making.designs import (
+    by_need,
+    design_key,
+    design_stage,
+    identify_key,
+    identify_stage,
+    key_of,
+    plant_key,
+    takes_several,
+)
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.study import Band, Design, Plant, Study
+from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 from ultraquiet.values.controller import Controller
 
-WORKER = "ultraquiet.pipeline.worker"
+WORKER = "ultraquiet.pipeline.making.worker"
+FAR = 2  # so many designs are worth a process of their own
+_OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
 Say = Callable[[str], object]
 
 
@@ -53,27 +66,30 @@ class Stages:
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
-        identify = "compare structures and orders", WORKER, str(self.cache.folder)
-        with beside(
-            *identify,
-            wanted=several and self.study.blending is None and not self._is_identified(),
-            holds=self.cache.lock,
-        ) as wait:
+        with self._beside("compare structures and orders", "identify", several and not self._is_identified()) as models:
             plant = self._plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:
                 control.require_bench(self.bench, system)
             plan = loop_plan(self.study.closed_loop, self.bench, system)
             names = list(self.study.controllers)
-            first = sorted(names, key=self._is_optional)
+            first = by_need(self.study)
             opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
             payloads = self._payloads(plan)
-            work = {name: partial(self._controller, name, system, plan, opened, payloads) for name in first}
-            jobs: dict[str | None, Callable[[], Any]] = {**work, None: partial(self._models, system, plan, wait)}
-            done = in_threads("study", lambda job: jobs[job](), list(jobs), None if several else 1, bars=True)
-        identified, validated, analysed = done[None]
+            far = several and sum(not self._is_designed(name, system, plan) for name in first) >= FAR
+            words = json.dumps(to_plain(plan)), *self._further
+            with self._beside("design controllers", "design", far, *words) as designs:
+                one = partial(self._controller, plant=system, plan=plan, opened=opened, payloads=payloads, said=designs)
+                jobs: dict[str, Callable[[], Any]] = {_OPEN: opened.apart} if far and opened is not None else {}
+                jobs |= {name: partial(one, name) for name in first}
+                jobs[_MODELS] = partial(self._models, system, plan, models)
+                # what waits for another process takes no processor's time
+                workers = len(jobs) if far else None if several else 1
+                done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
+                laws = {name: law for name in names if (law := done[name].law) is not None}
+                designs.wait()  # it says what can be reached last
+        identified, validated, analysed = done[_MODELS]
         loops = {name: loop for name in names if (loop := done[name].loop) is not None}
-        laws = {name: law for name in names if (law := done[name].law) is not None}
         payload = {name: heard for name in names if (heard := done[name].payload) is not None}
         return StudyResult(
             study=self.study,
@@ -144,16 +160,12 @@ class Stages:
         self.say(f"campaign: {outcome[0].status}")
         return outcome
 
-    def _is_optional(self, name: str) -> bool:
-        """Tell whether nothing is required of a controller; one that the study is for comes first."""
-        return self.study.requirements is None or name != self.study.requirements.law
-
     def _models(
-        self, plant: StateSpace, plan: LoopPlan, wait: Callable[[], object]
+        self, plant: StateSpace, plan: LoopPlan, models: Said
     ) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
         """Identify channel by channel, and see what all models are worth."""
-        wait()
-        identified = self.identify()
+        models.wait()
+        identified = identify_stage(self.cache, self.study, self.records)
         best = identified.facts.preferred
         if best is None:
             self.say("not ranked: no records drive one actuator after the other")
@@ -170,8 +182,10 @@ class Stages:
         plan: LoopPlan,
         opened: control.OpenLoops | None,
         payloads: OpenPayloads | None,
+        said: Said,
     ) -> "_Controller":
         """Design one controller, close its loop, turn it into code and listen to the payload."""
+        said.wait(name)
         design = self._design(name, plant, plan)
         if name not in design.values:
             return _Controller(design)
@@ -203,7 +217,7 @@ class Stages:
         asked, deploy = self.study.requirements, self.study.deploy
         as_code = deploy if asked is None or name == asked.law else None  # a stepped law takes a minute
         key = [law.hash, self.bench_key, payloads.setup, payloads.units, limits, as_code, compiler(), stable]
-        key += [] if adapting is None else [_key(self.study.controllers[name].design)]
+        key += [] if adapting is None else [key_of(self.study.controllers[name].design)]
 
         def compute() -> Outcome[PayloadFacts]:
             acting = law if adapting is None else adapting() or law
@@ -240,18 +254,8 @@ class Stages:
     def _record_hashes(self) -> dict[str, str]:
         return {name: record.hash for name, record in self.records.items()}
 
-    @cached_property
-    def _identify_key(self) -> list[Any]:
-        return [self._record_hashes, self.study.identify, self.study.paper]
-
     def _is_identified(self) -> bool:
-        return self.cache.holds("identify", self._identify_key)
-
-    def identify(self) -> Outcome[IdentificationFacts]:
-        """Identify channel by channel."""
-        settings = self.study.identify
-        compute = partial(identification.identified, self.records, settings, self.study.paper)
-        return self.cache.stage("identify", "models", self._identify_key, IdentificationFacts, compute)
+        return self.cache.holds("identify", identify_key(self._record_hashes, self.study))
 
     def _plant(self) -> Outcome[PlantFacts]:
         settings = self.study.plant
@@ -262,14 +266,17 @@ class Stages:
         return outcome
 
     @cached_property
-    def _further(self) -> dict[str, Outcome[PlantFacts]]:
-        """Models of the bench's further units, for designs that hold on several."""
+    def _further(self) -> dict[str, StateSpace]:
+        """Models of the bench's further units, where a design holds on several."""
         settings, found = self.study.plant, {}
-        for unit in settings.units if self.bench is not None else ():
+        if self.bench is None or not any(map(takes_several, self.study.controllers.values())):
+            return found
+        for unit in settings.units:
             compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
             key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
-            found[unit] = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
-            self.say(f"plant for design, {unit}: {found[unit].facts.states} states, {found[unit].facts.status}")
+            outcome = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
+            self.say(f"plant for design, {unit}: {outcome.facts.states} states, {outcome.facts.status}")
+            found[unit] = outcome.values[of_unit(unit)]
         return found
 
     def _models_key(self, plant: StateSpace) -> list[Any]:
@@ -296,15 +303,14 @@ class Stages:
         key = [*self._models_key(plant), self.study.paper]
         return self.cache.stage("analyse", "models", key, AnalysisFacts, compute)
 
-    def _design(self, name: str, plant: StateSpace, loop: LoopPlan) -> Outcome[DesignFacts]:
-        """Design and reduce one controller."""
+    def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]
-        several = getattr(lookup("design", settings.design.method), "several_plants", False)
-        others = self._further if several else {}
-        key = design_key(plant, settings, loop)
-        key += [{unit: outcome.values[of_unit(unit)].hash for unit, outcome in others.items()}] if others else []
-        compute = partial(control.designed, name, plant, settings, loop, others)
-        outcome = self.cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+        others = self._further if takes_several(settings) else {}
+        return self.cache.holds(f"design-{name}", design_key(plant, settings, plan, others))
+
+    def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
+        """Design and reduce one controller."""
+        outcome = design_stage(self.cache, name, self.study.controllers[name], plant, plan, self._further)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
 
@@ -314,7 +320,7 @@ class Stages:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
         plan, design = opened.plan, self.study.controllers[name]
         required_hz = self._required_hz(name, plan)
-        key = [law.hash, self.bench_key, plan, *([plant.hash, _key(design.design)] if adaptive else [])]
+        key = [law.hash, self.bench_key, plan, *([plant.hash, key_of(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
@@ -343,12 +349,15 @@ class Stages:
         return facts
 
     def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[LimitFacts]:
-        settings = self.study.limits
-        key = [plant.hash, plan.band_hz, settings, {name: law.hash for name, law in laws.items()}]
-        compute = partial(attainable.bounded, plant, laws, plan.band_hz, settings)
-        outcome = self.cache.stage("limits", "models", key, LimitFacts, compute)
+        outcome = attainable.stage(self.cache, self.study.limits, plant, laws, plan.band_hz)
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
+
+    def _beside(self, title: str, job: str, wanted: bool, *words: str) -> AbstractContextManager[Said]:
+        """Return a process that leaves stages in this folder while this one goes on."""
+        wanted = wanted and self.study.blending is None
+        folder = str(self.cache.folder)
+        return beside(title, WORKER, job, folder, *words, wanted=wanted, holds=self.cache.lock, say=self.cache.say)
 
 
 @dataclass(frozen=True)
@@ -360,19 +369,3 @@ class _Controller:
     loop: Outcome[LoopFacts] | None = None
     code: DeploymentFacts | None = None
     payload: Outcome[PayloadFacts] | None = None
-
-
-def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
-    """Return what the stage `plant` depends on: all records by their hashes, and `[plant]` but its units."""
-    return [dict(record_hashes), settings.model_dump(exclude={"units"})]
-
-
-def design_key(plant: StateSpace, settings: Design, loop: LoopPlan) -> list[Any]:
-    """Return what the stage `design-NAME` depends on: the plant, the table, and what a reduction is held to."""
-    promised = settings.reduce and [_key(settings.reduce), loop.band_hz, loop.tones_hz]
-    return [plant.hash, _key(settings.design), promised]
-
-
-def _key(method: Method) -> dict[str, Any]:
-    """Return all that a method's table says; its settings are not declared fields and must be asked for."""
-    return method.model_dump()

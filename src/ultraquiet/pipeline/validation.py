@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet import analyse, validate
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
@@ -139,7 +140,7 @@ def analysed(plant: StateSpace, paper: PolynomialMatrix | None, f_hz: FloatArray
     square = G.shape[0] == G.shape[1]
     gains = None
     if paper is not None:
-        gains = np.linalg.svd(np.moveaxis(paper.frequency_response(f_hz), 2, 0), compute_uv=False).T.astype(np.float64)
+        gains = principal_gains(paper.frequency_response(f_hz))
     facts = AnalysisFacts(
         f_hz=f_hz,
         singular_values=SingularValues(plant=analyse.singular_values(plant, f_hz), paper=gains),

@@ -18,7 +18,6 @@ Response = tuple[str, FloatArray, ComplexArray]
 Wires = tuple[Sequence[Channel], Sequence[Channel]]  # actuators, sensors
 # A command with this share of its power at one frequency is a tone, of which so many periods are shown.
 ONE_TONE, SHOWN_PERIODS = 0.9, 12.0
-FAINTEST_DB = 120.0  # below the largest gain of a matrix: what is fainter is not drawn
 
 
 def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = "") -> Figure:
@@ -113,66 +112,6 @@ def _phase_deg(f_hz: FloatArray, gain: ComplexArray, at_hz: float) -> FloatArray
     phase = np.degrees(np.unwrap(np.angle(gain)))
     k = int(np.argmin(np.abs(f_hz - at_hz)))
     return phase - 360.0 * np.round(phase[k] / 360.0)
-
-
-def bode_grid(models: Sequence[Response], wires: Wires, span_hz: tuple[float, float]) -> Figure:
-    """All channels of the transfer matrix, magnitude."""
-    actuators, sensors = wires
-    within = [decibels(g[:, :, (f >= span_hz[0]) & (f <= span_hz[1])]) for _, f, g in models]
-    low, top = (float(end([end(g) for g in within])) for end in (np.min, np.max))
-    panels = [
-        Panel(
-            [Line.of(f, decibels(g[i, j]), shade=k) for k, (_, f, g) in enumerate(models)],
-            f"{actuator.name} → {sensor.name}",
-            x_log=True,
-            x_range=span_hz,
-            y_range=(max(low, top - FAINTEST_DB) - 5.0, top + 5.0),
-        )
-        for i, sensor in enumerate(sensors)
-        for j, actuator in enumerate(actuators)
-    ]
-    colours = ("blue", "orange", "green")
-    names = ", ".join(f"{name} ({colour})" for (name, _, _), colour in zip(models, colours, strict=False))
-    caption = f"Magnitude of every channel, actuator → sensor, {gain_unit(wires)}, over Hz: {names}."
-    size = (max(4.0, 1.85 * len(actuators)), max(2.5, 1.6 * len(sensors)))
-    return Figure("bode_grid", "The transfer matrix", caption, panels, len(actuators), size)
-
-
-def singular_values(f_hz: FloatArray, bands: Mapping[str, FloatArray], wires: Wires, note: str = "") -> Figure:
-    """Singular values `(k, nf)` of each named model."""
-    panels = [
-        Panel([Line.of(f_hz, decibels(s), shade=0) for s in values], name, HZ, gain_unit(wires), x_log=True)
-        for name, values in bands.items()
-    ]
-    caption = f"Singular values of the transfer matrix; where they lie close together direction matters little.{note}"
-    return Figure("singular_values", "Singular values", caption, panels, len(panels), (8.0, 3.0))
-
-
-def closed_loop(name: str, tone_hz: float, amplitude: float, record: Record, opened: Record, note: str = "") -> Figure:
-    """Every sensor under a tone at the plant's input, loop open and closed."""
-    panels = [
-        Panel(
-            [Line.of(opened.time_s, o, shade=7), Line.of(record.time_s, c, shade=0)],
-            channel.name,
-            SECONDS,
-            channel.unit,
-        )
-        for channel, o, c in zip(record.sensors, opened.outputs, record.outputs, strict=True)
-    ]
-    units = " ".join(dict.fromkeys(c.unit for c in record.actuators if c.unit))
-    sent = f"{amplitude:g} {units}".strip()
-    caption = f"{name}, {tone_hz:g} Hz, {sent} on all actuators: open (grey) and closed loop (blue).{note}"
-    stem = file_stem(f"closed_loop_{name}_{tone_hz:g}hz")
-    rows = -(-len(panels) // 3)
-    return Figure(stem, f"Closed loop: {name} at {tone_hz:g} Hz", caption, panels, 3, (8.0, 1.9 * rows))
-
-
-def sensitivity(curves: Mapping[str, tuple[FloatArray, FloatArray]], band_hz: tuple[float, float]) -> Figure:
-    """Worst-direction reduction `(f_hz, reduction_db)` of each controller, measured on the bench."""
-    lines = [Line.of(f, -r, name, shade=k) for k, (name, (f, r)) in enumerate(curves.items())]
-    panel = Panel(lines, "", HZ, "amplification (dB)", True, spans=[band_hz])
-    caption = "Largest singular value of the sensitivity measured on the bench: below zero, every direction is quieter."
-    return Figure("sensitivity", "Every direction, every frequency", caption, [panel], 1, (8.0, 3.8))
 
 
 def _labelled(what: str, unit: str) -> str:

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_arr
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
@@ -94,9 +95,9 @@ class MeasuredSensitivity:
         every decibel gained over a hertz is lost over another (Bode's integral in discrete time; Sung and Hara 1988,
         doi:10.1080/00207178808906305). With fewer actuators than sensors it is that of the directions they reach.
         """
-        sizes = np.linalg.svd(np.moveaxis(self.S.values, 2, 0), compute_uv=False)
+        sizes = principal_gains(self.S.values)
         count = min(self.opened.shape[:2])
-        level = 20 * np.log10(np.maximum(sizes[:, :count], np.finfo(float).tiny)).mean(axis=1)
+        level = 20 * np.log10(np.maximum(sizes[:count], np.finfo(float).tiny)).mean(axis=0)
         return float(np.trapezoid(level, self.f_hz) / (self.f_hz[-1] - self.f_hz[0]))
 
     def broadband_db(self, low_hz: float, high_hz: float) -> float:

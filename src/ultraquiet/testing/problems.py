@@ -4,6 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray
 from ultraquiet.linalg import realize
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values import Record, StateSpace
 
 RATE_HZ = 1000.0
@@ -53,7 +54,7 @@ def distance(first: StateSpace, second: StateSpace | None = None) -> float:
     """Return the largest singular value of the difference (of `first` itself when alone) over a grid of frequencies."""
     f_hz = np.linspace(0.0, RATE_HZ / 2, 1001)
     gap = first.frequency_response(f_hz) - (0.0 if second is None else second.frequency_response(f_hz))
-    return float(np.linalg.svd(np.moveaxis(gap, 2, 0), compute_uv=False).max())
+    return float(principal_gains(gap).max())
 
 
 def loop_poles(plant: StateSpace, law: StateSpace) -> ComplexArray:

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.form_choice import loop_radius
 from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -114,7 +115,7 @@ def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
 
     radius = loop_radius(plant, law)
     S = sensitivity(plant, law)
-    size = np.linalg.svd(np.moveaxis(S.frequency_response(f), 2, 0), compute_uv=False)[:, 0]
+    size = principal_gains(S.frequency_response(f))[0]
     margins = loop_margins(plant, law)
     return LoopFigures(
         pole_radius=radius,

@@ -9,6 +9,7 @@ from ultraquiet._base.shown.grid import shown_frequencies
 from ultraquiet.analyse import Gang, Roots
 from ultraquiet.design import DesignResult
 from ultraquiet.limits import Limit
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.plot.figure import Figure, Fill, Line, Panel
 from ultraquiet.plot.objects.anything import any_figure
 from ultraquiet.plot.objects.models import model_figure
@@ -104,5 +105,4 @@ def roots_figure(found: Roots) -> Figure:
 
 
 def _largest_db(values: Any) -> Any:
-    sizes = np.linalg.svd(np.moveaxis(values, 2, 0), compute_uv=False)[:, 0]
-    return 20.0 * np.log10(np.maximum(sizes, TINY))
+    return 20.0 * np.log10(np.maximum(principal_gains(values)[0], TINY))

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, Region, decibel_axis, frequency_axis
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.plot.loop import tracked
 
 DEEPEST_DB = 100.0  # below the largest of a panel: what is smaller is not drawn
@@ -52,8 +53,7 @@ class LoopCurve:
 
 def worst_direction_db(values: ComplexArray) -> FloatArray:
     """Return the largest singular value `(nf,)` of a response `(outputs, inputs, nf)` in decibels."""
-    size = np.linalg.svd(np.moveaxis(values, 2, 0), compute_uv=False)[:, 0]
-    return 20 * np.log10(np.maximum(size, 1e-6))
+    return 20 * np.log10(np.maximum(principal_gains(values)[0], 1e-6))
 
 
 def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: RequiredOfLoop) -> Chart:

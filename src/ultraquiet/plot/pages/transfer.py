@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, decibel_axis, frequency_axis
-from ultraquiet.plot.study import Wires, gain_unit
+from ultraquiet.plot.study import Wires, decibels, gain_unit
 from ultraquiet.values import FrequencyResponse
 
 MOST_LINES = 240  # of a channel: more than its panel has pixels
@@ -81,12 +81,12 @@ def _channel(
         over.append(_with_confidence(f_hz, values, None if measured.variance is None else measured.variance[at]))
         phases.append(Curve("measured", f_hz, _phase_deg(values)))
     for model in models:
-        over.append(Curve(model.name, f_hz, _db(model.values[at]), model.colour))
+        over.append(Curve(model.name, f_hz, decibels(model.values[at]), model.colour))
         phases.append(Curve(model.name, f_hz, _phase_deg(model.values[at]), model.colour))
         if measured is not None:
-            errors.append(Curve(model.name, f_hz, _db(model.values[at] - measured.values[at]), model.colour))
+            errors.append(Curve(model.name, f_hz, decibels(model.values[at] - measured.values[at]), model.colour))
     if measured is not None and measured.variance is not None and np.isfinite(measured.variance[at]).all():
-        errors.append(Curve("measured", f_hz, _db(RADIUS_95 * np.sqrt(measured.variance[at])), "measured", ":"))
+        errors.append(Curve("measured", f_hz, decibels(RADIUS_95 * np.sqrt(measured.variance[at])), "measured", ":"))
     detail = [ChartPanel(x, PHASE, phases, height=180)]
     if errors:
         detail.append(ChartPanel(x, Axis(gain.label.replace("gain", "error", 1), ticks="dB"), errors, height=180))
@@ -95,10 +95,10 @@ def _channel(
 
 def _with_confidence(f_hz: FloatArray, values: ComplexArray, variance: FloatArray | None) -> Curve:
     if variance is None or not np.isfinite(variance).all():
-        return Curve("measured", f_hz, _db(values))
+        return Curve("measured", f_hz, decibels(values))
     size, radius = np.abs(values), RADIUS_95 * np.sqrt(variance)
     low = np.maximum(size - radius, 0.05 * size)  # an interval that reaches down to nothing ends 26 dB below
-    return Curve("measured", f_hz, _db(values), low=_db(low), high=_db(size + radius))
+    return Curve("measured", f_hz, decibels(values), low=decibels(low), high=decibels(size + radius))
 
 
 def _caption(f_hz: FloatArray, measured: FrequencyResponse | None, models: Sequence[NamedResponse], one: bool) -> str:
@@ -119,15 +119,11 @@ def _share(model: ComplexArray, measured: ComplexArray) -> float:
 
 
 def _limits(all_values: Sequence[ComplexArray]) -> tuple[float, float]:
-    db = [_db(values) for values in all_values]
+    db = [decibels(values) for values in all_values]
     top = max(float(v.max()) for v in db)
     low = max(min(float(v.min()) for v in db), top - FAINTEST_DB)
     room = 0.05 * max(top - low, 1.0)
     return low - room, top + room
-
-
-def _db(values: ComplexArray | FloatArray) -> FloatArray:
-    return 20 * np.log10(np.maximum(np.abs(values), 1e-300))
 
 
 def _phase_deg(values: ComplexArray) -> FloatArray:

@@ -4,6 +4,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.mu import mu_upper_bound
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.simulate.commissioning.injection import MeasuredLoop
 
 CLOSER = 8  # lines
@@ -22,7 +23,7 @@ def disk_margin_of(S: ComplexArray, f_hz: FloatArray) -> tuple[float, float]:
     """
     M = S - 0.5 * np.eye(len(S))[:, :, None]
     # mu is below the largest singular value: lines that cannot be the worst by that need no closer look.
-    bound = np.linalg.norm(np.moveaxis(M, 2, 0), 2, axis=(1, 2))
+    bound = principal_gains(M)[0]
     order = np.argsort(-bound)
     best, at = 0.0, 0
     for start in range(0, order.size, CLOSER):
@@ -38,7 +39,7 @@ def disk_margin_of(S: ComplexArray, f_hz: FloatArray) -> tuple[float, float]:
 
 def peak_db(S: ComplexArray) -> FloatArray:
     """Return the largest singular value of S in dB, `(nf,)`."""
-    return np.asarray(20 * np.log10(np.linalg.norm(np.moveaxis(S, 2, 0), 2, axis=(1, 2))), dtype=np.float64)
+    return 20 * np.log10(principal_gains(S)[0])
 
 
 def foreseen(loop: MeasuredLoop, gain: float, further: float) -> tuple[float, float, float]:

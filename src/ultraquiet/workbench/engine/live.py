@@ -12,6 +12,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import ratio
 
@@ -96,7 +97,7 @@ def attenuation_db(loop: "LiveLoop", band_hz: tuple[float, float]) -> float:
     inside = (loop.f_hz >= band_hz[0]) & (loop.f_hz <= band_hz[1])
     if not inside.any():
         return float("nan")
-    sizes = np.linalg.svd(np.moveaxis(loop.S[:, :, inside], 2, 0), compute_uv=False)[:, 0]
+    sizes = principal_gains(loop.S[:, :, inside])[0]
     return -20 * float(np.log10(sizes.max()))
 
 

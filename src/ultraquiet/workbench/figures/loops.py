@@ -1,15 +1,15 @@
 """Loops: S, T and KS of laws side by side, and their margins at both ends, channel by channel."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark, Region
+from ultraquiet.chart.spec import Chart, ChartPanel, Curve, Mark, Region
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.workbench.figures.scale import Scale
 
-FEW = 4  # channels whose names stand side by side in half a figure
 MEMBERS = {
     "S": "S: what the law leaves of a disturbance, in the directions that the inputs reach",
     "T": "T: what it makes of sensor noise at the outputs",
@@ -58,31 +58,9 @@ def loop_grid(
     return Chart("loops", title, caption, panels, columns=1, legend="below")
 
 
-def margin_bars(
-    ends: Mapping[str, Mapping[str, FloatArray]], names: Mapping[str, Sequence[str]], colours: Mapping[str, str]
-) -> Chart:
-    """Return disk margins per channel at both ends: end -> law -> `(channels,)`, with the channels' names."""
-    panels = []
-    for end, laws in ends.items():
-        width = 0.8 / max(1, len(laws))
-        curves = [
-            Curve(law, np.arange(len(d)) - 0.4 + width * (k + 0.5), d, colours[law], kind="bars", width=width)
-            for k, (law, d) in enumerate(laws.items())
-        ]
-        marks = [Mark("asked", y=0.2, colour="fragile")]
-        axes = Axis(f"channels at the plant's {end}", names=list(names[end])), Axis("disk margin")
-        panels.append(ChartPanel(*axes, curves, title=f"at the plant's {end}", marks=marks, height=170))
-    many = max((len(each) for each in names.values()), default=0)
-    return Chart("margins", "Disk margins, channel by channel", "", panels, columns=2 if many <= FEW else 1)
-
-
 def sizes_of(f_hz: FloatArray, S: np.ndarray, T: np.ndarray, KS: np.ndarray) -> Sizes:
     """Return the largest singular values of responses `(rows, columns, nf)`."""
-    largest = {
-        name: np.linalg.svd(np.moveaxis(g, 2, 0), compute_uv=False)[:, 0]
-        for name, g in (("S", S), ("T", T), ("KS", KS))
-    }
-    return Sizes(f_hz, largest)
+    return Sizes(f_hz, {name: principal_gains(g)[0] for name, g in (("S", S), ("T", T), ("KS", KS))})
 
 
 def _asked(asked: SensitivityDemand, scale: Scale) -> tuple[list[Region], list[Mark]]:

@@ -7,10 +7,10 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
+from ultraquiet.plot.pages.transfer import RADIUS_95
 from ultraquiet.values.channel import Channel, ratio
 from ultraquiet.workbench.figures.scale import Scale
 
-SURE = 1.96  # standard deviations either side that hold 95 %
 FLOOR = 0.1  # of a gain: no confidence reaches lower in decibels
 
 
@@ -113,8 +113,8 @@ def _confidence(measured: SeenResponse, i: int, j: int, scale: Scale) -> tuple[F
     if measured.variance is None:
         return None, None
     size = np.abs(measured.values[i, j])
-    # half of a complex gain's variance lies along it
-    spread = SURE * np.sqrt(measured.variance[i, j] / 2)
+    # the circle that holds the complex gain in 95 of 100 cases, as the report draws it
+    spread = RADIUS_95 * np.sqrt(measured.variance[i, j])
     return scale.y(np.maximum(size - spread, FLOOR * size)), scale.y(size + spread)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import noted
 from ultraquiet._base.tables import Method
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.pipeline import Study, control, load_study, walk
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import finite, to_plain
@@ -100,8 +101,8 @@ def closed(folder: Path, state: dict[str, Any], law: str) -> dict[str, Any]:
     for unit in plan.units:
         S = outcome.values.get(stored.sensitivity(law, unit))
         if S is not None:
-            sizes = np.linalg.svd(np.moveaxis(S.values, 2, 0), compute_uv=False)
-            curves[unit] = {"f_hz": S.f_hz.tolist(), "worst": sizes[:, 0].tolist(), "best": sizes[:, -1].tolist()}
+            sizes = principal_gains(S.values)
+            curves[unit] = {"f_hz": S.f_hz.tolist(), "worst": sizes[0].tolist(), "best": sizes[-1].tolist()}
     return finite({"facts": to_plain(outcome.facts), "curves": curves})
 
 

@@ -4,6 +4,7 @@ from typing import Any
 
 from nicegui import ui
 
+from ultraquiet.design.robustness import DISK_MARGIN
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.figures.loops import SensitivityDemand
 from ultraquiet.workbench.web.controls import button, chip, field, heading, table, words
@@ -83,6 +84,11 @@ def asked_of(view: View) -> SensitivityDemand:
     tables = view.session.state["tables"]
     asked, band = tables.get("requirements", {}), tables.get("closed_loop", {}).get("band_hz")
     return SensitivityDemand(tuple(band) if band else None, asked.get("attenuation_db"), asked.get("peak_db"))
+
+
+def disk_asked(view: View) -> float:
+    """Return the disk margin that the study asks of a loop, by default that of a verdict."""
+    return float(view.session.state["tables"].get("requirements", {}).get("disk_margin", DISK_MARGIN))
 
 
 def judged(facts: dict[str, Any], asked: dict[str, Any]) -> str:

@@ -11,8 +11,8 @@ from ultraquiet.pipeline import control
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.loops import DesignFacts, NoCode
 from ultraquiet.pipeline.facts.typed import to_plain
+from ultraquiet.pipeline.making.designs import design_key
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
-from ultraquiet.pipeline.stages import design_key
 from ultraquiet.pipeline.study import Design
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made, Tables

@@ -13,7 +13,7 @@ from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import PlantFacts, RecordPlant
 from ultraquiet.pipeline.facts.typed import to_plain
-from ultraquiet.pipeline.stages import plant_key
+from ultraquiet.pipeline.making.designs import plant_key
 from ultraquiet.pipeline.study import Plant
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made

@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from ultraquiet.plot.pages.loops import margin_bars
 from ultraquiet.workbench.engine.live import LiveLoop, Notched, Responses, live_loop, responses, weight_bound
-from ultraquiet.workbench.figures.loops import Sizes, loop_grid, margin_bars, sizes_of
+from ultraquiet.workbench.figures.loops import Sizes, loop_grid, sizes_of
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, choice, field, heading, words
-from ultraquiet.workbench.web.law_table import LawTable, asked_of
+from ultraquiet.workbench.web.law_table import LawTable, asked_of, disk_asked
 from ultraquiet.workbench.web.method_form import MethodForm
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View
@@ -161,7 +162,7 @@ class _Design:
 
     def _draw_margins(self, shown: dict[str, LiveLoop], colours: dict[str, str]) -> None:
         ends = {end: {law: loop.channels[end] for law, loop in shown.items()} for end in self._names}
-        self.margins.show(margin_bars(ends, self._names, colours))
+        self.margins.show(margin_bars(ends, self._names, colours, disk_asked(self.view)))
 
     def _moved(self) -> LiveLoop | None:
         at = self._slid()

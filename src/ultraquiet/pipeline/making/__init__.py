@@ -1,0 +1,1 @@
+"""Stages that are made beside the walk, and the process that makes them."""

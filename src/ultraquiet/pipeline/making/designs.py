@@ -1,0 +1,72 @@
+"""Stages that a process beside the walk makes as well: what each depends on, and how it is made."""
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+from ultraquiet._base.registry import lookup
+from ultraquiet._base.tables import Method
+from ultraquiet.pipeline import control, identification
+from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline.facts.loops import DesignFacts
+from ultraquiet.pipeline.facts.models import IdentificationFacts
+from ultraquiet.pipeline.preflight import LoopPlan
+from ultraquiet.pipeline.study import Design, Plant, Study
+from ultraquiet.values import Record, StateSpace
+
+
+def identify_key(record_hashes: Mapping[str, str], study: Study) -> list[Any]:
+    """Return what the stage `identify` depends on: all records by their hashes, and what is fitted to them."""
+    return [dict(record_hashes), study.identify, study.paper]
+
+
+def identify_stage(cache: Cache, study: Study, records: Mapping[str, Record]) -> Outcome[IdentificationFacts]:
+    """Identify channel by channel."""
+    key = identify_key({name: record.hash for name, record in records.items()}, study)
+    compute = partial(identification.identified, records, study.identify, study.paper)
+    return cache.stage("identify", "models", key, IdentificationFacts, compute)
+
+
+def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
+    """Return what the stage `plant` depends on: all records by their hashes, and `[plant]` but its units."""
+    return [dict(record_hashes), settings.model_dump(exclude={"units"})]
+
+
+def design_key(
+    plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, StateSpace] | None = None
+) -> list[Any]:
+    """Return what the stage `design-NAME` depends on: plants, the table, and what a reduction is held to."""
+    promised = settings.reduce and [key_of(settings.reduce), loop.band_hz, loop.tones_hz]
+    further = [{unit: model.hash for unit, model in others.items()}] if others else []
+    return [plant.hash, key_of(settings.design), promised, *further]
+
+
+def design_stage(
+    cache: Cache,
+    name: str,
+    settings: Design,
+    plant: StateSpace,
+    plan: LoopPlan,
+    others: Mapping[str, StateSpace],
+) -> Outcome[DesignFacts]:
+    """Design and reduce one controller; `others` are models of further units, for designs that hold on several."""
+    known = others if takes_several(settings) else {}
+    compute = partial(control.designed, name, plant, settings, plan, known)
+    key = design_key(plant, settings, plan, known)
+    return cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+
+
+def by_need(study: Study) -> list[str]:
+    """Return the names of a study's controllers, first the one of which something is required."""
+    asked = study.requirements
+    return sorted(study.controllers, key=lambda name: asked is None or name != asked.law)
+
+
+def takes_several(settings: Design) -> bool:
+    """Return whether a design holds on several plants at once."""
+    return getattr(lookup("design", settings.design.method), "several_plants", False)
+
+
+def key_of(method: Method) -> dict[str, Any]:
+    """Return all that a method's table says; its settings are not declared fields and must be asked for."""
+    return method.model_dump()
