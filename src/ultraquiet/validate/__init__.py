@@ -1,7 +1,7 @@
 """Evidence on models: residual tests, fits on other records, confidence, order choice, agreement of responses."""
 
 from ultraquiet._base.shown import show
-from ultraquiet.validate.advice import Advice, advise
+from ultraquiet.validate.advice.advise import Advice, advise
 from ultraquiet.validate.bands import ResponseBand, response_band
 from ultraquiet.validate.compare import BodeAgreement, Comparison, bode_agreement, compare
 from ultraquiet.validate.criteria import Selection, information_criteria, select

@@ -10,8 +10,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.linalg import prediction, score
-from ultraquiet.validate import advice_model
-from ultraquiet.validate.advice_model import ALARM, Case, Said
+from ultraquiet.validate.advice import model as advice_model
+from ultraquiet.validate.advice.model import ALARM, Case, Said
 from ultraquiet.validate.gradient import delay, matching
 from ultraquiet.validate.predict import innovations, single_rows
 from ultraquiet.validate.residuals import DEFAULT_LAGS, fitted_directions, origin_of
