@@ -6,7 +6,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, matrix_balance, solve_continuous_lyapunov
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.ordered import Array
+from ultraquiet.linalg.ordered import Array, real_schur
+from ultraquiet.linalg.triangular import both_lyapunov
 
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 ROUND_OFF = 1e-16
@@ -37,6 +38,37 @@ def lyapunov(A: Array, Q: Array) -> Array:
             f"Lyapunov equation ({A.shape[0]} states): A and -A share an eigenvalue, so it has no single solution."
         )
     return X * np.outer(d, d)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def lyapunov_both(A: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """Solve A X + X A' + Q = 0 and A' Y + Y A + R = 0 for symmetric Q and R from one Schur form, as `lyapunov` does.
+
+    Raises:
+        NumericalError: A and -A' share an eigenvalue, or so nearly that no digit of X or Y holds.
+    """
+    n = A.shape[0]
+    if n == 0:
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    _finite(A, Q, "Lyapunov")
+    _finite(A, R, "Lyapunov")
+    A, d = _evened(A)
+    D = np.outer(d, d)
+    Q, R = Q / D, R * D
+    try:
+        T, U = real_schur(A)
+        X, Y = both_lyapunov(T, -(U.T @ Q @ U), -(U.T @ R @ U))
+    except LinAlgError:
+        return lyapunov(A, Q) * D, lyapunov(A.T, R) / D
+    X, Y = symmetric(U @ X @ U.T), symmetric(U @ Y @ U.T)
+    for a, x, q in ((A, X, Q), (A.T, Y, R)):
+        size = np.linalg.norm(a) * np.linalg.norm(x) + np.linalg.norm(q)
+        half = a @ x
+        if not (np.isfinite(size) and np.linalg.norm(half + half.T + q) <= SOLVED * size):
+            raise NumericalError(
+                f"Lyapunov equation ({n} states): A and -A share an eigenvalue, so it has no single solution."
+            )
+    return X * D, Y / D
 
 
 @np.errstate(over="ignore", invalid="ignore")
