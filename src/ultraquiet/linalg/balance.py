@@ -127,9 +127,10 @@ def stable_first(A: Array, discrete: bool) -> tuple[Array, Array, int]:
         return np.eye(0), np.eye(0), 0
     S, U, count = ordered_schur(A, "iuc" if discrete else "lhp")
     T = U.copy()
-    if 0 < count < n:
-        X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
-        T[:, count:] += U[:, :count] @ X
+    if count in (0, n):
+        return T, T.T.copy(), int(count)
+    X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
+    T[:, count:] += U[:, :count] @ X
     return T, np.linalg.inv(T), int(count)
 
 

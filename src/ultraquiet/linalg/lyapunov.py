@@ -7,7 +7,7 @@ from scipy.linalg import LinAlgError, matrix_balance, solve_continuous_lyapunov
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.ordered import Array, real_schur
-from ultraquiet.linalg.triangular import both_lyapunov
+from ultraquiet.linalg.triangular import both_lyapunov, is_schur
 
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 ROUND_OFF = 1e-16
@@ -56,11 +56,11 @@ def lyapunov_both(A: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     D = np.outer(d, d)
     Q, R = Q / D, R * D
     try:
-        T, U = real_schur(A)
-        X, Y = both_lyapunov(T, -(U.T @ Q @ U), -(U.T @ R @ U))
+        T, U = (A, None) if is_schur(A) else real_schur(A)
+        X, Y = both_lyapunov(T, *(-M if U is None else -(U.T @ M @ U) for M in (Q, R)))
     except LinAlgError:
         return lyapunov(A, Q) * D, lyapunov(A.T, R) / D
-    X, Y = symmetric(U @ X @ U.T), symmetric(U @ Y @ U.T)
+    X, Y = (symmetric(M if U is None else U @ M @ U.T) for M in (X, Y))
     for a, x, q in ((A, X, Q), (A.T, Y, R)):
         size = np.linalg.norm(a) * np.linalg.norm(x) + np.linalg.norm(q)
         half = a @ x

@@ -25,6 +25,12 @@ def both_lyapunov(T: Array, F: Array, G: Array) -> tuple[Array, Array]:
     return X, Y
 
 
+def is_schur(A: Array) -> bool:
+    """Return whether a matrix is block triangular already, with blocks of one or two rows."""
+    low = np.diag(A, -1) != 0
+    return not (np.any(low[1:] & low[:-1]) or np.any(np.tril(A, -2)))
+
+
 def _forward(T: Array, X: Array) -> None:
     """Put the solution of T X + X T' = F in the place of F."""
     n = len(T)
