@@ -2,10 +2,11 @@
 
 import re
 
-# Words of the packaged study; what else a report says must come from the bench it is about.
+# Words of the packaged study; what else a report says must come from the bench it is about. A number is foreign as a
+# whole, not as the end of another: 164.5 Hz is none of the three tones.
 FOREIGN = re.compile(
     r"SUITE|strut|hexapod|\bground\b|\bflight\b|\bpaper|geophone|piezo|stack|payload|\d V\b|V²|V/V|eq\. \(|Fig\.|"
-    r"section \d|\b5 Hz|\b25 Hz|\b100 Hz|3500|\b25 V|1000 V",
+    r"section \d|(?<![\d.,])(?:5|25|100)(?:\.0+)? Hz|(?<![\d.,])3500\b|(?<![\d.,])(?:25|1000) V",
     re.IGNORECASE,
 )
 

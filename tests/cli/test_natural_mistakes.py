@@ -41,7 +41,7 @@ def made(tmp_path_factory):
     ):
         np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header=head, comments="")
     (tmp_path / "notes.txt").write_text("Nothing but words.\n")
-    for name in ("mine.h5", "mine.svg", "mine.csv"):
+    for name in ("mine.h5", "mine.svg", "mine.csv", "mine.fmu"):
         (tmp_path / name).write_bytes(b"mine")
     (tmp_path / "study.toml").write_text(SUITE)
     return tmp_path
@@ -119,6 +119,10 @@ COMMANDS = {
     "deploy law.h5 --target cortex-m9": ("cortex-m9", "cortex-m7"),
     "deploy law.h5 --fmu law.zip": ("law.zip", ".fmu"),
     "deploy law.h5 --export law.xls": ("law.xls", ".mat"),
+    "deploy law.h5 --fmu mine.fmu": ("mine.fmu", "--fmu", "--force"),
+    "deploy law.h5 --export mine.csv": ("mine.csv", "--export", "--force"),
+    "deploy law.h5 --project .": ("'.'", "--project", "--force"),
+    "deploy law.h5 --project mine.csv": ("mine.csv", "--project"),
     "convert record.h5 record.xyz": ("xyz", ".csv"),
     "convert record.h5 mine.csv": ("mine.csv", "--force"),
     "inspect plant.h5": ("plant.h5", "record"),

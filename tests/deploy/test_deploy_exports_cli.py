@@ -38,11 +38,37 @@ def test_one_command_leaves_unit_coefficients_and_project(rng, tmp_path, monkeyp
 def test_what_could_not_be_written_stops_the_command_before_it_writes_anything(law_of, tmp_path, monkeypatch, capsys):
     files.save(law_of(6), tmp_path / "law.h5")
     for words, said in [
-        (["--fmu", "law.zip"], "--fmu needs a file that ends in '.fmu'"),
+        (["--fmu", "law.zip"], "written as .fmu, got --fmu 'law.zip'"),
         (["--fmi", "1.0"], "'--fmi' must be one of '2.0', '3.0'"),
-        (["--export", "law.xls"], "--export writes .mat, .h5, .csv, .txt"),
+        (["--export", "law.xls"], "written as .mat or .h5 or .csv or .txt, got --export"),
         (["--export", "law.txt"], "this law couples its channels"),
     ]:
         assert called(monkeypatch, tmp_path / "law.h5", *words) == 2
         assert said in " ".join(capsys.readouterr().err.split())
     assert [p.name for p in tmp_path.iterdir()] == ["law.h5"]
+
+
+@pytest.mark.usefixtures("cc")
+def test_what_is_there_is_written_over_only_when_that_was_asked_for(rng, tmp_path, monkeypatch, capsys):
+    files.save(random_law(rng, 4, 1, 1), tmp_path / "law.h5")
+    project = tmp_path / "project"
+    words = ("--fmu", tmp_path / "law.fmu", "--export", tmp_path / "law.csv", "--project", project)
+    for path in (tmp_path / "law.fmu", tmp_path / "law.csv"):
+        path.write_bytes(b"mine")
+    for option, path in (words[:2], words[2:4]):
+        assert called(monkeypatch, tmp_path / "law.h5", option, path) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert f"choose another {option}, or write over it with --force" in said
+        assert path.name in said
+        assert path.read_bytes() == b"mine"
+    assert not (tmp_path / "law").exists()
+    assert called(monkeypatch, tmp_path / "law.h5", *words, "--force") == 0
+    assert (tmp_path / "law.fmu").read_bytes() != b"mine"
+    assert read_law(tmp_path / "law.csv").states == 4
+    assert called(monkeypatch, tmp_path / "law.h5", "--project", project) == 2
+    assert "not empty" in capsys.readouterr().err
+    stranger = tmp_path / "stranger"
+    stranger.mkdir()
+    (stranger / "notes.txt").write_text("mine")
+    assert called(monkeypatch, tmp_path / "law.h5", "--project", stranger, "--force") == 2
+    assert [p.name for p in stranger.iterdir()] == ["notes.txt"]

@@ -25,6 +25,28 @@ def test_no_lqg_controller_beats_its_limit(rng, growth):
             assert found.left_db >= -ROUNDING_DB
 
 
+@pytest.mark.parametrize("shape", [(3, 2), (2, 3)])
+def test_no_controller_of_a_rectangular_plant_beats_its_limit(rng, shape):
+    """Of a tall plant no controller moves all directions: what is left out stays at 0 dB or above."""
+    ny, nu = shape
+    square = modal(rng, max(shape))
+    plant = StateSpace(square.A, square.B[:, :nu], square.C[:ny], square.D[:ny, :nu], RATE_HZ)
+    law, quiet = Lqg().design(plant).controller, band(rng)
+    found = distance(plant, law, quiet, basis=20)
+    print(f"{shape}, {quiet}: {found.status}")
+    assert found.status.word in ("ok", "not certified")
+    if found.status.ok:
+        assert found.left_db >= -ROUNDING_DB
+        assert ("that the plant moves" in found.status.sentence) == (ny > nu)
+    G, K = (np.moveaxis(s.frequency_response(np.geomspace(*quiet, 50)), 2, 0) for s in (plant, law))
+    worst = np.linalg.norm(np.linalg.inv(np.eye(ny) - G @ K), 2, axis=(1, 2))
+    if ny > nu:
+        assert worst.min() >= 1 - 1e-9
+    rows = by_direction(plant, quiet, found.peak_db, control_gain=found.control_gain, basis=20)
+    assert len(rows) == min(shape)
+    assert rows[0].limit.bound_db == pytest.approx(found.limit.bound_db)
+
+
 def test_no_hinf_controller_beats_its_limit(rng):
     plant = modal(rng)
     for height in (4.0, 20.0):

@@ -328,8 +328,12 @@ def _moves(cone: Array, root: Array, step: Array) -> Array:
 
 def _solved(hessian: Array, gradient: Array) -> Array:
     """Solve with unit diagonal and a ridge at rounding level: near the optimum the barrier is nearly singular."""
-    size = np.sqrt(np.einsum("fpp->fp", hessian))
-    scaled = hessian / (size[:, :, None] * size[:, None, :]) + RIDGE * np.eye(size.shape[1])
+    curve = np.einsum("fpp->fp", hessian)
+    # a direction without effect has a curvature of differences of large numbers, which rounding can turn negative
+    floor = np.finfo(float).eps * curve.max(axis=1, keepdims=True, initial=np.finfo(float).tiny)
+    size = np.sqrt(np.maximum(curve, floor))
+    one = np.eye(size.shape[1])
+    scaled = np.where(one > 0, 1.0 + RIDGE, hessian / (size[:, :, None] * size[:, None, :]))
     return np.linalg.solve(scaled, (gradient / size)[:, :, None])[:, :, 0] / size
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +39,7 @@ class Replay:
     """
 
     records: tuple[Record, ...]
+    reacts: ClassVar[bool] = False  # a study closes no loop on it
 
     def __post_init__(self) -> None:
         if not self.records:

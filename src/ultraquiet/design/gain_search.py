@@ -1,6 +1,7 @@
 """Designs that ask a plant for as much as it gives robustly: their gain is halved until the stated margin is kept."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,10 +17,12 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 FIRST = 32.0  # 30 dB of loop gain in the mean over the band: more is noise in the actuators
 LAST = 2.0**-6  # below it nothing worth calling control is left
 CLEARLY = 1.1  # times the margin, on the lines of a grid: peaks between them are lower than that
+LITTLE_DB = 1.0  # a law that lowers the RMS by less leaves the plant as it is
 SPARE = 1.02  # of the margin, so that the last digits of another coordinate system do not decide
 
 
@@ -28,6 +31,7 @@ def from_plant(
     settings: StatedRobustness,
     attempt: Callable[[EvenPlant, float], DesignResult],
     band_hz: tuple[float, float] | None = None,
+    first: float = FIRST,
 ) -> DesignResult:
     """Return the design of the largest gain, halved from one attempt to the next, that keeps the margin asked for.
 
@@ -36,15 +40,18 @@ def from_plant(
         settings: with the `disk_margin`.
         band_hz: where the plant is to be evened out; its own band when absent.
         attempt: gives what a method finds for the even plant at a gain g: its controller, or a refusal.
+        first: the gain to begin with.
 
     The even plant has a mean square of one over its band, so that g is the loop gain that the method is asked for.
     `details` gains `gain`, g; `band_hz`, `inputs` and `outputs`, the band and the units of the even plant; and
     `attenuation_rms_db`, by how much the RMS of S G over that band is lower than that of G. Where no gain keeps the
-    margin the loop that keeps most is returned, and is judged fragile.
+    margin the loop that keeps most is returned, and is judged fragile; where none that keeps it lowers that RMS by a
+    decibel, the quietest of them, and it is `short`.
     """
     even = even_plant(plant, band_hz, type(settings).__name__)
-    best: tuple[float, float, DesignResult] | None = None
-    refusal, g = "", FIRST
+    enough = SPARE * settings.disk_margin
+    best: tuple[tuple[float, float], float, DesignResult] | None = None
+    refusal, g = "", first
     while g >= LAST:
         found = attempt(even, g)
         law = found.controller
@@ -52,14 +59,16 @@ def from_plant(
             refusal = refusal or found.status.sentence
         else:
             kept = margin_kept(even.plant, law, settings.disk_margin)
-            if kept > 0 and (best is None or kept > best[0]):
-                best = (kept, g, found)
-            if kept > 0 and kept >= SPARE * settings.disk_margin:
+            quieter = even.rms_reduction_db(law)
+            worth = (min(kept, enough), quieter)
+            if kept > 0 and (best is None or worth > best[0]):
+                best = (worth, g, found)
+            if kept > 0 and kept >= enough and quieter >= LITTLE_DB:
                 break
         g /= 2
     if best is None:
         return refused(refusal or f"{type(settings).__name__}: no gain gave a stable loop.")
-    _, g, found = best
+    (_, quieter), g, found = best
     assert found.controller is not None
     details = {
         **found.details,
@@ -67,10 +76,22 @@ def from_plant(
         "band_hz": even.band_hz,
         "inputs": even.inputs,
         "outputs": even.outputs,
-        "attenuation_rms_db": even.rms_reduction_db(found.controller),
+        "attenuation_rms_db": quieter,
     }
     law = even.law(found.controller)
-    return judged(plant, law, settings, found.gamma, found.achieved, found.residuals, details)
+    result = judged(plant, law, settings, found.gamma, found.achieved, found.residuals, details)
+    return result if quieter >= LITTLE_DB or not result.status.ok else _idle(result, even.band_hz, quieter)
+
+
+def _idle(result: DesignResult, band_hz: tuple[float, float], quieter: float) -> DesignResult:
+    """Return a loop that keeps its margin and makes nothing quiet, with a word that says so."""
+    low, high = band_hz
+    turned = f"falls by {quieter:.1f}" if quieter >= 0 else f"rises by {-quieter:.1f}"
+    said = (
+        f"With that margin nothing gets quiet: the RMS of S G over {low:.4g}-{high:.4g} Hz {turned} dB. Give "
+        f"'band_hz', or weights, for what is to be quiet. {result.status.sentence}"
+    )
+    return replace(result, status=Status(StatusWord.SHORT, said))
 
 
 def margin_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:

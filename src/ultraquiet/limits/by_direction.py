@@ -11,7 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.demands import Wishes, checked_uncertainty, largest_control
-from ultraquiet.limits.directions import AllActuators, along, coupling_db, principal
+from ultraquiet.limits.directions import AllActuators, along, coupling_db, driven, moved
 from ultraquiet.limits.loops import stabilised
 from ultraquiet.limits.search import LimitSearch
 from ultraquiet.values.door import takes_systems
@@ -49,17 +49,18 @@ def by_direction(
     basis: int = 60,
     uncertainty: "StateSpace | tuple[ArrayLike, ArrayLike] | float | None" = None,
 ) -> tuple[DirectionLimit, ...]:
-    """Return the best flat attenuation in each of a few constant directions of a square, stable plant.
+    """Return the best flat attenuation in each of a few constant directions of a stable plant.
 
     |v' S v| <= sigma_max(S): what no controller reaches along v, none reaches in its worst direction.
 
     Args:
-        plant: G, square and stable.
+        plant: G, stable, of any shape. With more outputs than inputs only as many directions move at once as there are
+            inputs; the worst of all stays at 0 dB or above, whatever the controller.
         band_hz: the band to be quiet, Hz.
         peak_db: largest amplification allowed at any frequency in any direction, dB.
         control_gain: largest singular value of K S.
         directions: `(ny, k)` orthonormal columns v; when absent, the eigenvectors of the mean of G G* over the band,
-            from the one that the plant moves least.
+            from the one that the plant moves least, as many as it has inputs at most.
         basis: states of Q besides those of the plant's function along v.
         uncertainty: W of a relative error of the plant, G_true = (I + E) G with ||E|| <= |W|, which every loop is to
             stand: a number for all frequencies, a scalar system, or a table `(f_hz, size)`. |W v' T v| <= 1 is asked,
@@ -70,7 +71,7 @@ def by_direction(
         controller, with all its cross terms; the least `limit.attenuation_db` is reached where directions do not mix.
 
     Raises:
-        InputError: the plant is not square or not stable, or the directions are no unit vectors.
+        InputError: the plant is not stable, or the directions are no unit vectors.
 
     >>> G = StateSpace(0.9 * np.eye(2), np.diag([0.1, 0.02]), np.eye(2), np.zeros((2, 2)), rate_hz=1000.0)
     >>> weak, strong = by_direction(G, (20.0, 100.0), 6.0, control_gain=10.0, basis=30)
@@ -84,9 +85,9 @@ def by_direction(
     band = rising_band(WHO, band_hz, plant.rate_hz)
     between(WHO, "peak_db", peak_db, 0.0, 300.0, "dB")
     whole(WHO, "basis", basis, 7)
-    if plant.D.shape[0] != plant.D.shape[1] or not plant.is_stable():
-        raise InputError(f"{WHO}: the plant must be square and stable, got {plant.D.shape[0]} x {plant.D.shape[1]}.")
-    V = principal(plant, band) if directions is None else _unit(directions, plant.D.shape[0])
+    if not plant.is_stable():
+        raise InputError(f"{WHO}: the plant must be stable; limits of several channels are not known for another.")
+    V = moved(plant, band) if directions is None else _unit(directions, plant.D.shape[0])
     weight = checked_uncertainty(plant, _over_all(uncertainty))
     return tuple(one_direction(plant, v, band, peak_db, control_gain, basis, weight) for v in V.T)
 
@@ -108,13 +109,14 @@ def one_direction(
     uncertainty: "StateSpace | tuple[FloatArray, FloatArray] | None" = None,
 ) -> DirectionLimit:
     """Return the limit along one unit vector."""
-    search = LimitSearch(stabilised(along(plant, v)), band, basis)
+    w = driven(plant, v, band)
+    search = LimitSearch(stabilised(along(plant, v, w)), band, basis)
     if not np.any(search.lines.b[search.inside]):
         return DirectionLimit(v, refused(f"{WHO}: the plant does not answer along this direction in the band."), 0.0)
     gain = largest_control(control_gain, search.lines, search.inside)
     wishes = Wishes(band, 10 ** (peak_db / 20), gain, uncertainty)
-    all_actuators = None if plant.D.shape == (1, 1) else AllActuators(plant, v, search.circle)
-    return DirectionLimit(v, search.limit(wishes, bounded_by=all_actuators), coupling_db(plant, v, band))
+    all_actuators = None if plant.D.shape[1] == 1 else AllActuators(plant, v, search.circle)
+    return DirectionLimit(v, search.limit(wishes, bounded_by=all_actuators), coupling_db(plant, v, w, band))
 
 
 def _unit(directions: ArrayLike, channels: int) -> FloatArray:

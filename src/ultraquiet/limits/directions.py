@@ -44,21 +44,43 @@ def principal(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
     return np.linalg.eigh(power.mean(axis=0).real)[1]
 
 
-def along(plant: StateSpace, v: FloatArray) -> StateSpace:
-    """Return v' G v, with states of no account removed."""
-    B, C = plant.B @ v[:, None], v[None, :] @ plant.C
-    M = plant.A, B, C, v[None, :] @ plant.D @ v[:, None]
+def moved(plant: StateSpace, band_hz: tuple[float, float]) -> FloatArray:
+    """Return the principal directions that the plant can move at once: no more than it has inputs.
+
+    Where G has more outputs than inputs, each frequency has unit vectors n with n* G = 0, so n* S = n*: there no
+    controller does anything, and the worst of all directions stays at 0 dB or above.
+    """
+    ny, nu = plant.D.shape
+    return principal(plant, band_hz)[:, max(ny - nu, 0) :]
+
+
+def driven(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
+    """Return the unit vector over the inputs that stands for v: itself for a square plant.
+
+    Else the one that moves v' G most in the mean over the band.
+    """
+    if plant.D.shape[0] == plant.D.shape[1]:
+        return v
+    row = v @ np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
+    row = row / np.maximum(np.linalg.norm(row, axis=1), np.finfo(float).tiny)[:, None]
+    return np.linalg.eigh(np.real(row.conj().T @ row))[1][:, -1]
+
+
+def along(plant: StateSpace, v: FloatArray, w: FloatArray) -> StateSpace:
+    """Return v' G w, with states of no account removed."""
+    B, C = plant.B @ w[:, None], v[None, :] @ plant.C
+    M = plant.A, B, C, v[None, :] @ plant.D @ w[:, None]
     if plant.D.shape == (1, 1) or not plant.is_stable():
         return StateSpace(*M, rate_hz=plant.rate_hz)
     M = balance.without_faint(M, NEGLIGIBLE, discrete=plant.rate_hz is not None)
     return StateSpace(*M, rate_hz=plant.rate_hz)
 
 
-def coupling_db(plant: StateSpace, v: FloatArray, band_hz: tuple[float, float]) -> float:
+def coupling_db(plant: StateSpace, v: FloatArray, w: FloatArray, band_hz: tuple[float, float]) -> float:
     """Return how far at worst over the band what leaves the direction lies below what stays in it, dB."""
     G = np.moveaxis(plant.frequency_response(np.geomspace(*band_hz, BAND_POINTS)), 2, 0)
-    own = np.abs(v @ G @ v)
-    other = np.sqrt(np.maximum(np.linalg.norm(G @ v, axis=1) ** 2 - own**2, 0.0))
+    own = np.abs(v @ G @ w)
+    other = np.sqrt(np.maximum(np.linalg.norm(G @ w, axis=1) ** 2 - own**2, 0.0))
     levels = [20 * np.log10(np.maximum(size, np.finfo(float).tiny)) for size in (own, other)]
     return float(min((levels[0] - levels[1]).min(), ALONE_DB))
 

@@ -11,7 +11,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import one_direction
-from ultraquiet.limits.directions import principal
+from ultraquiet.limits.directions import moved
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -27,7 +27,8 @@ class Distance:
 
     Attributes:
         status: `ok` and what it means; `unstable` when the loop is, `not certified` without a bound.
-        attenuation_db: of the design's worst direction over the band.
+        attenuation_db: of the design's worst direction over the band; of a plant with more outputs than inputs, the
+            worst within the constant directions that it moves most, as many as it has inputs.
         peak_db: its largest |S|.
         control_gain: its largest |K S|.
         limit: the best flat attenuation at this peak and gain along `direction`, the one that the plant moves least.
@@ -49,7 +50,7 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
     """Return how much more a band could be attenuated at the design's own peak of S and its own |K S|.
 
     Args:
-        plant: G, square; stable when it has several channels.
+        plant: G; stable when it has several channels.
         controller: K, u = K y.
         band_hz: the quiet band, Hz.
         basis: states of the search, see `best_flat_attenuation`.
@@ -71,35 +72,40 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
     band = rising_band(WHO, band_hz, plant.rate_hz)
     same_rate(WHO, "the plant", plant.rate_hz, "the controller", controller.rate_hz)
     ny, nu = plant.D.shape
-    if ny != nu or controller.D.shape != (nu, ny):
-        raise InputError(f"{WHO}: the plant is {ny} x {nu}, the controller {controller.D.shape}; both must be square.")
+    if controller.D.shape != (nu, ny):
+        raise InputError(
+            f"{WHO}: the plant is {ny} x {nu} (outputs x inputs), so the controller must be {nu} x {ny}; got "
+            f"{controller.D.shape[0]} x {controller.D.shape[1]}."
+        )
     control = _control(plant, controller)
     if not control.is_stable():
         return Distance(Status(StatusWord.UNSTABLE, "The loop is unstable; it has no distance to a limit."))
-    if ny > 1 and not plant.is_stable():
+    if max(ny, nu) > 1 and not plant.is_stable():
         return Distance(Status(StatusWord.REFUSED, f"{WHO}: limits of several channels need a stable plant."))
+    V = moved(plant, band)
     own, peak_db, gain = (
-        _worst_db(plant, controller, band),
+        _worst_db(plant, controller, band, V),
         peak_sensitivity(plant, controller)[0],
         hinf_norm(control)[0],
     )
     if peak_db < NOTHING_DB and abs(own) < NOTHING_DB:
         said = "The controller does nothing, and nothing is what it costs."
         return Distance(Status(StatusWord.OK, said), own, peak_db, gain, left_db=0.0)
-    v = principal(plant, band)[:, 0]
+    v = V[:, 0]
     limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, basis).limit
-    return Distance(_verdict(own, peak_db, gain, limit), own, peak_db, gain, limit, limit.bound_db - own, v)
+    return Distance(_verdict(own, peak_db, gain, limit, ny > nu), own, peak_db, gain, limit, limit.bound_db - own, v)
 
 
-def _verdict(own: float, peak_db: float, gain: float, limit: Limit) -> Status:
+def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) -> Status:
     if not np.isfinite(limit.bound_db):
         return Status(
             StatusWord.NOT_CERTIFIED, f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}"
         )
     return Status(
         StatusWord.OK,
-        f"The worst direction is attenuated by {own:.1f} dB; at the same peak of {peak_db:.1f} dB and |K S| of "
-        f"{gain:.3g} no linear controller exceeds {limit.bound_db:.1f} dB, {limit.bound_db - own:.1f} dB more.",
+        f"The worst direction{' that the plant moves' * tall} is attenuated by {own:.1f} dB; at the same peak of "
+        f"{peak_db:.1f} dB and |K S| of {gain:.3g} no linear controller exceeds {limit.bound_db:.1f} dB, "
+        f"{limit.bound_db - own:.1f} dB more.",
     )
 
 
@@ -112,9 +118,9 @@ def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:
     return lft(StateSpace(plant.A, B, C, D, plant.rate_hz), controller)
 
 
-def _worst_db(plant: StateSpace, controller: StateSpace, band: tuple[float, float]) -> float:
-    """Return the attenuation of the worst direction over the band, dB."""
+def _worst_db(plant: StateSpace, controller: StateSpace, band: tuple[float, float], V: FloatArray) -> float:
+    """Return the attenuation of the worst direction over the band, dB, among those in the columns of V."""
     f = np.geomspace(*band, BAND_POINTS)
     G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
-    S = np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
+    S = V.T @ np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K) @ V
     return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))

@@ -54,7 +54,8 @@ def _inverting(plant: StateSpace, band_hz: Band) -> float:
 
 def _of_band(plant: StateSpace, band_hz: Band, peak_db: float, control_gain: float) -> BandLimit | RefusedBand:
     try:
-        weakest = limits.principal_directions(plant, band_hz)[:, :1]
+        ny, nu = plant.D.shape
+        weakest = limits.principal_directions(plant, band_hz)[:, [max(ny - nu, 0)]]  # of those that move at once
         price = {"control_gain": control_gain, "directions": weakest, "basis": BASIS}
         limit = limits.by_direction(plant, band_hz, peak_db, **price)[0].limit
     except UltraquietError as error:
@@ -66,8 +67,14 @@ def _of_band(plant: StateSpace, band_hz: Band, peak_db: float, control_gain: flo
         attenuation_db=limit.attenuation_db,
         bound_db=limit.bound_db,
         binding=limit.binding,
-        status=str(limit.status),
+        status=f"{limit.status}{_out_of_reach(plant)}",
     )
+
+
+def _out_of_reach(plant: StateSpace) -> str:
+    """Return what no limit speaks of: directions that a plant with more outputs than inputs cannot move."""
+    ny, nu = plant.D.shape
+    return f" {nu} inputs move {nu} of {ny} directions at a time; in the others nothing is reached." * (ny > nu)
 
 
 def _of_design(plant: StateSpace, law: StateSpace, band_hz: Band) -> DesignLimit | NoDistance:
@@ -83,5 +90,5 @@ def _of_design(plant: StateSpace, law: StateSpace, band_hz: Band) -> DesignLimit
         limit_db=distance.attenuation_db + distance.left_db,
         left_db=distance.left_db,
         alone_db=distance.limit.attenuation_db if distance.limit else None,
-        status=str(distance.status),
+        status=f"{distance.status}{_out_of_reach(plant)}",
     )

@@ -28,12 +28,31 @@ def check(study: Study, bench: Any, names: Sequence[str]) -> None:
         StudyError: every mistake, in one message.
     """
     mistakes = study.mistakes()
-    if bench is not None:
+    if bench is not None and not reacts(bench):
+        _played(study, mistakes)
+    elif bench is not None:
         _closed_loop(study, bench, mistakes)
         _payload(study, bench, mistakes)
         _campaign(study, bench, mistakes)
     _records(study, names, mistakes)
     mistakes.refuse(StudyError, "study")
+
+
+def reacts(bench: Any) -> bool:
+    """Return whether a bench answers what a controller does; one that plays records back does not."""
+    return reacts(bench.bench) if isinstance(bench, Around) else getattr(bench, "reacts", True)
+
+
+def _played(study: Study, mistakes: Mistakes) -> None:
+    """Note what a study asks to be measured in closed loop on a bench that only plays back."""
+    fault = "the bench plays back its records and cannot react to a controller; leave it away."
+    asked = study.requirements
+    for name in ("closed_loop", "payload", "commission", "campaign"):
+        if name in study.model_fields_set:
+            mistakes.add((name,), f"{name}: {fault}")
+    for key in ("attenuation_db", "peak_db", "tones_db", "payload_db"):
+        if asked is not None and getattr(asked, key) is not None:
+            mistakes.add(("requirements", key), f"requirements.{key}: {fault}")
 
 
 @dataclass(frozen=True)

@@ -158,6 +158,9 @@ def prepared(
         if settings.blending is not None:
             bench, records = _in_modes(own, settings.blending, records, beside, say)
             bench_key = [bench_key, settings.blending]
+        if bench is not None and not preflight.reacts(bench):
+            say("the bench plays back its records: no loop is closed on it")
+            bench = None
         yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key)
 
 

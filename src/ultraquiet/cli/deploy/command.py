@@ -40,6 +40,7 @@ def deploy(
     project: Annotated[
         Path | None, typer.Option(help="Write a folder with CMake and a workflow around the code.")
     ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over what --fmu, --export and --project name.")] = False,
     frame: Annotated[bool, typer.Option("--frame", help="Simulate the real-time frame around the code.")] = False,
     frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
     load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
@@ -68,7 +69,7 @@ def deploy(
         else:
             finish(*deploy_fixed(law, folder, precision, form, system, steps))
         return
-    require_writable(law, fmu, fmi, export)
+    require_writable(law, fmu, fmi, export, project, force)
     targets = requested_targets(target)
     system = None if plant is None else loaded_plant(plant)
     limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}

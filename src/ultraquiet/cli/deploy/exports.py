@@ -4,28 +4,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.constraints import one_of
-from ultraquiet._base.errors import InputError
 from ultraquiet.cli.output.screen import screen
+from ultraquiet.cli.output.targets import require_free, require_free_folder
 
 if TYPE_CHECKING:
     from ultraquiet.deploy import Deployment
     from ultraquiet.values import StateSpace, Status
 
 
-def require_writable(law: "StateSpace", fmu: Path | None, fmi: str, export: list[Path] | None) -> None:
-    """Refuse what could not be written later, before any work is done."""
+def require_writable(
+    law: "StateSpace", fmu: Path | None, fmi: str, export: list[Path] | None, project: Path | None, force: bool
+) -> None:
+    """Refuse what could not be written later, or would write over something, before any work is done."""
     from ultraquiet.deploy import foton_text
     from ultraquiet.deploy.exchange.exchange import FORMATS
     from ultraquiet.deploy.exchange.fmu import VERSIONS
 
     one_of("deploy", "--fmi", fmi, VERSIONS)
-    if fmu is not None and fmu.suffix != ".fmu":
-        raise InputError(f"deploy: --fmu needs a file that ends in '.fmu', got '{fmu}'.")
+    if fmu is not None:
+        require_free("deploy", fmu, force, (".fmu",), "--fmu")
     for path in export or []:
-        if path.suffix.lower() not in FORMATS:
-            raise InputError(f"deploy: --export writes {', '.join(FORMATS)}, got '{path}'.")
+        require_free("deploy", path, force, tuple(FORMATS), "--export")
         if path.suffix.lower() == ".txt":
             foton_text(law)
+    if project is not None:
+        require_free_folder("deploy", project, force, "--project")
 
 
 def show_exports(

@@ -8,14 +8,31 @@ from ultraquiet._base.errors import InputError, StorageError
 ARCHIVES = (".h5", ".hdf5")
 
 
-def require_free(who: str, target: Path, force: bool, suffixes: tuple[str, ...] = ARCHIVES) -> None:
+def require_free(
+    who: str, target: Path, force: bool, suffixes: tuple[str, ...] = ARCHIVES, option: str = "--out"
+) -> None:
     """Refuse a target of another suffix, in a folder that is not there, or one that is taken and may not be replaced.
 
     What takes minutes to compute would be lost for a name.
     """
     if target.suffix.lower() not in suffixes:
-        raise InputError(f"{who}: the result is written as {' or '.join(suffixes)}, got --out '{target}'.")
+        raise InputError(f"{who}: the result is written as {' or '.join(suffixes)}, got {option} '{target}'.")
     if not target.parent.is_dir():
         raise StorageError(f"{who}: there is no folder '{target.parent}' for '{target.name}'; make it first.")
     if os.path.lexists(target) and not force:
-        raise StorageError(f"{who}: '{target}' exists already; choose another --out, or write over it with --force.")
+        raise StorageError(f"{who}: '{target}' exists already; choose another {option}, or write over it with --force.")
+
+
+def require_free_folder(who: str, folder: Path, force: bool, option: str) -> None:
+    """Refuse a folder that holds something and may not be replaced, or a name that is a file's.
+
+    Also with `force` only a folder that this program wrote is replaced; that is looked at where it is written.
+    """
+    if folder.is_dir():
+        if any(folder.iterdir()) and not force:
+            raise StorageError(
+                f"{who}: the folder '{folder}' exists already and is not empty; choose another {option}, or write over "
+                "it with --force."
+            )
+    elif os.path.lexists(folder):
+        raise StorageError(f"{who}: '{folder}' is a file, no folder; choose another {option}.")

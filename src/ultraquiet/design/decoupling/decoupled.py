@@ -12,8 +12,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
-from ultraquiet.design.result import DesignResult, refused
-from ultraquiet.design.robustness import StatedRobustness
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
+from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
+from ultraquiet.design.robustness import WIDEST, StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg import balance
@@ -25,6 +26,10 @@ from ultraquiet.values.state_space import StateSpace
 POINTS = 60
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave a loop
 TWICE = 1e-6  # relative difference below which two loops are one, used twice
+# Times the margin of the whole that every block is to keep: its channels are combinations of the plant's, and what
+# couples the blocks takes its share.
+MORE = (1.0, 1.5, 2.5, 4.0, 6.0)
+Split = tuple[FloatArray, FloatArray, list[list[int]]]
 
 
 @register("design", "decoupled")
@@ -32,13 +37,17 @@ TWICE = 1e-6  # relative difference below which two loops are one, used twice
 class Decoupled(StatedRobustness):
     """K = Tu diag(K1, K2, ...) Ty', each Ki designed for its own block of Ty' G Tu by any registered method.
 
+    Blocks that take the plant as their measure are asked for one to six times `disk_margin`, until the whole keeps it.
+
     Args:
         transform: `threefold` (six struts in three alike pairs: heave, yaw, one 2x2 used twice), `data` (orthonormal,
-            from the symmetric parts of G over the band, blocks as the data have them), `svd` (of the real part nearest
-            to G in the middle of the band, all loops single), or a square orthonormal matrix, row by row.
+            from the symmetric parts of G over the band, blocks as the data have them; where the plant's own units show
+            none, of the plant with its channels evened out), `svd` (of the real part nearest to that even plant in the
+            middle of the band, all loops single), or a square orthonormal matrix, row by row.
         method: registered design for the blocks.
         settings: of that method, as a table.
-        band_hz: where the transform is sought and the residue read, Hz.
+        band_hz: where the transform is sought and the residue read, Hz; absent, the band in `settings`, else the
+            plant's own.
         tolerance: share of G's size below which the coupling of two loops is neglected (`data` and matrices).
 
     >>> one = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
@@ -53,12 +62,13 @@ class Decoupled(StatedRobustness):
     transform: str | tuple[tuple[float, ...], ...] = "data"
     method: str = "band-attenuation"
     settings: Mapping[str, Any] = field(default_factory=dict)
-    band_hz: tuple[float, float] = (10.0, 100.0)
+    band_hz: tuple[float, float] | None = None
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rising_band("Decoupled", self.band_hz)
+        if self.band_hz is not None:
+            rising_band("Decoupled", self.band_hz)
         between("Decoupled", "tolerance", self.tolerance, 0.0, 1.0)
 
     @takes_systems
@@ -76,19 +86,44 @@ class Decoupled(StatedRobustness):
         ny, nu = plant.D.shape
         if ny != nu:
             raise InputError(f"Decoupled: the plant must be square, got {ny} outputs and {nu} inputs.")
-        low, high = rising_band("Decoupled", self.band_hz, plant.rate_hz)
-        G = np.moveaxis(plant.frequency_response(np.geomspace(low, high, POINTS)), 2, 0)
+        even = even_plant(plant, self.band_hz or self._settings().get("band_hz"), "Decoupled")
+        G = np.moveaxis(plant.frequency_response(np.geomspace(*even.band_hz, POINTS)), 2, 0)
         if not np.all(np.any(G, axis=(1, 2))):
+            low, high = even.band_hz
             raise InputError(
                 f"Decoupled: the plant does not answer in {low:g}-{high:g} Hz; nothing can be turned there."
             )
-        Ty, Tu, blocks = self._found(G)
+        split = self._found(G, even)
+        best: DesignResult | None = None
+        for ask in self._asked():
+            result = self._joined(plant, even.band_hz, G, split, ask)
+            if result.controller is None:
+                return best or result
+            best = result if best is None or _kept(result) > _kept(best) else best
+            # numbers that are given ask for the same laws again, whatever margin is asked of a block
+            if result.status.ok or not all("gain" in r.details for r in result.details["loops"]):
+                break
+        assert best is not None
+        return best
+
+    def _asked(self) -> tuple[float | None, ...]:
+        """Return the disk margins to ask of every block in turn; None leaves it to the settings of the method."""
+        if "disk_margin" in self._settings() or not self.disk_margin:
+            return (None,)
+        return tuple(min(more * self.disk_margin, WIDEST) for more in MORE)
+
+    def _joined(
+        self, plant: StateSpace, band_hz: tuple[float, float], G: ComplexArray, split: Split, ask: float | None
+    ) -> DesignResult:
+        """Return the joined controller of blocks that each keep a margin by themselves, judged on the whole plant."""
+        Ty, Tu, blocks = split
         H = Ty.T @ G @ Tu
-        laws, loops = [], []
+        laws: list[StateSpace] = []
+        loops: list[DesignResult] = []
         for block in blocks:
             part = portion(plant, Ty[:, block], Tu[:, block])
             known = next((i for i, b in enumerate(blocks[: len(laws)]) if _same(H, b, block)), None)
-            result = loops[known] if known is not None else self._method(part).design(part)
+            result = loops[known] if known is not None else self._method(part, ask).design(part)
             if result.controller is None:
                 return refused(
                     f"Decoupled: the loop of channels {block} has no controller: {result.status.sentence}",
@@ -105,46 +140,65 @@ class Decoupled(StatedRobustness):
             "blocks": blocks,
             "residue": residue(H, blocks),
             "loops": loops,
-            "attenuation_db": worst_attenuation_db(plant, law, self.band_hz),
+            "band_hz": band_hz,
+            "attenuation_db": worst_attenuation_db(plant, law, band_hz),
         }
         nan = float("nan")
         return judged(plant, law, self, max((r.gamma for r in loops), default=nan), nan, {}, details)
 
-    def _method(self, part: StateSpace) -> Any:
-        kind = lookup("design", self.method)
+    def _settings(self) -> Mapping[str, Any]:
         if not isinstance(self.settings, Mapping):
             raise InputError(f"Decoupled: 'settings' must be a table of names and values, got {self.settings!r}.")
+        return self.settings
+
+    def _method(self, part: StateSpace, ask: float | None = None) -> Any:
+        kind = lookup("design", self.method)
         known = [f.name for f in fields(kind)]
         wrong = [k for k in self.settings if k not in known]
         if wrong:
             raise InputError(f"Decoupled: '{self.method}' has no setting '{wrong[0]}', only {', '.join(known)}.")
         method = kind(**self.settings)
+        method = method if ask is None or "disk_margin" not in known else replace(method, disk_margin=ask)
         # one law repeated on all channels is meant for the whole plant: here every loop has its own
         several = part.D.shape[0] > 1 and getattr(method, "structure", FULL) == REPEATED
         return replace(method, structure=FULL) if several and kind.__name__ == "BandAttenuation" else method
 
-    def _found(self, G: ComplexArray) -> tuple[FloatArray, FloatArray, list[list[int]]]:
+    def _found(self, G: ComplexArray, even: EvenPlant) -> Split:
         n = G.shape[1]
         if self.transform == "threefold":
             if n != 6:
                 raise InputError(f"Decoupled: 'threefold' is for six struts, the plant has {n} channels.")
             T = threefold()
             return T, T, [[0], [1], [2, 3], [4, 5]]
+        # channels in units of many kinds weigh alike in the even plant
+        scaled = G * even.outputs[:, None] * even.inputs
         if self.transform == "svd":
-            middle = G[len(G) // 2]
-            U, _, Vt = np.linalg.svd(nearest_real(middle))
-            return U, Vt.T, [[k] for k in range(n)]
+            U, _, Vt = np.linalg.svd(nearest_real(scaled[len(G) // 2]))
+            return even.outputs[:, None] * U, even.inputs[:, None] * Vt.T, [[k] for k in range(n)]
         if self.transform == "data":
             T = common_axes(G)
-        elif isinstance(self.transform, str):
+            blocks = _blocks(T.T @ G @ T, self.tolerance)
+            # a symmetry shows in common units alone; what is left out must be small in even units too
+            outside = T @ _outside(T.T @ G @ T, blocks) @ T.T * even.outputs[:, None] * even.inputs
+            if len(blocks) > 1 and _share(outside, scaled) <= self.tolerance:
+                return T, T, blocks
+            T = common_axes(scaled)
+            return even.outputs[:, None] * T, even.inputs[:, None] * T, _blocks(T.T @ scaled @ T, self.tolerance)
+        if isinstance(self.transform, str):
             raise InputError(
                 f"Decoupled: 'transform' must be 'threefold', 'data', 'svd' or a matrix, got {self.transform!r}."
             )
-        else:
-            T = real_array("Decoupled", "transform", self.transform, 2)
-            if T.shape != (n, n) or not np.allclose(T.T @ T, np.eye(n), atol=1e-6):
-                raise InputError(f"Decoupled: the matrix must be ({n}, {n}) and orthonormal, got shape {T.shape}.")
+        T = real_array("Decoupled", "transform", self.transform, 2)
+        if T.shape != (n, n) or not np.allclose(T.T @ T, np.eye(n), atol=1e-6):
+            raise InputError(f"Decoupled: the matrix must be ({n}, {n}) and orthonormal, got shape {T.shape}.")
         return T, T, _blocks(T.T @ G @ T, self.tolerance)
+
+
+def _kept(result: DesignResult) -> float:
+    """Return the smaller disk margin of a loop, below zero for one that is unstable."""
+    if result.status.word not in STABLE_WORDS:
+        return -1.0
+    return min(float(end.disk_all) for end in result.margins.values())
 
 
 def threefold() -> FloatArray:
@@ -191,11 +245,18 @@ def nearest_real(g: ComplexArray) -> FloatArray:
 
 def residue(H: ComplexArray, blocks: list[list[int]]) -> float:
     """Return the largest norm outside the blocks over the norm of the whole, over `(frequency, n, n)`."""
+    return _share(_outside(H, blocks), H)
+
+
+def _outside(H: ComplexArray, blocks: list[list[int]]) -> ComplexArray:
     inside = np.zeros(H.shape[1:], dtype=bool)
     for block in blocks:
         inside[np.ix_(block, block)] = True
-    rest = np.where(inside, 0.0, H)
-    return float(np.max(np.linalg.norm(rest, 2, axis=(1, 2)) / np.linalg.norm(H, 2, axis=(1, 2))))
+    return np.where(inside, 0.0, H)
+
+
+def _share(part: ComplexArray, whole: ComplexArray) -> float:
+    return float(np.max(np.linalg.norm(part, 2, axis=(1, 2)) / np.linalg.norm(whole, 2, axis=(1, 2))))
 
 
 def portion(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpace:

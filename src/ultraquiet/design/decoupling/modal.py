@@ -1,23 +1,28 @@
 """Independent modal-space control: damping asked for each mode of the plant's own modal form."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, positive
+from ultraquiet._base.constraints import FloatArray, positive, rising_band
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.fixed_structure.specification import Specification
+from ultraquiet.design.gain_search import from_plant
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 NEAR = 1e-6  # relative: an eigenvalue this near to where a mode was is that mode
+# What each of these numbers is where only the other is given; with neither, the plant is the measure.
+ABSOLUTE = {"disturbance": 1.0, "sensor_noise": 1e-2}
 
 
 @register("design", "modal")
@@ -28,11 +33,17 @@ class Modal(StatedRobustness):
     A mode with left vectors W (W A = L W) is moved by u = d f W x alone: all other eigenvalues stay. d is the
     combination of actuators that drives the mode most, f places its pair.
 
+    By default the filter takes the plant as its measure: its channels are evened out over the band (`even_plant`), the
+    disturbance has variance one at its inputs and the noise 1 / g^2 at its outputs, g halved from 32 until the loop
+    keeps `disk_margin` at both ends. Who gives a variance gets exactly that, in the plant's own units.
+
     Args:
-        band_hz: modes between these frequencies are damped, Hz.
+        band_hz: modes between these frequencies are damped, Hz; those in the plant's own band when absent.
         zeta: damping asked, of all of them or one number for each in rising frequency; modes with more are left.
-        disturbance: variance of the disturbance at the plant's inputs, volts squared, for the filter.
-        sensor_noise: variance at its outputs. More of it makes a slower, calmer filter.
+        disturbance: variance of the disturbance at the plant's inputs, input units squared, for the filter; 1 where
+            only the noise is given.
+        sensor_noise: variance at its outputs, 0.01 where only the disturbance is given. More of it makes a slower,
+            calmer filter.
 
     >>> plant = StateSpace([[0.98, 0.1], [-0.1, 0.98]], [[0.0], [0.1]], [[0.0, 1.0]], [[0.0]], rate_hz=1000.0)
     >>> result = Modal(band_hz=(5.0, 50.0), zeta=0.3).design(plant)
@@ -43,15 +54,18 @@ class Modal(StatedRobustness):
     doi:10.1016/S0019-9958(68)90834-8.
     """
 
-    band_hz: tuple[float, float] = (5.0, 120.0)
+    band_hz: tuple[float, float] | None = None
     zeta: float | tuple[float, ...] = 0.15
-    disturbance: float = 1.0
-    sensor_noise: float = 1e-2
+    disturbance: float | None = None
+    sensor_noise: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        positive("Modal", "disturbance", self.disturbance)
-        positive("Modal", "sensor_noise", self.sensor_noise)
+        for name in ABSOLUTE:
+            if getattr(self, name) is not None:
+                positive("Modal", name, getattr(self, name))
+        if self.band_hz is not None:
+            rising_band("Modal", self.band_hz)
         if isinstance(self.zeta, list):
             object.__setattr__(self, "zeta", tuple(self.zeta))
         if np.any(np.asarray(self.zeta) <= 0) or np.any(np.asarray(self.zeta) >= 1):
@@ -67,14 +81,33 @@ class Modal(StatedRobustness):
         """
         if plant.rate_hz is None:
             raise InputError("Modal: the plant is in continuous time; discretise it first.")
-        if self.band_hz[1] >= plant.rate_hz / 2:
+        if self.band_hz is not None and self.band_hz[1] >= plant.rate_hz / 2:
             raise InputError(
                 f"Modal: the band ends at {self.band_hz[1]:g} Hz, at or above Nyquist, {plant.rate_hz / 2:g} Hz."
             )
+        if self.disturbance is None and self.sensor_noise is None:
+            return from_plant(plant, self, self._attempt, self.band_hz)
+        found = replace(self, band_hz=self.band_hz or even_plant(plant).band_hz)._found(plant)
+        law = found.controller
+        if law is None:
+            return found
+        details = dict(found.details)
+        if plant.D.shape[0] == plant.D.shape[1]:
+            details["score"] = Specification(band_hz=details["band_hz"]).score(plant, law)
+        return judged(plant, law, self, found.gamma, found.achieved, found.residuals, details)
+
+    def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        """Return what is found for the even plant when the sensors' noise is 1 / g^2."""
+        return replace(self, band_hz=even.band_hz, disturbance=1.0, sensor_noise=g**-2)._found(even.plant)
+
+    def _found(self, plant: StateSpace) -> DesignResult:
+        """Return the controller for settings that are all given, its loop not yet judged, or a refusal."""
+        assert self.band_hz is not None
+        disturbance, noise = (_number(self, name) for name in ABSOLUTE)
         try:
-            F, modes = self._feedback(plant)
-            Q = plant.B @ plant.B.T * self.disturbance
-            R = self.sensor_noise * np.eye(plant.D.shape[0])
+            F, modes = self._feedback(plant, self.band_hz)
+            Q = plant.B @ plant.B.T * disturbance
+            R = noise * np.eye(plant.D.shape[0])
             filtering = discrete_riccati(plant.A.T, plant.C.T, Q, R)
         except NumericalError as error:
             return refused(f"Modal: {error}")
@@ -82,17 +115,18 @@ class Modal(StatedRobustness):
         L = np.linalg.solve(R + plant.C @ X @ plant.C.T, plant.C @ X @ plant.A.T).T
         A = plant.A + plant.B @ F - L @ (plant.C + plant.D @ F)
         law = StateSpace(A, L, F, np.zeros((plant.D.shape[1], plant.D.shape[0])), plant.rate_hz)
-        details = {"modes": modes}
-        if plant.D.shape[0] == plant.D.shape[1]:
-            details["score"] = Specification(band_hz=self.band_hz).score(plant, law)  # type: ignore[assignment]
-        return judged(plant, law, self, float("nan"), float("nan"), {"filter": filtering.residual}, details)
+        nan = float("nan")
+        status = Status(StatusWord.OK, f"Damping is placed for {len(modes)} modes.")
+        details = {"modes": modes, "band_hz": self.band_hz}
+        return DesignResult(status, law, nan, nan, residuals={"filter": filtering.residual}, details=details)
 
-    def _feedback(self, plant: StateSpace) -> tuple[FloatArray, list[dict[str, float]]]:
+    def _feedback(self, plant: StateSpace, band_hz: tuple[float, float]) -> tuple[FloatArray, list[dict[str, float]]]:
         """Return F and what it does, one mode after the other."""
         rate = plant.rate_hz or 1.0
         poles = np.linalg.eigvals(plant.A)
         s = np.log(poles[(np.abs(poles) > NEAR) & (poles.imag > 0)]) * rate
-        inside = (np.abs(s) >= 2 * np.pi * self.band_hz[0]) & (np.abs(s) <= 2 * np.pi * self.band_hz[1])
+        low, high = 2 * np.pi * np.asarray(band_hz)
+        inside = (np.abs(s) >= low) & (np.abs(s) <= high)
         chosen = s[inside][np.argsort(np.abs(s[inside]))]
         wanted = np.atleast_1d(np.asarray(self.zeta, dtype=np.float64))
         if wanted.size not in (1, chosen.size):
@@ -106,6 +140,12 @@ class Modal(StatedRobustness):
                 target = np.exp(w * (-after + 1j * np.sqrt(1 - after**2)) / rate)
                 F = F + _moved(plant.A + plant.B @ F, plant.B, np.exp(pole / rate), target)
         return F, modes
+
+
+def _number(settings: Modal, name: str) -> float:
+    """Return a variance as given, or what it is where only the other is."""
+    given: float | None = getattr(settings, name)
+    return ABSOLUTE[name] if given is None else given
 
 
 def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> FloatArray:

@@ -1,6 +1,6 @@
 """Loop shaping: the loop's gain drawn first, then stabilised as robustly as that gain allows."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,9 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.singular import singular_values
+from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf import coprime_stabilisation as coprime
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
@@ -26,11 +28,15 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import four_block
 from ultraquiet.values.interconnect import append, gain, lft, series
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 WHO = "LoopShaping"
 AGREEMENT = 1e-3  # the achieved norm may pass the level designed for by this share
 WEAKEST = 1e-3  # directions weaker than this share of the strongest are not raised when the plant is aligned
 FALL = 0.1  # what the numbers' weight falls to beyond the roll-off, where it has one slope
+# What each of these numbers is where only others are given; with none, the plant is the measure.
+ABSOLUTE = {"height": 4.0, "floor": 0.05}
+FURTHER = 5.0  # times the band's upper corner: where the loop is to end when nobody says it
 
 
 @register("design", "loop-shaping")
@@ -41,18 +47,24 @@ class LoopShaping(StatedRobustness):
     Gs = W2 G W1 = M^-1 N, M M* + N N* = I. Ks minimises ||[I; K] (I - Gs K)^-1 M^-1||, whose smallest value is
     gamma_min = sqrt(1 + rho(X Z)) in closed form; K = W1 Ks W2.
 
+    By default the plant is the measure: its channels are evened out over the band (`even_plant`), and the height is
+    halved from 32 until the loop keeps `disk_margin` at both ends. Who gives W1, W2, a height, a floor or a roll-off
+    gets exactly that, in the plant's own units, the others as stated below.
+
     Args:
         pre: W1 at the plant's inputs, `(1, 1)`, `(nu, nu)` or numbers (see `weight`); integrators are welcome. Absent,
             it is made from the numbers below.
         post: W2 at the plant's outputs, `(1, 1)`, `(ny, ny)` or numbers; one when absent.
-        band_hz: corners of the band where the loop is to be high, Hz.
-        height: geometric mean of the loop's gains over the band and all directions.
+        band_hz: corners of the band where the loop is to be high, Hz; the plant's own band when absent.
+        height: geometric mean of the loop's gains over the band and all directions; 4 where only others are given.
         align: whether W1 starts with the real matrix that makes the plant nearest to one at the band's centre, so that
-            the loop is as high in its weak directions as in its strong ones; square plants only.
-        floor: share of it that is left far outside the band.
+            the loop is as high in its weak directions as in its strong ones; square plants only. By default it is
+            left away where it costs the margin.
+        floor: share of it that is left far outside the band, 0.05 likewise.
         order: states of the band-pass per channel, even.
         integral_hz: below this frequency the loop rises like an integrator, Hz; none when absent.
-        roll_off_hz: beyond this frequency the loop falls by 20 dB per decade more, Hz; 0.4 of the rate at most.
+        roll_off_hz: beyond this frequency the loop falls by 20 dB per decade more, Hz; five times the band's upper
+            corner when absent, 0.4 of the rate at most.
         tones_hz: frequencies at which the loop has peaks besides, Hz.
         tone_height: extra gain at each tone.
         tone_zeta: half the relative width of the peaks.
@@ -72,13 +84,13 @@ class LoopShaping(StatedRobustness):
 
     pre: Weight | None = None
     post: Weight | None = None
-    band_hz: tuple[float, float] = (9.0, 108.0)
-    height: float = 4.0
-    floor: float = 0.05
+    band_hz: tuple[float, float] | None = None
+    height: float | None = None
+    floor: float | None = None
     align: bool = True
     order: int = 4
     integral_hz: float | None = None
-    roll_off_hz: float = 500.0
+    roll_off_hz: float | None = None
     tones_hz: tuple[float, ...] = ()
     tone_height: float = 100.0
     tone_zeta: float = 0.002
@@ -87,7 +99,8 @@ class LoopShaping(StatedRobustness):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("height", "floor", "roll_off_hz", "tone_height", "tone_zeta"):
-            positive(WHO, name, getattr(self, name))
+            if getattr(self, name) is not None:
+                positive(WHO, name, getattr(self, name))
         if not positive(WHO, "margin", self.margin) >= 1:
             raise InputError(f"{WHO}: 'margin' must be at least one, got {self.margin!r}.")
 
@@ -99,8 +112,41 @@ class LoopShaping(StatedRobustness):
         `gamma` is the norm with the coprime factor M, `achieved` that of [I; Ks] (I - Gs Ks)^-1 [I, Gs], which is the
         same number by another way. `details` holds `gamma_min` and `gamma_min_mapped`, the same through the bilinear
         map; `epsilon`, the stability margin reached; `f_hz`, `wanted` and `loop`, the singular values of Gs and Gs Ks
-        over frequency; `weights`; `shaped`, Gs; `stabiliser`, Ks; `observer`, its gains F and H.
+        over frequency; `weights`; `shaped`, Gs; `stabiliser`, Ks; `observer`, its gains F and H. By default
+        it says besides which band, units and height the plant gave (`from_plant`).
         """
+        if self._measured_by_the_plant():
+            aligned = from_plant(plant, self, self._attempt, self.band_hz)
+            if aligned.status.ok or not self.align or plant.D.shape[0] != plant.D.shape[1]:
+                return aligned
+            # a direction that the plant hardly has is not raised robustly; as it is, it does no harm
+            plain = replace(self, align=False)
+            other = from_plant(plant, plain, plain._attempt, self.band_hz)
+            return other if other.status.ok else aligned
+        found = self._found(plant)
+        law = found.controller
+        if law is None:
+            return found
+        return judged(plant, law, self, found.gamma, found.achieved, found.residuals, found.details)
+
+    def _measured_by_the_plant(self) -> bool:
+        given = (self.pre, self.post, self.roll_off_hz, *(getattr(self, name) for name in ABSOLUTE))
+        return all(setting is None for setting in given)
+
+    def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        """Return what is found for the even plant at the height g, its weights as those of the plant."""
+        found = replace(self, band_hz=even.band_hz, height=g)._found(even.plant)
+        if found.controller is None:
+            return found
+        rate, weights = even.plant.rate_hz, found.details["weights"]
+        units = {
+            "pre": series(weights["pre"], gain(np.diag(even.inputs), rate)),
+            "post": series(gain(np.diag(even.outputs), rate), weights["post"]),
+        }
+        return replace(found, details={**found.details, "weights": units})
+
+    def _found(self, plant: StateSpace) -> DesignResult:
+        """Return the controller and what the equations say of it, its loop not yet judged, or a refusal."""
         weights = self.weights(plant)
         shaped = _even(series(series(weights["pre"], plant), weights["post"]))
         M = (shaped.A, shaped.B, shaped.C, shaped.D)
@@ -130,7 +176,8 @@ class LoopShaping(StatedRobustness):
         }
         residuals = {"X": stabiliser.residuals[0], "Z": stabiliser.residuals[1]}
         K = series(series(weights["post"], law), weights["pre"])
-        return judged(plant, K, self, gamma, achieved, residuals, details)
+        status = Status(StatusWord.OK, f"The shaped loop stands a coprime-factor error of {1 / achieved:.3g}.")
+        return DesignResult(status, K, gamma, achieved, residuals=residuals, details=details)
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return W1 as `pre` and W2 as `post`, in full size at the plant's rate."""
@@ -139,29 +186,39 @@ class LoopShaping(StatedRobustness):
         if self.pre is not None:
             return {"pre": weight(WHO, "pre", self.pre, nu, plant.rate_hz, integrators=True), "post": post}
         seen = series(plant, post)
+        band_hz = self.band_hz or even_plant(plant).band_hz
         square = seen.D.shape == (nu, nu)
-        mix = gain(_aligning(seen, float(np.sqrt(np.prod(self.band_hz)))) if self.align and square else np.eye(nu))
+        mix = gain(_aligning(seen, float(np.sqrt(np.prod(band_hz)))) if self.align and square else np.eye(nu))
         mix = StateSpace(mix.A, mix.B, mix.C, mix.D, plant.rate_hz)
-        shape = self._shape(series(mix, seen))
+        shape = self._shape(series(mix, seen), band_hz)
         return {"pre": series(append(*[shape] * nu), mix), "post": post}
 
-    def _shape(self, plant: StateSpace) -> StateSpace:
+    def _number(self, name: str) -> float:
+        """Return a number as given, or what it is where only others are."""
+        given: float | None = getattr(self, name)
+        return ABSOLUTE[name] if given is None else given
+
+    def _shape(self, plant: StateSpace, band_hz: tuple[float, float]) -> StateSpace:
         """Return the weight of one channel that the numbers describe, scaled to the height asked for."""
         rate = plant.rate_hz
-        shape = band_pass(self.band_hz, 1.0, self.floor, self.order, rate)
-        shape = series(shape, high_pass(below_nyquist(self.roll_off_hz, rate), 1.0, FALL, 1, rate))
+        shape = band_pass(band_hz, 1.0, self._number("floor"), self.order, rate)
+        end = below_nyquist(self.roll_off_hz or FURTHER * band_hz[1], rate)
+        shape = series(shape, high_pass(end, 1.0, FALL, 1, rate))
         if self.integral_hz is not None:
             w = 2 * np.pi * positive(WHO, "integral_hz", self.integral_hz, "Hz")
             shape = series(shape, rational(1.0, (-w,), (0.0,), rate, 1))
-        f = np.geomspace(*self.band_hz, 100)
+        f = np.geomspace(*band_hz, 100)
         sizes = singular_values(plant, f) * np.abs(shape.frequency_response(f)[0, 0])
         if not np.all(sizes[0] > 0):
-            raise InputError(f"{WHO}: the plant has no gain over 'band_hz'; no loop can be shaped there.")
+            raise InputError(
+                f"{WHO}: the plant has no gain over 'band_hz', {band_hz[0]:.4g}-{band_hz[1]:.4g} Hz; no loop can be "
+                "shaped there."
+            )
         # directions that the plant cannot move at all are left out of the mean
         mean = float(np.exp(np.mean(np.log(np.maximum(sizes, 1e-6 * sizes[0])))))
         for tone_hz in self.tones_hz:
             shape = series(shape, peak(tone_hz, self.tone_height, self.tone_zeta, rate))
-        return series(shape, gain([[self.height / mean]], rate))
+        return series(shape, gain([[self._number("height") / mean]], rate))
 
     def _stabilised(self, M: coprime.Matrices, discrete: bool) -> coprime.Stabiliser:
         if not discrete:

@@ -5,16 +5,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, positive, whole
+from ultraquiet._base.constraints import FloatArray, positive, rising_band, whole
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
+from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.mu.scalings import Scaling, constant, fitted, scaled
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.verification import from_synthesis
+from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.values.door import takes_systems
@@ -30,6 +32,12 @@ PATIENCE = 2  # iterations without gain
 # Scalings go further than the bound's by this share of the way; more after a success, less after a failure.
 PUSH, LARGEST_PUSH, LEAST_PUSH = 1.0, 4.0, 0.2
 DECADE, DECADES = 10.0, 4  # steps and range of the constant scalings that start the iteration
+# What each of these numbers is where only others are given; with none, the plant is the measure.
+ABSOLUTE = {"height": 4.0, "floor": 0.4}
+ERROR, ERROR_BEYOND = 0.1, 2.0  # of an actuator in the band and far beyond it
+FURTHER = 5.0  # times the band's upper corner: where control is to end
+RISE = 10.0  # of the weight on u, from there on
+REACH = 10.0  # times its height: what K S may be in the units of the even plant
 Blocks = tuple[tuple[int, int], ...]
 
 
@@ -59,22 +67,23 @@ class MuSynthesis(StatedRobustness):
         on_outputs: Wo, relative error of each sensor; none when absent.
         performance: Wp on every output; absent, a band-pass from the numbers below.
         control: Wc on every input; absent, a gain that rises at high frequency from 1 / `control_limit`.
-        band_hz: corners of the band to be quiet, Hz.
-        height: gain of Wp in the band.
-        floor: gain of Wp outside it.
+        band_hz: corners of the band to be quiet, Hz; the plant's own band when absent.
+        height: gain of Wp in the band, 4 where only others are given.
+        floor: gain of Wp outside it, 0.4 likewise.
         order: states of Wp per channel, even.
         tones_hz: frequencies at which Wp has peaks besides, Hz.
         tone_height: extra gain of Wp at each tone.
         tone_zeta: half the relative width of the peaks.
-        control_limit: allowed gain from sensor to actuator, V/V; None leaves K S without a weight.
-        roll_off_hz: where control is to end, Hz.
+        control_limit: allowed gain from sensor to actuator, in their units; where others are given and this is not,
+            K S has no weight.
+        roll_off_hz: where control is to end, Hz; five times the band's upper corner when absent.
         iterations: D-K iterations at most. Plain H-infinity comes first, then constant scalings while these help; a
             dozen iterations and filters of order six reach the last few per cent.
         scaling_order: states of each scaling at most; a small one is taken where it is as good.
         margin: each controller is formed at margin times the smallest norm.
 
     >>> lag = StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]])
-    >>> design = MuSynthesis(on_inputs=0.2, performance=(10.0, 0.02, 0.5), control_limit=None, iterations=2)
+    >>> design = MuSynthesis(on_inputs=0.2, performance=(10.0, 0.02, 0.5), iterations=2)
     >>> result = design.design(lag)
     >>> result.status.ok, result.details["mu_peak"] <= result.details["mu"][0]
     (True, True)
@@ -82,29 +91,30 @@ class MuSynthesis(StatedRobustness):
     Doyle 1982, doi:10.1049/ip-d.1982.0053; Skogestad and Postlethwaite 2005, section 8.12.
     """
 
-    on_inputs: Weight = (0.1, 200.0, 2.0)
+    on_inputs: Weight | None = None
     on_outputs: Weight | None = None
     performance: Weight | None = None
     control: Weight | None = None
-    band_hz: tuple[float, float] = (9.0, 108.0)
-    height: float = 4.0
-    floor: float = 0.4
+    band_hz: tuple[float, float] | None = None
+    height: float | None = None
+    floor: float | None = None
     order: int = 4
     tones_hz: tuple[float, ...] = ()
     tone_height: float = 100.0
     tone_zeta: float = 0.002
-    control_limit: float | None = 1000.0
-    roll_off_hz: float = 500.0
+    control_limit: float | None = None
+    roll_off_hz: float | None = None
     iterations: int = 4
     scaling_order: int = 4
     margin: float = 1.02
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("height", "floor", "tone_height", "tone_zeta", "roll_off_hz", "margin"):
-            positive(WHO, name, getattr(self, name))
-        if self.control_limit is not None:
-            positive(WHO, "control_limit", self.control_limit)
+        for name in ("height", "floor", "tone_height", "tone_zeta", "control_limit", "roll_off_hz", "margin"):
+            if getattr(self, name) is not None:
+                positive(WHO, name, getattr(self, name))
+        if self.band_hz is not None:
+            rising_band(WHO, self.band_hz)
         whole(WHO, "iterations", self.iterations, 1, 50)
         whole(WHO, "scaling_order", self.scaling_order, 0, 10)
 
@@ -119,6 +129,35 @@ class MuSynthesis(StatedRobustness):
         over frequency; `scaling_orders`; and the `weights`. A loop that is not stable for every plant of the family has
         the status `not robust`.
         """
+        if self._measured_by_the_plant():
+            result = from_plant(plant, self, self._attempt, self.band_hz, first=ABSOLUTE["height"])
+        else:
+            found = self._found(plant)
+            law = found.controller
+            if law is None:
+                return found
+            result = judged(plant, law, self, found.gamma, found.achieved, found.residuals, found.details)
+        return _with_verdict(result) if result.status.word in (*STABLE_WORDS, StatusWord.SHORT) else result
+
+    def _measured_by_the_plant(self) -> bool:
+        given = (self.performance, self.control, self.control_limit, self.roll_off_hz, self.height, self.floor)
+        errors = (self.on_inputs, self.on_outputs)
+        full = any(isinstance(w, StateSpace) and w.D.shape != (1, 1) for w in errors)
+        return not full and all(setting is None for setting in given)
+
+    def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        """Return what is found for the even plant at the height g, its weights as those of the plant."""
+        low, high = even.band_hz
+        numbers = replace(self, band_hz=(low, high), height=g, control_limit=REACH * g)
+        found = numbers._found(even.plant)
+        if found.controller is None:
+            return found
+        weights = found.details["weights"]
+        units = {**weights, **even.weights(weights["performance"], weights["control"])}
+        return replace(found, details={**found.details, "weights": units})
+
+    def _found(self, plant: StateSpace) -> DesignResult:
+        """Return the controller of least mu, its loop not yet judged, or a refusal."""
         weights = self.weights(plant)
         P = uncertain(
             plant,
@@ -133,22 +172,26 @@ class MuSynthesis(StatedRobustness):
         if not steps:
             return refused(f"{WHO}: the first H-infinity step failed: {reason}")
         best = min(steps, key=lambda s: s.peak[0])
-        return _told(plant, P, blocks, f, best, steps, {"weights": weights, "stopped": reason}, self)
+        return _told(P, blocks, f, best, steps, {"weights": weights, "stopped": reason})
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights in full size at the plant's rate, those left out missing."""
         (ny, nu), rate = plant.D.shape, plant.rate_hz
+        needed = self.performance is None or self.on_inputs is None or self.control_limit is not None
+        band_hz = self.band_hz or (even_plant(plant).band_hz if needed else (0.0, 0.0))
+        end = below_nyquist(self.roll_off_hz or FURTHER * band_hz[1], rate)
         settings: dict[str, tuple[Weight | None, int]] = {
-            "on_inputs": (self.on_inputs, nu),
+            "on_inputs": (self.on_inputs or (ERROR, below_nyquist(2 * band_hz[1], rate), ERROR_BEYOND), nu),
             "on_outputs": (self.on_outputs, ny),
             "performance": (self.performance, ny),
             "control": (self.control, nu),
         }
         if self.performance is None:
-            settings["performance"] = (band_pass(self.band_hz, self.height, self.floor, self.order, rate), ny)
+            height, floor = (ABSOLUTE[k] if getattr(self, k) is None else getattr(self, k) for k in ABSOLUTE)
+            settings["performance"] = (band_pass(band_hz, height, floor, self.order, rate), ny)
         if self.control is None and self.control_limit is not None:
-            corner, low = below_nyquist(self.roll_off_hz, rate), 1 / self.control_limit
-            settings["control"] = (high_pass(corner, low, 10 * low, 1, rate), nu)
+            low = 1 / self.control_limit
+            settings["control"] = (high_pass(end, low, RISE * low, 1, rate), nu)
         weights = {k: weight(WHO, k, w, n, rate) for k, (w, n) in settings.items() if w is not None}
         weights["performance"] = with_tones(weights["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
         return weights
@@ -226,16 +269,14 @@ def _lines(P: StateSpace) -> FloatArray:
 
 
 def _told(
-    plant: StateSpace,
     P: StateSpace,
     blocks: Blocks,
     f: FloatArray,
     best: _Step,
     steps: list[_Step],
     details: dict[str, Any],
-    settings: MuSynthesis,
 ) -> DesignResult:
-    """Judge the best iteration on the plant and say what its mu is worth."""
+    """Return the best iteration with what its mu is worth."""
     assert best.result.controller is not None
     loop = lft(P, best.result.controller)
     bounds = mu_bounds(loop, blocks, _lines(loop))
@@ -255,12 +296,12 @@ def _told(
         "mu_upper": bounds.upper,
         "mu_lower": bounds.lower,
     }
-    result = from_synthesis(plant, best.result, settings, details)
-    return result if result.status.word not in STABLE_WORDS else _with_verdict(result, peak, at, stability, steps)
+    return replace(best.result, details={**best.result.details, **details})
 
 
-def _with_verdict(result: DesignResult, peak: float, at: float, stability: float, steps: list[_Step]) -> DesignResult:
-    first, n = steps[0].peak[0], len(steps)
+def _with_verdict(result: DesignResult) -> DesignResult:
+    peak, at, stability = (float(result.details[k]) for k in ("mu_peak", "mu_peak_hz", "robust_stability"))
+    first, n = result.details["mu"][0], len(result.details["mu"])
     summary = f"mu peaks at {peak:.3f}, at {at:.4g} Hz, in {n} iterations ({first:.3f} by plain H-infinity)"
     if stability >= 1:
         sentence = (

@@ -19,6 +19,7 @@ from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
 QUIETEST_V = 1e-3  # filtered references below this carry nothing to learn from
+FAINTEST = 1e-16  # of the largest gain: what rounding leaves of a direction that is not there
 GRID = 512  # frequencies at which the spread of the loop's gains is told
 
 
@@ -103,7 +104,8 @@ class FilteredXLms(StatedRobustness):
             "references": references,
             "drives": drives,
             "step_bound": STEP_BOUND,
-            "condition": float((gains[:, 0] / np.maximum(gains[:, -1], np.finfo(float).tiny)).max()),
+            # directions within rounding of the largest gain are none
+            "condition": float((gains[:, 0] / np.maximum(gains[:, -1], FAINTEST * gains[:, 0].max())).max()),
             "model_states": model.states,
         }
         rest = inner.joined(gain(np.zeros((nu, ny)), G.rate_hz))

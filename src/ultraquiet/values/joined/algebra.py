@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet.linalg.even import even_scale
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.joined.wires import apart, meet, places
 
@@ -190,9 +191,12 @@ class Algebra:
 
 
 def is_singular(loop: FloatArray, D: FloatArray, Dk: FloatArray) -> bool:
-    """Return whether I - D Dk is nothing but the rounding of what it was made of."""
-    made_of = 1.0 + float(np.linalg.norm(D) * np.linalg.norm(Dk))
-    return bool(np.linalg.svd(loop, compute_uv=False).min(initial=np.inf) < SINGULAR * made_of)
+    """Return whether I - D Dk is nothing but the rounding of what it was made of, in any units of its channels."""
+    made_of = np.abs(D) @ np.abs(Dk)  # units of the commands cancel here, those of the outputs by the scale
+    n = made_of.shape[0]
+    d = even_scale(made_of, np.zeros((n, 0)), np.zeros((0, n)))
+    even, made = loop * d / d[:, None], made_of * d / d[:, None]
+    return bool(np.linalg.svd(even, compute_uv=False).min(initial=np.inf) < SINGULAR * (1 + np.linalg.norm(made)))
 
 
 def _even(onto: FloatArray, back: FloatArray) -> float:

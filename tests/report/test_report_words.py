@@ -1,0 +1,17 @@
+"""The list of foreign words catches the packaged study's numbers, and no others that end alike."""
+
+import pytest
+
+from report_words import foreign_words
+
+
+@pytest.mark.parametrize(
+    "said", ["at 5 Hz", "(25 Hz", "5-100 Hz, 100 Hz", "5.0 Hz", "3500 Hz", "25 V", "a Strut", "eq. (7)", "0.3 V"]
+)
+def test_what_belongs_to_the_packaged_study_is_found(said):
+    assert foreign_words(f"<p>{said}</p>")
+
+
+@pytest.mark.parametrize("said", ["164.5 Hz", "1.25 Hz", "2100 Hz", "0.100 Hz", "13500 samples", "35001", "5 kHz"])
+def test_another_number_that_ends_alike_is_not(said):
+    assert not foreign_words(f"<p>{said}</p><style>.x{{width:5 Hz}}</style>")
