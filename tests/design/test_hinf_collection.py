@@ -100,6 +100,12 @@ def test_one_of_each_family(family):
     answer(family, 1)
 
 
+@pytest.mark.parametrize(("family", "draw"), [("delays", 15), ("integrators", 27), ("singular", 33), ("dense", 33)])
+def test_peaks_at_rest_that_modal_coordinates_misjudge(family, draw):
+    """By up to a ten-thousandth: poles of delays at z = 0, or so far apart that the modes' condition is 1e7."""
+    answer(family, draw)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("family", sorted(FAMILIES))
 def test_the_collection(family):

@@ -6,7 +6,7 @@ from limit_plants import RATE_HZ, band, modal, responses
 
 import ultraquiet as uq
 from ultraquiet.design import common_mode
-from ultraquiet.limits import best_flat_attenuation, waterbed_peak
+from ultraquiet.limits import best_flat_attenuation, grid, search, waterbed_peak
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback
 
@@ -171,3 +171,18 @@ def test_what_cannot_be_is_said(case):
 def test_nonsense_is_refused_by_name(arguments):
     with pytest.raises(uq.errors.InputError, match="best_flat_attenuation"):
         best_flat_attenuation(**{"plant": LAG, "band_hz": (5.0, 50.0), **arguments})
+
+
+@pytest.mark.parametrize("grids", [0, 3])
+def test_a_demand_exceeded_between_points_is_looked_at_and_said(heave, grids, monkeypatch):
+    """One point in thirty of the usual grid: what a law does between them is found, and mended or told."""
+    usual = grid.frequencies
+    monkeypatch.setattr(grid, "frequencies", lambda *given: usual(*given)[::30])
+    monkeypatch.setattr(search, "GRIDS", grids)
+    limit = best_flat_attenuation(heave, (20.0, 100.0), 6.0, control_gain=1000.0, basis=20, certify=False)
+    print(f"{grids} grids more: {limit.status}")
+    assert limit.status.ok == (limit.violation < search.EXCEEDED)
+    assert ("exceeded" in limit.status.sentence) == (limit.violation >= search.NEGLIGIBLE)
+    if not grids:
+        assert limit.status.word == "short"
+        assert limit.violation > search.EXCEEDED

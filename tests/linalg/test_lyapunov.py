@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.equations import lyapunov, stein, stein_factor
+from ultraquiet.linalg.equations import lyapunov, lyapunov_both, stein, stein_factor
 
 HUGE = 1e120
 
@@ -121,3 +121,22 @@ def test_matrices_that_overflow_are_refused():
     for solve in (lyapunov, stein, stein_factor):
         with pytest.raises(NumericalError, match="overflow"):
             solve(np.array([[np.inf]]), np.eye(1))
+
+
+@pytest.mark.parametrize("n", [1, 2, 47, 49, 120])
+def test_both_equations_from_one_schur_form(n, rng):
+    A = rng.standard_normal((n, n))
+    A -= (np.linalg.eigvals(A).real.max() + 0.1) * np.eye(n)
+    B, C = rng.standard_normal((n, 2)), rng.standard_normal((3, n))
+    X, Y = lyapunov_both(A, B @ B.T, C.T @ C)
+    P, Q = lyapunov(A, B @ B.T), lyapunov(A.T, C.T @ C)
+    assert np.linalg.norm(X - P) <= 1e-9 * np.linalg.norm(P)
+    assert np.linalg.norm(Y - Q) <= 1e-9 * np.linalg.norm(Q)
+    units = 10 ** rng.uniform(-9, 9, n)
+    moved, _ = lyapunov_both(A * units / units[:, None], (B @ B.T) / np.outer(units, units), np.eye(n))
+    assert np.linalg.norm(moved * np.outer(units, units) - P) <= 1e-6 * np.linalg.norm(P)
+
+
+def test_an_eigenvalue_shared_with_its_mirror_is_said():
+    with pytest.raises(NumericalError, match="share an eigenvalue"):
+        lyapunov_both(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2), np.eye(2))

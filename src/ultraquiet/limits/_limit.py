@@ -15,7 +15,8 @@ class Limit:
     """The best flat attenuation of a band, between what a controller reaches and what none can.
 
     Attributes:
-        status: `ok` and what was found; `refused` and why there is none.
+        status: `ok` and what was found; `short` where the controller found exceeds a demand by a hundredth or more
+            between the points of every grid that was tried; `refused` and why there is none.
         attenuation_db: -20 log10 of the largest |S| in the band with `controller`: it can be had.
         bound_db: no linear controller that keeps the demands attenuates more; nan where it could not be certified.
         peak_db: largest |S| anywhere, with `controller`.

@@ -21,6 +21,8 @@ USED_UP = 0.99  # share of a demand from which on it binds
 FINER = 4
 QUADRATURE = 1 << 13
 NEGLIGIBLE = 1e-3  # share of a demand by which it may be exceeded between points
+EXCEEDED = 0.01  # from here on a law does not keep the demand, and is no proof of what can be had
+GRIDS = 3  # made after the first where a law exceeds a demand between the points
 NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
 
 Stretches = tuple[tuple[float, float], ...]
@@ -59,13 +61,38 @@ class LimitSearch:
 
         The bound is that of the loop `bounded_by`; its own when absent, and then half of the basis is tried too.
         """
+        found, broken = self._on_the_grid(wishes, noise_gain, certify, bounded_by)
+        for _ in range(GRIDS):
+            if found.violation < NEGLIGIBLE:
+                break
+            self._look_at(broken)
+            again, more = self._on_the_grid(wishes, noise_gain, certify, bounded_by)
+            if again.controller is None:
+                break
+            found, broken = again, more
+        return found
+
+    def _look_at(self, f_hz: FloatArray) -> None:
+        """Put places into the grid at which a law has exceeded a demand between its points."""
+        self.f_hz = np.unique(np.concatenate([self.f_hz, f_hz]))
+        self.lines = self.loops.at(self.f_hz)
+        self.inside = (self.f_hz >= self.band_hz[0]) & (self.f_hz <= self.band_hz[1])
+
+    def _on_the_grid(
+        self,
+        wishes: Wishes,
+        noise_gain: float | None,
+        certify: bool,
+        bounded_by: Callable[[FloatArray], AffineLoops] | None,
+    ) -> tuple[Limit, FloatArray]:
+        """Return the limit by the demands at the grid's points, and where between them one is exceeded."""
         scale = wishes.control_gain
         functions = scale * self.basis.at(self.circle.angles(self.f_hz))
         demands = wishes.demands(self.f_hz, self.lines)
         noise = None if noise_gain is None else self._noise(self.basis, scale, noise_gain)
         solution = solve(functions, demands, noise)
         if not solution.ok:
-            return refused(self._why(functions, demands, noise, solution))
+            return refused(self._why(functions, demands, noise, solution)), np.zeros(0)
         bound = float("nan")
         if certify:
             # the noise gain is no demand at single frequencies: the bound is that of the others
@@ -120,8 +147,8 @@ class LimitSearch:
 
     def _judged(
         self, wishes: Wishes, solution: ConeSolution, weights: FloatArray, bound_db: float, half_db: float
-    ) -> Limit:
-        """Judge the solution on a finer grid and word it."""
+    ) -> tuple[Limit, FloatArray]:
+        """Judge the solution on a finer grid and word it; return where it exceeds a demand there, too."""
         f = _finer(self.f_hz)
         lines = self.loops.at(f)
         q = weights @ self.basis.at(self.circle.angles(f))
@@ -133,8 +160,10 @@ class LimitSearch:
         binding = {name: _stretches(f, r >= USED_UP) for name, r in reached.items()}
         law = self.loops.controller(self.circle.unwarped(self.basis.realised(weights)))
         values = attenuation(level), bound_db, 20 * float(np.log10(S.max())), float(size.max())
-        status = Status(StatusWord.OK, self._sentence(solution, *values[:2], over, half_db, binding))
-        return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0))
+        word = StatusWord.OK if over < EXCEEDED else StatusWord.SHORT
+        status = Status(word, self._sentence(solution, *values[:2], over, half_db, binding))
+        broken = f[np.any([r > 1 + NEGLIGIBLE for r in reached.values()], axis=0)]
+        return Limit(status, *values, law, f, S, binding, half_db, self.basis.size, max(over, 0.0)), broken
 
     def _sentence(
         self,

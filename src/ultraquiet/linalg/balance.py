@@ -8,7 +8,7 @@ from scipy.linalg import solve_sylvester
 from scipy.sparse.csgraph import connected_components
 
 from ultraquiet.linalg.discretize import bilinear_to_discrete
-from ultraquiet.linalg.equations import lyapunov, stein, stein_factor
+from ultraquiet.linalg.equations import lyapunov_both, stein, stein_factor
 from ultraquiet.linalg.ordered import Array, Matrices, diagonal_eigenvalues, leading_subspace, ordered_schur, real_schur
 
 # Above this condition of the eigenvectors, a group of modes stays in real Schur form: half of the digits would go.
@@ -47,8 +47,9 @@ def scaled(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array, Array]:
 
 def gramians(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
     """Return the controllability and observability Gramians of a stable system."""
-    solve = stein if discrete else lyapunov
-    return solve(A, B @ B.T), solve(A.T, C.T @ C)
+    if not discrete:
+        return lyapunov_both(A, B @ B.T, C.T @ C)
+    return stein(A, B @ B.T), stein(A.T, C.T @ C)
 
 
 def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array, Array]:
@@ -126,9 +127,10 @@ def stable_first(A: Array, discrete: bool) -> tuple[Array, Array, int]:
         return np.eye(0), np.eye(0), 0
     S, U, count = ordered_schur(A, "iuc" if discrete else "lhp")
     T = U.copy()
-    if 0 < count < n:
-        X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
-        T[:, count:] += U[:, :count] @ X
+    if count in (0, n):
+        return T, T.T.copy(), int(count)
+    X = solve_sylvester(S[:count, :count], -S[count:, count:], -S[:count, count:])
+    T[:, count:] += U[:, :count] @ X
     return T, np.linalg.inv(T), int(count)
 
 

@@ -1,6 +1,6 @@
 """Riccati and Lyapunov equations, each solved by a ladder of methods and checked outside the solver."""
 
-from ultraquiet.linalg.lyapunov import lyapunov, stein, stein_factor
+from ultraquiet.linalg.lyapunov import lyapunov, lyapunov_both, stein, stein_factor
 from ultraquiet.linalg.riccati import Riccati
 from ultraquiet.linalg.riccati_continuous import (
     continuous_regulator,
@@ -19,6 +19,7 @@ __all__ = [
     "discrete_least_squares",
     "discrete_riccati",
     "lyapunov",
+    "lyapunov_both",
     "newton_direction",
     "stein",
     "stein_factor",

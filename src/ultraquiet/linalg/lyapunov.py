@@ -4,12 +4,14 @@ import warnings
 
 import numpy as np
 from scipy.linalg import LinAlgError, matrix_balance, solve_continuous_lyapunov
+from scipy.linalg.lapack import dtrsyl  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.ordered import Array
+from ultraquiet.linalg.ordered import Array, real_schur
 
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 ROUND_OFF = 1e-16
+LEAST = 48  # rows and columns of a triangular block that LAPACK solves
 SOLVED = 1e-8  # of the sizes of the terms; what is left above it means that there was nothing to find
 
 
@@ -37,6 +39,37 @@ def lyapunov(A: Array, Q: Array) -> Array:
             f"Lyapunov equation ({A.shape[0]} states): A and -A share an eigenvalue, so it has no single solution."
         )
     return X * np.outer(d, d)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def lyapunov_both(A: Array, Q: Array, R: Array) -> tuple[Array, Array]:
+    """Solve A X + X A' + Q = 0 and A' Y + Y A + R = 0 for symmetric Q and R from one Schur form, as `lyapunov` does.
+
+    Raises:
+        NumericalError: A and -A' share an eigenvalue, or so nearly that no digit of X or Y holds.
+    """
+    n = A.shape[0]
+    if n == 0:
+        return np.zeros((0, 0)), np.zeros((0, 0))
+    _finite(A, Q, "Lyapunov")
+    _finite(A, R, "Lyapunov")
+    A, d = _evened(A)
+    D = np.outer(d, d)
+    Q, R = Q / D, R * D
+    try:
+        T, U = (A, None) if _is_schur(A) else real_schur(A)
+        X, Y = _by_halves(T, *(-M if U is None else -(U.T @ M @ U) for M in (Q, R)))
+    except LinAlgError:
+        return lyapunov(A, Q) * D, lyapunov(A.T, R) / D
+    X, Y = (symmetric(M if U is None else U @ M @ U.T) for M in (X, Y))
+    for a, x, q in ((A, X, Q), (A.T, Y, R)):
+        size = np.linalg.norm(a) * np.linalg.norm(x) + np.linalg.norm(q)
+        half = a @ x
+        if not (np.isfinite(size) and np.linalg.norm(half + half.T + q) <= SOLVED * size):
+            raise NumericalError(
+                f"Lyapunov equation ({n} states): A and -A share an eigenvalue, so it has no single solution."
+            )
+    return X * D, Y / D
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -110,3 +143,106 @@ def _evened(A: Array) -> tuple[Array, Array]:
 def symmetric(X: Array) -> Array:
     """Return the symmetric part."""
     return (X + X.T) / 2
+
+
+def _by_halves(T: Array, F: Array, G: Array) -> tuple[Array, Array]:
+    """Return X and Y of T X + X T' = F and T' Y + Y T = G for a real Schur form T and symmetric F and G.
+
+    LAPACK solves such equations row by row; halved again and again (Jonsson and Kagstrom 2002,
+    doi:10.1145/592843.592845) nearly all of the work is in products of matrices, and of a symmetric solution only one
+    of two equal blocks is sought.
+
+    Raises:
+        LinAlgError: T and -T share an eigenvalue, but for round-off.
+    """
+    X, Y = F.copy(), G.copy()
+    _forward(T, X)
+    _backward(T, Y)
+    return X, Y
+
+
+def _is_schur(A: Array) -> bool:
+    """Return whether a matrix is block triangular already, with blocks of one or two rows."""
+    low = np.diag(A, -1) != 0
+    return not (np.any(low[1:] & low[:-1]) or np.any(np.tril(A, -2)))
+
+
+def _forward(T: Array, X: Array) -> None:
+    """Put the solution of T X + X T' = F in the place of F."""
+    n = len(T)
+    if n <= LEAST:
+        X[:] = _small(T, T, X, "N", "T")
+        return
+    k = _half(T, n)
+    one, two = slice(k), slice(k, n)
+    _forward(T[two, two], X[two, two])
+    X[one, two] -= T[one, two] @ X[two, two]
+    _sylvester(T[one, one], T[two, two], X[one, two])
+    step = T[one, two] @ X[one, two].T
+    X[one, one] -= step + step.T
+    _forward(T[one, one], X[one, one])
+    X[two, one] = X[one, two].T
+
+
+def _backward(T: Array, X: Array) -> None:
+    """Put the solution of T' X + X T = F in the place of F."""
+    n = len(T)
+    if n <= LEAST:
+        X[:] = _small(T, T, X, "T", "N")
+        return
+    k = _half(T, n)
+    one, two = slice(k), slice(k, n)
+    _backward(T[one, one], X[one, one])
+    X[one, two] -= X[one, one] @ T[one, two]
+    _transposed(T[one, one], T[two, two], X[one, two])
+    step = T[one, two].T @ X[one, two]
+    X[two, two] -= step + step.T
+    _backward(T[two, two], X[two, two])
+    X[two, one] = X[one, two].T
+
+
+def _sylvester(A: Array, B: Array, X: Array) -> None:
+    """Put the solution of A X + X B' = F in the place of F."""
+    m, n = X.shape
+    if max(m, n) <= LEAST:
+        X[:] = _small(A, B, X, "N", "T")
+    elif m >= n:
+        k = _half(A, m)
+        _sylvester(A[k:, k:], B, X[k:])
+        X[:k] -= A[:k, k:] @ X[k:]
+        _sylvester(A[:k, :k], B, X[:k])
+    else:
+        k = _half(B, n)
+        _sylvester(A, B[k:, k:], X[:, k:])
+        X[:, :k] -= X[:, k:] @ B[:k, k:].T
+        _sylvester(A, B[:k, :k], X[:, :k])
+
+
+def _transposed(A: Array, B: Array, X: Array) -> None:
+    """Put the solution of A' X + X B = F in the place of F."""
+    m, n = X.shape
+    if max(m, n) <= LEAST:
+        X[:] = _small(A, B, X, "T", "N")
+    elif m >= n:
+        k = _half(A, m)
+        _transposed(A[:k, :k], B, X[:k])
+        X[k:] -= A[:k, k:].T @ X[:k]
+        _transposed(A[k:, k:], B, X[k:])
+    else:
+        k = _half(B, n)
+        _transposed(A, B[:k, :k], X[:, :k])
+        X[:, k:] -= X[:, :k] @ B[:k, k:]
+        _transposed(A, B[k:, k:], X[:, k:])
+
+
+def _small(A: Array, B: Array, F: Array, on_a: str, on_b: str) -> Array:
+    X, scale, info = dtrsyl(A, B, F, trana=on_a, tranb=on_b)
+    if info != 0 or scale == 0:
+        raise LinAlgError("the blocks share an eigenvalue")
+    return np.asarray(X / scale)
+
+
+def _half(T: Array, n: int) -> int:
+    """Return where to cut a Schur form into halves: not through a pair of complex eigenvalues."""
+    k = n // 2
+    return k + 1 if T[k, k - 1] != 0 else k

@@ -23,6 +23,7 @@ FAN = np.linspace(-1, 1, 30)
 FANS = (2e-2, 1e-3, 5e-5, 2.5e-6)
 RIVALS = 3  # resonances beside a peak that are looked at
 RIVAL = 0.9  # of the peak, from which on they are
+DISAGREE = 1e-7  # the relative accuracy of a norm
 PARABOLAS = 6
 GAINED = 1e-10  # what a parabola that was worth its while adds to the peak
 EARLIEST = 1e-300  # stands for a pole at z = 0, which has decayed before the first sample
@@ -54,9 +55,10 @@ def _refined(
 
     Modal blocks know a pole to the round-off of A times the condition of the modes, which is much of the damping of a
     light one. Near a resonance 1 / gain^2 is a parabola over frequency: three points of it lead to its bottom.
-    Resonances that come near the peak are looked at as well.
+    Resonances that come near the peak are looked at as well. Where the two disagree on the peak itself, as delays and
+    repeated poles make them, the modal form is left aside and the peak sought anew.
     """
-    if not (np.isfinite(w) and w > 0 and poles.size and gain > 0):
+    if not (np.isfinite(w) and poles.size and gain > 0):
         return gain, w
 
     def at(x: float) -> float:
@@ -75,12 +77,32 @@ def _refined(
     best, where = at(w), w
     if not np.isfinite(best):
         return gain, w
+    if abs(best / gain - 1) > DISAGREE:
+        best, where = _sought(at, np.concatenate([[w], _guesses(places)]), np.pi if discrete else np.inf)
+    if where == 0:
+        return best, where
     for start in [w, *rivals]:
         near = places[np.argmin(np.abs(places - 1j * start))]
         top, x = _parabola(at, start, abs(float(near.real)))
         if top > best:
             best, where = top, x
-    # what lies off every resonance is as the modal form says, and no light damping spoils it there
+    return best, where
+
+
+def _sought(at: Callable[[float], float], places: Array, last: float) -> tuple[float, float]:
+    """Return the largest gain at some places, narrowed in on by fans around the first few."""
+    w = np.unique(places[places <= last])
+    gains = np.array([at(float(x)) for x in w])
+    gains[~np.isfinite(gains)] = 0.0
+    best, where = float(gains.max()), float(w[np.argmax(gains)])
+    for start in w[np.argsort(-gains)[:RIVALS]]:
+        x, top = float(start), 0.0
+        for spread in FANS if x > 0 else ():
+            around = np.minimum(x * (1 + spread * FAN), last)
+            tops = [at(float(y)) for y in around]
+            top, x = max(tops), float(around[int(np.argmax(tops))])
+        if np.isfinite(top) and top > best:
+            best, where = top, x
     return best, where
 
 

@@ -12,7 +12,7 @@ from ultraquiet._base.errors import NumericalError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.linalg.ordered import Matrices, ordered_schur
 from ultraquiet.reduce.promises import Delivered
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
@@ -79,6 +79,11 @@ def split(system: StateSpace, slowest_hz: float = 0.0) -> StableSplit:
     discrete = system.rate_hz is not None
     # the border of decay becomes the border of stability
     shifted = system.A * np.exp(decay / system.rate_hz) if system.rate_hz else system.A + decay * np.eye(system.states)
+    form, U, count = ordered_schur(shifted, "iuc" if discrete else "lhp") if system.states else (shifted, shifted, 0)
+    if count == system.states:  # nothing to split off, and the form spares the Gramians another one
+        form = form / np.exp(decay / system.rate_hz) if system.rate_hz else form - decay * np.eye(count)
+        nothing = (np.zeros((0, 0)), np.zeros((0, system.B.shape[1])), np.zeros((system.C.shape[0], 0)))
+        return StableSplit((form, U.T @ system.B, system.C @ U, system.D), nothing, U.T)
     T, inverse, count = balance.stable_first(shifted, discrete)
     A, B, C = inverse @ system.A @ T, inverse @ system.B, system.C @ T
     stable = (A[:count, :count], B[:count], C[:, :count], system.D)
