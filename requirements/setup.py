@@ -1,4 +1,4 @@
-"""Create a virtual environment and install a lock file into it, with uv when it is present and pip otherwise.
+"""Create a virtual environment and install a lock file into it, with uv when pip can bring it, and pip otherwise.
 
     python requirements/setup.py VENV LOCK
 
@@ -12,6 +12,13 @@ import sys
 from pathlib import Path
 
 OLDEST = (3, 11)
+UV = "uv>=0.8,<1"
+PIP_TO_UV = {
+    "index-url": "UV_DEFAULT_INDEX",
+    "extra-index-url": "UV_INDEX",
+    "find-links": "UV_FIND_LINKS",
+    "cert": "SSL_CERT_FILE",
+}
 
 
 def run(*command: str) -> None:
@@ -32,23 +39,51 @@ def create(venv: Path) -> None:
     run(sys.executable, "-m", "venv", str(venv))
 
 
+def fetched_uv(python: str) -> str | None:
+    """Return uv, brought by pip: it installs a lock in half of pip's time; None where it cannot be had."""
+    nowhere = subprocess.DEVNULL
+    if subprocess.run([*pip(python), UV], stdout=nowhere, stderr=nowhere, check=False).returncode:
+        return None
+    uv = Path(python).with_name("uv")
+    return str(uv) if uv.exists() else None
+
+
+def pip(python: str) -> list[str]:
+    """Return the words with which pip installs."""
+    # half of pip's time goes into byte code, most of it for modules that nothing here imports
+    return [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
+
+
+def as_pip(python: str) -> dict[str, str]:
+    """Return an environment in which uv looks for packages where pip does."""
+    listed = subprocess.run([python, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False).stdout
+    found = dict(os.environ)
+    for line in listed.splitlines():
+        key, _, value = line.partition("=")
+        name = PIP_TO_UV.get(key.rpartition(".")[2])
+        if name is not None:
+            found.setdefault(name, value.strip("'\""))
+    return found
+
+
 def main(venv: Path, lock: Path) -> None:
     """Install the locked packages, then this project without looking for anything else."""
     if sys.version_info < OLDEST:
         sys.exit(f"setup: Python {sys.version.split()[0]} is too old, {'.'.join(map(str, OLDEST))} or newer is needed")
+    os.environ.pop("PYTHONHOME", None)
     python = str(venv / "bin" / "python")
     uv = shutil.which("uv")
-    if uv:
-        if not Path(python).exists():
-            run(uv, "venv", "--quiet", "--python", sys.executable, str(venv))
-        install = [uv, "pip", "install", "--quiet", "--python", python]
+    if uv and not Path(python).exists():
+        run(uv, "venv", "--quiet", "--seed", "--python", sys.executable, str(venv))
     else:
         create(venv)
-        # half of pip's time goes into byte code, most of it for modules that nothing here imports
-        install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
-    os.environ.pop("PYTHONHOME", None)
-    run(*install, "-r", str(lock))
-    run(*install, "--no-deps", "--no-build-isolation", "--editable", ".")
+    uv = uv or fetched_uv(python)
+    if uv:
+        command = [uv, "pip", "install", "--quiet", "--python", python, "-r", str(lock)]
+        done = subprocess.run(command, env=as_pip(python), stderr=subprocess.DEVNULL, check=False)
+    if not uv or done.returncode:  # a registry that only pip knows how to ask
+        run(*pip(python), "-r", str(lock))
+    run(*pip(python), "--no-deps", "--no-build-isolation", "--editable", ".")
 
 
 if __name__ == "__main__":

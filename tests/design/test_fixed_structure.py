@@ -259,3 +259,32 @@ def test_static_output_feedback_of_a_reactor():
     result = synthesize_structured(P, ny, nu, states=0, starts=2)
     print(f"REA3, constant gain: {result.achieved:.4f}")
     assert result.achieved < 74.2513 * 1.001
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9, 1e-9])
+def test_lead_lag_on_a_sampled_double_integrator_in_any_unit(unit):
+    """Its poles are moved off z = 1 by rounding: neither they nor the unit may set where the search looks."""
+    A, B, C = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [unit]]), np.array([[1.0, 0.0]])
+    G = StateSpace(*discretize.zero_order_hold(A, B, C, np.zeros((1, 1)), 1e-3), rate_hz=1000.0)
+    result = LeadLag(zeros_hz=(1.0,), poles_hz=(20.0,)).design(G)
+    assert result.status.ok, result.status
+    assert result.peak_sensitivity_db <= 8
+    assert float(result.controller.D[0, 0]) * unit == pytest.approx(-31468.181, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [None, 1000.0])
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+def test_integrators_are_neither_refused_nor_misread(rate, unit):
+    """One, two, and one beside a mode: tuned sections and laws of two states close a loop that is not fragile."""
+    one = (np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
+    two = (np.eye(2, k=1), np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]]))
+    mode = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 300.0], [0.0, -300.0, -3.0]])
+    beside = (mode, np.array([[1.0], [0.0], [5.0]]), np.array([[1.0, 0.0, 1.0]]))
+    for A, B, C in (one, two, beside):
+        M = (A, unit * B, C, np.zeros((1, 1)))
+        G = StateSpace(*(M if rate is None else discretize.zero_order_hold(*M, 1 / rate)), rate_hz=rate)
+        for settings in (LeadLag(zeros_hz=(1.0,), poles_hz=(20.0,), tune=True), FixedStructure(states=2)):
+            result = settings.design(G)
+            print(f"{len(A)} states, {rate}, unit {unit:g}, {type(settings).__name__}: {result.status.word}")
+            assert result.status.ok, result.status

@@ -9,7 +9,7 @@ from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import MixedSensitivity, band_pass
 from ultraquiet.design.weights.filters import rational
 from ultraquiet.design.weights.weight import weight
-from ultraquiet.linalg.discretize import tustin
+from ultraquiet.linalg.discretize import tustin, zero_order_hold
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import append, sensitivity, series
 
@@ -166,3 +166,19 @@ def test_four_block_form_reports_robustness_too():
     result = MixedSensitivity(uncertainty=(0.01, 300.0, 1.0), height=3.0, order=2).design(lag())
     assert result.status.ok
     assert result.details["robust_stability"] < 1
+
+
+@pytest.mark.parametrize("rate", [None, 1000.0])
+@pytest.mark.parametrize("setting", [{"form": "skst"}, {"form": "sks"}, {"height": 10.0}, {"control_limit": 100.0}])
+def test_a_plant_that_is_loud_from_rest_on_has_a_weight_without_a_lower_edge(rate, setting):
+    """A first-order lag of 10 Hz: its own band begins at rest."""
+    A, B = np.array([[-62.8]]), np.array([[62.8]])
+    M = (A, B, np.ones((1, 1)), np.zeros((1, 1)))
+    lag = StateSpace(*(M if rate is None else zero_order_hold(*M, 1 / rate)), rate_hz=rate)
+    design = MixedSensitivity(**setting)
+    result = design.design(lag)
+    assert result.status.ok, result.status
+    W = design.weights(lag)["performance"]
+    rest, quick = np.abs(W.frequency_response([0.0, 0.4 * (rate or 1e5)])[0, 0])
+    assert rest > 5 * quick
+    assert result.achieved == pytest.approx(result.gamma, rel=1e-3)

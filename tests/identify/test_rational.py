@@ -242,3 +242,33 @@ def test_drawn_truths_come_back_with_their_states(modes, channels):
     print(f"states over the truth's: median {np.median(states):.2f}, most {states.max():.2f}; error {errors.max():.2f}")
     assert states.max() <= 1.2
     assert errors.max() <= 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("channels", [(1, 1), (4, 3), (3, 5)])
+def test_few_channels_come_back_with_their_states(channels):
+    """Where a residue has rank one or nearly so, spare poles are what is to be left out."""
+    found = [lean_against_full(np.random.default_rng(k), 8, channels, 10.0 ** -(2 + k % 2)) for k in range(12)]
+    states, errors = np.array(found).T
+    print(
+        f"states over the truth's: most {states.max():.2f}; error: median {np.median(errors):.3f}, {errors.max():.3f}"
+    )
+    assert states.max() <= 1.2
+    assert np.median(errors) <= 1.0
+    assert errors.max() <= 1.01
+
+
+@pytest.mark.slow
+def test_the_last_fit_to_all_lines_brings_the_model_nearer_to_the_truth():
+    f = np.arange(1, 3400) * 0.5
+    told, true = [], []
+    for k in range(6):
+        rng = np.random.default_rng(k)
+        plant, _ = random_modal(rng, 6, 3, 4)
+        T = plant.frequency_response(f)
+        fit = uq.identify.Rational().identify_response(measured_with_noise(rng, plant, f, 1e-2), RATE_HZ)
+        size = np.sqrt(np.mean(np.abs(T) ** 2, axis=(0, 1)))
+        true.append(np.sqrt(np.mean(np.abs((fit.model.frequency_response(f) - T) / size) ** 2)))
+        told.append(fit.error[1])
+    print(f"off the truth by {np.round(true, 5)} of the response, held-out noise {np.round(told, 5)}")
+    assert max(true) < 0.0015

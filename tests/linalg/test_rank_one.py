@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ultraquiet.linalg.modes import rank_elimination, rank_one
+from ultraquiet.linalg.modes.projected_step import ProjectedEquations
 
 Z = np.exp(1j * np.linspace(0.02, 3.0, 80))
 
@@ -24,12 +25,64 @@ def moved(modes, step):
     return rank_one.RankOneModes(modes.poles + v[:, -1], modes.c + v[:, :ny].T, modes.b + v[:, ny:-1])
 
 
+def normal_equations(at):
+    """J'J and J'r of real and imaginary parts of c, b and p, mode by mode: the plain version."""
+    (p, c, b), phi, psi = at.modes, at.phi, at.psi
+    m, ny, nu = p.size, len(c), b.shape[1]
+    F, FS, S = phi.conj().T @ phi, phi.conj().T @ psi, psi.conj().T @ psi
+    cc, bb = c.conj().T @ c, b.conj() @ b.T
+    N = np.zeros((m, ny + nu + 1, m, ny + nu + 1), dtype=np.complex128)
+    outputs, inputs = np.arange(ny), np.arange(ny, ny + nu)
+    for i in outputs:
+        N[:, i, :, i] = F * bb
+    for j in inputs:
+        N[:, j, :, j] = F * cc
+    cross = np.einsum("kl,kj,il->kilj", F, b.conj(), c)
+    N[:, :ny, :, ny : ny + nu] = cross
+    N[:, ny : ny + nu, :, :ny] = cross.transpose(2, 3, 0, 1).conj()
+    to_c, to_b = np.einsum("kl,il->kil", FS * bb, c), np.einsum("kl,lj->kjl", FS * cc, b)
+    N[:, :ny, :, -1], N[:, -1, :, :ny] = to_c, to_c.transpose(2, 0, 1).conj()
+    N[:, ny : ny + nu, :, -1], N[:, -1, :, ny : ny + nu] = to_b, to_b.transpose(2, 0, 1).conj()
+    N[:, -1, :, -1] = S * cc * bb
+    by_phi = np.einsum("fk,ijf->kij", phi.conj(), at.left, optimize=True)
+    by_psi = np.einsum("fk,ijf->kij", psi.conj(), at.left, optimize=True)
+    g = np.zeros((m, ny + nu + 1), dtype=np.complex128)
+    g[:, :ny] = np.einsum("kij,kj->ki", by_phi, b.conj())
+    g[:, ny : ny + nu] = np.einsum("kij,ik->kj", by_phi, c.conj())
+    g[:, -1] = np.einsum("kij,ik,kj->k", by_psi, c.conj(), b.conj())
+    size, u = ny + nu + 1, at.modes.upper * (ny + nu + 1)
+    columns = rank_one.real_columns(N.reshape(m * size, m * size), u)
+    return rank_one.real_rows(columns, u), rank_one.real_rows(g.reshape(-1, 1), u)[:, 0]
+
+
+def plain_step(at, damping):
+    """Levenberg and Marquardt's step from the whole matrix, as changes of p, c and b of heads."""
+    N, g = normal_equations(at)
+    size = np.sqrt(np.diag(N))
+    x = np.linalg.solve(N / np.outer(size, size) + damping * np.eye(len(g)), g / size) / size
+    ny, u = len(at.modes.c), at.modes.upper
+    x = x.reshape(at.modes.poles.size, -1)
+    v = np.concatenate([x[:u] + 1j * x[u : 2 * u], x[2 * u :]])
+    return v[:, -1], v[:, :ny].T, v[:, ny:-1]
+
+
+@pytest.mark.parametrize(("ny", "nu", "pairs", "reals", "zeros"), [(1, 1, 3, 0, 0), (4, 3, 3, 2, 1), (3, 5, 0, 3, 2)])
+def test_the_projected_step_is_that_of_the_whole_matrix(rng, ny, nu, pairs, reals, zeros):
+    modes, H = drawn(rng, ny, nu, pairs, reals), drawn(rng, ny, nu, pairs, reals).response(Z)
+    at = rank_one.FittedModes.of(modes, rank_one.Samples(Z, H, rng.uniform(0.5, 2.0, Z.size), zeros))
+    equations = ProjectedEquations.of(modes.c, modes.b, modes.upper, at.phi, at.psi, at.left)
+    found = equations.step(1e-3)
+    assert found is not None
+    for fast, plain in zip(found, plain_step(at, 1e-3), strict=True):
+        assert np.abs(fast - plain).max() < 1e-8 * np.abs(plain).max()
+
+
 @pytest.mark.parametrize(("ny", "nu", "zeros"), [(1, 1, 0), (4, 3, 0), (3, 5, 2)])
 def test_normal_equations_are_those_of_differences(rng, ny, nu, zeros):
     modes = drawn(rng, ny, nu, 3, 2)
     H = drawn(rng, ny, nu, 3, 2).response(Z)
     samples = rank_one.Samples(Z, H, rng.uniform(0.5, 2.0, Z.size), zeros)
-    N, g = rank_one.normal_equations(rank_one.FittedModes.of(modes, samples))
+    N, g = normal_equations(rank_one.FittedModes.of(modes, samples))
     rows = []
     for k in range(len(g)):
         e = 1e-6 * np.eye(len(g))[k]
@@ -38,8 +91,8 @@ def test_normal_equations_are_those_of_differences(rng, ny, nu, zeros):
             - rank_one.FittedModes.of(moved(modes, -e), samples).left
         )
         rows.append(-difference.ravel() / 2e-6)
-    left = rank_one.FittedModes.of(modes, samples).left.ravel()
-    J, r = (np.concatenate([x.real, x.imag]) for x in (np.array(rows).T, left))
+    left, J = rank_one.FittedModes.of(modes, samples).left.ravel(), np.array(rows, dtype=np.complex128).T
+    J, r = np.concatenate([J.real, J.imag]), np.concatenate([left.real, left.imag])
     assert np.abs(J.T @ J - N).max() < 1e-6 * np.abs(N).max()
     assert np.abs(J.T @ r - g).max() < 1e-6 * np.abs(g).max()
 

@@ -151,6 +151,22 @@ def test_spread_and_covariance_together(rng):
     assert "first at" in both.status().sentence
 
 
+@pytest.mark.parametrize("kind", ["output", "entry", "additive"])
+def test_what_was_not_measured_is_assumed_carried_and_said(kind):
+    """A velocity sensor gives nothing at standstill: below its lowest line, a fixed error is many times the model."""
+    f = np.geomspace(3.0, 40.0, 60)
+    model = uq.StateSpace([[0.9]], [[1.0]], [[0.1]], [[-1.0]], rate_hz=100.0)
+    seen = uq.FrequencyResponse(f, model.frequency_response(f) + 0.01)
+    bound = uq.validate.from_spread(model, [seen], kind=kind)
+    below = np.geomspace(0.2, 3.0, 20)
+    wanted = 0.01 / (1.0 if kind == "additive" else np.abs(model.frequency_response(below)[0, 0]))
+    gain = np.abs(bound.weight(100.0).system.frequency_response(below)[0, 0])
+    assert np.all(gain >= 0.999 * wanted)
+    assert "outside 3-40 Hz" in bound.status().sentence
+    # a spread of models has no lines that were measured: nothing is assumed of it
+    assert not uq.validate.from_spread(model, [model], f, "additive").outside.size
+
+
 def test_refusals(rng):
     _, result = two_by_two(rng)
     f = np.array([10.0, 600.0])

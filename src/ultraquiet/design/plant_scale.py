@@ -30,6 +30,7 @@ class EvenPlant:
         outputs: `(ny,)` what one unit of each output of the plant is in those of Ge.
         band_hz: the plant's own band.
         f_hz: lines inside it.
+        from_rest: whether the plant's own band has no lower edge: it is as loud at rest as anywhere.
     """
 
     plant: StateSpace
@@ -37,6 +38,7 @@ class EvenPlant:
     outputs: FloatArray
     band_hz: tuple[float, float]
     f_hz: FloatArray
+    from_rest: bool = False
 
     def law(self, even: StateSpace) -> StateSpace:
         """Return the controller of the plant from one of Ge: K = diag(inputs) Ke diag(outputs)."""
@@ -108,7 +110,8 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
     lines = f[inside]
     states = evened(plant.A, plant.B * u, plant.C * y[:, None])
     even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
-    return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines)
+    from_rest = band_hz is None and bool(inside[0])
+    return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines, from_rest)
 
 
 def _pulled_in(plant: StateSpace) -> StateSpace:

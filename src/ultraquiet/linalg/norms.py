@@ -24,6 +24,7 @@ FANS = (2e-2, 1e-3, 5e-5, 2.5e-6)
 RIVALS = 3  # resonances beside a peak that are looked at
 RIVAL = 0.9  # of the peak, from which on they are
 PARABOLAS = 6
+GAINED = 1e-10  # what a parabola that was worth its while adds to the peak
 EARLIEST = 1e-300  # stands for a pole at z = 0, which has decayed before the first sample
 
 
@@ -88,15 +89,16 @@ def _rates(poles: Array) -> Array:
 
 
 def _parabola(at: Callable[[float], float], w: float, width: float) -> tuple[float, float]:
-    best, where, h = at(w), w, width / 2
+    best, where, h, in_vain = at(w), w, width / 2, 0
     for _ in range(PARABOLAS):
-        if not 0 < h < where:
+        if not 0 < h < where or in_vain == 2:  # a parabola over less than a sixteenth of the width finds no more
             break
         left, middle, right = (1 / at(x) ** 2 for x in (where - h, where, where + h))
         bend = left - 2 * middle + right
         move = h * (left - right) / (2 * bend) if bend > 0 else (h if right < left else -h)
         new = where + float(np.clip(move, -4 * h, 4 * h))
         higher = at(new) if new > 0 else 0.0
+        in_vain = 0 if higher > best * (1 + GAINED) else in_vain + 1
         if higher <= best:
             h /= 8
             continue

@@ -5,7 +5,7 @@ A relative error at the plant's output, G_true = (1 + E) G with |E| <= |W|, is a
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, freq
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
 from ultraquiet.validate.bands import Identified, channels, root
+from ultraquiet.validate.beyond import held, told
 from ultraquiet.validate.gradient import noise_gradient, response_gradient
 from ultraquiet.validate.weight_fit import HIGHEST_ORDER, fitted_weight
 from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
@@ -40,6 +41,10 @@ class Uncertainty:
         confidence: probability that the error stays below at all lines together; NaN for a spread, which is the largest
             deviation seen and promises nothing of the next.
         source: in words, what the bound was drawn from.
+        measured: True where the lines are those of a measurement, outside of which only an assumption stands.
+        outside_hz: `(k,)` frequencies below the lowest line and above the highest; none where nothing is assumed.
+        outside: what the error is assumed to stay below there, `(k,)` or `(ny, nu, k)`: the absolute error goes on as
+            over the nearest octave of lines, in relation to the model's largest gain. `weight` stays above it too.
     """
 
     f_hz: FloatArray
@@ -47,9 +52,16 @@ class Uncertainty:
     kind: str
     confidence: float
     source: str
+    measured: bool = False
+    outside_hz: FloatArray = field(default_factory=lambda: np.zeros(0))
+    outside: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def status(self) -> Status:
-        """Say up to where the model can carry a robust design."""
+        """Say up to where the model can carry a robust design, and what is only assumed."""
+        known = self._over_the_lines()
+        return Status(known.word, known.sentence + told(self.measured, self.f_hz, self.outside_hz))
+
+    def _over_the_lines(self) -> Status:
         if self.kind.startswith("additive"):
             return Status(StatusWord.OK, f"Additive bound over {self.f_hz[0]:g}-{self.f_hz[-1]:g} Hz, {self.source}.")
         worst = self.radius.reshape(-1, self.f_hz.size).max(axis=0)
@@ -166,6 +178,9 @@ def from_spread(
 ) -> Uncertainty:
     """Bound the error by the largest deviation among models or responses of other records, benches or units.
 
+    Outside the lines of a measured response nothing is known; with a nominal model, the error is assumed to go on as
+    over the nearest octave of lines (`Uncertainty.outside`), and the status says so.
+
     Args:
         nominal: the model the design will use: anything with `frequency_response(f_hz)`, or a `FrequencyResponse`.
         others: likewise; a measured one must have the lines.
@@ -188,8 +203,14 @@ def from_spread(
     for k, x in enumerate(responses):
         if x.shape != G.shape:
             raise InputError(f"{who}: the nominal response is {G.shape}, that of other {k + 1} is {x.shape}.")
-    radius = _sizes(who, np.stack(responses) - G, G, kind).max(axis=0)
-    return Uncertainty(frozen(f), frozen(radius), kind, float("nan"), f"largest deviation of {len(others)} others")
+    errors = np.stack(responses) - G
+    radius = _sizes(who, errors, G, kind).max(axis=0)
+    source = f"largest deviation of {len(others)} others"
+    bound = Uncertainty(frozen(f), frozen(radius), kind, float("nan"), source, measured=bool(measured))
+    if not measured or not hasattr(nominal, "rate_hz"):
+        return bound
+    outside_hz, outside = held(f, errors, nominal, kind)
+    return replace(bound, outside_hz=frozen(outside_hz), outside=frozen(outside))
 
 
 def combined(parts: Sequence[Uncertainty]) -> Uncertainty:
@@ -208,7 +229,19 @@ def combined(parts: Sequence[Uncertainty]) -> Uncertainty:
     known = [part.confidence for part in parts if np.isfinite(part.confidence)]
     # Bonferroni: each cause may fail on its own.
     confidence = max(0.0, 1.0 - sum(1.0 - c for c in known)) if known else float("nan")
-    return Uncertainty(first.f_hz, frozen(radius), first.kind, confidence, " + ".join(part.source for part in parts))
+    source = " + ".join(part.source for part in parts)
+    # what one part assumes outside its lines, no other may have looked at: the largest stands for all
+    outer = max(parts, key=lambda part: float(np.sum(part.outside)))
+    return Uncertainty(
+        first.f_hz,
+        frozen(radius),
+        first.kind,
+        confidence,
+        source,
+        any(part.measured for part in parts),
+        outer.outside_hz,
+        outer.outside,
+    )
 
 
 def _at(who: str, system: Any, f: FloatArray) -> ComplexArray:
@@ -249,7 +282,10 @@ def _weight(bound: Uncertainty, rate_hz: float | None, order: int | None, count:
     if not np.all(bound.radius > 0) or not np.all(np.isfinite(bound.radius)):
         raise InputError(f"{who}: the radius must be positive and finite at every line to have a weight.")
     rows = bound.radius if bound.radius.ndim == 3 else bound.radius[None, None]
-    weights = [[fitted_weight(bound.f_hz, r, rate_hz, order) for r in row] for row in rows]
+    weights = [
+        [_fitted(bound, r, o, rate_hz, order) for r, o in zip(row, outer, strict=True)]
+        for row, outer in zip(rows, _outside(bound, rows.shape), strict=True)
+    ]
     gains = np.array([[np.abs(w.frequency_response(bound.f_hz)[0, 0]) for w in row] for row in weights])
     over = 20 * np.log10(gains / rows)
     if bound.radius.ndim == 3:
@@ -257,6 +293,20 @@ def _weight(bound: Uncertainty, rate_hz: float | None, order: int | None, count:
     else:
         system = append(*[weights[0][0]] * (count or 1))
     return UncertaintyWeight(system, float(over.mean()), float(over.max()), bound, bound.status())
+
+
+def _outside(bound: Uncertainty, shape: tuple[int, ...]) -> FloatArray:
+    return np.reshape(bound.outside, (*shape[:2], bound.outside_hz.size))
+
+
+def _fitted(
+    bound: Uncertainty, radius: FloatArray, outside: FloatArray, rate_hz: float | None, order: int | None
+) -> StateSpace:
+    """Return the weight of one entry, above the radius at the lines and above what is assumed outside them."""
+    inside = (outside > 0) & (bound.outside_hz < (np.inf if rate_hz is None else rate_hz / 2))
+    f = np.concatenate([bound.f_hz, bound.outside_hz[inside]])
+    rising = np.argsort(f)
+    return fitted_weight(f[rising], np.concatenate([radius, outside[inside]])[rising], rate_hz, order)
 
 
 def _grid(entries: list[list[StateSpace]]) -> StateSpace:

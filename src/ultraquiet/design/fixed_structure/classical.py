@@ -67,9 +67,10 @@ class ClassicalMethod(StatedRobustness):
         who = type(self).__name__
         wanted = self.specification if isinstance(self.specification, Specification) else Specification()
         wanted.fits(who, plant)
+        wanted = wanted.on(plant)
         n = plant.D.shape[0]
         plane = plane_of(plant)
-        cascades = [self._cascade(who, plane, g) for g in self._gains(n, plant)]
+        cascades = [self._cascade(who, plane, g) for g in self._gains(n, plant, wanted)]
         if len(cascades) == 1 and self.structure == REPEATED:
             structure = repeated(cascades[0], n)
         else:
@@ -94,15 +95,10 @@ class ClassicalMethod(StatedRobustness):
         }
         return worded(judged(plant, law, self, level, level, {}, details), score, demanded)
 
-    def _gains(self, n: int, plant: StateSpace) -> list[float]:
+    def _gains(self, n: int, plant: StateSpace, wanted: Specification) -> list[float]:
         if self.gain is None:
-            f = (
-                np.geomspace(*Specification().band_hz, 50)
-                if plant.rate_hz is None
-                else np.geomspace(1e-3, 0.4, 50) * plant.rate_hz
-            )
-            size = float(np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2)).max())
-            return [1.0 / size if size > 0 else 1.0]
+            heard = _gains_heard(plant, wanted)
+            return [1.0 / float(heard.max()) if heard.size else 1.0]
         who = type(self).__name__
         gains = real_array(who, "gain", np.atleast_1d(np.asarray(self.gain)), 1)
         if gains.size not in (1, n):
@@ -152,7 +148,10 @@ def _best_gain(
 ) -> FloatArray:
     """Return the parameters with the common gain that attenuates most among those that meet what is hard."""
     problem = posed(plant, structure, wanted)
-    scale = np.geomspace(10 ** DECADES[0], 10 ** DECADES[1], round(A_DECADE * (DECADES[1] - DECADES[0])) + 1)
+    # where the plant falls off before the band begins, as integrators do, the gain that reaches it is as much higher
+    heard, inside = _gains_heard(plant, wanted), wanted.gains(plant)
+    top = DECADES[1] + (np.log10(heard.max() / inside.max()) if inside.size else 0.0)
+    scale = np.geomspace(10 ** DECADES[0], 10**top, round(A_DECADE * (top - DECADES[0])) + 1)
     first = np.cumsum([0] + [e.size for e in structure.elements[:-1]])
     best = theta
     for _ in range(LOOKS):
@@ -169,6 +168,15 @@ def _best_gain(
         if problem.refine(best) <= 1 - ALLOWED:
             break
     return best
+
+
+def _gains_heard(plant: StateSpace, wanted: Specification) -> FloatArray:
+    """Return the plant's largest gains over all frequencies that a law may be about."""
+    if plant.rate_hz is None:
+        return wanted.gains(plant)
+    f = np.geomspace(1e-3, 0.4, 50) * plant.rate_hz
+    size = np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2))
+    return np.concatenate([size[np.isfinite(size) & (size > 0)], wanted.gains(plant)])
 
 
 @register("design", "lead-lag")

@@ -1,7 +1,7 @@
 """Controllers of a structure given beforehand: few states, one law for all struts, or a law for each."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from ultraquiet.design.fixed_structure.elements import Element, StablePairs, fro
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
 from ultraquiet.design.fixed_structure.plane import Plane, plane_of
 from ultraquiet.design.fixed_structure.specification import Specification, specified
-from ultraquiet.design.fixed_structure.tuning import ROUNDS, STEPS, InitialLaw, calmed, posed, tuned
-from ultraquiet.design.hinf.band_attenuation import common_mode
+from ultraquiet.design.fixed_structure.tuning import ROUNDS, STEPS, InitialLaw, calmed, even_gain, posed, tuned
+from ultraquiet.design.hinf.band_attenuation import BandAttenuation, common_mode
+from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, structure_word
@@ -26,6 +27,10 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 STRUCTURES = (REPEATED, DECENTRALISED, FULL)
+MET = 1.01  # the specification's wish over its bound, for a search to rest
+IDLE = 0.9  # of what no law at all would leave: such a law is worth no more than none
+FURTHER, DRAWN = 2, 6  # ladders and random laws that are tried besides where nothing better was found
+BEYOND, HIGHEST = 2.0, 0.2  # of a random start's poles: outside the band by this factor, below this share of the rate
 
 
 @register("design", "fixed-structure")
@@ -81,57 +86,97 @@ class FixedStructure(StatedRobustness):
         """
         wanted = self.specification if isinstance(self.specification, Specification) else Specification()
         wanted.fits("FixedStructure", plant)
-        begun = self._begin(plant, wanted)
+        wanted = wanted.on(plant)
+        heard = wanted.gains(plant)
+        unit = float(np.exp2(np.round(np.log2(heard.max())))) if heard.size else 1.0
+        begun = replace(self._begin(*even_gain(plant, wanted, unit)), unit=unit)
         return tuned(plant, begun, wanted, self, self.starts, self.seed, demanded=self.specification is not None)
 
     def _begin(self, plant: StateSpace, wanted: Specification) -> InitialLaw:
         """Return the structure and the reduced H-infinity design in it."""
         part = plant if self.structure == FULL else common_mode(plant)
-        try:
-            full = wanted.weighted().synthesis(part).controller
-        except UltraquietError:
-            full = None
+        full = _of_full_order(wanted.weighted(part), part)
         n = plant.D.shape[0]
         if self.structure == FULL:
-            element, theta = _reduced(full, self.states, plane_of(plant), part.D.shape)
+            element, theta = _reduced(full, self.states, plane_of(plant), part.D.shape, wanted)
             return InitialLaw(one_element(element), theta, full)
         # the search is a hundred times quicker on the function that all channels share
-        first = _first_on_part(part, full, self.states, wanted, self.starts)
+        first = _first_on_part(part, full, self.states, wanted, self.starts, self.seed)
         element = first.structure.elements[0]
         if self.structure == REPEATED:
             return InitialLaw(repeated(element, n), first.theta, full)
         return InitialLaw(decentralised((element,) * n, n), np.tile(first.theta, n), full)
 
 
+def _of_full_order(weighted: BandAttenuation, part: StateSpace) -> StateSpace | None:
+    """Return the H-infinity law of the same wish; of a plant with poles on the axis, that of a problem made regular."""
+    try:
+        law = weighted.synthesis(part).controller
+        return law or synthesize_hinf(weighted.generalised(part), *part.D.shape, regularise=True).controller
+    except UltraquietError:
+        return None
+
+
 def _first_on_part(
-    part: StateSpace, law: StateSpace | None, states: int, wanted: Specification, starts: int
+    part: StateSpace, law: StateSpace | None, states: int, wanted: Specification, starts: int, seed: int
 ) -> InitialLaw:
     """Return the best scalar law for the function that all channels share.
 
     Ladders begin with a few states more and lose two at a time, tuned again on every rung: a law cut down at once lands
-    in poorer valleys.
+    in poorer valleys. Where what is asked is not met the search goes on from higher up, and where they end with no
+    more than no law at all would do, also from laws drawn at random.
     """
-    plane, best, level = plane_of(part), None, np.inf
-    for more in range(0, 2 * starts + 1, 2):
-        element, theta = _reduced(law, states + more, plane, part.D.shape)
-        for left in range(states + more, states - 1, -2):
-            problem = posed(part, one_element(element), wanted)
-            lowest_point = lowest(problem, [calmed(problem, theta)], STEPS, 2)
-            if lowest_point is None:
-                break
-            theta, reached = balanced(problem, lowest_point[0], STEPS, ROUNDS)
-            if left == states:
-                if reached < level:
-                    best, level = InitialLaw(one_element(element), theta), reached
-            else:
-                element, theta = _reduced(plane.from_plane(element.system(theta)), left - 2, plane, part.D.shape)
+    best, level, met = None, np.inf, 10 ** (-wanted.attenuation_db / 20)
+    for more in range(0, 2 * starts + 1 + 2 * FURTHER, 2):
+        if more > 2 * starts and level <= met * MET:
+            break
+        found, reached = _ladder(part, law, states, more, wanted)
+        if reached < level:
+            best, level = found, reached
+    rng = np.random.default_rng(seed)
+    for _ in range(DRAWN):
+        if level < IDLE:
+            break
+        element, theta = _drawn(states, plane_of(part), part.D.shape, wanted, rng)
+        found, reached = _tuned_from(part, element, theta, wanted)
+        if reached < level:
+            best, level = found, reached
     if best is None:
-        element, theta = _reduced(law, states, plane, part.D.shape)
+        element, theta = _reduced(law, states, plane_of(part), part.D.shape, wanted)
         best = InitialLaw(one_element(element), theta)
     return best
 
 
-def _reduced(law: StateSpace | None, states: int, plane: Plane, shape: tuple[int, int]) -> tuple[Element, FloatArray]:
+def _ladder(
+    part: StateSpace, law: StateSpace | None, states: int, more: int, wanted: Specification
+) -> tuple[InitialLaw | None, float]:
+    """Return the law at the foot of one ladder, and its standing: of the specification's wishes where it is met."""
+    plane = plane_of(part)
+    element, theta = _reduced(law, states + more, plane, part.D.shape, wanted)
+    for left in range(states + more, states - 1, -2):
+        found, reached = _tuned_from(part, element, theta, wanted)
+        if found is None or left == states:
+            return found, reached
+        cut = plane.from_plane(element.system(found.theta))
+        element, theta = _reduced(cut, left - 2, plane, part.D.shape, wanted)
+    return None, np.inf
+
+
+def _tuned_from(
+    part: StateSpace, element: Element, theta: FloatArray, wanted: Specification
+) -> tuple[InitialLaw | None, float]:
+    problem = posed(part, one_element(element), wanted)
+    lowest_point = lowest(problem, [calmed(problem, theta)], STEPS, 2)
+    if lowest_point is None:
+        return None, np.inf
+    theta, reached = balanced(problem, lowest_point[0], STEPS, ROUNDS)
+    # as ratio to what no law at all leaves of the wish
+    return InitialLaw(one_element(element), theta), reached / 10 ** (wanted.attenuation_db / 20)
+
+
+def _reduced(
+    law: StateSpace | None, states: int, plane: Plane, shape: tuple[int, int], wanted: Specification
+) -> tuple[Element, FloatArray]:
     """Return a law balanced and truncated to some states as an element; a random one when that cannot be."""
     if law is not None and states and law.is_stable():
         M: Matrices = plane.to_plane(law)
@@ -140,8 +185,14 @@ def _reduced(law: StateSpace | None, states: int, plane: Plane, shape: tuple[int
         element_and_theta = from_system(balance.truncate(M, left, right)) if left.shape[0] == states else None
         if element_and_theta is not None:
             return element_and_theta
+    return _drawn(states, plane, shape, wanted, np.random.default_rng(0))
+
+
+def _drawn(
+    states: int, plane: Plane, shape: tuple[int, int], wanted: Specification, rng: np.random.Generator
+) -> tuple[Element, FloatArray]:
     element = StablePairs(states, shape[1], shape[0], np.ones(states))
-    low, high = (
-        float(w) for w in plane.of_hz(np.array([5.0, 500.0 if plane.rate_hz is None else 0.2 * plane.rate_hz]))
-    )
-    return element, element.start(np.random.default_rng(0), low, high)
+    high = wanted.band_hz[1]
+    top = BEYOND * high if plane.rate_hz is None else min(BEYOND * high, HIGHEST * plane.rate_hz)
+    low, high = (float(w) for w in plane.of_hz(np.array([min(wanted.band_hz[0], top) / BEYOND, top])))
+    return element, element.start(rng, low, high)

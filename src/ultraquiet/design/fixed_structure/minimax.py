@@ -24,6 +24,8 @@ SMALLEST, LARGEST = 1e-10, 1e8  # of the damping
 ENOUGH = 1e-6  # relative decrease of a model step below which a point counts as stationary
 RELAXED = 1.3  # the balance moves on by more than the level asks: one without the other barely moves
 MISSED = 400.0  # weight of a missed hard requirement where laws are compared; missing by its inverse is forgiven
+CONTINUED = 3  # of the ends: the best one after a few steps need not be the best after many
+LOOKS, HIDES = 4, 1e-3  # between the points of the grid after each start, until no peak is higher there by this share
 LEVEL = 3e-3  # of the greatest requirement around one, where the balance of hard and soft is found
 
 Value = Callable[[FloatArray, float], float]
@@ -162,20 +164,38 @@ def stabilised(problem: TuningProblem, x: FloatArray, steps: int = 200) -> Float
 
 
 def lowest(
-    problem: TuningProblem, starts: list[FloatArray], steps: int, rounds: int
+    problem: TuningProblem,
+    starts: list[FloatArray],
+    steps: int,
+    rounds: int,
+    judge: Callable[[FloatArray], float] | None = None,
 ) -> tuple[FloatArray, float] | None:
-    """Return the best of several starts, its grid refined until no peak hides between the points."""
-    ends: list[tuple[float, FloatArray]] = []
+    """Return the best of several starts, its grid refined until no peak hides between the points.
+
+    The last few are compared by `judge`, an exact norm, where there is one.
+    """
+    ends: list[FloatArray] = []
     for start in starts:
         x = stabilised(problem, start)
         if x is None or not np.isfinite(problem.value(x)):
             continue
-        x, f = bfgs(problem.value, problem.gradient, x, steps)
-        x, f = minimax(problem, x, steps // 4)
-        ends.append((f, x))
+        x, _ = bfgs(problem.value, problem.gradient, x, steps)
+        x, _ = minimax(problem, x, steps // 4)
+        # a search finds the gaps of a grid: ends are only compared when none hides a peak there
+        for _ in range(LOOKS):
+            if problem.refine(x) < HIDES:
+                break
+            x, _ = minimax(problem, x, steps // 4)
+        ends.append(x)
     if not ends:
         return None
-    x = min(ends, key=lambda e: e[0])[1]
+    ends = sorted(ends, key=problem.value)
+    polished = [_polished(problem, x, steps, rounds) for x in ends[:CONTINUED]]
+    x = min(polished, key=judge or problem.value)
+    return x, problem.value(x)
+
+
+def _polished(problem: TuningProblem, x: FloatArray, steps: int, rounds: int) -> FloatArray:
     for _ in range(rounds):
         hidden = problem.refine(x)
         old = problem.value(x)
@@ -186,7 +206,7 @@ def lowest(
         x, f = minimax(problem, x, steps)
         if hidden < 1e-4 and old - f < 1e-4 * old:
             break
-    return x, problem.value(x)
+    return x
 
 
 def balanced(problem: TuningProblem, x: FloatArray, steps: int, rounds: int) -> tuple[FloatArray, float]:

@@ -6,9 +6,11 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
+from ultraquiet.linalg.even import evened
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
 
+AT_REST = 1e-7  # poles slower than this, relatively, are integrators
 SAME = 1e-9  # points nearer than this, relatively, are one
 
 
@@ -48,5 +50,10 @@ class Plane:
 def plane_of(P: StateSpace) -> Plane:
     """Return the plane in which the poles of a system are near one."""
     size = np.abs(P.poles())
-    size = size[size > 0]
+    size = size[size > AT_REST * max(float(size.max(initial=0.0)), _speed(P))]
     return Plane(P.rate_hz, float(np.exp(np.mean(np.log(size)))) if P.rate_hz is None and size.size else 1.0)
+
+
+def _speed(P: StateSpace) -> float:
+    """Return how fast a system is by the size of its A: rounding moves a chain of integrators off zero by its root."""
+    return float(np.linalg.norm(evened(P.A, P.B, P.C)[0])) if P.states else 0.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
-from ultraquiet.design.fixed_structure.plane import SAME, plane_of
+from ultraquiet.design.fixed_structure.plane import AT_REST, SAME, plane_of
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.values.state_space import StateSpace
 
@@ -21,7 +21,8 @@ POINTS = 220  # of the first grid
 MARGIN = 1e-9  # a loop counts as stable when its slowest pole is this far inside, relative to its size
 INFINITE = 1e6  # stands for infinite frequency, times the fastest pole
 ON_AXIS = 1e-9  # relative to its size, a pole with less damping has no response at its own frequency
-BESIDE = 1e-5  # relative; nearer to such a pole the plant's response is too large to be of use
+BESIDE = 1e-3  # relative; nearer to such a pole the plant's response is so large that the loop's drowns in rounding
+UNMOVED = 1e-5  # of its frequency: an undamped mode that the loop moves less it does not damp
 SHARP = 0.05  # resonances of less damping may hide between the points of the grid
 HIDDEN = 1.01  # a peak higher than all points by this factor was hidden
 TOPS = 20  # hidden peaks that one look adds
@@ -89,31 +90,37 @@ class TuningProblem:
         self._on_axis = poles[
             np.abs(poles.real) <= ON_AXIS * np.maximum(np.abs(poles), ON_AXIS * np.abs(poles).max(initial=0))
         ]
-        size = np.abs(poles)
-        size = size[size > ON_AXIS * size.max(initial=0.0)]
+        named = np.zeros(0) if more_hz is None else self.plane.of_hz(more_hz)
+        # poles of the plane have a size about one; what is far below is an integrator, moved by rounding
+        size = np.concatenate([np.abs(poles)[np.abs(poles) > AT_REST * max(np.abs(poles).max(initial=0), 1)], named])
         size = size if size.size else np.ones(1)  # a static plant, or integrators alone
         self.low, self.high = float(size.min()), float(size.max())
         if P.rate_hz is not None:
             self.low, self.high = max(self.low, 1e-5), min(self.high, 1.0)
         self.soft = 1.0  # weight of what is not hard
         ends = np.concatenate([np.geomspace(self.low / 10, self.high * 10, POINTS), [0.0, INFINITE * self.high]])
-        named = np.zeros(0) if more_hz is None else self.plane.of_hz(more_hz)
         self.samples = self.sampled(np.concatenate([ends, np.abs(poles.imag), named]))
         self._base = self.samples.w
 
     def sampled(self, w: FloatArray) -> PlantSamples:
         """Return P and the bounds at frequencies of the plane."""
-        w = np.unique(w)
-        w = w[np.concatenate([[True], np.diff(w) > SAME * w[1:]])]
-        # at a pole of the plant on the axis only the loop has a response: its neighbours on the grid speak for it
-        if self._on_axis.size:
-            away = np.abs(w[:, None] - np.abs(self._on_axis.imag))
-            w = w[np.all(away > BESIDE * np.maximum(np.abs(self._on_axis), self.low), axis=1)]
+        w = self._beside(w)
         R = np.moveaxis(self._terms.at(_axis(w)), 2, 0)
         p, m = R.shape[1] - self.ny, R.shape[2] - self.nu
         f = self.plane.hz(w)
         bounds = tuple(np.ones(w.size) if r.bound is None else r.bound(f) for r in self.requirements)
         return PlantSamples(w, R[:, :p, :m], R[:, :p, m:], R[:, p:, :m], R[:, p:, m:], bounds)
+
+    def _beside(self, w: FloatArray) -> FloatArray:
+        """Return points, those at a pole of the plant on the axis moved beside it: there only the loop has a response.
+
+        Left out, they would be a gap: a search finds laws whose loop is worst just there.
+        """
+        for at in np.abs(self._on_axis.imag):
+            near = BESIDE * max(float(at), self.low)
+            w = np.where(np.abs(w - at) <= near, at + near, w)
+        w = np.unique(w)
+        return w[np.append(True, np.diff(w) > SAME * w[1:])[: w.size]]
 
     def refine(self, theta: FloatArray) -> float:
         """Add what a fine grid shows between the points; return by how much the level was underrated, relative."""
@@ -162,11 +169,12 @@ class TuningProblem:
         if not np.all(np.isfinite(theta)):
             return np.inf
         try:
-            level = self.level(theta)
+            each = self._levels(theta, self.samples).max(axis=1)
+            level = float(np.max(each * self.weights()))
             if level >= ceiling:
                 return level
             poles = self._poles(theta)
-            return max(level, self._between(theta, poles, level)) if self._stable(theta, poles) < 0 else np.inf
+            return max(level, self._between(theta, poles, each)) if self._stable(theta, poles) < 0 else np.inf
         except np.linalg.LinAlgError:
             return np.inf
 
@@ -176,19 +184,39 @@ class TuningProblem:
 
     def _stable(self, theta: FloatArray, poles: ComplexArray) -> float:
         worst = float(np.max(poles.real / (np.abs(poles) + SAME), initial=-1.0)) + MARGIN
+        if self._unmoved(poles):
+            worst = max(worst, MARGIN)
         return max(worst, self.structure.abscissa(theta) + MARGIN) if self.stable_law else worst
+
+    def _unmoved(self, poles: ComplexArray) -> bool:
+        """Return whether the loop leaves a pole of the plant on the axis where it is, too near for its peak to show."""
+        for at in self._on_axis:
+            own = BESIDE * self.low if abs(at) <= self.low * BESIDE else UNMOVED * abs(at)
+            if np.any(np.abs(poles - at) < own):
+                return True
+        return False
 
     def _poles(self, theta: FloatArray) -> ComplexArray:
         return np.linalg.eigvals(self.closed(theta)).astype(np.complex128)
 
-    def _between(self, theta: FloatArray, poles: ComplexArray, level: float) -> float:
-        """Return the level at resonances of the loop, and keep those points of the grid where it hid a peak."""
-        w = poles.imag[(poles.imag > 0) & (poles.real > -SHARP * poles.imag)]
-        if not w.size:
-            return 0.0
+    def _between(self, theta: FloatArray, poles: ComplexArray, each: FloatArray) -> float:
+        """Return the level at resonances of the loop, and keep those points of the grid where it hid a peak.
+
+        `each` is the greatest of every requirement on the grid; one that is hard and missed counts below the level too.
+        """
+        size = np.abs(poles)
+        # where integrators close their loop nobody knows beforehand: a pole off the grid is looked at however damped
+        off = ((size < self.low / 10) | (size > 10 * self.high)) & (size > 0)
+        ringing = (poles.imag > 0) & (poles.real > -SHARP * poles.imag)
+        w = np.concatenate([poles.imag[ringing], size[off]])
         fine = self.sampled(w)
-        levels = np.max(self._levels(theta, fine) * self.weights()[:, None], axis=0)
-        hidden = fine.w[levels > HIDDEN * level]
+        if not fine.w.size:
+            return 0.0
+        rows = self._levels(theta, fine)
+        levels, level = np.max(rows * self.weights()[:, None], axis=0), float(np.max(each * self.weights()))
+        hard = np.array([r.hard for r in self.requirements])
+        missed = (rows > HIDDEN * np.maximum(each, 1.0)[:, None]) & hard[:, None]
+        hidden = fine.w[(levels > HIDDEN * level) | np.any(missed, axis=0)]
         if hidden.size:
             around = (hidden[:, None] * FAN).ravel()
             self._add(theta, around)

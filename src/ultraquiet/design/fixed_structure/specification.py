@@ -1,7 +1,7 @@
 """What a controller is to achieve, in numbers: every design is scored against it, tunable ones are tuned to it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from ultraquiet.values.state_space import StateSpace
 
 # Corners of a rational weight lie a tenth outside the band that is to be quiet.
 OUTSIDE = 1.1
+INVERTING, POINTS = 130.0, 60  # the control limit where none is given, and the points at which the band is looked at
 TIGHT = 0.997  # of the bounds, when tuned to: the grid's peaks are that near to the exact norms
 FLOOR = 1.25  # W1 outside the band is this share of the inverse peak: the weights' corners take the rest
 
@@ -58,7 +59,8 @@ class Specification:
         band_hz: band to be quiet, Hz.
         attenuation_db: by how much in the worst direction, -20 log10 of the largest singular value of S there.
         peak_db: largest amplification of S anywhere.
-        control_limit: largest singular value of K S, volts at the actuators a volt at the sensors.
+        control_limit: largest singular value of K S, volts at the actuators a volt at the sensors; absent, 130 times
+            what inverts the plant's strongest direction where it is weakest in the band.
         disk_margin: least 1 / ||S - I/2||, for gains and phases that change in all loops at once; None asks nothing.
         roll_off_hz, roll_off_db: from here on, |T| = |G K S| is to be at most -roll_off_db; None asks nothing.
         tones_hz, tone_db: worst direction of the attenuation at single frequencies.
@@ -75,7 +77,7 @@ class Specification:
     band_hz: tuple[float, float] = (10.0, 100.0)
     attenuation_db: float = 12.0
     peak_db: float = 8.0
-    control_limit: float = 2000.0
+    control_limit: float | None = None
     disk_margin: float | None = None
     roll_off_hz: float | None = None
     roll_off_db: float = 10.0
@@ -85,8 +87,10 @@ class Specification:
     def __post_init__(self) -> None:
         who = "Specification"
         rising_band(who, self.band_hz)
-        for name in ("attenuation_db", "peak_db", "control_limit", "roll_off_db", "tone_db"):
+        for name in ("attenuation_db", "peak_db", "roll_off_db", "tone_db"):
             positive(who, name, getattr(self, name))
+        if self.control_limit is not None:
+            positive(who, "control_limit", self.control_limit)
         if self.disk_margin is not None:
             between(who, "disk_margin", self.disk_margin, 0.0, 2.0)
 
@@ -106,6 +110,19 @@ class Specification:
                 "ask below it or sample faster."
             )
 
+    def on(self, plant: StateSpace) -> "Specification":
+        """Return the specification with the control limit in the plant's own units where none is given."""
+        if self.control_limit is not None:
+            return self
+        heard = self.gains(plant)
+        return replace(self, control_limit=INVERTING / float(heard.min()) if heard.size else 1.0)
+
+    def gains(self, plant: StateSpace) -> FloatArray:
+        """Return the plant's largest gain over the band, where it has one."""
+        f = np.geomspace(*self.band_hz, POINTS)
+        largest = np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2))
+        return largest[np.isfinite(largest) & (largest > 0)]
+
     def score(self, plant: StateSpace, controller: StateSpace) -> Score:
         """Measure a controller on a plant.
 
@@ -115,6 +132,7 @@ class Specification:
             InputError: sizes or rates that do not fit, frequencies above Nyquist.
         """
         self.fits("Specification", plant)
+        limit = self.on(plant).control_limit
         stable = feedback(plant, controller).is_stable()
         S = sensitivity(plant, controller)
         n = plant.D.shape[0]
@@ -137,7 +155,7 @@ class Specification:
             wanted[f"tone_{f:g}_hz_db"] = self.tone_db
         sign = {"peak_db": -1.0}
         shortfall = {k: max(0.0, v - sign.get(k, 1.0) * measured[k]) for k, v in wanted.items()}
-        shortfall["control_gain"] = max(0.0, measured["control_gain"] / self.control_limit - 1)
+        shortfall["control_gain"] = max(0.0, measured["control_gain"] / _given(limit) - 1)
         return Score(measured, shortfall, stable)
 
     def requirements(self, plant: StateSpace) -> tuple[StateSpace, tuple[Requirement, ...]]:
@@ -156,7 +174,7 @@ class Specification:
         wanted = [
             Requirement("attenuation", S, self._quiet),
             Requirement("peak", S, self._flat(10 ** (self.peak_db / 20)), hard=True),
-            Requirement("control", KS, self._flat(self.control_limit), hard=True),
+            Requirement("control", KS, self._flat(_given(self.on(plant).control_limit)), hard=True),
         ]
         if self.disk_margin is not None:
             wanted.append(Requirement("margin", half, self._flat(1 / self.disk_margin), hard=True))
@@ -170,8 +188,8 @@ class Specification:
         ends = [] if self.roll_off_hz is None else [self.roll_off_hz]
         return np.array([*np.geomspace(low, high, 60), low, high, *self.tones_hz, *ends])
 
-    def weighted(self, order: int = 8) -> BandAttenuation:
-        """Return the same wish as rational weights for an H-infinity design, W1 S, W2 K S, W3 T."""
+    def weighted(self, plant: StateSpace, order: int = 8) -> BandAttenuation:
+        """Return the same wish for a plant as rational weights for an H-infinity design, W1 S, W2 K S, W3 T."""
         low, high = self.band_hz
         peak = 10 ** (self.peak_db / 20)
         return BandAttenuation(
@@ -179,7 +197,7 @@ class Specification:
             height=10 ** (self.attenuation_db / 20) * FLOOR,
             floor=FLOOR / peak,
             order=order,
-            control_limit=self.control_limit / FLOOR,
+            control_limit=_given(self.on(plant).control_limit) / FLOOR,
             tones_hz=self.tones_hz,
         )
 
@@ -204,6 +222,11 @@ class Specification:
         top = 100 * self.roll_off_hz if S.rate_hz is None else S.rate_hz / 2
         T = np.moveaxis(S.frequency_response(np.geomspace(self.roll_off_hz, top, 400)), 2, 0) - np.eye(S.D.shape[0])
         return -20 * float(np.log10(max(np.linalg.norm(T, 2, axis=(1, 2)).max(), 1e-300)))
+
+
+def _given(limit: float | None) -> float:
+    assert limit is not None
+    return limit
 
 
 def specified(value: "Specification | Mapping[str, Any] | None") -> Specification | None:

@@ -23,6 +23,7 @@ from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
 STEPS, ROUNDS = 200, 4
+LOUDER = (0.0, 1.0, 0.0, 2.0, -1.0)  # decades by which random constant gains differ, one after the other
 
 
 @dataclass(frozen=True)
@@ -90,9 +91,11 @@ def synthesize_structured(
     problem = TuningProblem(P, plant, law, (norm,), stable_law=stable)
     full, optimum = _full_order(P, ny, nu)
     points = [law.start(rng, problem.low / 3, 3 * problem.high) for _ in range(whole(who, "starts", starts, 1))]
+    if structure is None and not n:  # the plant's units say nothing of how high a constant gain is to be
+        points = [10 ** LOUDER[k % len(LOUDER)] * point for k, point in enumerate(points)]
     if full is not None and structure is None and not stable and full.states >= n:
-        points.insert(0, _cut(problem, full, n))
-    lowest_point = lowest(problem, points, STEPS, ROUNDS)
+        points = [_cut(problem, full, n), *([] if n else _gains_of(problem, full)), *points]
+    lowest_point = lowest(problem, points, STEPS, ROUNDS, lambda x: _norm(P, problem.plane.from_plane(law.system(x))))
     if lowest_point is None:
         return refused(f"{who}: no start gave a stable loop with {n} states; allow more states or starts.")
     theta, level = lowest_point
@@ -105,6 +108,11 @@ def synthesize_structured(
     return judged(plant, K, _Settings(n, stable, starts, seed), level, achieved, {}, details)
 
 
+def _norm(P: StateSpace, K: StateSpace) -> float:
+    loop = lft(P, K)
+    return hinf_norm(loop)[0] if loop.is_stable() else np.inf
+
+
 def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, float]:
     """Return the law of full order and the smallest norm it proves; nothing where the problem is singular."""
     try:
@@ -112,6 +120,21 @@ def _full_order(P: StateSpace, ny: int, nu: int) -> tuple[StateSpace | None, flo
     except UltraquietError:
         return None, float("nan")
     return (result.controller, float(result.details["optimum"][1])) if result.controller else (None, float("nan"))
+
+
+def _gains_of(problem: TuningProblem, law: StateSpace) -> list[np.ndarray]:
+    """Return what a law of full order does at rest and at the plant's slowest, middle and fastest pole, as gains."""
+    A, B, C, D = problem.plane.to_plane(law)
+    one = np.eye(A.shape[0])
+    found = []
+    for w in (0.0, problem.low, float(np.sqrt(problem.low * problem.high)), problem.high):
+        try:
+            gain = (D + C @ np.linalg.solve(1j * w * one - A, B)).real
+        except np.linalg.LinAlgError:
+            continue
+        if np.all(np.isfinite(gain)):
+            found.append(gain.ravel())
+    return found
 
 
 def _cut(problem: TuningProblem, law: StateSpace, states: int) -> np.ndarray:

@@ -27,18 +27,23 @@ SPREAD = 0.3  # of the random starts around the first, relative
 
 @dataclass(frozen=True, eq=False)
 class InitialLaw:
-    """A structure, parameters to begin with, and the law of full order they came from."""
+    """A structure, parameters to begin with, the law of full order they came from, and the plant's unit of gain.
+
+    The parameters are those of `unit` times the law, for the plant over `unit`: a search knows no units.
+    """
 
     structure: ControllerStructure
     theta: FloatArray
     full_order: StateSpace | None = None
+    unit: float = 1.0
 
 
 def tuned(
     plant: StateSpace, start: InitialLaw, wanted: Specification, settings: Any, starts: int, seed: int, demanded: bool
 ) -> DesignResult:
     """Tune a structure to a specification and judge what comes out on the plant itself."""
-    who = type(settings).__name__
+    who, given, asked = type(settings).__name__, plant, wanted
+    plant, wanted = even_gain(plant, wanted, start.unit)
     problem = posed(plant, start.structure, wanted)
     points = _points(problem, start.theta, starts, np.random.default_rng(seed))
     lowest_point = lowest(problem, points, STEPS, 2)
@@ -46,19 +51,29 @@ def tuned(
         return refused(f"{who}: no start gave a stable loop; try another structure, more states or more starts.")
     theta = _within(problem, balanced(problem, lowest_point[0], STEPS, ROUNDS)[0], plant, wanted)
     levels = problem.measured(theta)
-    controller = problem.plane.from_plane(start.structure.system(theta))
-    score = wanted.score(plant, controller)
+    controller = of_gain(problem.plane.from_plane(start.structure.system(theta)), 1 / start.unit)
+    score = asked.score(given, controller)
     details = {
         "score": score,
         "levels": dict(zip([r.name for r in problem.requirements], levels.tolist(), strict=True)),
         "theta": theta,
         "parameters": theta.size,
-        "specification": wanted,
-        "full_order": start.full_order,
+        "specification": asked,
+        "full_order": start.full_order and of_gain(start.full_order, 1 / start.unit),
         "points": problem.samples.w.size,
     }
-    result = judged(plant, controller, settings, float(levels.max()), _achieved(wanted, score), {}, details)
+    result = judged(given, controller, settings, float(levels.max()), _achieved(asked, score), {}, details)
     return worded(result, score, demanded)
+
+
+def of_gain(G: StateSpace, factor: float) -> StateSpace:
+    """Return factor times a system."""
+    return StateSpace(G.A, G.B, factor * G.C, factor * G.D, G.rate_hz) if factor != 1.0 else G
+
+
+def even_gain(plant: StateSpace, wanted: Specification, unit: float) -> tuple[StateSpace, Specification]:
+    """Return the plant over a unit, a power of two, and what is asked of it then."""
+    return of_gain(plant, 1 / unit), replace(wanted, control_limit=_limit(wanted) * unit)
 
 
 def _within(problem: TuningProblem, theta: FloatArray, plant: StateSpace, wanted: Specification) -> FloatArray:
@@ -93,8 +108,13 @@ def _tightened(wanted: Specification, missing: Mapping[str, float]) -> Specifica
     if np.isfinite(missing.get("peak_db", np.nan)):
         more["peak_db"] = wanted.peak_db - max(2 * missing["peak_db"], LEAST_DB)
     if np.isfinite(missing.get("control_gain", np.nan)):
-        more["control_limit"] = wanted.control_limit / (1 + 2 * missing["control_gain"])
+        more["control_limit"] = _limit(wanted) / (1 + 2 * missing["control_gain"])
     return replace(wanted, **more) if more.get("peak_db", 1.0) > 0 else wanted
+
+
+def _limit(wanted: Specification) -> float:
+    assert wanted.control_limit is not None
+    return wanted.control_limit
 
 
 def posed(plant: StateSpace, structure: ControllerStructure, wanted: Specification) -> TuningProblem:
@@ -120,7 +140,7 @@ def _achieved(wanted: Specification, score: Any) -> float:
     ratios = [
         10 ** ((wanted.attenuation_db - got["attenuation_db"]) / 20),
         10 ** ((got["peak_db"] - wanted.peak_db) / 20),
-        got["control_gain"] / wanted.control_limit,
+        got["control_gain"] / _limit(wanted),
     ]
     if wanted.disk_margin is not None:
         ratios.append(wanted.disk_margin / got["disk_margin"])

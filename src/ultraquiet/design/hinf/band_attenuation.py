@@ -11,7 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.gain_search import from_plant
-from ultraquiet.design.hinf.normalised import band_shape, normalised_four_block
+from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
@@ -19,7 +19,7 @@ from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED, structure_word
 from ultraquiet.design.verification import from_synthesis
-from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
+from ultraquiet.design.weights.filters import below_nyquist, high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg import balance
 from ultraquiet.values.door import takes_systems
@@ -213,7 +213,7 @@ class BandAttenuation(StatedRobustness):
         """
         rate, limit = plant.rate_hz, self._number("control_limit")
         height, floor = self._number("height"), self._number("floor")
-        performance = band_pass(self._band(plant), height, floor, self.order or ORDER, rate)
+        performance = absolute_shape(plant, self.band_hz, height, floor, self.order or ORDER)
         end = high_pass(below_nyquist(self._number("roll_off_hz"), rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate)
         return {
             "performance": with_tones(performance, self.tones_hz, self.tone_height, self.tone_zeta),

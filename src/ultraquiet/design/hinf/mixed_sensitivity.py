@@ -12,14 +12,14 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.gain_search import from_plant
-from ultraquiet.design.hinf.normalised import band_shape, normalised_four_block
+from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
+from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import from_synthesis
-from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, rational, with_tones
+from ultraquiet.design.weights.filters import below_nyquist, high_pass, rational, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import four_block, output_shaping
@@ -216,8 +216,8 @@ class MixedSensitivity(StatedRobustness):
             return self.performance
         if self.form == "paper":
             return rational(*PAPER_W1, plant.rate_hz, 1)
-        band_hz = self.band_hz or even_plant(plant).band_hz
-        return band_pass(band_hz, self._number("height"), self._number("floor"), self.order or ORDER, plant.rate_hz)
+        height, floor = self._number("height"), self._number("floor")
+        return absolute_shape(plant, self.band_hz, height, floor, self.order or ORDER)
 
     def _control(self, rate_hz: float | None) -> Weight:
         if self.form == "paper":

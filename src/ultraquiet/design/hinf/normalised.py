@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
-from ultraquiet.design.plant_scale import EvenPlant
+from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult
-from ultraquiet.design.weights.filters import HIGHEST, band_pass, with_tones
+from ultraquiet.design.weights.filters import HIGHEST, band_pass, low_pass, with_tones
 from ultraquiet.values.generalised import four_block
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace
@@ -59,3 +59,19 @@ def band_shape(
             high = min(high, max(HIGHEST * rate_hz, (low + rate_hz / 2) / 2))
         shape = band_pass((low, high), 1.0, FLOOR, order or EDGES, rate_hz)
     return with_tones(shape, tones_hz, tone_height, tone_zeta)
+
+
+def absolute_shape(
+    plant: StateSpace, band_hz: tuple[float, float] | None, height: float, floor: float, order: int
+) -> StateSpace:
+    """Return a weight of one channel, `height` over a band and `floor` outside it; the plant's own band when absent.
+
+    A plant that is loud from rest on has a band without a lower edge, and so has the weight: an edge at the lowest
+    frequency that somebody looked at would put its poles there, a million times slower than all others.
+    """
+    if band_hz is not None:
+        return band_pass(band_hz, height, floor, order, plant.rate_hz)
+    even = even_plant(plant)
+    if even.from_rest:
+        return low_pass(even.band_hz[1], height, floor, max(order // 2, 1), plant.rate_hz)
+    return band_pass(even.band_hz, height, floor, order, plant.rate_hz)

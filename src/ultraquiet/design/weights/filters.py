@@ -61,6 +61,34 @@ def band_pass(
     return realised(zeros, poles, floor, centre, rate_hz, channels)
 
 
+def low_pass(
+    corner_hz: float, height: float, floor: float, order: int = 2, rate_hz: float | None = None, channels: int = 1
+) -> StateSpace:
+    """Return a weight of gain `height` from rest to a corner and `floor` far above it, on each of several channels.
+
+    |W|^2 = floor^2 (x^2n + (height / floor)^2) / (x^2n + 1), x = f / corner: a `band_pass` without its lower edge.
+
+    Args:
+        corner_hz: where the gain has fallen by 3 dB, Hz.
+        height: gain at 0 Hz.
+        floor: gain far above the corner.
+        order: states per channel; the edge falls with 20 dB per decade for each.
+        rate_hz: None for continuous time; a rate gives Tustin's rule, exact at the corner.
+        channels: copies on the diagonal.
+
+    >>> W = low_pass(10.0, height=10.0, floor=0.5)
+    >>> [round(float(abs(W.frequency_response([f])[0, 0, 0])), 2) for f in (0.0, 10.0, 1e5)]
+    [10.0, 7.08, 0.5]
+    """
+    who = "low_pass"
+    ratio = positive(who, "height", height) / positive(who, "floor", floor)
+    if rate_hz is not None and corner_hz >= rate_hz / 2:
+        raise InputError(f"{who}: 'corner_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {corner_hz:g} Hz.")
+    poles = _butterworth(whole(who, "order", order, 1))
+    zeros = poles * ratio ** (1 / order)
+    return realised(zeros, poles, floor, positive(who, "corner_hz", corner_hz, "Hz"), rate_hz, channels)
+
+
 def high_pass(
     corner_hz: float, low: float, high: float, order: int = 1, rate_hz: float | None = None, channels: int = 1
 ) -> StateSpace:

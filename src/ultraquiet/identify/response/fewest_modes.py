@@ -8,9 +8,10 @@ import numpy as np
 from ultraquiet.linalg import vector_fitting
 from ultraquiet.linalg.modes import rank_elimination, rank_one
 
-ROUGH_STEPS, FINE_STEPS = 8, 40  # of the search for directions and poles, to compare sets of modes and at the end
+ROUGH_STEPS, FINE_STEPS = 8, 20  # of the search for directions and poles: to compare sets of modes, and at the end
 REACH = 2.0  # error in units of the goal, from which the search for poles and directions may still lead back
 AMPLE = 0.03  # error in units of the goal, below which nothing is sought any more
+TOGETHER = 0.1  # share of the modes that is tried to leave at once
 FAILURES = 2  # modes tried in turn, the faintest first, before nothing more is taken off
 
 
@@ -45,18 +46,32 @@ def fewest(fits: Iterable[vector_fitting.PoleResidueFit], task: Thinning) -> Tri
 
     Every direction of every residue begins as a mode. The faintest leave, poles held, until what is left misses the
     goal by far. Of several fits the one goes on that meets the goal with fewest states by then: from its smallest set
-    upwards all poles and directions are sought together, until one meets the goal.
+    upwards all poles and directions are sought together, until one meets the goal, or else nearly does.
     """
     _, sets = min((_eliminated(fit, task) for fit in fits), key=lambda found: found[0])
+    missed: list[Trial] = []
     while sets:
         trial = task.tried(sets.pop(), ROUGH_STEPS)
         if trial.held_out > task.goal:
+            missed.append(trial)
             continue
         larger = task.tried(sets.pop(), ROUGH_STEPS) if sets else trial
         task = task.tightened(min(trial.held_out, larger.held_out))
         chosen = trial if trial.held_out <= task.goal else larger
-        return _thinned(task.tried(chosen.modes, FINE_STEPS), task)
-    return None
+        return _thinned(chosen, task)
+    return _nearly(missed, task)
+
+
+def _nearly(missed: list[Trial], task: Thinning) -> Trial | None:
+    """Return the smallest of rising sets of modes that misses the goal by what precision is not worth a state."""
+    eased = task._replace(goal=float(np.hypot(task.goal, task.spare)))
+    found = next((trial for trial in missed if trial.held_out <= eased.goal), None)
+    return None if found is None else _thinned(found, eased)
+
+
+def settled(modes: rank_one.RankOneModes, samples: rank_one.Samples) -> rank_one.RankOneModes:
+    """Return the modes fitted once more, to all lines: those that chose them tell of their poles too."""
+    return rank_one.refined(modes, samples, FINE_STEPS)
 
 
 def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int, list[rank_one.RankOneModes]]:
@@ -74,14 +89,16 @@ def _eliminated(fit: vector_fitting.PoleResidueFit, task: Thinning) -> tuple[int
 
 
 def _thinned(trial: Trial, task: Thinning) -> Trial:
-    """Take off one mode after the other, the faintest first, as long as the goal is met."""
-    failed = 0
-    while failed < FAILURES and len(trial.modes.heads()) > failed + 1:
+    """Take off the faintest modes, several at once and fewer where that is too many, as long as the goal is met."""
+    together, failed = max(1, round(TOGETHER * len(trial.modes.heads()))), 0
+    while failed < FAILURES and len(trial.modes.heads()) > failed + together:
         heads = trial.modes.heads()
-        faint = rank_elimination.faintest(trial.modes, task.fitted)[failed]
+        faint = rank_elimination.faintest(trial.modes, task.fitted)[failed : failed + together]
         tried = task.tried(trial.modes.only(np.delete(heads, faint)), ROUGH_STEPS)
         if tried.held_out <= task.goal:
             trial, failed = tried, 0
+        elif together > 1:
+            together //= 2
         else:
             failed += 1
     return trial

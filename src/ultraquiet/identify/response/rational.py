@@ -11,7 +11,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import usable
-from ultraquiet.identify.response.fewest_modes import Thinning, fewest
+from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
 from ultraquiet.linalg import pole_residue, portmanteau, vector_fitting
@@ -26,9 +26,13 @@ ORDERS = tuple(range(4, 33, 2))
 # Tried when the held-out error still falls at the last of those, until two in turn do not lower it.
 HIGHER_ORDERS = (36, 40, 44, 48, 54, 60, 66, 72, 80, 90, 100)
 PATIENCE = 2
+# Lines used: at least and at most, and the gains that all channels of them make between. A narrow mode of one channel
+# shows at a few lines only; of many channels, each says where it is.
+LINES, GAINS = (500, 2000), 4000
 LINES_PER_POLE = 3  # fitted lines that a pole takes
-# The smallest order is taken whose held-out error exceeds the best by less than this share of the floor (root of the
-# difference of squares): spare poles have nothing to do but to ring at noise.
+# The smallest order is taken whose held-out error exceeds the best by less than this share of the floor, or of the best
+# where noise that nobody measured lies above the floor (root of the difference of squares): spare poles have nothing to
+# do but to ring at noise.
 WORTH = 0.3
 # Starting poles: this relative damping, from the lowest line to the highest.
 START_DAMPING = 0.1
@@ -50,7 +54,8 @@ class ResponseFit:
             channels; or, where they would save no state, those poles, each as often as its residue has rank.
         status: `ok`, or `poor fit` with the error.
         order: number of common poles.
-        error: weighted RMS error relative to the response, at lines used for the fit and at held-out ones.
+        error: weighted RMS error relative to the response, at lines used for the fit and at held-out ones; before
+            the last fit, to all lines.
         errors_by_order: held-out error of every order tried.
     """
 
@@ -79,7 +84,8 @@ class Rational:
         delay: samples before the first response, at least one.
         iterations: relocations of the poles.
         floor: relative error below which precision is not worth having.
-        most_lines: lines used at most, half of them spaced evenly in frequency and half in its logarithm.
+        most_lines: lines used at most, half of them spaced evenly in frequency and half in its logarithm. None: 500,
+            and up to 2000 where there are fewer than eight channels, for each has less to tell.
         rank_tolerance: residue directions that matter less than this share of the response are left out where no
             smaller set of modes meets the response.
         zeros_at_dc: zeros that every channel is known to have at z = 1. Of several at s = 0 a hold leaves one;
@@ -99,7 +105,7 @@ class Rational:
     delay: int = 1
     iterations: int = 8
     floor: float = 0.01
-    most_lines: int = 500
+    most_lines: int | None = None
     rank_tolerance: float = 1e-3
     zeros_at_dc: int = 0
 
@@ -108,7 +114,8 @@ class Rational:
             whole("Rational", "order", self.order, 1)
         whole("Rational", "delay", self.delay, 1)
         whole("Rational", "iterations", self.iterations, 1)
-        whole("Rational", "most_lines", self.most_lines, 8)
+        if self.most_lines is not None:
+            whole("Rational", "most_lines", self.most_lines, 8)
         whole("Rational", "zeros_at_dc", self.zeros_at_dc, 0, min(8, (self.order or ORDERS[-1]) - 1))
         between("Rational", "floor", self.floor, 1e-6, 1.0)
         between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
@@ -159,16 +166,17 @@ class Rational:
         slowest = float(2 * np.pi * f[0] / rate_hz)
         fitted = rank_one.Samples(z[used], H[:, :, used], weight[used], self.zeros_at_dc, slowest)
         held_out = rank_one.Samples(z[~used], H[:, :, ~used], weight[~used])
+        whole = rank_one.Samples(z, H, weight, self.zeros_at_dc, slowest)
         fits, errors_by_order = _by_order(self, fitted, held_out, f, rate_hz)
         best = min(errors_by_order, key=lambda n: errors_by_order[n])
-        worth = WORTH * self.floor
+        worth = WORTH * max(self.floor, errors_by_order[best])
         chosen = min(n for n, e in errors_by_order.items() if e <= np.hypot(errors_by_order[best], worth))
         goal = max(errors_by_order[chosen], EXACT * self.floor)
-        model = _realised(self, fits[chosen], f, rate_hz, weight, response)
+        model = _realised(self, _fitted(self, whole, fits[chosen].poles), f, rate_hz, weight, response)
         error = fits[chosen].error, errors_by_order[chosen]
         lean = fewest([fits[n] for n in sorted({chosen, best})], Thinning(fitted, held_out, goal, worth))
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
-            model = _assembled(self, _blocks(lean.modes), rate_hz, response)
+            model = _assembled(self, _blocks(settled(lean.modes, whole)), rate_hz, response)
             error = lean.error, lean.held_out
         return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order)
 
@@ -186,12 +194,15 @@ def _by_order(
             if n in HIGHER_ORDERS and method.order is None and not _falling(errors, WORTH * method.floor):
                 break
             start = _starting_poles(n, f, rate_hz)
-            fits[n] = vector_fitting.fit(
-                fitted.z, fitted.H, fitted.weight, start, method.iterations, method.zeros_at_dc, fitted.slowest
-            )
+            fits[n] = _fitted(method, fitted, start)
             errors[n] = _error(fits[n], held_out.z, held_out.H, held_out.weight)
             progress.advance(note=f"order {n}: {errors[n]:.4f}")
     return fits, errors
+
+
+def _fitted(method: Rational, samples: rank_one.Samples, start: ComplexArray) -> vector_fitting.PoleResidueFit:
+    zeros = samples.zeros_at_one
+    return vector_fitting.fit(samples.z, samples.H, samples.weight, start, method.iterations, zeros, samples.slowest)
 
 
 def _falling(errors: dict[int, float], worth: float) -> bool:
@@ -214,7 +225,8 @@ def _checked(
     noise = np.zeros_like(size) if response.variance is None else np.mean(response.variance, axis=(0, 1))
     noise_share = noise * max(G.shape[:2]) / np.where(size > 0, size, 1.0) ** 2
     keep = (size > 0) & (f > 0) & (f < rate_hz / 2) & (noise_share < HIDDEN**2)
-    keep[keep] = _thin(f[keep], method.most_lines)
+    most = method.most_lines or int(np.clip(GAINS // (G.shape[0] * G.shape[1]), *LINES))
+    keep[keep] = _thin(f[keep], most)
     needed = 8 * (method.order or ORDERS[0])
     if np.count_nonzero(keep) < needed:
         raise InputError(

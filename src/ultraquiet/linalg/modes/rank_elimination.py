@@ -65,9 +65,9 @@ class _Products:
         all other input directions, whichever is less; by each of its states.
         """
         modes, by_outputs = self.refitted(_orthogonal(self.refitted(modes)[0]))
-        turned, by_inputs = self.turned().refitted(_turned(modes))
+        turned, by_inputs = self.turned().refitted(modes.turned())
         states = np.where(np.arange(by_inputs.size) < modes.upper, 2, 1)
-        return _turned(turned), np.argsort(np.minimum(by_outputs, by_inputs) / states, kind="stable")
+        return turned.turned(), np.argsort(np.minimum(by_outputs, by_inputs) / states, kind="stable")
 
     def refitted(self, modes: rank_one.RankOneModes) -> tuple[rank_one.RankOneModes, FloatArray]:
         """Return the modes with the best output directions, and the rise of the squared error without each of them."""
@@ -113,7 +113,3 @@ def _orthogonal(modes: rank_one.RankOneModes) -> rank_one.RankOneModes:
         root = np.sqrt(s[: of_pole.size])
         c[:, of_pole], b[of_pole] = U[:, : of_pole.size] * root, root[:, None] * Vh[: of_pole.size]
     return rank_one.of(modes.poles[heads], c, b)
-
-
-def _turned(modes: rank_one.RankOneModes) -> rank_one.RankOneModes:
-    return rank_one.RankOneModes(modes.poles, modes.b.T, modes.c.T)

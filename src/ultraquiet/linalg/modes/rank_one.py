@@ -3,7 +3,7 @@
 A mode of a structure has one shape at the sensors and one at the actuators: its residue has rank one, and it costs two
 states. Levenberg and Marquardt's steps on all of p, c and b. Since the weight of a line is the same for every channel,
 their normal matrix follows from Gram matrices of the functions 1 / (z - p) and 1 / (z - p)^2 alone; its cost does not
-grow with channels times lines (variable projection's cousin; Golub and Pereyra 2003, doi:10.1088/0266-5611/19/2/201).
+grow with channels times lines (`projected_step`).
 """
 
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.modes.projected_step import ProjectedEquations
 
 # Damping of the steps: first, least (c and b share a factor: the matrix is singular), and where the search ends.
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-9, 1e3
@@ -42,6 +43,10 @@ class RankOneModes(NamedTuple):
         u = self.upper
         rows = np.concatenate([kept[kept < u], kept[kept < u] + u, kept[kept >= 2 * u]]).astype(int)
         return RankOneModes(self.poles[rows], self.c[:, rows], self.b[rows])
+
+    def turned(self) -> "RankOneModes":
+        """Return the modes of the transposed response."""
+        return RankOneModes(self.poles, self.b.T, self.c.T)
 
     def heads(self) -> np.ndarray:
         """Return the indices of upper and real poles: one a mode."""
@@ -83,19 +88,22 @@ def refined(modes: RankOneModes, samples: Samples, steps: int, enough: float = 0
         steps: taken at most.
         enough: RMS error at which the search may end.
     """
+    if len(modes.c) < modes.b.shape[1]:  # a step costs by the inputs alone
+        turned = samples._replace(H=samples.H.transpose(1, 0, 2))
+        return refined(modes.turned(), turned, steps, enough).turned()
     at = FittedModes.of(modes, samples)
     damping = DAMPING
     for _ in range(steps):
         if at.cost <= enough**2 * samples.H.size:
             break
-        N, g = normal_equations(at)
-        last = at.cost
+        equations = ProjectedEquations.of(at.modes.c, at.modes.b, at.modes.upper, at.phi, at.psi, at.left)
+        last, eased = at.cost, EASED
         while damping < MOST_DAMPING:
-            trial = _stepped(at, N, g, damping)
+            trial = _stepped(at, equations, damping)
             if trial is not None and trial.cost < at.cost:
-                at, damping = trial, max(damping * EASED, LEAST_DAMPING)
+                at, damping = trial, max(damping * eased, LEAST_DAMPING)
                 break
-            damping *= STIFFENED
+            damping, eased = damping * STIFFENED, 1.0
         if last - at.cost <= GAIN * last:
             break
     return fitted_outputs(at.modes, samples)
@@ -157,50 +165,16 @@ class FittedModes(NamedTuple):
         return cls(modes, samples, phi, psi, left, float(np.sum(np.abs(left) ** 2)))
 
 
-def normal_equations(at: FittedModes) -> tuple[FloatArray, FloatArray]:
-    """Return J'J and J'r of real and imaginary parts of c, b and p, mode by mode."""
-    (p, c, b), phi, psi = at.modes, at.phi, at.psi
-    m, ny, nu = p.size, len(c), b.shape[1]
-    F, FS, S = phi.conj().T @ phi, phi.conj().T @ psi, psi.conj().T @ psi
-    cc, bb = c.conj().T @ c, b.conj() @ b.T
-    N = np.zeros((m, ny + nu + 1, m, ny + nu + 1), dtype=np.complex128)
-    outputs, inputs = np.arange(ny), np.arange(ny, ny + nu)
-    for i in outputs:
-        N[:, i, :, i] = F * bb
-    for j in inputs:
-        N[:, j, :, j] = F * cc
-    cross = np.einsum("kl,kj,il->kilj", F, b.conj(), c)
-    N[:, :ny, :, ny : ny + nu] = cross
-    N[:, ny : ny + nu, :, :ny] = cross.transpose(2, 3, 0, 1).conj()
-    to_c, to_b = np.einsum("kl,il->kil", FS * bb, c), np.einsum("kl,lj->kjl", FS * cc, b)
-    N[:, :ny, :, -1], N[:, -1, :, :ny] = to_c, to_c.transpose(2, 0, 1).conj()
-    N[:, ny : ny + nu, :, -1], N[:, -1, :, ny : ny + nu] = to_b, to_b.transpose(2, 0, 1).conj()
-    N[:, -1, :, -1] = S * cc * bb
-    by_phi = np.einsum("fk,ijf->kij", phi.conj(), at.left, optimize=True)
-    by_psi = np.einsum("fk,ijf->kij", psi.conj(), at.left, optimize=True)
-    g = np.zeros((m, ny + nu + 1), dtype=np.complex128)
-    g[:, :ny] = np.einsum("kij,kj->ki", by_phi, b.conj())
-    g[:, ny : ny + nu] = np.einsum("kij,ik->kj", by_phi, c.conj())
-    g[:, -1] = np.einsum("kij,ik,kj->k", by_psi, c.conj(), b.conj())
-    size, u = ny + nu + 1, at.modes.upper * (ny + nu + 1)
-    return real_rows(real_columns(N.reshape(m * size, m * size), u), u), real_rows(g.reshape(-1, 1), u)[:, 0]
-
-
-def _stepped(at: FittedModes, N: FloatArray, g: FloatArray, damping: float) -> FittedModes | None:
-    from scipy.linalg import LinAlgError, cho_factor, cho_solve
-
-    size = np.sqrt(np.maximum(np.diag(N), np.finfo(float).tiny))
-    scaled = N / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += damping
-    try:
-        step = cho_solve(cho_factor(scaled, check_finite=False), g / size) / size
-    except LinAlgError:
+def _stepped(at: FittedModes, equations: ProjectedEquations, damping: float) -> FittedModes | None:
+    step = equations.step(damping)
+    if step is None:
         return None
-    p, c, b = at.modes
-    m, u, ny = p.size, at.modes.upper, len(c)
-    x = step.reshape(m, -1)
-    v = np.concatenate([x[:u] + 1j * x[u : 2 * u], x[:u] - 1j * x[u : 2 * u], x[2 * u :]])
-    moved = RankOneModes(p + v[:, -1], c + v[:, :ny].T, b + v[:, ny:-1])
+    u, (p, c, b), (dp, dc, db) = at.modes.upper, at.modes, step
+    moved = RankOneModes(
+        p + np.concatenate([dp[:u], dp[:u].conj(), dp[u:]]),
+        c + np.concatenate([dc[:, :u], dc[:, :u].conj(), dc[:, u:]], axis=1),
+        b + np.concatenate([db[:u], db[:u].conj(), db[u:]]),
+    )
     if not _admissible(moved, u, at.samples.slowest):
         return None
     return FittedModes.of(moved, at.samples)

@@ -1,0 +1,103 @@
+"""What the process beside a study leaves is what the walk would have made, and what it cannot make it leaves alone."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+from ultraquiet._base.beside import SENTENCE
+from ultraquiet.pipeline import load_study
+from ultraquiet.pipeline.cache import Cache
+from ultraquiet.pipeline.facts.typed import to_plain
+from ultraquiet.pipeline.limits import stage as limits
+from ultraquiet.pipeline.making.designs import by_need, design_key, design_stage
+from ultraquiet.pipeline.preflight import LoopPlan
+
+pytestmark = pytest.mark.slow  # two processes and limits of three seconds each
+PLAN = LoopPlan(("bench",), (12.0,), 1.0, 2.0, (8.0, 40.0))
+STUDY = """
+[study]
+title = "two springs"
+[records]
+files = ["any.csv"]
+rate_hz = 500.0
+[plant]
+method = "subspace"
+records = ["any"]
+[controllers.calm.design]
+method = "lqg"
+[controllers.none.design]
+method = "lqg"
+band_hz = [300.0, 400.0]
+[controllers.asked.design]
+method = "lqg"
+band_hz = [8.0, 40.0]
+[requirements]
+law = "asked"
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Of a study whose plant is there and whose controllers are not; one of them cannot be designed."""
+    tmp_path = tmp_path_factory.mktemp("beside")
+    w, z = 2 * np.pi * np.array([9.0, 31.0]) / 500.0, 0.02
+    A = np.zeros((4, 4))
+    for k, angle in enumerate(w):
+        turn = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = np.exp(-z * angle) * np.array(turn)
+    shapes = np.array([[0.6, 0.8], [0.8, -0.6]])
+    B, C = np.zeros((4, 2)), np.zeros((2, 4))
+    B[1::2], C[:, ::2] = 0.01 * shapes.T, shapes
+    (tmp_path / "study.toml").write_text(STUDY)
+    study = load_study(tmp_path / "study.toml")
+    place = tmp_path / "study"
+    (place / "models").mkdir(parents=True)
+    (place / "study.json").write_text(study.model_dump_json())
+    uq.files.save(uq.StateSpace(A, B, C, np.zeros((2, 2)), 500.0), place / "models" / "plant.h5")
+    return place
+
+
+def made(folder):
+    """Let the process beside make everything; return what it said."""
+    command = [sys.executable, "-m", "ultraquiet.pipeline.making.worker", "design", str(folder)]
+    command.append(json.dumps(to_plain(PLAN)))
+    # it ends with its input, which is this process's to close
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        return process.stdout.read().split("\n")
+
+
+@pytest.fixture(scope="module")
+def said(folder):
+    """What the process said."""
+    return made(folder)
+
+
+def test_every_stage_is_the_one_the_walk_looks_for(folder, said):
+    study = uq.pipeline.study.reload_study(folder)
+    assert [word for word in said if word in study.controllers] == by_need(study) == ["asked", "calm", "none"]
+    plant, cache = uq.files.load(folder / "models" / "plant.h5"), Cache(folder)
+    assert not (folder / "stages" / "design-none.json").exists()  # who asks for it is told why
+    laws = {}
+    for name in ("asked", "calm"):
+        settings = study.controllers[name]
+        assert cache.holds(f"design-{name}", design_key(plant, settings, PLAN))
+        laws |= design_stage(cache, name, settings, plant, PLAN, {}).values
+    here = design_stage(Cache(folder.parent / "here"), "calm", study.controllers["calm"], plant, PLAN, {})
+    assert laws["calm"].hash == here.values["calm"].hash
+    before = (folder / "stages" / "limits.json").read_bytes()
+    limits(cache, study.limits, plant, laws, PLAN.band_hz)
+    assert (folder / "stages" / "limits.json").read_bytes() == before  # found, not computed again
+
+
+def test_what_was_changed_by_hand_is_told_to_who_began_the_process(folder, said):
+    assert not any(word.startswith(SENTENCE) for word in said)
+    law = folder / "controllers" / "calm.h5"
+    before = uq.files.load(law).hash
+    uq.files.save(uq.StateSpace([[0.0]], np.zeros((1, 2)), np.zeros((2, 1)), np.eye(2), 500.0), law)
+    told = [word.removeprefix(SENTENCE) for word in made(folder) if word.startswith(SENTENCE)]
+    assert any("controllers/calm.h5" in sentence and "edited" in sentence for sentence in told), told
+    assert uq.files.load(law).hash == before
