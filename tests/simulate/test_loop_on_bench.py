@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from drawn_loops import gain_for, modal
 from drawn_loops import wrapped as drawn_bench
+from scipy.linalg import expm
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
+from ultraquiet.simulate.open_loop import OpenLoop
 from ultraquiet.testing.problems import RATE_HZ, damped_plant, loop_poles, observer_law
 
 
@@ -169,3 +171,23 @@ def test_what_a_law_is_measured_at_does_not_hang_on_the_laws_before(rng):
     for mine, own in zip(again.bands, opened.bands, strict=True):
         assert mine.bench is again.bench
         assert mine.response is own.response
+
+
+@pytest.mark.slow
+def test_a_peak_below_the_lowest_line_is_sought_there():
+    """A law that takes half of the damping of a mode at 3 Hz: S peaks at 6 dB there, under what a run begins with."""
+    w, damping, rate_hz = 2 * np.pi * 3.0, 0.2, 600.0
+    A = expm(np.array([[0.0, 1.0], [-(w**2), -2 * damping * w]]) / rate_hz)
+    plant = uq.StateSpace(A, [[0.0], [1.0 / rate_hz]], [[0.0, 1.0]], [[0.0]], rate_hz)
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[damping * w]], rate_hz)
+    bench = uq.bench.LinearBench(plant)
+    found = uq.simulate.measure_sensitivity(bench, law)
+    f = np.arange(0.5, 20.0, 0.01)
+    true_db = -20 * np.log10(np.abs(1 - plant.frequency_response(f)[0, 0] * damping * w))
+    assert f[np.argmax(true_db)] < 3.6
+    assert OpenLoop(bench).bands[0].sweep.low_hz == pytest.approx(4.0)
+    assert found.f_hz[0] < 3.0
+    assert found.peak_amplification_db() == pytest.approx(true_db.max(), abs=0.5)
+    # a loop that is quiet there, or one asked for lines, is measured no further down than it was asked
+    quiet = uq.StateSpace(law.A, law.B, law.C, -law.D, rate_hz)
+    assert uq.simulate.measure_sensitivity(bench, quiet).f_hz[0] > 4.0

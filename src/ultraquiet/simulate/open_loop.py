@@ -25,6 +25,7 @@ FINER, FINER_FAST = 4, 2
 # It rings on when the last part of a run has so many times the power of its noise.
 LAST, RINGS = 8, 10.0
 OVERLAP = 1.1  # of the bands, where each fades
+BELOW = 0.7  # where a band below begins, over where the one above does
 PER_DECADE = 60  # frequencies at which directions and levels are held
 SHORTER = 4  # the runs that find directions and levels are so much shorter
 # Directions this much weaker than the strongest are driven no more strongly.
@@ -258,6 +259,18 @@ class OpenLoop:
         slow = SweepClock(round(seconds * rate), rate, low, OVERLAP * between, FINER, even=False)
         fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
         return OpenBand(self.bench, slow), OpenBand(self.bench, fast)
+
+    def below(self, band: OpenBand) -> OpenBand:
+        """The next band below, a run as long for few frequencies: for loops that amplify most under the lowest line."""
+        sweep = band.sweep
+        if sweep.low_hz not in self._below:
+            clock = replace(self.bands[0].sweep, low_hz=BELOW * sweep.low_hz, high_hz=OVERLAP * sweep.low_hz)
+            self._below[sweep.low_hz] = OpenBand(self.bench, clock)
+        return self._below[sweep.low_hz]
+
+    @cached_property
+    def _below(self) -> dict[float, OpenBand]:
+        return {}
 
     def apart(self) -> "OpenLoop":
         """Return this open loop, measured, on a copy of its bench as it stands then.

@@ -29,6 +29,9 @@ ROUNDING = 1e-9  # what is left of a deviation without noise
 EDGE = 1.05  # where a sweep fades in and out
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
+# A loop that amplifies by more than this at its lowest line, and there nearly as much as anywhere else, may amplify
+# most below: it is measured further down, as long as it does and the open loop is heard.
+AMPLIFIES, NEARLY = 1.06, 0.9
 
 
 @dataclass(frozen=True)
@@ -148,7 +151,7 @@ def measure_sensitivity(
         bench: any bench; with fewer sensors than actuators S is full, with more it is that of the reached directions.
         controller: acts as u = K y.
         f_hz: lines in Hz that are asked for, moved to the nearest of a run; chosen from S itself when absent, over the
-            whole range of the sweep.
+            whole range of the sweep, and further down where S still rises there.
         opened: the open loop of the same bench, measured before; its runs are made once for all laws.
 
     Returns:
@@ -167,6 +170,10 @@ def measure_sensitivity(
         for pair, lines in zip(pairs, asked, strict=True):
             parts.append(pair.at(lines))
             progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
+        lowest = opened.bands[0]
+        while f_hz is None and _may_peak_below(parts):
+            lowest = opened.below(lowest)
+            parts.insert(0, _Pair(lowest, controller).at(None, most_hidden=0.0))
     return _joined(opened, parts)
 
 
@@ -213,7 +220,7 @@ class _Pair:
         self._S = np.zeros((ny, ny, self._weight.size), dtype=np.complex128)
         self._closed = np.zeros((ny, nu, self._weight.size), dtype=np.complex128)
 
-    def at(self, asked: np.ndarray | None) -> _Part:
+    def at(self, asked: np.ndarray | None, most_hidden: float = HIDDEN) -> _Part:
         """Measure, again and louder where noise hides lines, and return these lines or those that S asks for."""
         places = np.zeros(0, dtype=int)
         for _ in range(PASSES):
@@ -221,7 +228,7 @@ class _Pair:
             places = self._dense() if asked is None else asked
             size = _largest(self._S[:, :, places])
             hidden = np.count_nonzero(self._deviation[places] > RESOLVED * size)
-            if hidden <= (0 if asked is not None else HIDDEN * places.size):
+            if hidden <= (0 if asked is not None else most_hidden * places.size):
                 break
         return _Part(
             self.band.sweep.lines_hz[places],
@@ -263,6 +270,14 @@ class _Pair:
             if not steep.any():
                 return places
             places = np.unique(np.concatenate([places, (places[:-1] + places[1:])[steep] // 2]))
+
+
+def _may_peak_below(parts: list[_Part]) -> bool:
+    """Return whether the loop amplifies near the lowest line nearly as much as anywhere above it."""
+    if not parts[0].f_hz.size:
+        return False
+    lowest = float(_largest(parts[0].S[:, :, :1])[0])
+    return lowest > max(AMPLIFIES, NEARLY * max(float(_largest(part.S).max(initial=0.0)) for part in parts))
 
 
 def _largest(S: ComplexArray) -> FloatArray:
