@@ -99,8 +99,19 @@ def sentence(refusal: Any, model: type[BaseModel] | None) -> str:
         return f"'{key}' must be a table, got {value!r}."
     if kind == "value_error":
         return f"'{key}' is {value!r}; {refusal['ctx']['error']}."
-    words = refusal["msg"].removeprefix("Input ")
+    words = _of_length(refusal) or refusal["msg"].removeprefix("Input ")
     return f"'{key}' {words}, got {value!r}." if key else f"it {words}, got {value!r}."
+
+
+def _of_length(refusal: Any) -> str:
+    """Return what is wrong with a value that should be a list, or one of fewer values."""
+    kind, value = refusal["type"], refusal["input"]
+    if kind in ("tuple_type", "list_type") and isinstance(value, int | float | str):
+        shown = f'["{value}"]' if isinstance(value, str) else f"[{value}]"
+        return f"should be a list in brackets, as {shown} is"
+    if kind == "too_long":
+        return f"should hold at most {refusal['ctx']['max_length']} values, not {refusal['ctx']['actual_length']}"
+    return ""
 
 
 def _named(path: Sequence[str | int]) -> str:

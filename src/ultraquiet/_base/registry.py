@@ -59,7 +59,9 @@ def lookup(family: str, name: str) -> type[Any]:
     """Return the class registered under `name`, or name what there is."""
     known = methods(family)
     if name not in known:
-        raise UnknownMethodError(f"{family}: there is no method '{name}'{known_are(name, known)}.")
+        elsewhere = next((other for other in FAMILIES if other != family and name in methods(other)), None)
+        hint = "" if elsewhere is None else f" ('{name}' is one of {elsewhere})"
+        raise UnknownMethodError(f"{family}: there is no method '{name}'{hint}{known_are(name, known)}.")
     return known[name]
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, StorageError
 
 
 def convert(
@@ -32,6 +32,8 @@ def convert(
     from ultraquiet import files
     from ultraquiet.cli.output.screen import screen
 
+    if not target.parent.is_dir():
+        raise StorageError(f"convert: there is no folder '{target.parent}' for '{target.name}'; make it first.")
     if response:
         if mapping or rate_hz is not None or inputs or outputs:
             raise InputError("convert: --response takes no mapping, rate, inputs or outputs.")

@@ -7,7 +7,7 @@ import typer
 
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.cli.exits.codes import finish
-from ultraquiet.cli.output.targets import require_free
+from ultraquiet.cli.output.targets import beside, require_free
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import completing
 from ultraquiet.cli.settings import method as make
@@ -34,7 +34,7 @@ def design(
     from ultraquiet.design.robustness import described
     from ultraquiet.values import StatusWord
 
-    target = out or plant.with_name(f"{plant.stem}-{method}.h5")
+    target = out or beside("design", plant, f"{method}.h5")
     require_free("design", target, force)
     system = loaded_plant(plant, "design")
     settings = make("design", method, setting or ())

@@ -9,7 +9,7 @@ import typer
 from ultraquiet._base.constraints import between
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.order import AUTO, found_order, of_order
-from ultraquiet.cli.output.targets import require_free
+from ultraquiet.cli.output.targets import beside, require_free
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import completing
 
@@ -47,7 +47,7 @@ def identify(
     from ultraquiet.values.channel import squared
 
     held_out_share = between("identify", "hold-out", hold_out, 0.0, 0.9)
-    target = out or record.with_name(f"{record.stem}-{method}.h5")
+    target = out or beside("identify", record, f"{method}.h5")
     require_free("identify", target, force)
     data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping, keep_clock=True)
     cut = data.samples - int(held_out_share * data.samples)

@@ -61,6 +61,8 @@ def format_of(who: str, path: str | Path) -> Format:
     """Return the format that a file's suffix names."""
     suffix = Path(path).suffix.lower()
     match = next((form for form in FORMATS if suffix in form.suffixes), None)
+    if match is None and Path(path).is_dir():
+        raise InputError(f"{who}: '{path}' is a folder; name a file in it.")
     if match is None:
         known = ", ".join(known for form in FORMATS for known in form.suffixes)
         raise InputError(f"{who}: '{path}' has none of the suffixes {known}.")

@@ -12,6 +12,7 @@ from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
 from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.experiments import ExperimentList
 from ultraquiet.pipeline.identification import grouped
 from ultraquiet.pipeline.study import Band, ClosedLoop, Study, StudyError
 from ultraquiet.values import StateSpace
@@ -21,8 +22,10 @@ SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of
 AMPLITUDE_SHARE = 0.1  # of the smallest range of an actuator
 
 
-def check(study: Study, bench: Any, names: Sequence[str]) -> None:
+def check(study: Study, bench: Any, names: Sequence[str], plan: ExperimentList | None = None) -> None:
     """Refuse units and tones that the bench does not have, and records that neither experiment nor files leave.
+
+    With the list that is to be run a period is held against that of its signals.
 
     Raises:
         StudyError: every mistake, in one message.
@@ -35,6 +38,8 @@ def check(study: Study, bench: Any, names: Sequence[str]) -> None:
         _payload(study, bench, mistakes)
         _campaign(study, bench, mistakes)
     _records(study, names, mistakes)
+    if plan is not None:
+        _period(study, plan, mistakes)
     mistakes.refuse(StudyError, "study")
 
 
@@ -123,6 +128,37 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
         if f >= bench.rate_hz / 2:
             fault = f"{f:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
             mistakes.add(("closed_loop", "tones_hz", k), f"closed_loop.tones_hz: {fault}")
+
+    _levels(study.closed_loop, bench, mistakes)
+
+
+def _levels(asked: ClosedLoop, bench: Any, mistakes: Mistakes) -> None:
+    """Note tones that the actuators cannot send, and a band beyond what the bench samples."""
+    for c in bench.actuators:
+        most = min(c.high, -c.low)
+        if asked.amplitude is not None and asked.amplitude > most:
+            fault = (
+                f"{asked.amplitude:g} is beyond the range of '{c.name}', {c.low:g} to {c.high:g} {c.unit}; ask less."
+            )
+            mistakes.add(("closed_loop", "amplitude"), f"closed_loop.amplitude: {fault}")
+            break
+    if asked.band_hz is not None and asked.band_hz[1] >= bench.rate_hz / 2:
+        fault = f"{asked.band_hz[1]:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
+        mistakes.add(("closed_loop", "band_hz"), f"closed_loop.band_hz: {fault}")
+
+
+def _period(study: Study, plan: ExperimentList, mistakes: Mistakes) -> None:
+    """Note a period of the plant's records that is not the one of the signals they answer."""
+    asked = study.plant.period_samples
+    for measurement in plan.measurements:
+        if asked is None or not {measurement.name, measurement.group} & set(study.plant.records):
+            continue
+        for drive in measurement.drives:
+            sent = getattr(drive.signal, "period_samples", None)
+            if isinstance(sent, int) and sent > 0 and asked % sent:
+                fault = f"{asked}, yet '{measurement.group}' repeats after {sent} samples; give that period."
+                mistakes.add(("plant", "period_samples"), f"plant.period_samples: {fault}")
+                return
 
 
 def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:

@@ -231,8 +231,13 @@ def reload_study(folder: Path) -> Study:
     path = folder / "study.json"
     try:
         return Study.model_validate_json(read_regular_text(path))
+    except (FileNotFoundError, NotADirectoryError) as error:
+        what = f"in '{folder}' there is no study.json" if folder.is_dir() else f"there is no folder '{folder}'"
+        raise InputError(f"report: {what}; name the folder that a study was run in (`run --out`).") from error
     except (OSError, UnicodeDecodeError, ValidationError) as error:
-        raise InputError(f"report: '{folder}' holds no study that can be read ({type(error).__name__}).") from error
+        raise InputError(
+            f"report: '{path}' cannot be read as a study ({type(error).__name__}); run the study once more."
+        ) from error
 
 
 def load_study(path: Path) -> Study:

@@ -139,7 +139,8 @@ def prepared(
     describe = partial(identity, own, _bench_table(settings), beside)
     read = {} if settings.records is None else _read(settings.records, beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
-    preflight.check(settings, bench, list(read) if listed is None else [m.name for m in listed.measurements])
+    names = list(read) if listed is None else [m.name for m in listed.measurements]
+    preflight.check(settings, bench, names, listed)
     with locked(folder, say) as lock, _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)

@@ -23,6 +23,9 @@ RESOLVED, CERTAIN = 10.0, 4.0
 # An error may be as smooth as the modes themselves: a random walk of what noise feeds them, or a mode left out.
 # A deviation is this share of the largest that an error of the size seen could make, whatever its shape.
 ALIGNED = 0.5
+# Lines on either side of a band's middle within which its modes count: where the band is the loudest of its
+# neighbourhood, and where it is one beside it. There, a mode this share of a line from one that is known is the same.
+WIDE, NARROW, OTHER = 1.1, 0.6, 0.25
 # Whatever is this much smaller than the largest amplitude in its band is not resolved from it.
 RESOLUTION = 1e-6
 
@@ -92,12 +95,20 @@ def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
     hum = np.maximum(frames.power(level, late), frames.power(level, 0))
     excess = frames.power(scaled, late) / np.maximum(hum, floor)
     modes: list[Mode] = []
+    beside: list[int] = []
     for _ in range(MOST_BANDS):
         line = int(np.argmax(excess))
         if excess[line] < VISIBLE**2:
             break
-        modes += _band_modes(frames, scaled, level, line, float(np.sqrt(floor)))
+        modes += _band_modes(frames, scaled, level, line, float(np.sqrt(floor)), WIDE)
+        beside += [near for near in (line - 1, line + 1) if 0 <= near < excess.size and excess[near] >= VISIBLE**2]
         excess[max(0, line - 1) : line + 2] = 0.0
+    # a mode that a much louder one hides in its band may stand alone in the next
+    spacing = frames.line_hz(1)
+    for line in dict.fromkeys(beside):
+        for mode in _band_modes(frames, scaled, level, line, float(np.sqrt(floor)), NARROW):
+            if all(abs(mode.f_hz - other.f_hz) > OTHER * spacing for other in modes):
+                modes.append(mode)
     apart = rate_hz / (RESOLVED * frames.samples)
     return Ringing(tuple(_each_once(modes, apart)), _tones(frames, level, frames.power(scaled, 0), hum))
 
@@ -140,7 +151,10 @@ def _scaled(response: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatA
     return response[heard] / unit[heard, None], noise[heard] / unit[heard, None]
 
 
-def _band_modes(frames: Frames, signal: FloatArray, noise: FloatArray, line: int, floor: float) -> list[Mode]:
+def _band_modes(
+    frames: Frames, signal: FloatArray, noise: FloatArray, line: int, floor: float, within: float
+) -> list[Mode]:
+    """Return the modes heard in one band, those `within` so many lines of its middle."""
     skipped = frames.count // 8  # what dies at once is no slow mode
     b, e = (frames.band(x, line)[:, skipped:] for x in (signal, noise))
     directions, sizes, _ = np.linalg.svd(b, full_matrices=False)
@@ -154,11 +168,17 @@ def _band_modes(frames: Frames, signal: FloatArray, noise: FloatArray, line: int
     z, c, deviation = _refined(z, b, e, floor)
     step = np.arange(b.shape[1])
     rest = b - c @ _powers(z, step)
-    return [
-        mode
+    found = [
+        (_mode(frames, line, z[i], c[:, i], np.inf if full else deviation[i], (e, rest), floor), z[i])
         for i in range(z.size)
-        if (mode := _mode(frames, line, z[i], c[:, i], np.inf if full else deviation[i], (e, rest), floor)) is not None
     ]
+    # what is further away than this many lines the next band has, and better
+    return [mode for mode, pole in found if mode is not None and abs(_turned(frames, line, pole)) <= within * np.pi / 2]
+
+
+def _turned(frames: Frames, line: int, z: complex) -> float:
+    """Return by how much a mode turns from frame to frame against the middle of its band; a line is a quarter turn."""
+    return float(np.angle(z * np.exp(-2j * np.pi * line * FOLD / frames.length * frames.hop)))
 
 
 def _realised(b: ComplexArray, e: ComplexArray, floor: float) -> ComplexArray:
@@ -238,10 +258,8 @@ def _mode(
     hidden = np.sqrt(power) + floor
     rate = float(np.log(np.abs(z)))
     seen = size * max(np.exp(rate * (steps - 1)), np.exp(rate * (steps // 2))) / hidden
-    turned = np.angle(z * np.exp(-2j * np.pi * line * FOLD / frames.length * frames.hop))
-    f_hz = frames.line_hz(line) + turned * frames.rate_hz / (2 * np.pi * frames.hop)
-    beyond = abs(turned) > 0.55 * np.pi  # more than a line away: the next band has it, and better
-    if seen < VISIBLE or beyond:
+    f_hz = frames.line_hz(line) + _turned(frames, line, z) * frames.rate_hz / (2 * np.pi * frames.hop)
+    if seen < VISIBLE:
         return None
     per_s = frames.rate_hz / frames.hop
     folded = abs((float(f_hz) + frames.rate_hz / 2) % frames.rate_hz - frames.rate_hz / 2)

@@ -23,6 +23,17 @@ def require_free(
         raise StorageError(f"{who}: '{target}' exists already; choose another {option}, or write over it with --force.")
 
 
+def beside(who: str, source: Path, ending: str) -> Path:
+    """Return the name of a result that is to stand beside what it is made of, STEM-ENDING.
+
+    Raises:
+        InputError: the source is a folder.
+    """
+    if source.is_dir():
+        raise InputError(f"{who}: '{source}' is a folder; name a file in it.")
+    return source.with_name(f"{source.stem}-{ending}")
+
+
 def require_free_folder(who: str, folder: Path, force: bool, option: str) -> None:
     """Refuse a folder that holds something and may not be replaced, or a name that is a file's.
 

@@ -1,6 +1,7 @@
 """What several sections show of laws: which one was chosen, its colour, its loop as measured and as designed."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from ultraquiet.plot.pages.loops import (
 from ultraquiet.values.channel import ratio
 
 LOCUS = 1500  # points of an eigenvalue locus, which turns quickly near a resonance
+
+HIDDEN = "Lines that noise hides are drawn as measured; tables count them at the bound that it leaves."
 
 
 def chosen(result: StudyResult) -> str:
@@ -51,7 +54,7 @@ def asked(result: StudyResult) -> RequiredOfLoop:
 
 def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensitivity") -> Chart | None:
     """Return the worst direction of laws as measured on every unit; None where none settled."""
-    paint, curves = colours(result), list[LoopCurve]()
+    paint, curves, hides = colours(result), list[LoopCurve](), False
     units = result.plan.units
     for name in (n for n in names if n in result.loops):
         for unit, dash in zip(units, ("-", "--", ":", "-.") * len(units), strict=False):
@@ -60,7 +63,12 @@ def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensi
                 continue
             label = name if len(units) == 1 else f"{name}, {unit}"
             curves.append(LoopCurve(label, S.f_hz, worst_direction_db(S.values), paint[name], dash))
-    return measured_loops(stem, curves, asked(result)) if curves else None
+            loop = result.loops[name].facts.units[unit]
+            hides |= isinstance(loop, StableLoop) and bool(loop.lines_hidden)
+    if not curves:
+        return None
+    chart = measured_loops(stem, curves, asked(result))
+    return replace(chart, caption=f"{chart.caption} {HIDDEN}") if hides else chart
 
 
 def _responses(result: StudyResult) -> tuple[FloatArray, ComplexArray, Mapping[str, ComplexArray]]:
