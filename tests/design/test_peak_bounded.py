@@ -8,8 +8,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import band_attenuation, hinf_norm, peak_sensitivity
 from ultraquiet.design import PeakBounded
 from ultraquiet.design.fixed_structure.damped_pairs import DampedPairs, Resonances
-from ultraquiet.design.peak_bounded.biquads import in_series
-from ultraquiet.design.peak_bounded.scenarios import perturbed
+from ultraquiet.design.peak_bounded.biquads import Biquads, in_series
+from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.step import Linearised, step
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import sensitivity, series
@@ -145,14 +145,51 @@ def test_elements_agree_with_their_state_space_and_their_slopes_with_differences
 
 def test_drawn_plants_stay_stable_and_near(seed):
     plant = ordinary(np.random.default_rng(seed), (2, 2), modes=3)
-    near = perturbed(plant, 3, 0.1, 0.03, np.random.default_rng(seed))
     f = 0.001 * plant.rate_hz
-    for other in near:
+    band = (f, 100 * f)
+    for other in perturbed(plant, 3, 0.1, 0.03, np.random.default_rng(seed), band):
         assert other.is_stable() == plant.is_stable()
         ratio = other.frequency_response([f]) / plant.frequency_response([f])
         assert np.abs(np.abs(ratio) - 1).max() < 0.35
-    for other in perturbed(plant, 1, 0.0, 0.0, np.random.default_rng(seed)):
+    for other in perturbed(plant, 1, 0.0, 0.0, np.random.default_rng(seed), band):
         np.testing.assert_allclose(other.frequency_response([f]), plant.frequency_response([f]), rtol=1e-8)
+
+
+def test_channels_of_drawn_plants_are_off_by_the_spread_at_most_in_gain_and_phase(seed):
+    plant, spread = ordinary(np.random.default_rng(seed), (4, 3), modes=3), 0.12
+    f = np.geomspace(1e-4, 0.49, 60) * plant.rate_hz
+    near = perturbed(plant, 8, spread, 0.0, np.random.default_rng(seed), (0.001 * plant.rate_hz, 0.1 * plant.rate_hz))
+    off = np.array([other.frequency_response(f) / plant.frequency_response(f) - 1 for other in near])
+    # half of it at either end, a quarter for all together
+    assert np.abs(off).max() <= (1 + spread / 2) ** 2 * (1 + spread / 4) - 1 + 1e-6
+    assert np.abs(off).max() > spread / 2
+    assert np.abs(off.imag).max() > spread / 4
+
+
+def test_a_law_is_held_on_the_drawn_plants_that_stand_worst():
+    plant = resonant(channels=2)
+    settings = {"band_hz": (30.0, 55.0), "states": 4, "steps": 12, "gain_spread": 0.2}
+    free = PeakBounded(**settings, draws=0).design(plant).controller
+    held = PeakBounded(**settings, draws=4).design(plant)
+    drawn = held.details["figures"].drawn
+    assert len(drawn) == 4
+    assert max(peak for _, peak in drawn) < PEAK_DB + 0.15
+    others = perturbed(plant, 12, 0.2, 0.03, np.random.default_rng(1), (30.0, 55.0))
+    worst = [max(peak_sensitivity(g, law)[0] for g in others) for law in (free, held.controller)]
+    assert worst[1] < worst[0] - 0.3
+
+
+def test_a_section_at_the_floor_of_its_damping_is_at_the_floor_and_may_leave_it():
+    cascade = Biquads(np.ones(1), 0.03)
+    theta = np.array([0.0, -50.0, 1.0, 0.2, 1.0])
+    A = cascade.system(np.maximum(theta, cascade.lowest))[0]
+    assert -np.linalg.eigvals(A).real.max() == pytest.approx(0.03, rel=1e-9)
+    model = Linearised(
+        np.zeros(1), np.ones((1, 1)), np.array([True]), np.zeros(0), np.zeros((0, 1), dtype=complex), np.array([-0.25])
+    )
+    d, promised = step(model, 10.0, 1e-3)
+    assert d[0] == pytest.approx(-0.25, abs=1e-6)
+    assert promised == pytest.approx(-0.25, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,18 +42,37 @@ class ControllerStructure:
         own = [e.response(t, s) for e, t in zip(self.elements, self.parts(theta), strict=True)]
         first = self.placements[0]
         K = np.zeros((s.size, first.left.shape[0], first.right.shape[1]), dtype=np.complex128)
-        for p in self.placements:
-            K += p.left @ own[p.element] @ p.right
+        for each, places in zip(own, self._places, strict=True):
+            if each.shape[1:] == (1, 1):
+                K += each * sum(p.left @ p.right for p in places)
+            else:
+                for p in places:
+                    K += p.left @ each @ p.right
         return K
 
     def gradient(self, theta: FloatArray, s: ComplexArray, left: ComplexArray, right: ComplexArray) -> ComplexArray:
         """Return left (dK / dtheta) right for each frequency, left `(nf, nu)`, right `(nf, ny)`."""
-        out, parts, edges = np.zeros((s.size, theta.size), dtype=np.complex128), self.parts(theta), self.edges
-        for p in self.placements:
-            e = p.element
-            slopes = self.elements[e].gradient(parts[e], s, left @ p.left, right @ p.right.T)
-            out[:, edges[e] : edges[e + 1]] += slopes
-        return out
+        out: list[ComplexArray] = []
+        for element, part, places in zip(self.elements, self.parts(theta), self._places, strict=True):
+            sides = [(left @ p.left, right @ p.right.T) for p in places]
+            if element.shape == (1, 1):
+                # left k right is k times a number, and numbers add up over the places
+                total = np.sum([one * other for one, other in sides], axis=0) + np.zeros((s.size, 1))
+                sides = [(total, np.ones((s.size, 1), dtype=np.complex128))]
+            nothing = np.zeros((s.size, element.size), dtype=np.complex128)
+            out.append(sum((element.gradient(part, s, *side) for side in sides), nothing))
+        return np.concatenate(out, axis=1)
+
+    @cached_property
+    def _places(self) -> list[list[Placement]]:
+        """Where each element stands."""
+        return [[p for p in self.placements if p.element == k] for k in range(len(self.elements))]
+
+    @property
+    def lowest(self) -> FloatArray:
+        """Least values of the parameters, minus infinity for those that have none."""
+        none = [np.full(e.size, -np.inf) for e in self.elements]
+        return np.concatenate([getattr(e, "lowest", free) for e, free in zip(self.elements, none, strict=True)])
 
     def system(self, theta: FloatArray) -> Matrices:
         """Return A, B, C, D of the whole controller, place after place."""

@@ -13,6 +13,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.mean_channel import mean_channel
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
@@ -75,7 +76,7 @@ class BandAttenuation(StatedRobustness):
             high)`. It joins W3 as a second weight on T; without a `peak_db` the height is lowered until the loop stands
             every such error.
         structure: `full` designs one controller for all channels; `repeated` one scalar controller, used on each of
-            them, for the function that the plant shows when all channels move together (the heave of a hexapod).
+            them, for what the channels share, the mean of the plant's eigenvalues (`mean_channel`).
             `alike` is an older word for `repeated`.
         margin: the controller is formed at margin times the smallest norm; where that controller is unstable by itself,
             which nobody wants to switch on, larger margins up to 1.2 are tried first.
@@ -133,7 +134,7 @@ class BandAttenuation(StatedRobustness):
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
         bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, ny, plant.rate_hz)
-        part = plant if self.structure == FULL else common_mode(plant)
+        part = plant if self.structure == FULL else mean_channel(plant)
         if self.peak_db is not None:
             height = _height_for_peak(self, part, plant, self.peak_db)
             return stands(plant, replace(self, height=height)._designed(plant, part, self), bound)

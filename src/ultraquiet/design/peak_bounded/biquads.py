@@ -10,6 +10,7 @@ from ultraquiet.linalg.zeros import invariant_zeros
 
 FASTEST = 13.0  # logarithms of frequencies and dampings stay within this of zero
 PER_SECTION = 5  # parameters
+FREE = 0.25  # of the floor, which e^q makes up by itself
 ROUNDING = 1e-13
 
 
@@ -17,9 +18,9 @@ ROUNDING = 1e-13
 class Biquads:
     """Sections in series, k = prod (b2 s^2 + b1 v s + b0 v^2) / (s^2 + 2 zeta w s + w^2).
 
-    w = e^p and zeta = floor + e^q: stable and damped by the floor at least, whatever the parameters. The gain of a
-    product is as easily set where it is 10^5 times smaller than elsewhere; in a sum of sections the parts would have to
-    cancel there.
+    w = e^p and zeta = 3/4 floor + e^q with e^q >= 1/4 floor: stable and damped by the floor at least, whatever the
+    parameters, and a section at the floor still feels that q would lead away from it. The gain of a product is as
+    easily set where it is 10^5 times smaller than elsewhere; in a sum of sections the parts would have to cancel there.
 
     Args:
         scales: v, `(sections,)`, about the frequency of each section's zeros.
@@ -35,6 +36,13 @@ class Biquads:
         """Number of parameters: p, q, b2, b1, b0 of each section."""
         return PER_SECTION * self.scales.size
 
+    @property
+    def lowest(self) -> FloatArray:
+        """Least values of the parameters: those of q; others have none."""
+        least = np.full((self.scales.size, PER_SECTION), -np.inf)
+        least[:, 1] = np.log(FREE * self.floor)
+        return least.ravel()
+
     def response(self, theta: FloatArray, s: ComplexArray) -> ComplexArray:
         """Return `(frequency, 1, 1)`."""
         N, den = self._polynomials(theta, s)
@@ -48,7 +56,7 @@ class Biquads:
         before = np.cumprod(np.hstack([np.ones((s.size, 1)), each[:, :-1]]), axis=1)
         after = np.cumprod(np.hstack([np.ones((s.size, 1)), each[:, :0:-1]]), axis=1)[:, ::-1]
         others = before * after * (left[:, 0] * right[:, 0])[:, None]
-        zeta = self.floor + extra
+        zeta = (1 - FREE) * self.floor + extra
         s1 = s[:, None]
         by_p = -others * each * (2 * zeta * w * s1 + 2 * w**2) / den
         by_q = -others * each * (2 * extra * w * s1) / den
@@ -93,8 +101,8 @@ class Biquads:
     def _poles(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return frequencies, damping ratios and what of these is above the floor."""
         p, q = (np.clip(theta[k::PER_SECTION], -FASTEST, FASTEST) for k in (0, 1))
-        extra = np.exp(q)
-        return np.exp(p), self.floor + extra, extra
+        extra = np.maximum(np.exp(q), FREE * self.floor)
+        return np.exp(p), (1 - FREE) * self.floor + extra, extra
 
     def _polynomials(self, theta: FloatArray, s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         w, zeta, _ = self._poles(theta)
@@ -144,7 +152,7 @@ def in_series(M: Matrices, floor: float) -> tuple[Biquads, FloatArray] | None:
         v = float(v) if v > 0 else float(w)
         num = num / np.array([1.0, v, v * v])
         num = num / np.abs(num).max() * (1.0 if num[0] else w * w / (v * v))
-        rows.append([np.log(w), np.log(max(zeta - floor, 0.1 * floor)), *num])
+        rows.append([np.log(w), np.log(max(zeta - (1 - FREE) * floor, 1.1 * FREE * floor)), *num])
         scales.append(v)
     element, theta = Biquads(np.array(scales), floor), np.array(rows).ravel()
     s = (1j * np.sqrt(np.array([d0 for _, d0 in below]))).astype(np.complex128)

@@ -1,6 +1,7 @@
 """A search from several starts: on the plants given first, then with those drawn near them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,18 +10,26 @@ from ultraquiet._base.progress import Task, task
 from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
 from ultraquiet.design.fixed_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.demands import Demands
-from ultraquiet.design.peak_bounded.levels import LoopLevels
-from ultraquiet.design.peak_bounded.outcome import exceeded
-from ultraquiet.design.peak_bounded.scenario import Scenario
-from ultraquiet.design.peak_bounded.search import PRICE, SearchEnd, calmed, search
+from ultraquiet.design.peak_bounded.loops.certificate import Certified, LoopCertificate
+from ultraquiet.design.peak_bounded.loops.levels import LoopLevels, Standing
+from ultraquiet.design.peak_bounded.loops.scenario import Scenario
+from ultraquiet.design.peak_bounded.search import PRICE, SearchEnd, calmed, search, stable
 from ultraquiet.design.peak_bounded.step import merit
 from ultraquiet.values.state_space import StateSpace
 
-LINES_A_DECADE = 40
+# Plants drawn are searched on half the lines: what shows between them brings its lines, and no two stand alike.
+LINES_A_DECADE, FEWER = 40, 20
+NARROW = np.array([-1.0, 0.0, 1.0])
 DECADES = 2.0  # below the band; above it the grid goes to Nyquist, or as far
 LOOKS = 8  # steps from each start before the best goes on
-ROUNDS, HIDDEN_DB = 3, 0.01  # of looks between the lines, and what counts as a bound exceeded there
+POLISH = 3  # on a line that shows an excess: the first step or two take it away
+# Of looks between the lines, and what counts as a bound exceeded there: on a plant given, and on one drawn.
+ROUNDS, HIDDEN_DB, HIDDEN_DRAWN_DB = 3, 0.01, 0.1
 FAN = np.array([0.995, 1.0, 1.005])  # lines around such a place
+
+NEARLY_DB, QUIET_DB = 0.1, 3.0  # a start that keeps its bounds so nearly and attenuates by so much is good enough
+ROOM_DB = 0.7  # kept below the bound on S by a search without the plants drawn: they would take it
+WIDENINGS, JOIN, WORSE_DB = 3, 3, 0.1  # rounds in which plants join, how many, and how much worse they must stand
 
 Start = tuple[ControllerStructure, FloatArray]
 
@@ -42,42 +51,107 @@ class SearchFromStarts:
         self.demands, self.plants, self.near, self.steps = demands, tuple(plants), tuple(near), steps
         self.plane = plane_of(self.plants[0])
         self.taken, self.lines = 0, 0
-        self._f = _grid(demands, self.plants[0].rate_hz, roof_hz)
+        self.excess_db: tuple[float, ...] = ()  # over a bound, on each plant given
+        self.drawn: tuple[Certified, ...] = ()  # what the law reaches on the plants near
+        self._pool: list[Scenario] = []
+        rate_hz = self.plants[0].rate_hz
+        self._f, self._coarse = (_grid(demands, rate_hz, each, roof_hz) for each in (LINES_A_DECADE, FEWER))
 
     def best(self, starts: Sequence[Start]) -> StateSpace | None:
-        """Return the law that a search from the best of several starts ends with; None where none is stable."""
+        """Return the law that a search from the best of several starts ends with; None where none is stable.
+
+        Plants drawn near join the search as soon as one of them stands worse than those that are in it.
+        """
         given = self._scenarios(self.plants)
         with task("peak-bounded search", LOOKS * len(starts) + 2 * self.steps) as progress:
-            looks = [end for start in starts if (end := self._searched(*start, given, LOOKS, progress)) is not None]
-            if not looks:
+            found = self._looked(starts, given, progress)
+            if found is None:
                 return None
-            law, end = min(looks, key=lambda each: merit(each[1].standing.level_db, each[1].standing.excess_db, PRICE))
-            every = [*given, *self._scenarios(self.near)]
-            end = self._searched(law, end.theta, given, self.steps, progress)
+            law, end = found
+            end = self._searched(law, end.theta, given, self.steps, progress, self._tighter())
+            every = given
             if end is not None and self.near:
-                end = self._searched(law, end[1].theta, every, self.steps, progress)
+                end, every = self._widened(law, (end[1], found[1]), given, progress)
+            certificates = [LoopCertificate(each, self.demands) for each in every]
             for _ in range(ROUNDS):
-                if end is None or not self._hidden(law, end[1].theta, every):
+                if end is None or not self._hidden(law, end[1].theta, certificates):
                     break
-                end = self._searched(law, end[1].theta, every, LOOKS, progress)
-        return None if end is None else self.plane.from_plane(law.system(end[1].theta))
+                end = self._searched(law, end[1].theta, every, POLISH, progress)
+        if end is None:
+            return None
+        theta, known = end[1].theta, {id(each.scenario): each for each in certificates}
+        self.excess_db = tuple(each.excess(law, theta)[0] for each in certificates[: len(given)])
+        drawn = [known.get(id(each)) or LoopCertificate(each, self.demands) for each in self._pool]
+        self.drawn = tuple(each.of(law, theta) for each in drawn)
+        return self.plane.from_plane(law.system(end[1].theta))
 
-    def _hidden(self, law: ControllerStructure, theta: FloatArray, scenarios: Sequence[Scenario]) -> bool:
+    def _tighter(self) -> Demands:
+        """Return the demands with room kept for the plants drawn, of which a search without them would leave none."""
+        own, room = self.demands.sensitivity_db, ROOM_DB if self.near else 0.0
+        return replace(self.demands, sensitivity_db=lambda f_hz: own(f_hz) - room)
+
+    def _looked(
+        self, starts: Sequence[Start], given: list[Scenario], progress: Task
+    ) -> tuple[ControllerStructure, SearchEnd] | None:
+        """Return where some steps lead from the best start; a poor one is not looked at where another does well."""
+        looks: list[tuple[ControllerStructure, SearchEnd]] = []
+        for k, start in enumerate(starts):
+            if k == len(starts) - 1 and any(_good(each[1].standing) for each in looks):
+                break
+            end = self._searched(*start, given, LOOKS, progress)
+            looks += [] if end is None else [end]
+        return min(looks, key=lambda each: _worth(each[1].standing)) if looks else None
+
+    def _widened(
+        self, law: ControllerStructure, ends: tuple[SearchEnd, SearchEnd], given: list[Scenario], progress: Task
+    ) -> tuple[tuple[ControllerStructure, SearchEnd] | None, list[Scenario]]:
+        """Return the end of a search on the plants given and on those drawn that decide, and all of these.
+
+        It goes on from the first of two ends. Where a plant drawn is unstable with that, turning the law down may lead
+        nowhere, and the search is made from the second as well.
+        """
+        self._pool = [Scenario(g, self.plane, self._coarse, self.demands.band_hz, NARROW) for g in self.near]
+        working: list[Scenario] = []
+        best: tuple[ControllerStructure, SearchEnd] | None = (law, ends[0])
+        for _ in range(WIDENINGS):
+            theta = best[1].theta
+            levels = [LoopLevels(law, self.demands, [each]) for each in self._pool]
+            worth = [_worth(each.standing(theta)) if stable(each, theta) else np.inf for each in levels]
+            limit = _worth(best[1].standing) + WORSE_DB
+            more = [i for i in np.argsort(worth)[::-1] if worth[i] > limit and self._pool[i] not in working][:JOIN]
+            if not more:
+                break
+            working += [self._pool[i] for i in more]
+            begins = [theta, ends[1].theta] if np.isinf(worth[more[0]]) else [theta]
+            trials = [self._searched(law, each, [*given, *working], self.steps // 2, progress) for each in begins]
+            found = [each for each in trials if each is not None]
+            best = min(found, key=lambda each: _worth(each[1].standing)) if found else None
+            if best is None:
+                break
+        return best, [*given, *working]
+
+    def _hidden(self, law: ControllerStructure, theta: FloatArray, certificates: Sequence[LoopCertificate]) -> bool:
         """Return whether a bound is exceeded between the lines of a plant; those lines are taken in."""
-        system, found = self.plane.from_plane(law.system(theta)), False
-        for scenario in scenarios:
-            excess, at_hz = exceeded(scenario.plant, system, self.demands)
-            if excess > HIDDEN_DB and np.isfinite(at_hz):
-                found = scenario.add(self.plane.of_hz(at_hz * FAN)) or found
+        found = False
+        for k, certificate in enumerate(certificates):
+            excess, at_hz = certificate.excess(law, theta)
+            if np.isfinite(at_hz) and excess > (HIDDEN_DB if k < len(self.plants) else HIDDEN_DRAWN_DB):
+                found = certificate.scenario.add(self.plane.of_hz(at_hz * FAN)) or found
         return found
 
     def _scenarios(self, plants: Sequence[StateSpace]) -> list[Scenario]:
         return [Scenario(g, self.plane, self._f, self.demands.band_hz) for g in plants]
 
     def _searched(
-        self, law: ControllerStructure, theta: FloatArray, scenarios: list[Scenario], steps: int, progress: Task
+        self,
+        law: ControllerStructure,
+        theta: FloatArray,
+        scenarios: list[Scenario],
+        steps: int,
+        progress: Task,
+        demands: Demands | None = None,
     ) -> tuple[ControllerStructure, SearchEnd] | None:
-        levels = LoopLevels(law, self.demands, scenarios)
+        levels = LoopLevels(law, demands or self.demands, scenarios)
         calm = calmed(levels, theta)
         if calm is None:
             return None
@@ -87,18 +161,26 @@ class SearchFromStarts:
         return law, end
 
 
-def _grid(demands: Demands, rate_hz: float | None, roof_hz: float = np.inf) -> FloatArray:
+def _grid(demands: Demands, rate_hz: float | None, a_decade: int, roof_hz: float = np.inf) -> FloatArray:
     """Return lines over all decades that matter, denser in and around the band and towards Nyquist."""
     low, high = demands.band_hz
     top = high * 10**DECADES if rate_hz is None else 0.4999 * rate_hz
     start = low / 10**DECADES
     parts = [
-        np.geomspace(start, top, round(LINES_A_DECADE * np.log10(top / start))),
-        np.geomspace(low, high, max(round(1.5 * LINES_A_DECADE * np.log10(high / low)), 30)),
-        np.geomspace(low / 2.5, 2 * low, LINES_A_DECADE),
-        np.geomspace(high, min(3 * high, top), LINES_A_DECADE // 2) if high < top else np.zeros(0),
+        np.geomspace(start, top, round(a_decade * np.log10(top / start))),
+        np.geomspace(low, high, max(round(1.5 * a_decade * np.log10(high / low)), 30)),
+        np.geomspace(low / 2.5, 2 * low, a_decade),
+        np.geomspace(high, min(3 * high, top), a_decade // 2) if high < top else np.zeros(0),
     ]
     if rate_hz is not None:
-        parts.append(np.linspace(0.17, 0.4999, 60) * rate_hz)
+        parts.append(np.linspace(0.17, 0.4999, round(1.5 * a_decade)) * rate_hz)
     edge = np.array([roof_hz]) if np.isfinite(roof_hz) and roof_hz < top else np.zeros(0)
     return np.unique(np.concatenate([*parts, edge, np.array(demands.tones_hz)]))
+
+
+def _worth(standing: Standing) -> float:
+    return merit(standing.level_db, standing.excess_db, PRICE)
+
+
+def _good(standing: Standing) -> bool:
+    return standing.excess_db < NEARLY_DB and standing.level_db < -QUIET_DB

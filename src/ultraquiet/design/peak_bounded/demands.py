@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import FloatArray, positive, real_array
 from ultraquiet._base.errors import InputError
 
 Shape = float | tuple[tuple[float, ...], tuple[float, ...]]  # a number, or (frequencies in Hz, values)
+SAME = 1e-9  # relative: frequencies as near as this are one
 OfFrequency = Callable[[FloatArray], FloatArray]
 
 
@@ -30,6 +31,11 @@ class Demands:
     complementary_db: OfFrequency | None = None
     tones_hz: tuple[float, ...] = ()
     tone_db: float = 0.0
+
+    def inside(self, f_hz: FloatArray) -> np.ndarray:
+        """Return which frequencies lie in the band; its ends do, whatever rounding has done to them."""
+        low, high = self.band_hz
+        return (f_hz >= low * (1 - SAME)) & (f_hz <= high * (1 + SAME))
 
 
 def table(who: str, name: str, shape: object, logarithmic: bool) -> OfFrequency:

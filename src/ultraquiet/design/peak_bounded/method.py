@@ -16,9 +16,9 @@ from ultraquiet.design.fixed_structure.plane import plane_of
 from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.peak_bounded.campaign import SearchFromStarts
 from ultraquiet.design.peak_bounded.demands import Demands, table
+from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures
 from ultraquiet.design.peak_bounded.roof import roof
-from ultraquiet.design.peak_bounded.scenarios import perturbed
 from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
 from ultraquiet.design.result import DesignResult, refused
@@ -31,6 +31,7 @@ WHO = "PeakBounded"
 STRUCTURES = (REPEATED, DECENTRALISED, SYMMETRIC, FULL)
 INVERSIONS = 60.0  # by default K S may be so many times what inverting the plant's weakest direction in the band takes
 HEARD = 1e-3  # of the strongest direction: weaker ones do not count for that
+BEGUN = 3  # plants for which a law to begin with is designed
 ALIKE_COSINE = 0.5  # of the phases of a plant's eigenvalues: within 60 degrees of their mean one scalar law serves all
 ALIKE_SHARE = 0.9  # of the lines of the band
 
@@ -59,11 +60,15 @@ class PeakBounded(StatedRobustness):
         complementary_db: shape for T = G K S, in dB; none when absent.
         tones_hz, tone_db: where S is to be lower still, by resonators inside the law, and how low, in dB.
         tone_zeta: damping of the resonators.
-        gain_spread, mode_spread: by what share gains of channels and frequencies of modes may be off.
+        gain_spread: by what share a channel may be off, in gain or in phase: what tolerances of sensors, actuators,
+            amplifiers and filters add up to.
+        mode_spread: by what share frequencies of modes may be off.
         draws: plants drawn within that spread round each one given, on which all bounds are to hold too; 0 for none.
+            Those that decide join the search; the others are looked at.
         start: a design, its table with a `method`, or a law, to begin with; a scalar one for the scalar structures.
-            `BandAttenuation` when absent, for what all channels share where the structure is scalar.
-        steps: of the search on the plants given, and again with those drawn, at most.
+            `BandAttenuation` of each of the first three plants when absent, for what all channels share where the
+            structure is scalar.
+        steps: of the search on the plants given, and half as many whenever plants drawn join it, at most.
         seed: of the draws.
 
     A law's poles are stable and damped by 3 % at least, whatever the search does. Near Nyquist, where a mode's
@@ -138,10 +143,10 @@ class PeakBounded(StatedRobustness):
         rising_band(WHO, units.band_hz, plants[0].rate_hz)
         scaled = [units.scaled(each) for each in plants]
         rng = np.random.default_rng(self.seed)
-        near = [p for g in scaled for p in perturbed(g, self.draws, self.gain_spread, self.mode_spread, rng)]
+        near = [p for g in scaled for p in self._drawn(g, rng, units)]
         demands, top = self._demands(scaled, units)
         campaign = SearchFromStarts(demands, scaled, near, self.steps, top[0])
-        law = campaign.best(self._begin(scaled[0], units, structure))
+        law = campaign.best(self._begin(scaled, units, structure))
         if law is None:
             return refused(f"{WHO}: no start is stable with every plant; give another 'start', or less spread.")
         reached = self._figures(law, campaign, units, structure, top)
@@ -151,18 +156,22 @@ class PeakBounded(StatedRobustness):
         result = judged(plants[0], units.own(law), self, level, level, {}, details)
         return among(result, plants, reached, self.disk_margin)
 
+    def _drawn(self, plant: StateSpace, rng: np.random.Generator, units: SearchUnits) -> list[StateSpace]:
+        return perturbed(plant, self.draws, self.gain_spread, self.mode_spread, rng, units.band_hz)
+
     def _figures(
         self, law: StateSpace, campaign: SearchFromStarts, units: SearchUnits, structure: str, top: tuple[float, float]
     ) -> SearchFigures:
         control = units.control if units.common else 1.0
-        each, drawn = (
-            tuple(figures(g, law, campaign.demands, control) for g in part) for part in (campaign.plants, campaign.near)
+        over = campaign.excess_db
+        each = tuple(
+            figures(g, law, campaign.demands, control, db) for g, db in zip(campaign.plants, over, strict=True)
         )
         return SearchFigures(
             attenuation_db=min(f.attenuation_db for f in each),
             peak_db=max(f.peak_db for f in each),
             plants=each,
-            drawn=tuple((f.attenuation_db, f.peak_db) for f in drawn),
+            drawn=tuple((f.attenuation_db, f.peak_db) for f in campaign.drawn),
             roof_hz=top[0],
             roof_gain=top[1] * control,
             structure=structure,
@@ -172,9 +181,10 @@ class PeakBounded(StatedRobustness):
         )
 
     def _begin(
-        self, first: StateSpace, units: SearchUnits, structure: str
+        self, plants: Sequence[StateSpace], units: SearchUnits, structure: str
     ) -> list[tuple[ControllerStructure, FloatArray]]:
         """Return structures of the law with the parameters to begin with."""
+        first = plants[0]
         scalar, n, plane = structure != FULL, first.D.shape[0], plane_of(first)
         places = None
         if structure == REPEATED:
@@ -185,7 +195,7 @@ class PeakBounded(StatedRobustness):
             places = Places.of(*_coordinates(self.coordinates, self.blocks, n))
         tones = plane.of_hz(np.array(self.tones_hz, dtype=np.float64))
         out: list[tuple[ControllerStructure, FloatArray]] = []
-        for law in self._start_laws(first, units, scalar):
+        for law in self._start_laws(plants, units, scalar):
             if law.D.shape != ((1, 1) if scalar else first.D.shape[::-1]):
                 raise InputError(f"{WHO}: the law to begin with has shape {law.D.shape}, which does not fit.")
             one = begun(plane, law, places, self.states, tones, self.tone_zeta)
@@ -194,11 +204,13 @@ class PeakBounded(StatedRobustness):
             raise InputError(f"{WHO}: the law to begin with has modes that cannot be told apart; give another 'start'.")
         return out
 
-    def _start_laws(self, first: StateSpace, units: SearchUnits, scalar: bool) -> list[StateSpace]:
+    def _start_laws(self, plants: Sequence[StateSpace], units: SearchUnits, scalar: bool) -> list[StateSpace]:
         """Return laws to begin with, in the units of the search: the caller's alone where there is one."""
-        start = self.start
+        start, first = self.start, plants[0]
         if start is None:
-            own = starts(first, units.band_hz, _inverting(first, units.band_hz), scalar)
+            limit = _inverting(first, units.band_hz)
+            # a law begun with one unit's model inverts modes that another may not have, and keeps them
+            own = [law for g in plants[:BEGUN] for law in starts(g, units.band_hz, limit, scalar)]
             little = [hardly(first, units.band_hz, self.states, scalar)] if first.is_stable() else []
             return [*own, *little]
         if not isinstance(start, StateSpace):

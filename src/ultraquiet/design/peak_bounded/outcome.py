@@ -1,22 +1,19 @@
-"""What a search came to: figures of the finished law on every plant, by exact norms and not on the search's lines."""
+"""What a search came to: figures of the finished law on every plant given, by exact norms."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.analyse.peaks import refined, response_at
-from ultraquiet.design.peak_bounded.demands import Demands, OfFrequency
+from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import both_ends, fragility, weaker_end
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-At = Callable[[FloatArray], ComplexArray]
 ROUNDING_DB = 0.02  # a bound exceeded by less is met
 
 
@@ -63,48 +60,12 @@ class SearchFigures:
     steps: int
 
 
-def figures(plant: StateSpace, law: StateSpace, demands: Demands, control: float) -> PlantFigures:
+def figures(plant: StateSpace, law: StateSpace, demands: Demands, control: float, excess_db: float) -> PlantFigures:
     """Return what a law does to a plant, both in the units of the search, `control` turning K S back."""
     attenuation, at = band_attenuation(plant, law, demands.band_hz)
     peak, peak_hz = peak_sensitivity(plant, law)
-    S = sensitivity(plant, law)
-    KS = series(S, law)
-    largest = hinf_norm(KS)[0]
-    return PlantFigures(
-        attenuation, at, peak, peak_hz, largest * control, _exceeded(S, KS, demands)[0], _tones(plant, law, demands)
-    )
-
-
-def exceeded(plant: StateSpace, law: StateSpace, demands: Demands) -> tuple[float, float]:
-    """Return by how many dB a bound is exceeded on a grid that holds the loop's modes and is refined, and where, Hz."""
-    S = sensitivity(plant, law)
-    return _exceeded(S, series(S, law), demands)
-
-
-def _exceeded(S: StateSpace, KS: StateSpace, demands: Demands) -> tuple[float, float]:
-    top = 1e4 if S.rate_hz is None else S.rate_hz / 2
-    f = np.unique(np.concatenate([np.geomspace(1e-5 * top, top * 0.9999, 1500), _mode_lines(S)]))
-    worst, where = -np.inf, float("nan")
-    for system, bound in ((S, demands.sensitivity_db), (KS, demands.control_db)):
-        at = response_at(system)
-
-        def over(lines: FloatArray, at: At = at, bound: OfFrequency = bound) -> FloatArray:
-            size = np.linalg.norm(np.moveaxis(at(lines), 2, 0), 2, axis=(1, 2))
-            level = np.exp((20 * np.log10(np.maximum(size, 1e-300)) - bound(lines)) / 20)
-            return np.asarray(level, dtype=np.float64)
-
-        size, at_hz = refined(over, f, over(f))
-        level = 20 * float(np.log(size))
-        worst, where = (level, at_hz) if level > worst else (worst, where)
-    return worst, where
-
-
-def _mode_lines(S: StateSpace) -> FloatArray:
-    poles = S.poles()
-    poles = poles[(poles.imag > 0) & (np.abs(poles) > 0)].astype(np.complex128)
-    s = poles if S.rate_hz is None else np.log(poles) * S.rate_hz
-    lines = (s.imag[:, None] + np.abs(s.real)[:, None] * np.array([-1.0, -0.3, 0.0, 0.3, 1.0])).ravel() / (2 * np.pi)
-    return lines[(lines > 0) & (lines < (np.inf if S.rate_hz is None else S.rate_hz / 2))]
+    largest = hinf_norm(series(sensitivity(plant, law), law))[0]
+    return PlantFigures(attenuation, at, peak, peak_hz, largest * control, excess_db, _tones(plant, law, demands))
 
 
 def _tones(plant: StateSpace, law: StateSpace, demands: Demands) -> dict[str, float]:

@@ -6,8 +6,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.progress import Task
-from ultraquiet.design.peak_bounded.levels import LoopLevels, Standing
-from ultraquiet.design.peak_bounded.step import DB, LEAST, Linearised, merit, step
+from ultraquiet.design.peak_bounded.loops.levels import LoopLevels, Standing
+from ultraquiet.design.peak_bounded.step import DB, LEAST, Held, Linearised, merit, step
 
 PRICE = 10.0  # dB of attenuation that a dB of excess may cost: more than any bound's exchange rate met so far
 WIDTH_DB, MOST = 3.0, 200  # levels within so much of the greatest enter a step; lines between maxima, a plant and kind
@@ -73,8 +73,9 @@ def search(levels: LoopLevels, theta: FloatArray, steps: int, progress: Task, pr
         model, picks = levels.linearised(theta, WIDTH_DB, MOST)
         sizes = _sizes(levels, theta, model)
         model = model.scaled(sizes)
+        held = Held(model)
         while damping < LARGEST:
-            d, promised = step(model, price, damping)
+            d, promised = step(model, price, damping, held)
             gain = value - promised
             if gain < LEAST_DB:
                 # too short a step, unless a longer one has just failed
@@ -85,7 +86,7 @@ def search(levels: LoopLevels, theta: FloatArray, steps: int, progress: Task, pr
             gained, trial = _try(levels, theta, sizes * d, value, price)
             if gained < GOOD * gain:
                 bent = model.corrected(d, *levels.again(trial, picks))
-                again, other = _try(levels, theta, sizes * step(bent, price, damping)[0], value, price)
+                again, other = _try(levels, theta, sizes * step(bent, price, damping, held)[0], value, price)
                 if again > gained:
                     gained, trial = again, other
             if gained > TAKEN * gain and stable(levels, trial):
@@ -121,7 +122,7 @@ def _try(
     levels: LoopLevels, theta: FloatArray, change: FloatArray, value: float, price: float
 ) -> tuple[float, FloatArray]:
     """Return by how much a change lowers the merit, and where it leads."""
-    trial = theta + change
+    trial = np.maximum(theta + change, levels.structure.lowest)
     there = levels.standing(trial)
     return value - merit(there.level_db, there.excess_db, price), trial
 

@@ -1,5 +1,6 @@
 """Where a search begins: a law of another design, cut down, in the form in which it is searched."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -116,7 +117,6 @@ def starts(plant: StateSpace, band_hz: tuple[float, float], limit: float, scalar
     low, high = band_hz[0] / OUTSIDE, OUTSIDE * band_hz[1]
     if plant.rate_hz is not None:
         high = min(high, 0.45 * plant.rate_hz)
-    tries: list[DesignMethod] = [BandAttenuation(band_hz=(low, high), order=2), Lqg(band_hz=(low, high))]
     if part.D.shape == (1, 1):
         steep = BandAttenuation(
             band_hz=(low, high),
@@ -126,18 +126,22 @@ def starts(plant: StateSpace, band_hz: tuple[float, float], limit: float, scalar
             control_hz=CONTROL_FROM * band_hz[1],
             roll_off_hz=ROLL_OFF_FROM * band_hz[1],
         )
-        tries = [steep, *tries]
-    out: list[StateSpace] = []
-    for each in tries:
-        try:
-            found = each.design(part).controller
-        except (UltraquietError, np.linalg.LinAlgError):
-            continue
-        if found is not None and found.is_stable():
-            out.append(found)
-            if isinstance(each, BandAttenuation) and each.order == STEEP:
-                break
-    return out
+        # the law alone: its margins are of no account here
+        found = _made(lambda: steep.synthesis(part).controller)
+        if found is not None:
+            return [found]
+    tries: list[DesignMethod] = [BandAttenuation(band_hz=(low, high), order=2), Lqg(band_hz=(low, high))]
+    made = [_made(lambda each=each: each.design(part).controller) for each in tries]
+    return [law for law in made if law is not None]
+
+
+def _made(law: Callable[[], StateSpace | None]) -> StateSpace | None:
+    """Return a law where there is a stable one."""
+    try:
+        found = law()
+    except (UltraquietError, np.linalg.LinAlgError):
+        return None
+    return found if found is not None and found.is_stable() else None
 
 
 def hardly(plant: StateSpace, band_hz: tuple[float, float], states: int, scalar: bool) -> StateSpace:

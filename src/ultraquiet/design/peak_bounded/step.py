@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 DB = 20 / np.log(10)
 LEAST = 1e-300
 # LoopLevels of each kind that a step begins with, that a round adds at most, rounds, and what counts as broken.
-BEGUN, ADDED, ROUNDS, BROKEN_DB = 40, 40, 12, 2e-3
+BEGUN, ADDED, ROUNDS, BROKEN_DB = 16, 16, 40, 2e-3
 
 
 class Linearised(NamedTuple):
@@ -21,6 +21,7 @@ class Linearised(NamedTuple):
         sought: `(m,)` whether a level is one to be lowered; the others are excesses, to be below zero.
         gains, turns: `(k,)`, `(k, n)` complex gains over their bounds, to be at most one in size. A gain that is a
             small difference of large parts is linear in them while its logarithm is anything but.
+        least: `(n,)` least changes of the parameters, minus infinity where there is none.
     """
 
     values: FloatArray
@@ -28,10 +29,12 @@ class Linearised(NamedTuple):
     sought: np.ndarray
     gains: FloatArray | ComplexArray
     turns: ComplexArray
+    least: FloatArray | None = None
 
     def scaled(self, sizes: FloatArray) -> "Linearised":
         """Return the same with parameters in other units."""
-        return self._replace(slopes=self.slopes * sizes, turns=self.turns * sizes)
+        least = None if self.least is None else self.least / sizes
+        return self._replace(slopes=self.slopes * sizes, turns=self.turns * sizes, least=least)
 
     def corrected(self, d: FloatArray, values: FloatArray, gains: FloatArray) -> "Linearised":
         """Return the model bent such that it is right at d, where levels and gains turned out as given.
@@ -49,60 +52,81 @@ def merit(level: float, excess: float, price: float) -> float:
     return level + price * max(excess, 0.0)
 
 
-def step(model: Linearised, price: float, damping: float) -> tuple[FloatArray, float]:
+class Held:
+    """Which levels a step is asked to keep; steps of one model hand it on, for what held one holds the next.
+
+    A gain |z| <= 1 + t is kept by tangents of the circle, Re(z exp(-j angle)) <= 1 + t, at the angles at which it was
+    broken: a programme of straight bounds alone takes a sixth of the time.
+    """
+
+    def __init__(self, model: Linearised) -> None:
+        self.rows = np.zeros(model.values.size, dtype=bool)
+        for kind in (model.sought, ~model.sought):
+            at = np.flatnonzero(kind)
+            self.rows[at[np.argsort(-model.values[at], kind="stable")[:BEGUN]]] = True
+        self.gains, self.turned = np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.complex128)
+        most = np.argsort(-np.abs(model.gains), kind="stable")[:BEGUN]
+        self.touch(most, model.gains[most].astype(np.complex128))
+
+    def touch(self, which: np.ndarray, z: ComplexArray) -> None:
+        """Take the tangents of some gains at the angles of z."""
+        self.gains = np.concatenate([self.gains, which])
+        self.turned = np.concatenate([self.turned, np.exp(-1j * np.angle(z))])
+
+
+def step(model: Linearised, price: float, damping: float, held: Held | None = None) -> tuple[FloatArray, float]:
     """Return argmin over d of a + price t + damping |d|^2 / 2 and the merit that the model promises there.
 
     Subject to values + slopes d <= a where sought, <= t elsewhere, |gains + turns d| <= 1 + t in nepers, t >= 0: an
     exact penalty (Fletcher 1987, "Practical Methods of Optimization", sections 12.4 and 14.3). Of thousands of levels a
     few dozen hold the step: it is solved with the highest, and again with those that it breaks.
     """
-    rows = np.zeros(model.values.size, dtype=bool)
-    for kind in (model.sought, ~model.sought):
-        at = np.flatnonzero(kind)
-        rows[at[np.argsort(-model.values[at], kind="stable")[:BEGUN]]] = True
-    cones = np.zeros(model.gains.size, dtype=bool)
-    cones[np.argsort(-np.abs(model.gains), kind="stable")[:BEGUN]] = True
+    held = Held(model) if held is None else held
     d = np.zeros(model.slopes.shape[1])
     for _ in range(ROUNDS):
-        d, a, t = _solved(model, rows, cones, price, damping)
+        d, a, t = _solved(model, held, price, damping)
         over = model.values + model.slopes @ d - np.where(model.sought, a, t)
-        wide = DB * np.log(np.maximum(np.abs(model.gains + model.turns @ d), LEAST)) - t
-        more = _worst(over, rows), _worst(wide, cones)
-        if not more[0].size and not more[1].size:
+        z = model.gains + model.turns @ d
+        more = _worst(np.where(held.rows, -np.inf, over))
+        wide = _worst(DB * (np.abs(z) - 1) - t)
+        if not more.size and not wide.size:
             break
-        rows[more[0]], cones[more[1]] = True, True
+        held.rows[more] = True
+        held.touch(wide, z[wide])
     return d, merit(*promised(model, d), price)
 
 
-def _worst(over: FloatArray, known: np.ndarray) -> np.ndarray:
-    """Return the levels that a solution breaks most and that it was not asked to keep."""
-    at = np.flatnonzero((over > BROKEN_DB) & ~known)
+def _worst(over: FloatArray) -> np.ndarray:
+    """Return the levels that a solution breaks most."""
+    at = np.flatnonzero(over > BROKEN_DB)
     return at[np.argsort(-over[at], kind="stable")[:ADDED]]
 
 
-def _solved(
-    model: Linearised, rows: np.ndarray, cones: np.ndarray, price: float, damping: float
-) -> tuple[FloatArray, float, float]:
-    """Return d, a and t for some of the levels."""
+def _solved(model: Linearised, held: Held, price: float, damping: float) -> tuple[FloatArray, float, float]:
+    """Return d, a and t for the levels that are held."""
     # it ships no types; as a plain module it is what it says
     clarabel: Any = import_module("clarabel")
     from scipy import sparse
 
-    slopes, turns, gains = model.slopes[rows], model.turns[cones], model.gains[cones]
-    (m, n), k = slopes.shape, gains.size
+    rows, turned, which = held.rows, held.turned, held.gains
+    slopes = model.slopes[rows]
+    (m, n), k = slopes.shape, which.size
     sought, root = model.sought[rows].astype(float), np.sqrt(damping)
-    A = np.zeros((m + 1 + 3 * k, n + 2))
+    A = np.zeros((m + 1 + k, n + 2))
     b = np.zeros(len(A))
     A[:m, :n], A[:m, n], A[:m, n + 1], b[:m] = slopes / root, -sought, sought - 1, -model.values[rows]
     A[m, n + 1] = -1.0
-    A[m + 1 :: 3, n + 1], b[m + 1 :: 3] = -1 / DB, 1.0
-    A[m + 2 :: 3, :n], b[m + 2 :: 3] = -turns.real / root, gains.real
-    A[m + 3 :: 3, :n], b[m + 3 :: 3] = -turns.imag / root, gains.imag
+    A[m + 1 :, :n] = DB / root * (turned[:, None] * model.turns[which]).real
+    A[m + 1 :, n + 1], b[m + 1 :] = -1.0, DB * (1 - (turned * model.gains[which]).real)
+    if model.least is not None:
+        ends = np.flatnonzero(np.isfinite(model.least))
+        A = np.vstack([A, -np.eye(n + 2)[ends]])
+        b = np.concatenate([b, -root * model.least[ends]])
     P = sparse.diags(np.append(np.ones(n), [0.0, 0.0]), format="csc")
     linear = np.append(np.zeros(n), [1.0, price])
-    kinds = [clarabel.NonnegativeConeT(m + 1), *[clarabel.SecondOrderConeT(3)] * k]
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
+    kinds = [clarabel.NonnegativeConeT(len(A))]
     x = np.array(clarabel.DefaultSolver(P, linear, sparse.csc_matrix(A), b, kinds, settings).solve().x)
     return (x[:n] / root, float(x[n]), float(x[n + 1])) if np.all(np.isfinite(x)) else (np.zeros(n), 0.0, 0.0)
 

@@ -3,28 +3,38 @@
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.design.fixed_structure.plane import Plane, plane_of
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.even import UNEVEN, evened
+from ultraquiet.values.interconnect import series
 from ultraquiet.values.state_space import StateSpace
 
 KNOT = 1.5  # frequencies of modes move independently when further apart than about this factor
+BESIDE = 4.0
 CEILING = 0.98  # of Nyquist: modes are not moved beyond it
 
 
 def perturbed(
-    plant: StateSpace, draws: int, gain_spread: float, mode_spread: float, rng: np.random.Generator
+    plant: StateSpace,
+    draws: int,
+    gain_spread: float,
+    mode_spread: float,
+    rng: np.random.Generator,
+    band_hz: tuple[float, float],
 ) -> list[StateSpace]:
-    """Return plants drawn near one: G' = (1 + g) diag(1 + a) G(f / (1 + m(f))) diag(1 + b), |g|, |m| at the edge or in.
+    """Return plants drawn near one: G' = (1 + g) diag(1 + a) G(f / (1 + m(f))) diag(1 + b).
 
     Args:
         plant: G.
         draws: how many.
-        gain_spread: share by which the gain of all channels together and that of each by itself move, half of it each;
-            that of all together alternates between both ends.
+        gain_spread: share by which a channel may be off: half of it at either end, b in gain and a = e (s - p) /
+            (s + p) in gain and phase, of one size at all frequencies, as the corners of filters, amplifiers and sensors
+            move both; g of all together is a quarter of it, up and down in turn.
         mode_spread: share by which frequencies of oscillating modes move, a function of frequency that is drawn at
             knots a factor 1.5 apart: modes that lie close to one another move together, so that the small differences
             between them that an identified model relies on are kept.
         rng: draws.
+        band_hz: p is drawn in it and a factor of four beside.
 
     Poles are moved with their residues scaled such that every mode keeps its own gain at zero frequency. Real poles,
     delays and modes that cannot be told apart stay.
@@ -32,13 +42,26 @@ def perturbed(
     out: list[StateSpace] = []
     ny, nu = plant.D.shape
     for k in range(draws):
-        common = 1 + (-1.0) ** k * gain_spread / 2
-        rows, columns = (1 + gain_spread / 4 * rng.uniform(-1, 1, n) for n in (ny, nu))
-        knots = rng.uniform(-1, 1, 64) * mode_spread
-        moved = _moved(plant, knots)
-        A, B, C, D = moved.A, moved.B * columns, moved.C * (common * rows)[:, None], moved.D
-        out.append(StateSpace(A, B, C, D * columns * (common * rows)[:, None], plant.rate_hz))
+        common = 1 + (-1.0) ** k * gain_spread / 4
+        rows, columns = (gain_spread / 2 * _towards_the_edge(n, rng) for n in (ny, nu))
+        corners = np.exp(rng.uniform(np.log(band_hz[0] / BESIDE), np.log(band_hz[1] * BESIDE), ny))
+        moved = _moved(plant, rng.uniform(-1, 1, 64) * mode_spread)
+        inputs = common * (1 + columns)
+        moved = StateSpace(moved.A, moved.B * inputs, moved.C, moved.D * inputs, plant.rate_hz)
+        out.append(series(moved, _off(rows, corners, plane_of(plant))) if gain_spread > 0 else moved)
     return out
+
+
+def _towards_the_edge(n: int, rng: np.random.Generator) -> FloatArray:
+    """Return numbers of either sign between a half and one: of many channels some are always near their limits."""
+    return rng.choice([-1.0, 1.0], n) * rng.uniform(0.5, 1.0, n)
+
+
+def _off(e: FloatArray, corners_hz: FloatArray, plane: Plane) -> StateSpace:
+    """Return diag(1 + e (s - p) / (s + p))."""
+    p = plane.of_hz(corners_hz)
+    root = np.sqrt(2 * p)
+    return plane.from_plane((np.diag(-p), np.diag(root), np.diag(-e * root), np.diag(1 + e)))
 
 
 def _moved(plant: StateSpace, knots: FloatArray) -> StateSpace:

@@ -9,7 +9,9 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
 from ultraquiet.design.peak_bounded.demands import Demands
-from ultraquiet.design.peak_bounded.scenario import Scenario
+from ultraquiet.design.peak_bounded.loops.largest import largest_within, upper_db
+from ultraquiet.design.peak_bounded.loops.parts import LoopParts
+from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 from ultraquiet.design.peak_bounded.step import DB, LEAST, Linearised
 
 TIGHT_DB = 0.03  # bounds are put so much tighter than meant, for what stands between the lines
@@ -18,15 +20,33 @@ WIDER = 6.0  # gains that are linearised as complex numbers enter from so many t
 
 @dataclass(frozen=True, eq=False)
 class DemandFamily:
-    """One kind of demand on one plant: sigma(M) in dB less a bound at some lines, dM = left dK right."""
+    """One kind of demand on one plant: sigma(M) in dB less a bound at some lines.
 
+    Attributes:
+        loop: of which M is a part.
+        lines: of the loop, one for each M.
+        M: `(lines, rows, columns)`.
+        bound_db: for each line.
+        sought: the greatest level is to be lowered.
+        linear: in the law's parameters, as K S is where the loop's gain is small.
+        commands: M are commands K S and not readings.
+    """
+
+    loop: LoopParts
     lines: np.ndarray
     M: ComplexArray
-    left: ComplexArray
-    right: ComplexArray
     bound_db: FloatArray
     sought: bool = False
-    linear: bool = False  # in the law's parameters, as K S is where the loop's gain is small
+    linear: bool = False
+    commands: bool = False
+
+    def sides(self, line: np.ndarray) -> tuple[ComplexArray, ComplexArray]:
+        """Return left and right of dM = left dK right at some of its lines."""
+        at = self.lines[line]
+        G, K, S = self.loop.at(at)
+        if self.commands:
+            return np.eye(G.shape[2]) + K @ S @ G, S
+        return S @ G, S if self.linear else self.M[line]
 
 
 class Pick(NamedTuple):
@@ -99,6 +119,7 @@ class LoopLevels:
             np.concatenate(sought),
             np.concatenate(gains),
             np.concatenate(turns),
+            np.minimum(self.structure.lowest - theta, 0.0),
         )
         return model, picks
 
@@ -124,8 +145,9 @@ class LoopLevels:
         which = pick.which
         U, sigma, Vh = np.linalg.svd(family.M[lines], full_matrices=False)
         size = np.maximum(sigma[line, which], LEAST)[:, None]
-        left = np.einsum("ki,kij->kj", U[line, :, which].conj(), family.left[pick.line]) / size
-        right = np.einsum("kij,kj->ki", family.right[pick.line], Vh[line, which].conj())
+        before, after = family.sides(lines)
+        left = np.einsum("ki,kij->kj", U[line, :, which].conj(), before[line]) / size
+        right = np.einsum("kij,kj->ki", after[line], Vh[line, which].conj())
         s = (1j * scenario.w[family.lines[pick.line]]).astype(np.complex128)
         levels = DB * np.log(size[:, 0]) - family.bound_db[pick.line]
         return levels, self.structure.gradient(theta, s, left, right)
@@ -133,51 +155,35 @@ class LoopLevels:
     def _families(self, theta: FloatArray, scenario: Scenario) -> list[DemandFamily]:
         """Return the demands on one plant with its closed-loop responses."""
         demands, f = self.demands, scenario.f_hz
-        G: ComplexArray = scenario.G
-        outputs, inputs = scenario.plant.D.shape
-        K = self.structure.response(theta, (1j * scenario.w).astype(np.complex128))
-        S: ComplexArray = np.linalg.inv(np.eye(outputs) - G @ K).astype(np.complex128)
-        SG: ComplexArray = S @ G
-        band = np.flatnonzero((f >= demands.band_hz[0]) & (f <= demands.band_hz[1]))
-        KS: ComplexArray = K @ S
-        through: ComplexArray = np.eye(inputs) + KS @ G
-        inside: ComplexArray = S[band] @ scenario.reached[band]
+        outputs = scenario.plant.D.shape[0]
+        loop = LoopParts.of(scenario.G, self.structure.response(theta, (1j * scenario.w).astype(np.complex128)))
+        G, _, S = loop
+        band = np.flatnonzero(demands.inside(f))
         every = np.arange(f.size)
+        quiet: ComplexArray = S[band] @ scenario.reached[band]
         out = [
-            DemandFamily(band, inside, SG[band], inside, np.zeros(band.size), sought=True),
-            DemandFamily(every, S, SG, S, demands.sensitivity_db(f) - TIGHT_DB),
-            DemandFamily(every, KS, through, S, demands.control_db(f) - TIGHT_DB, linear=True),
+            DemandFamily(loop, band, quiet, np.zeros(band.size), sought=True),
+            DemandFamily(loop, every, S, demands.sensitivity_db(f) - TIGHT_DB),
+            DemandFamily(loop, every, loop.control, demands.control_db(f) - TIGHT_DB, linear=True, commands=True),
         ]
         if demands.complementary_db is not None:
-            out.append(DemandFamily(every, S - np.eye(outputs), SG, S, demands.complementary_db(f), linear=True))
+            out.append(DemandFamily(loop, every, S - np.eye(outputs), demands.complementary_db(f), linear=True))
         if demands.tones_hz:
             w = scenario.plane.of_hz(np.array(demands.tones_hz))
             at = np.array([int(np.argmin(np.abs(scenario.w - each))) for each in w])
-            inside = S[at] @ np.linalg.svd(G[at], full_matrices=False)[0].astype(np.complex128)
-            out.append(DemandFamily(at, inside, SG[at], inside, np.full(at.size, -demands.tone_db)))
+            reached: ComplexArray = S[at] @ np.linalg.svd(G[at], full_matrices=False)[0].astype(np.complex128)
+            out.append(DemandFamily(loop, at, reached, np.full(at.size, -demands.tone_db)))
         return out
 
 
-def _upper_db(family: DemandFamily) -> FloatArray:
-    """Return an upper bound of each line's level, from the Frobenius norm."""
-    size = np.sqrt(np.sum(np.abs(family.M) ** 2, axis=(1, 2)))
-    return DB * np.log(np.maximum(size, LEAST)) - family.bound_db
-
-
 def _top(family: DemandFamily) -> float:
-    """Return the greatest level of a family; singular values are taken where the Frobenius norm leaves it open."""
-    if not family.lines.size:
-        return -np.inf
-    upper = _upper_db(family)
-    rank = min(family.M.shape[1:])
-    open_ = np.flatnonzero(upper >= upper.max() - 10 * np.log10(rank) - 1e-9)
-    size = np.linalg.svd(family.M[open_], compute_uv=False)[:, 0]
-    return float((DB * np.log(np.maximum(size, LEAST)) - family.bound_db[open_]).max())
+    """Return the greatest level of a family."""
+    return largest_within(family.M, family.bound_db)
 
 
 def _near(family: DemandFamily, least_db: float, most: int) -> Pick:
     """Return the singular values above a level."""
-    first = np.flatnonzero(_upper_db(family) >= least_db)
+    first = np.flatnonzero(upper_db(family.M) - family.bound_db >= least_db)
     sigma = np.linalg.svd(family.M[first], compute_uv=False)
     levels = DB * np.log(np.maximum(sigma, LEAST)) - family.bound_db[first, None]
     line, which = np.nonzero(_chosen(levels, least_db, most))

@@ -23,16 +23,19 @@ class Scenario:
         plane: in which the law lives.
         f_hz: lines, besides those that the plant's own poles need.
         band_hz: in which S counts over the directions that inputs reach; (0, 0) for nowhere.
+        fan: where the lines about its poles lie, in half widths.
     """
 
-    def __init__(self, plant: StateSpace, plane: Plane, f_hz: FloatArray, band_hz: tuple[float, float]) -> None:
+    def __init__(
+        self, plant: StateSpace, plane: Plane, f_hz: FloatArray, band_hz: tuple[float, float], fan: FloatArray = FAN
+    ) -> None:
         self.plant, self.plane, self.band_hz = plant, plane, band_hz
         self.loop: Matrices = plane.to_plane(plant)
         self._at = response_at(plant)
         own = self._modes(
             np.linalg.eigvals(self.loop[0]).astype(np.complex128) if plant.states else np.zeros(0, complex)
         )
-        fan = (own.imag[:, None] + np.abs(own.real)[:, None] * FAN).ravel()
+        fan = (own.imag[:, None] + np.abs(own.real)[:, None] * fan).ravel()
         self.w = np.zeros(0)
         self.f_hz = np.zeros(0)
         self.G = np.zeros((0, *plant.D.shape), dtype=np.complex128)
@@ -48,20 +51,28 @@ class Scenario:
         if not new.size:
             return False
         f = self.plane.hz(new)
-        G = np.moveaxis(self._at(f), 2, 0)
+        G = self.response(f)
         reached = np.zeros((new.size, G.shape[1], min(G.shape[1:])), dtype=np.complex128)
-        inside = (f >= self.band_hz[0]) & (f <= self.band_hz[1])
-        if G.shape[1] > G.shape[2] and inside.any():
-            U, gains, _ = np.linalg.svd(G[inside], full_matrices=False)
-            reached[inside] = U * (gains > REACHED * gains[:, :1])[:, None, :]
-        elif inside.any():
-            reached[inside] = np.eye(G.shape[1])
+        inside = (f >= self.band_hz[0] * (1 - NEAREST)) & (f <= self.band_hz[1] * (1 + NEAREST))
+        reached[inside] = self.directions(G[inside])
         joined = np.concatenate([self.w[kept], new])
         order = np.argsort(joined)
         self.w, self.f_hz = joined[order], np.concatenate([self.f_hz[kept], f])[order]
         self.G = np.concatenate([self.G[kept], G])[order]
         self.reached = np.concatenate([self.reached[kept], reached])[order]
         return True
+
+    def response(self, f_hz: FloatArray) -> ComplexArray:
+        """Return G, `(lines, outputs, inputs)`."""
+        return np.moveaxis(self._at(f_hz), 2, 0)
+
+    @staticmethod
+    def directions(G: ComplexArray) -> ComplexArray:
+        """Return orthonormal columns that span what inputs reach at each line: all of it, unless outputs are more."""
+        if G.shape[1] <= G.shape[2]:
+            return np.broadcast_to(np.eye(G.shape[1], dtype=np.complex128), (len(G), G.shape[1], G.shape[1]))
+        U, gains, _ = np.linalg.svd(G, full_matrices=False)
+        return np.asarray(U * (gains > REACHED * gains[:, :1])[:, None, :], dtype=np.complex128)
 
     def poles(self, law: Matrices) -> ComplexArray:
         """Return the poles of the loop in the plane."""

@@ -1,0 +1,46 @@
+"""The one scalar function that a law repeated on every channel is designed for."""
+
+import numpy as np
+
+from ultraquiet._base.errors import InputError
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.values.state_space import StateSpace
+
+NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the function
+
+
+def mean_channel(plant: StateSpace) -> StateSpace:
+    """Return trace(G) / n, the mean of the plant's eigenvalues, as a scalar function.
+
+    One scalar law on every channel meets each eigenvalue of G. Their mean has the modes of all directions, each as far
+    as it counts; one direction alone, all channels moving together, has its own sharp modes only, and a law that
+    inverts these amplifies where the other directions have theirs. Parts at Hankel values of no account are removed.
+
+    An unstable plant keeps all its states and gives v' G v with v = (1, ..., 1) / sqrt(n), for a sum of its channels
+    would hold each unstable mode several times.
+
+    Raises:
+        InputError: the plant has not as many outputs as inputs.
+    """
+    n = plant.D.shape[0]
+    if n != plant.D.shape[1]:
+        raise InputError(f"mean_channel: a square plant is needed, got {n} x {plant.D.shape[1]}.")
+    if not plant.is_stable():
+        v = np.ones((n, 1)) / np.sqrt(n)
+        return StateSpace(plant.A, plant.B @ v, v.T @ plant.C, v.T @ plant.D @ v, rate_hz=plant.rate_hz)
+    discrete, parts = plant.rate_hz is not None, None
+    for i in range(n):
+        one = (plant.A, plant.B[:, [i]], plant.C[[i]] / n, plant.D[[i]][:, [i]] / n)
+        each = balance.without_faint(one, NEGLIGIBLE, discrete=discrete)
+        parts = each if parts is None else _sum(parts, each)
+    assert parts is not None
+    M = parts if n == 1 else balance.without_faint(parts, NEGLIGIBLE, discrete=discrete)
+    return StateSpace(*M, rate_hz=plant.rate_hz)
+
+
+def _sum(first: Matrices, second: Matrices) -> Matrices:
+    (A, B, C, D), (a, b, c, d) = first, second
+    n, m = len(A), len(a)
+    both = np.block([[A, np.zeros((n, m))], [np.zeros((m, n)), a]])
+    return both, np.vstack([B, b]), np.hstack([C, c]), D + d

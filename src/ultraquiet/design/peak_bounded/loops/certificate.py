@@ -1,0 +1,122 @@
+"""What a law reaches on a plant between the lines of its search: a fine grid that holds the loop's modes, refined."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.analyse.peaks import refined
+from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
+from ultraquiet.design.peak_bounded.demands import Demands
+from ultraquiet.design.peak_bounded.loops.largest import LEAST
+from ultraquiet.design.peak_bounded.loops.parts import LoopParts
+from ultraquiet.design.peak_bounded.loops.scenario import Scenario
+
+LINES, DECADES, CONTINUOUS_HZ = 1500, 5.0, 1e4
+WIDTHS = np.array([-1.0, -0.3, 0.0, 0.3, 1.0])  # of a mode of the loop: lines about it
+ROUNDS = 5  # of narrowing a peak, each to a quarter: a smooth top is then known to 1e-5 dB
+
+
+class Certified(NamedTuple):
+    """Worst direction of the band and largest amplification, dB; greatest excess over a bound, dB, and where, Hz."""
+
+    attenuation_db: float
+    peak_db: float
+    excess_db: float
+    excess_hz: float
+
+
+Grid = tuple[FloatArray, LoopParts]
+Part = Callable[[LoopParts, FloatArray], FloatArray]
+
+UNSTABLE = Certified(-np.inf, np.inf, np.inf, float("nan"))
+
+
+class LoopCertificate:
+    """A plant on the fine grid, to judge one law after the other.
+
+    Args:
+        scenario: the plant.
+        demands: whose bounds count, those on S and on K S.
+    """
+
+    def __init__(self, scenario: Scenario, demands: Demands) -> None:
+        self.scenario, self.demands = scenario, demands
+        plane, rate_hz = scenario.plane, scenario.plant.rate_hz
+        top = CONTINUOUS_HZ if rate_hz is None else rate_hz / 2
+        f = np.geomspace(top / 10**DECADES, top * 0.9999, LINES)
+        self._w = np.unique(np.concatenate([plane.of_hz(f), scenario.w]))
+        self._G = scenario.response(plane.hz(self._w))
+
+    def of(self, law: ControllerStructure, theta: FloatArray) -> Certified:
+        """Return what a law reaches; it is `UNSTABLE` where the loop is."""
+        grid = self._closed(law, theta)
+        if grid is None:
+            return UNSTABLE
+        demands, every = self.demands, np.arange(grid[0].size)
+        excess, at_hz = self._excess(law, theta, grid)
+
+        def quiet(each: LoopParts, lines: FloatArray) -> FloatArray:
+            return _sizes(each.S @ self.scenario.directions(each.G))
+
+        level = self._largest(law, theta, grid, quiet, np.flatnonzero(demands.inside(grid[0])))[0]
+        peak = self._largest(law, theta, grid, lambda each, _: _sizes(each.S), every)[0]
+        return Certified(-level, peak, excess, at_hz)
+
+    def excess(self, law: ControllerStructure, theta: FloatArray) -> tuple[float, float]:
+        """Return the greatest excess over a bound, dB, and where, Hz; infinite where the loop is unstable."""
+        grid = self._closed(law, theta)
+        return (np.inf, float("nan")) if grid is None else self._excess(law, theta, grid)
+
+    def _excess(self, law: ControllerStructure, theta: FloatArray, grid: Grid) -> tuple[float, float]:
+        demands, every = self.demands, np.arange(grid[0].size)
+
+        def bounded(each: LoopParts, lines: FloatArray) -> FloatArray:
+            return _sizes(each.S) / _gain(demands.sensitivity_db(lines))
+
+        def driven(each: LoopParts, lines: FloatArray) -> FloatArray:
+            return _sizes(each.control) / _gain(demands.control_db(lines))
+
+        return max(self._largest(law, theta, grid, part, every) for part in (bounded, driven))
+
+    def _largest(
+        self, law: ControllerStructure, theta: FloatArray, grid: Grid, part: Part, at: np.ndarray
+    ) -> tuple[float, float]:
+        """Return the largest value of a part of the loop at some lines of the grid and between them, dB, and where."""
+        f, here = grid[0][at], grid[1].at(at)
+
+        def between(lines: FloatArray) -> FloatArray:
+            return part(self._loop(law, theta, self.scenario.response(lines), self.scenario.plane.of_hz(lines)), lines)
+
+        size, at_hz = refined(between, f, part(here, f), rounds=ROUNDS)
+        return 20 * float(np.log10(max(size, LEAST))), at_hz
+
+    def _closed(self, law: ControllerStructure, theta: FloatArray) -> Grid | None:
+        """Return the lines in Hz and the loop there; None where it is unstable."""
+        poles = self.scenario.poles(law.system(theta))
+        if np.any(poles.real >= 0):
+            return None
+        w, G = self._lines(poles)
+        return self.scenario.plane.hz(w), self._loop(law, theta, G, w)
+
+    @staticmethod
+    def _loop(law: ControllerStructure, theta: FloatArray, G: ComplexArray, w: FloatArray) -> LoopParts:
+        return LoopParts.of(G, law.response(theta, (1j * w).astype(np.complex128)))
+
+    def _lines(self, poles: ComplexArray) -> tuple[FloatArray, ComplexArray]:
+        """Return the grid with lines about the loop's modes, and G there."""
+        modes = poles[poles.imag > 0]
+        own = (modes.imag[:, None] + np.abs(modes.real)[:, None] * WIDTHS).ravel()
+        own = own[(own > 0) & (own < self._w[-1])]
+        w = np.concatenate([self._w, own])
+        order = np.argsort(w, kind="stable")
+        return w[order], np.concatenate([self._G, self.scenario.response(self.scenario.plane.hz(own))])[order]
+
+
+def _sizes(M: ComplexArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(M, 2, axis=(1, 2)), dtype=np.float64)
+
+
+def _gain(level_db: FloatArray) -> FloatArray:
+    return np.asarray(10 ** (level_db / 20), dtype=np.float64)

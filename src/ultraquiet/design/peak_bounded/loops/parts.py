@@ -1,0 +1,29 @@
+"""A closed loop at some lines."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray
+
+
+class LoopParts(NamedTuple):
+    """G, K and S = (I - G K)^-1, `(lines, rows, columns)` each."""
+
+    G: ComplexArray
+    K: ComplexArray
+    S: ComplexArray
+
+    @staticmethod
+    def of(G: ComplexArray, K: ComplexArray) -> "LoopParts":
+        """Close the loop of a plant and a law."""
+        return LoopParts(G, K, np.linalg.inv(np.eye(G.shape[1]) - G @ K).astype(np.complex128))
+
+    @property
+    def control(self) -> ComplexArray:
+        """K S."""
+        return self.K @ self.S
+
+    def at(self, lines: np.ndarray) -> "LoopParts":
+        """Return some of the lines."""
+        return LoopParts(*(part[lines] for part in self))
