@@ -176,6 +176,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="file-size limits are POSIX")
 def test_a_full_disk_while_recording(tmp_path):
     done = subprocess.run(

@@ -216,6 +216,7 @@ def laboratory(tmp_path):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
+@pytest.mark.gate("2")
 @pytest.mark.parametrize("wish", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_ctrl_c_ramps_to_zero_and_says_where_everything_stands(laboratory, tmp_path, wish):
     """Asked twice, with 8 V on the actuator: no step of the way down is larger than the ramp's."""
@@ -249,6 +250,7 @@ def test_ctrl_c_ramps_to_zero_and_says_where_everything_stands(laboratory, tmp_p
     assert rows["never"] == ("NOT STARTED", "")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals to processes are POSIX")
 def test_under_nohup_a_run_outlives_its_terminal(laboratory, tmp_path):
     child = laboratory(SLOW, ends="SIG_IGN")

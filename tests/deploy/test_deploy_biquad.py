@@ -85,6 +85,7 @@ def test_auto_takes_the_bank_and_it_costs_less(rng, tmp_path):
     assert multiply_adds(made.law) == 60 * (2 + 1 + 1) + 6
 
 
+@pytest.mark.slow
 def test_alike_design_of_the_demo_becomes_a_bank(tmp_path):
     ground = uq.bench.Hexapod(unit="ground").linear_model()
     law = uq.design.BandAttenuation(band_hz=(9.0, 108.0), structure="repeated").design(ground).controller
@@ -97,7 +98,7 @@ def test_alike_design_of_the_demo_becomes_a_bank(tmp_path):
     )
     assert made.tables["form"] == "bank"
     assert made.status.ok
-    assert made.tables["c31_kernel_cycles"] < 900
+    assert made.tables["c31_kernel_cycles"] < 6 * law.states  # a state of a bank takes five and a half
     assert realisation(law, "modal").blocks[0].shape == (2, 2)
 
 

@@ -59,7 +59,7 @@ def another(request, monkeypatch):
     return request.param
 
 
-@pytest.mark.gate("cortex-m33")
+@pytest.mark.slow
 @pytest.mark.usefixtures("emulated", "cc")
 def test_a_new_cortex_m_is_one_entry_of_the_table(another, law_of, tmp_path):
     made = generate(law_of(6, 2, 3), tmp_path / "code", form="modal", ramp_s=0.01)

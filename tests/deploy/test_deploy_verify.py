@@ -257,6 +257,7 @@ def test_unknown_target_is_refused_before_work(law_of, tmp_path):
         made.verify(100, targets=("avr",))
 
 
+@pytest.mark.slow
 def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
     plant, law = loop
     uq.files.save(law, tmp_path / "law.h5")
@@ -312,7 +313,7 @@ def command(monkeypatch, capsys, folder: Path, *words):
     return code, said.out + said.err
 
 
-@pytest.mark.gate("float32")
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_random_bits_find_nothing_in_the_code_and_a_missing_limit_at_once(law_of, seed, tmp_path, cc, precision):
     made = generate(law_of(6), tmp_path / "code", precision, limits_v=[[-3.0, 2.0]] * 6, ramp_s=0.01)

@@ -23,6 +23,7 @@ def bench(seed):
     return uq.bench.Hexapod(unit="ground", seed=seed, hysteresis=True)
 
 
+@pytest.mark.slow
 def test_unknown_frequency_is_found_and_the_tone_cancelled(law, bench, rng):
     t = seconds(4.0)
     for f in (22.5, rng.uniform(22.5, 27.5), 27.5):

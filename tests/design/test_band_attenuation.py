@@ -26,6 +26,7 @@ def judged(name, plant, controller):
     return worst, peak
 
 
+@pytest.mark.gate("repeated")
 @pytest.mark.parametrize("structure", ["full", "repeated"])
 def test_design_on_the_true_linear_bench(ground, structure):
     result = BandAttenuation(band_hz=(9.0, 108.0), height=12.0, structure=structure).design(ground)

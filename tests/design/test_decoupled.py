@@ -72,12 +72,14 @@ def test_a_hidden_transform_is_found(rng):
     assert result.details["residue"] < 1e-6
 
 
+@pytest.mark.slow
 def test_residue_tells_when_no_transform_fits(rng):
     result = Decoupled(transform="svd", settings={"band_hz": (9.0, 108.0), "height": 12.0}).design(bench_like(rng, 6))
     print(f"a plant without symmetry: residue {result.details['residue']:.2f}, {result.status}")
     assert result.details["residue"] > 0.05
 
 
+@pytest.mark.slow
 def test_other_methods_and_bad_input(ground):
     result = Decoupled(transform="threefold", method="lqg").design(ground)
     assert result.status.ok, result.status

@@ -39,7 +39,7 @@ def verdict(design, plant):
     return word, sentence, None if word != "fragile" or named else "no channel is named"
 
 
-@pytest.mark.gate("LoopShaping", "Modal")
+@pytest.mark.gate("Modal")
 @pytest.mark.parametrize("design", MEASURED)
 def test_a_default_is_ok_in_any_units(seed, design):
     rng = np.random.default_rng(seed + 40)

@@ -37,7 +37,7 @@ def designs():
     return made
 
 
-@pytest.mark.gate("ground-broadband-6.0")
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "wanted_db"), [("broadband", 6.0), ("tone", 25.0)])
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_base_vibration_is_cancelled(designs, unit, kind, wanted_db, seed, rng):

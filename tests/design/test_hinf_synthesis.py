@@ -125,6 +125,7 @@ def test_sizes_are_checked():
         synthesize_hinf(bbmx(), 3, 1)
 
 
+@pytest.mark.slow
 def test_198_states(rng):
     """180 plant and 18 weight states, none of them in the second opinion unless asked."""
     P = array_problem("four-block", array_like(rng, 84))

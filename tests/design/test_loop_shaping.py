@@ -103,7 +103,7 @@ def test_margin_of_a_published_loop():
     assert abs(result.details["epsilon"] - 0.6325) < 1e-4
 
 
-@pytest.mark.gate("1.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [None, 1.0])
 def test_promised_level_is_reached_on_random_plants(rng, rate_hz):
     """Unstable plants with every direct term: the level found is reached, and no other controller passes below it."""

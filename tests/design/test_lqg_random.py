@@ -114,7 +114,8 @@ def test_lqg_on_random_stable_plants(rng, count):
     assert words["ok"] >= (1 - REFUSED) * count - SPARE
 
 
-@pytest.mark.parametrize("count", [3, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [60])
 def test_weights_out_of_all_proportion_are_designed_for_or_refused(rng, count):
     """Weights of order one on plants whose gain lies anywhere in twelve decades: judged alike, a sentence otherwise."""
     words, sentences = judge(rng, count, fitting=False)

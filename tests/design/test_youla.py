@@ -171,6 +171,7 @@ def test_memory_shorter_than_an_update_is_refused(seed):
         YoulaKucera(memory_s=1e-3).design(damped_plant(seed))
 
 
+@pytest.mark.slow
 def test_an_unstable_plant_is_held_and_its_tone_cancelled(rng):
     plant = StateSpace([[1.01]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
     law = YoulaKucera().design(plant).law

@@ -170,6 +170,7 @@ for _ in range(10):
 """
 
 
+@pytest.mark.slow
 def test_several_processes_may_ask_while_another_records(tmp_path):
     words = [sys.executable, "-c", ASK, str(tmp_path)]
     children = [subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) for _ in range(2)]

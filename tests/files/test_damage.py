@@ -162,7 +162,7 @@ for path in sys.argv[1:]:
 """
 
 
-@pytest.mark.gate(".hdf5")
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".mat", ".hdf5"])
 def test_damaged_hdf5_of_others(good, tmp_path, rng, suffix):
     """MAT 7.3 and foreign HDF5 carry no checksum: every cut is refused, changed bytes are refused or read, no more."""

@@ -220,6 +220,7 @@ def test_damaged_files_are_refused_in_one_sentence_or_read(tmp_path, rng):
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(finite, finite, finite), min_size=1, max_size=20), st.sampled_from([",", ";", "\t", " "]))
 def test_text_keeps_every_bit(tmp_path_factory, rows, delimiter):

@@ -121,6 +121,7 @@ def table(tmp_path, rng):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_table_of_another_program_becomes_verified_code(table, run):
     code, _, said = run("run", "study.toml", "--out", "by-command")
     print(said[-2000:])

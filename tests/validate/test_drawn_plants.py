@@ -45,5 +45,5 @@ def test_models_without_covariance_are_refused(rng):
     class Result:
         model, covariance = plant, np.zeros((1, 0, 0))
 
-    with pytest.raises(InputError, match="identify by a polynomial method"):
+    with pytest.raises(InputError, match="take 'state_space_band', a polynomial method"):
         drawn_plants(Result(), 3)

@@ -218,8 +218,7 @@ def quick_study(study: Study) -> Study:
     sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
     paper = study.paper and study.paper.model_copy(update={"records": study.paper.records[:1]})
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
-    plant = study.plant.model_copy(update={"units": []})
-    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop, "plant": plant})
+    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop})
 
 
 def reload_study(folder: Path) -> Study:
