@@ -127,6 +127,7 @@ def test_verification_fills_the_table(law_of, tmp_path):
     assert "emulated Cortex-M7" in (tmp_path / "code" / "README.md").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("target", "cc")
 def test_emulator_out_of_order_does_not_spoil_the_comparison(law_of, tmp_path, monkeypatch):
     made = generate(law_of(4), tmp_path / "code", ramp_s=0.01)

@@ -50,6 +50,7 @@ def test_drifting_frequency_is_followed(law, bench, rng, hz_per_s):
     assert got >= 15
 
 
+@pytest.mark.slow
 def test_a_jump_is_caught(law, bench, rng):
     t = seconds(6.0)
     d = tone(rng, np.where(t < 3, 23.0, 27.0))

@@ -115,6 +115,7 @@ def test_without_a_tone_it_does_no_harm(designed, bench, rng):
         assert rise < 0.5
 
 
+@pytest.mark.slow
 def test_a_unit_that_is_not_the_model(designed, seed, rng):
     bench = uq.bench.Hexapod(unit="ground", seed=seed, spread=1.0, unit_seed=seed % 1000, hysteresis=True)
     t = seconds(4.0)

@@ -69,6 +69,7 @@ def test_the_order_is_found_and_the_model_meets_the_plant(rng):
     assert relative < 5e-3
 
 
+@pytest.mark.slow
 def test_noise_makes_no_poles(seed, rng):
     """The suite's plant: the order stays what the physics is worth, whatever the noise."""
     from ultraquiet.pipeline import packaged_study

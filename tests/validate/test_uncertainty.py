@@ -48,6 +48,7 @@ def test_the_bound_holds_in_nineteen_of_twenty_records(rng):
     assert 0.95 - limit - 0.01 <= share <= 0.95 + limit + 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.draws(false_alarm=3.4e-3)  # binomial: fewer than 34 of 40 where 95 % hold
 def test_the_bound_holds_on_forty_records(rng):
     share, limit = bounded(rng, 40)
