@@ -93,8 +93,6 @@ def distance(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, fl
         return Distance(Status(StatusWord.OK, said), own, peak_db, gain, left_db=0.0)
     v = V[:, 0]
     limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, basis).limit
-    if not np.isfinite(limit.bound_db):  # a price so high that few functions certify nothing
-        limit = one_direction(plant, v, band, max(peak_db, 0.0), gain, 3 * basis // 2).limit
     return Distance(_verdict(own, peak_db, gain, limit, ny > nu), own, peak_db, gain, limit, limit.bound_db - own, v)
 
 

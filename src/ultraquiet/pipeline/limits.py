@@ -13,12 +13,13 @@ from ultraquiet.analyse import singular_values
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
 from ultraquiet.pipeline.study import Band, LimitsTable
-from ultraquiet.values import StateSpace
+from ultraquiet.values import StateSpace, StatusWord
 
 # Without a stated price the control may have so many times the gain that inverting the plant's weakest direction takes.
 INVERSIONS, LINES = 10.0, 60
 # Functions of the search: fewer cost sharpness, and on an identified 6x6 plant half as many often certify nothing.
 BASIS = 60
+MORE = 90  # where a law's price is so high that these certify nothing
 
 
 def stage(
@@ -80,6 +81,8 @@ def _out_of_reach(plant: StateSpace) -> str:
 def _of_design(plant: StateSpace, law: StateSpace, band_hz: Band) -> DesignLimit | NoDistance:
     try:
         distance = limits.distance(plant, law, band_hz, basis=BASIS)
+        if distance.status.word is StatusWord.NOT_CERTIFIED:
+            distance = limits.distance(plant, law, band_hz, basis=MORE)
     except UltraquietError as error:
         return NoDistance(status=f"refused: {error}")
     return DesignLimit(
