@@ -46,8 +46,8 @@ test-web: $(VENV)/full.stamp
 	$(BIN)/python -m pytest -m web $(ARGS)
 
 lint: $(VENV)/dev.stamp
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+	$(BIN)/ruff check --no-cache .
+	$(BIN)/ruff format --no-cache --check .
 	$(BIN)/basedpyright
 	$(BIN)/lint-imports
 

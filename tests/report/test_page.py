@@ -5,8 +5,8 @@ import re
 
 import numpy as np
 import pytest
-from read_page import Page
 
+from read_page import Page
 from ultraquiet.plot import Figure, Line, Panel
 from ultraquiet.report import Front, Report, Section, Span, Table, Verdict, render, write
 

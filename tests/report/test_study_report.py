@@ -3,6 +3,7 @@
 import json
 
 import pytest
+
 from read_page import Page
 
 pytestmark = pytest.mark.web
