@@ -84,7 +84,7 @@ def test_every_stage_is_the_one_the_walk_looks_for(folder, said):
     laws = {}
     for name in ("asked", "calm"):
         settings = study.controllers[name]
-        assert cache.holds(f"design-{name}", design_key(plant, settings, PLAN))
+        assert cache.holds(f"design-{name}", design_key(plant, settings, PLAN, {}))
         laws |= design_stage(cache, name, settings, plant, PLAN, {}).values
     here = design_stage(Cache(folder.parent / "here"), "calm", study.controllers["calm"], plant, PLAN, {})
     assert laws["calm"].hash == here.values["calm"].hash

@@ -10,6 +10,7 @@ from ultraquiet import limits
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.analyse import singular_values
+from ultraquiet.limits.directions import moved
 from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
 from ultraquiet.pipeline.study import Band, LimitsTable
@@ -55,8 +56,7 @@ def _inverting(plant: StateSpace, band_hz: Band) -> float:
 
 def _of_band(plant: StateSpace, band_hz: Band, peak_db: float, control_gain: float) -> BandLimit | RefusedBand:
     try:
-        ny, nu = plant.D.shape
-        weakest = limits.principal_directions(plant, band_hz)[:, [max(ny - nu, 0)]]  # of those that move at once
+        weakest = moved(plant, band_hz)[:, :1]
         price = {"control_gain": control_gain, "directions": weakest, "basis": BASIS}
         limit = limits.by_direction(plant, band_hz, peak_db, **price)[0].limit
     except UltraquietError as error:

@@ -304,9 +304,7 @@ class Stages:
         return self.cache.stage("analyse", "models", key, AnalysisFacts, compute)
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
-        settings = self.study.controllers[name]
-        others = self._further if takes_several(settings) else {}
-        return self.cache.holds(f"design-{name}", design_key(plant, settings, plan, others))
+        return self.cache.holds(f"design-{name}", design_key(plant, self.study.controllers[name], plan, self._further))
 
     def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.linalg.response import principal_gains
 
 REACH = 30.0  # times below the lowest line and above the highest: as far as a weight's corners may lie
 POINTS = 40  # on either side
@@ -55,7 +56,7 @@ def _side(f: FloatArray, size: FloatArray, nominal: Any, kind: str, entry: bool)
     if kind.startswith("additive") or not f.size:
         return level
     G = nominal.frequency_response(f)
-    gain = np.abs(G) if entry else np.linalg.norm(np.moveaxis(G, -1, 0), 2, axis=(1, 2))
+    gain = np.abs(G) if entry else principal_gains(G)[0]
     least = np.finfo(float).tiny
     return level / np.maximum(gain, np.maximum(gain.max(axis=-1, keepdims=True) * np.finfo(float).eps, least))
 

@@ -19,6 +19,7 @@ from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, REPEATED, structure_word
 from ultraquiet.design.verification import judged
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
@@ -175,7 +176,7 @@ def _gains_heard(plant: StateSpace, wanted: Specification) -> FloatArray:
     if plant.rate_hz is None:
         return wanted.gains(plant)
     f = np.geomspace(1e-3, 0.4, 50) * plant.rate_hz
-    size = np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2))
+    size = principal_gains(plant.frequency_response(f))[0]
     return np.concatenate([size[np.isfinite(size) & (size > 0)], wanted.gains(plant)])
 
 

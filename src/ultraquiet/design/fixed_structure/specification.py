@@ -12,6 +12,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.fixed_structure.problem import Requirement
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, worst_attenuation_db
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import feedback, gain, lft, sensitivity
 from ultraquiet.values.state_space import StateSpace
@@ -120,7 +121,7 @@ class Specification:
     def gains(self, plant: StateSpace) -> FloatArray:
         """Return the plant's largest gain over the band, where it has one."""
         f = np.geomspace(*self.band_hz, POINTS)
-        largest = np.linalg.norm(np.moveaxis(plant.frequency_response(f), 2, 0), 2, axis=(1, 2))
+        largest = principal_gains(plant.frequency_response(f))[0]
         return largest[np.isfinite(largest) & (largest > 0)]
 
     def score(self, plant: StateSpace, controller: StateSpace) -> Score:

@@ -25,6 +25,7 @@ from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, SYMMETRIC, structure_word
 from ultraquiet.design.verification import judged
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "PeakBounded"
@@ -276,8 +277,8 @@ def _structure_for(plant: StateSpace, band_hz: tuple[float, float] | None) -> st
 
 def _inverting(plant: StateSpace, band_hz: tuple[float, float]) -> float:
     """Return the default limit of K S."""
-    gains = np.linalg.svd(np.moveaxis(response_at(plant)(np.geomspace(*band_hz, 60)), 2, 0), compute_uv=False)
-    heard = gains[gains > HEARD * gains[:, :1]]
+    gains = principal_gains(response_at(plant)(np.geomspace(*band_hz, 60)))
+    heard = gains[gains > HEARD * gains[0]]
     return INVERSIONS / float(heard.min()) if heard.size else 1.0
 
 

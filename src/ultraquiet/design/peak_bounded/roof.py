@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.peaks import response_at
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.state_space import StateSpace
 
 SKIRT = 3.0  # the roof begins so many times the spread of frequencies below the lowest such mode
@@ -44,7 +45,7 @@ def roof(
         lowest = min(lowest, float(uncertain.min()))
         share = 1 + mode_spread * np.linspace(-1, 1, LINES)
         lines = np.unique(np.minimum(uncertain[:, None] * share, rate_hz / 2))
-        gains = np.linalg.norm(np.moveaxis(response_at(plant)(lines), 2, 0), 2, axis=(1, 2))
+        gains = principal_gains(response_at(plant)(lines))[0]
         largest = max(largest, float(gains.max()))
     if not np.isfinite(lowest) or largest == 0:
         return np.inf, np.inf

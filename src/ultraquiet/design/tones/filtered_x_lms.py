@@ -14,6 +14,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
 from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
 from ultraquiet.design.verification import judged
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
@@ -95,7 +96,7 @@ class FilteredXLms(StatedRobustness):
         assert G.rate_hz is not None
         part = StateSpace(G.A, G.B[:, drives], G.C[rows], G.D[np.ix_(rows, drives)], G.rate_hz)
         f_hz = np.linspace(0, G.rate_hz / 2, GRID + 2)[1:-1]
-        gains = np.linalg.svd(np.moveaxis(part.frequency_response(f_hz)[: len(errors)], 2, 0), compute_uv=False)
+        gains = principal_gains(part.frequency_response(f_hz)[: len(errors)])
         if not gains.max() > 0:
             raise InputError(f"{who}: the actuators do not reach readings {errors}; nothing can be cancelled.")
         model = without_faint_states(part)
@@ -105,7 +106,7 @@ class FilteredXLms(StatedRobustness):
             "drives": drives,
             "step_bound": STEP_BOUND,
             # directions within rounding of the largest gain are none
-            "condition": float((gains[:, 0] / np.maximum(gains[:, -1], FAINTEST * gains[:, 0].max())).max()),
+            "condition": float((gains[0] / np.maximum(gains[-1], FAINTEST * gains[0].max())).max()),
             "model_states": model.states,
         }
         rest = inner.joined(gain(np.zeros((nu, ny)), G.rate_hz))

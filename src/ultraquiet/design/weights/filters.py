@@ -82,11 +82,10 @@ def low_pass(
     """
     who = "low_pass"
     ratio = positive(who, "height", height) / positive(who, "floor", floor)
-    if rate_hz is not None and corner_hz >= rate_hz / 2:
-        raise InputError(f"{who}: 'corner_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {corner_hz:g} Hz.")
+    _below_nyquist(who, "corner_hz", corner_hz, rate_hz)
     poles = _butterworth(whole(who, "order", order, 1))
     zeros = poles * ratio ** (1 / order)
-    return realised(zeros, poles, floor, positive(who, "corner_hz", corner_hz, "Hz"), rate_hz, channels)
+    return realised(zeros, poles, floor, corner_hz, rate_hz, channels)
 
 
 def high_pass(
@@ -110,11 +109,10 @@ def high_pass(
     """
     who = "high_pass"
     ratio = positive(who, "high", high) / positive(who, "low", low)
-    if rate_hz is not None and corner_hz >= rate_hz / 2:
-        raise InputError(f"{who}: 'corner_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {corner_hz:g} Hz.")
+    _below_nyquist(who, "corner_hz", corner_hz, rate_hz)
     zeros = _butterworth(whole(who, "order", order, 1))
     poles = zeros * ratio ** (1 / order)
-    return realised(zeros, poles, high, positive(who, "corner_hz", corner_hz, "Hz"), rate_hz, channels)
+    return realised(zeros, poles, high, corner_hz, rate_hz, channels)
 
 
 def peak(
@@ -138,11 +136,10 @@ def peak(
     who = "peak"
     positive(who, "height", height)
     positive(who, "zeta", zeta)
-    if rate_hz is not None and positive(who, "tone_hz", tone_hz, "Hz") >= rate_hz / 2:
-        raise InputError(f"{who}: 'tone_hz' must be below Nyquist, {rate_hz / 2:g} Hz, got {tone_hz:g} Hz.")
+    _below_nyquist(who, "tone_hz", tone_hz, rate_hz)
     zeros = np.roots([1.0, 2 * zeta * height, 1.0]).astype(np.complex128)
     poles = np.roots([1.0, 2 * zeta, 1.0]).astype(np.complex128)
-    return realised(zeros, poles, 1.0, positive(who, "tone_hz", tone_hz, "Hz"), rate_hz, channels)
+    return realised(zeros, poles, 1.0, tone_hz, rate_hz, channels)
 
 
 def rational(
@@ -191,6 +188,11 @@ def with_tones(
 def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
     """Return a corner that a discrete weight can have: at most 0.4 of the rate."""
     return corner_hz if rate_hz is None else min(corner_hz, HIGHEST * rate_hz)
+
+
+def _below_nyquist(who: str, name: str, f_hz: float, rate_hz: float | None) -> None:
+    if positive(who, name, f_hz, "Hz") and rate_hz is not None and f_hz >= rate_hz / 2:
+        raise InputError(f"{who}: {name!r} must be below Nyquist, {rate_hz / 2:g} Hz, got {f_hz:g} Hz.")
 
 
 def _butterworth(n: int) -> Array:

@@ -32,12 +32,10 @@ def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
     return [dict(record_hashes), settings.model_dump(exclude={"units"})]
 
 
-def design_key(
-    plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, StateSpace] | None = None
-) -> list[Any]:
-    """Return what the stage `design-NAME` depends on: plants, the table, and what a reduction is held to."""
+def design_key(plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, StateSpace]) -> list[Any]:
+    """Return what the stage `design-NAME` depends on: plants that it takes, the table, what a reduction is held to."""
     promised = settings.reduce and [key_of(settings.reduce), loop.band_hz, loop.tones_hz]
-    further = [{unit: model.hash for unit, model in others.items()}] if others else []
+    further = [{unit: model.hash for unit, model in others.items()}] if others and takes_several(settings) else []
     return [plant.hash, key_of(settings.design), promised, *further]
 
 
@@ -50,10 +48,8 @@ def design_stage(
     others: Mapping[str, StateSpace],
 ) -> Outcome[DesignFacts]:
     """Design and reduce one controller; `others` are models of further units, for designs that hold on several."""
-    known = others if takes_several(settings) else {}
-    compute = partial(control.designed, name, plant, settings, plan, known)
-    key = design_key(plant, settings, plan, known)
-    return cache.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+    compute = partial(control.designed, name, plant, settings, plan, others)
+    return cache.stage(f"design-{name}", "controllers", design_key(plant, settings, plan, others), DesignFacts, compute)
 
 
 def by_need(study: Study) -> list[str]:

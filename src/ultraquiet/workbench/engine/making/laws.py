@@ -1,7 +1,6 @@
 """A law for a model, what its loop keeps, and its code."""
 
 from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +8,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.pipeline import control
 from ultraquiet.pipeline.cache import Cache
-from ultraquiet.pipeline.facts.loops import DesignFacts, NoCode
+from ultraquiet.pipeline.facts.loops import NoCode
 from ultraquiet.pipeline.facts.typed import to_plain
-from ultraquiet.pipeline.making.designs import design_key
+from ultraquiet.pipeline.making.designs import design_stage
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.study import Design
 from ultraquiet.values import Record, StateSpace
@@ -43,12 +42,10 @@ def designed(
     """
     plan = plan_of(plant, tables)
     settings = Design.model_validate(design_table(recipe))
-    compute = partial(control.designed, name, plant, settings, plan)
     if stages is None:
-        outcome = compute()
+        outcome = control.designed(name, plant, settings, plan)
     else:
-        key = design_key(plant, settings, plan)
-        outcome = stages.stage(f"design-{name}", "controllers", key, DesignFacts, compute)
+        outcome = design_stage(stages, name, settings, plant, plan, {})
     if name not in outcome.values:
         raise InputError(f"design: {outcome.facts.status}")
     law: StateSpace = outcome.values[name]
