@@ -1,7 +1,7 @@
 """The convex programme: the smallest level of |S| in the band over all Q of a basis, by cones on a growing grid."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 
 import numpy as np
@@ -13,6 +13,7 @@ TIGHTENED = 0.998
 VIOLATED = 1.0005  # beyond this share of the tightened demand a point joins the grid
 GROSSLY = 1.01
 ROUNDS = 10
+SLACK = 0.9  # a point of the first grid at which no demand comes so near its limit is left out of further rounds
 SOLVED = ("Solved", "AlmostSolved")
 
 
@@ -53,32 +54,62 @@ class ConeSolution:
         return self.status in SOLVED
 
 
-def solve(functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None = None) -> ConeSolution:
+def solve(
+    functions: ComplexArray,
+    demands: Sequence[Demand],
+    noise: FloatArray | None = None,
+    start: ConeSolution | None = None,
+) -> ConeSolution:
     """Solve on a first grid, add the points at which a demand is broken, and again until none is.
+
+    A point that is put once and binds nowhere near is not put again until it is broken; whoever interpolates
+    multipliers sees its zero, for `active` of the solution holds all points that were ever put.
 
     Args:
         functions: `(size, nf)` the basis at all candidate frequencies.
         demands: on the same frequencies.
         noise: `(rows, size + 1)` matrix whose product with the weights and a last one must not exceed one in norm.
+        start: a solution of the same demands, brought to these frequencies; its binding points are the first grid.
     """
-    nf = functions.shape[1]
+    put = _first(demands, functions.shape[1]) if start is None else start.active
+    active = put if start is None else _next(put, functions, demands, start)[0]
+    solution = solve_on(functions, demands, active, noise)
+    for rounds in range(2, ROUNDS + 1):
+        if not solution.ok:
+            break
+        active, broken = _next(active, functions, demands, solution, keep_all=rounds > 2 or start is not None)
+        if not broken:
+            break
+        put = [p | a for p, a in zip(put, active, strict=True)]
+        solution = solve_on(functions, demands, active, noise, rounds)
+    return replace(solution, active=put)
+
+
+def _first(demands: Sequence[Demand], nf: int) -> list[np.ndarray]:
+    """Return a coarse grid that holds both sides of every edge of a demand."""
     first = np.zeros(nf, dtype=bool)
     first[:: max(1, nf // FIRST_POINTS)] = True
     for demand in demands:
         edges = np.flatnonzero(np.diff(np.isfinite(demand.limit).astype(int)))
         first[edges] = first[edges + 1] = True
-    active = [first & np.isfinite(d.limit) for d in demands]
-    solution = solve_on(functions, demands, active, noise)
-    for rounds in range(2, ROUNDS + 1):
-        if not solution.ok:
-            break
-        q = solution.weights @ functions
-        new = [_broken(d, q, solution.level) & ~a for d, a in zip(demands, active, strict=True)]
-        if not any(n.any() for n in new):
-            break
-        active = [a | n for a, n in zip(active, new, strict=True)]
-        solution = solve_on(functions, demands, active, noise, rounds)
-    return solution
+    return [first & np.isfinite(d.limit) for d in demands]
+
+
+def _next(
+    active: Sequence[np.ndarray],
+    functions: ComplexArray,
+    demands: Sequence[Demand],
+    solution: ConeSolution,
+    keep_all: bool = False,
+) -> tuple[list[np.ndarray], bool]:
+    """Return the points to put after a solution, and whether it breaks a demand anywhere else."""
+    q, chosen, any_broken = solution.weights @ functions, [], False
+    for demand, on in zip(demands, active, strict=True):
+        r = demand.reached(q, solution.level) / (1.0 if demand.sought else demand.tight)
+        new = _broken(r) & ~on
+        any_broken |= bool(new.any())
+        chosen.append(new | (on if keep_all else on & (r > SLACK)))
+    return chosen, any_broken
 
 
 def solve_on(
@@ -130,9 +161,8 @@ def _cones(functions: ComplexArray, demand: Demand, at: np.ndarray) -> tuple[Flo
     return A.reshape(-1, size + 1), b.ravel()
 
 
-def _broken(demand: Demand, q: ComplexArray, level: float) -> np.ndarray:
-    """Return the points at which the demand is most broken, and all where it is broken grossly."""
-    r = demand.reached(q, level) / (1.0 if demand.sought else demand.tight)
+def _broken(r: FloatArray) -> np.ndarray:
+    """Return the points at which a demand is most broken, and all where it is broken grossly; r is its share used."""
     peak = np.ones(r.size, dtype=bool)
     peak[1:-1] = (r[1:-1] >= r[:-2]) & (r[1:-1] >= r[2:])
     return (r > VIOLATED) & (peak | (r > GROSSLY))

@@ -1,6 +1,7 @@
 """One search for a limit: grid, basis and lines of a scalar loop, the programme on them, and its proof."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -61,22 +62,24 @@ class LimitSearch:
 
         The bound is that of the loop `bounded_by`; its own when absent, and then half of the basis is tried too.
         """
-        found, broken = self._on_the_grid(wishes, noise_gain, certify, bounded_by)
+        found, broken, solution = self._on_the_grid(wishes, noise_gain, certify, bounded_by)
         for _ in range(GRIDS):
             if found.violation < NEGLIGIBLE:
                 break
-            self._look_at(broken)
-            again, more = self._on_the_grid(wishes, noise_gain, certify, bounded_by)
+            start = self._look_at(broken, solution)
+            again, broken, solution = self._on_the_grid(wishes, noise_gain, certify, bounded_by, start)
             if again.controller is None:
                 break
-            found, broken = again, more
+            found = again
         return found
 
-    def _look_at(self, f_hz: FloatArray) -> None:
-        """Put places into the grid at which a law has exceeded a demand between its points."""
-        self.f_hz = np.unique(np.concatenate([self.f_hz, f_hz]))
+    def _look_at(self, f_hz: FloatArray, solution: ConeSolution) -> ConeSolution:
+        """Put places into the grid at which a law exceeds a demand between its points; bring the solution there."""
+        known, self.f_hz = self.f_hz, np.unique(np.concatenate([self.f_hz, f_hz]))
         self.lines = self.loops.at(self.f_hz)
         self.inside = (self.f_hz >= self.band_hz[0]) & (self.f_hz <= self.band_hz[1])
+        put = [np.isin(self.f_hz, known[on]) for on in solution.active]
+        return replace(solution, active=put)
 
     def _on_the_grid(
         self,
@@ -84,22 +87,23 @@ class LimitSearch:
         noise_gain: float | None,
         certify: bool,
         bounded_by: Callable[[FloatArray], AffineLoops] | None,
-    ) -> tuple[Limit, FloatArray]:
-        """Return the limit by the demands at the grid's points, and where between them one is exceeded."""
+        start: ConeSolution | None = None,
+    ) -> tuple[Limit, FloatArray, ConeSolution]:
+        """Return the limit by the demands at the grid's points, where between them one is exceeded, the solution."""
         scale = wishes.control_gain
         functions = scale * self.basis.at(self.circle.angles(self.f_hz))
         demands = wishes.demands(self.f_hz, self.lines)
         noise = None if noise_gain is None else self._noise(self.basis, scale, noise_gain)
-        solution = solve(functions, demands, noise)
+        solution = solve(functions, demands, noise, start)
         if not solution.ok:
-            return refused(self._why(functions, demands, noise, solution)), np.zeros(0)
+            return refused(self._why(functions, demands, noise, solution)), np.zeros(0), solution
         bound = float("nan")
         if certify:
             # the noise gain is no demand at single frequencies: the bound is that of the others
             others = solution if noise is None else solve_on(functions, demands, solution.active)
             bound = self.bound(wishes, demands, others, bounded_by or self.loops.at)
         half_db = float("nan") if bounded_by else self._half(scale, demands, solution, noise_gain)
-        return self._judged(wishes, solution, solution.weights * scale, bound, half_db)
+        return *self._judged(wishes, solution, solution.weights * scale, bound, half_db), solution
 
     def _half(self, scale: float, demands: Sequence[Demand], solution: ConeSolution, noise_gain: float | None) -> float:
         """Return the attenuation in dB that every other section of the basis reaches on the same points."""
