@@ -111,7 +111,11 @@ def certified(
 
 
 def held(
-    result: ReductionResult, controller: StateSpace, plant: StateSpace, promise: Promise | None
+    result: ReductionResult,
+    controller: StateSpace,
+    plant: StateSpace,
+    promise: Promise | None,
+    judge: Judge | None = None,
 ) -> ReductionResult:
     """Return a reduction judged by what the full law promised; as it is where nothing was promised or no loop is left.
 
@@ -120,10 +124,11 @@ def held(
         controller: the full law.
         plant: G.
         promise: what must be left; None where nothing is.
+        judge: of this promise, where there is one already.
     """
     if promise is None or result.status.word is StatusWord.UNSTABLE or not feedback(plant, controller).is_stable():
         return result
-    judge = Judge(plant, controller, promise)
+    judge = judge or Judge(plant, controller, promise)
     after = judge.of(result.controller)
     broken = judge.broken(after)
     status = result.status

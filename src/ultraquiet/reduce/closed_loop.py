@@ -114,8 +114,9 @@ class ClosedLoopWeighted:
         nothing = self.states is None and self.budget is None and self.loss is None
         promise = self._promise(controller, plant, nothing)
         allowed = USUAL_LOSS if nothing and promise is None else self.loss
-        if nothing and promise is not None:
-            best = _fewest_that_keep(tried, controller, Judge(plant, controller, promise))
+        judge = Judge(plant, controller, promise) if nothing and promise is not None else None
+        if judge is not None:
+            best = _fewest_that_keep(tried, controller, judge)
         else:
             best = self._chosen(tried, controller, allowed)
         provenance = Provenance(
@@ -133,7 +134,7 @@ class ClosedLoopWeighted:
             budget=self.budget,
             details={"way": best.way},
         )
-        return held(result, controller, plant, promise)
+        return held(result, controller, plant, promise, judge)
 
     def _promise(self, controller: StateSpace, plant: StateSpace, choosing: bool) -> Promise | None:
         """Return what is to be kept: as stated here, else as the law's design states it; some where it must choose."""

@@ -66,10 +66,20 @@ class Judge:
         S = sensitivity(plant, controller)
         self._f = np.union1d(default_grid(S), promise.band_hz or ())
         self._quiet = _quiet(self._f, _sizes(plant, controller, self._f)[0]) if promise.band_hz is None else None
+        self._known: list[tuple[StateSpace, Delivered]] = []
         self.before = self.of(controller)
 
     def of(self, law: StateSpace, margins: bool = True) -> Delivered:
         """Return what a law delivers; without `margins` in a tenth of the time, its peak as far as lines show it."""
+        if not margins:
+            return self._measured(law, margins)
+        for known, delivered in self._known:
+            if all(np.array_equal(getattr(known, key), getattr(law, key)) for key in "ABCD"):
+                return delivered
+        self._known.append((law, self._measured(law, margins)))
+        return self._known[-1][1]
+
+    def _measured(self, law: StateSpace, margins: bool) -> Delivered:
         own = default_grid(sensitivity(self._plant, law))
         f = np.union1d(self._f, own)
         size, control = _sizes(self._plant, law, f)
