@@ -6,6 +6,7 @@ All arrays are C-contiguous and changed in place where a docstring says so; `wor
 import numpy as np
 
 from ultraquiet._base.compiled import compiled
+from ultraquiet._base.compiled_arrays import copy_matrix, copy_vector, solve_positive
 
 
 @compiled
@@ -28,7 +29,7 @@ def linear_step(system, x, work, u, y):
     work[:] = 0.0
     product(A, x, work)
     product(B, u, work)
-    x[:] = work
+    copy_vector(work, x)
 
 
 @compiled
@@ -199,13 +200,14 @@ def youla_step(y, models, most, rls, state, v, y0):
         for i in range(nu):
             for j in range(ny):
                 added[i] += theta[k, i, j] * filters[j, k]
-    total[:] = added
+    copy_vector(added, total)
     product(F, x, total)
-    v[:] = total
+    copy_vector(total, v)
     met = limit(v, most)
     added += v - total  # what the limits take is taken from Q's share
     linear_step(seen, x, work, v, innovation)
-    innovation[:] = y - innovation
+    for j in range(ny):
+        innovation[j] = y[j] - innovation[j]
     product(L, innovation, x)
     for j in range(ny):
         advance(Af, bf, innovation[j], filters[j], spare)
@@ -226,7 +228,7 @@ def advance(A, b, value, x, spare):
     for i in range(b.size):
         spare[i] = b[i] * value
     product(A, x, spare)
-    x[:] = spare
+    copy_vector(spare, x)
 
 
 @compiled
@@ -248,7 +250,7 @@ def drive_regressors(regress, XT, XT_new, innovation, added, filtered, y, y0):
             XT_new[s, last] += B[s, i] * added[i]
             for j in range(ny):
                 XT_new[s, i * ny + j] += B[s, i] * innovation[j]
-    XT[:] = XT_new
+    copy_matrix(XT_new, XT)
 
 
 @compiled
@@ -273,7 +275,9 @@ def recursive_least_squares(phi, y0, theta, rls):
     for c in range(S.shape[0]):
         S[c, c] += forget
     error = y0 + np.dot(phi, theta)
-    K = np.ascontiguousarray(np.linalg.solve(S, G.T).T)
+    KT = G.T.copy()
+    solve_positive(S, KT)
+    K = KT.T.copy()
     theta -= np.dot(K, error)
     P -= np.dot(K, G.T)
     k = (turn[0] // int(every)) % p
@@ -311,7 +315,7 @@ def filtered_x_step(y, system, channels, design, state, v, y0):
     last = nu * nr
     p = (place[0] - 1) % taps
     place[0] = p
-    out[:] = np.dot(C, x)
+    np.dot(C, x, out)
     for r in range(nr):
         heard[r, p] = y[references[r]] - out[ne + r, last]
         heard[r, p + taps] = heard[r, p]
@@ -331,13 +335,13 @@ def filtered_x_step(y, system, channels, design, state, v, y0):
             heard[o - ne, p] = y[references[o - ne]] - direct
             heard[o - ne, p + taps] = heard[o - ne, p]
     slide(windows, gram, out, D, heard, p, lead)
-    x_new[:] = np.dot(A, x)
+    np.dot(A, x, x_new)
     for s in range(x.shape[0]):
         for i in range(nu):
             x_new[s, last] += B[s, i] * v[i]
             for r in range(nr):
                 x_new[s, i * nr + r] += B[s, i] * heard[r, p]
-    x[:] = x_new
+    copy_matrix(x_new, x)
     descend(windows, gram, weights, y0, p, lead, tuning, met)
     return met
 
@@ -379,16 +383,16 @@ def descend(windows, gram, weights, y0, p, lead, tuning, met):
     weights *= 1.0 - leak
     if met > 0:
         return
-    modified = y0.copy()
+    modified = y0.copy().reshape(ne, 1)
     S = gram.copy()
     for o in range(ne):
         S[o, o] += floor + 1e-3 * np.trace(gram) / ne
         for column in range(columns):
             for k in range(lead, taps):
-                modified[o] += weights[column, k] * windows[o, column, p + k]
-    shares = np.linalg.solve(S, modified)
+                modified[o, 0] += weights[column, k] * windows[o, column, p + k]
+    solve_positive(S, modified)
     for column in range(columns):
         for o in range(ne):
-            share = step * shares[o]
+            share = step * modified[o, 0]
             for k in range(lead, taps):
                 weights[column, k] -= share * windows[o, column, p + k]

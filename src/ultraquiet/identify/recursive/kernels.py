@@ -8,6 +8,7 @@ no covariance is ever subtracted from, so that none can turn indefinite.
 import numpy as np
 
 from ultraquiet._base.compiled import compiled
+from ultraquiet._base.compiled_arrays import copy_matrix, copy_vector
 from ultraquiet.identify.prediction_error.kernels.table import ROW_A, ROW_C, ROW_D, ROW_FIRST, admissible, gradient_rows
 
 EXPONENTIAL, DIRECTIONAL = 0, 1
@@ -93,7 +94,7 @@ def gradient(degree, lag, work, nu, i, offset, g):
 def table_of(theta, base, degree, P):
     """Write the table whose rows are `base` plus theta, expanded from the delta basis to powers of q^-1."""
     at = 0
-    P[:] = base
+    copy_matrix(base, P)
     for row in gradient_rows(degree.size):
         first = 1 if row < ROW_FIRST or (row - ROW_FIRST) % 2 == 1 else 0
         for k in range(degree[row]):
@@ -223,7 +224,7 @@ def moved(R, z, theta, base, degree, P, work):
         share = 0.0
         used = table_of(theta, base, degree, P)
     if share == 1.0:
-        theta[:] = wanted
+        copy_vector(wanted, theta)
     else:
         theta += share * step
         for i in range(p):
@@ -250,7 +251,8 @@ def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, c
             shift(work, head + int(behind), count)
         i = count[2]
         count[2] += 1
-        work[:nu, i], work[nu, i] = u[:, t], y[t]
+        copy_vector(u[:, t], work[:nu, i])
+        work[nu, i] = y[t]
         predict(P, degree, lag, work, nu, i)
         filtered(P, degree, work, nu, i)
         e[t] = work[2 * nu + 2, i]
@@ -275,9 +277,10 @@ def recurse(u, y, P, base, degree, lag, offset, theta, R, z, best, work, head, c
                 predict(P, degree, lag, work, nu, k)
                 filtered(P, degree, work, nu, k)
         if (keep < 1.0 or reset > 0) and count[0] % LOOK == 0 and informed(R) > informed(best):
-            best[:] = R
+            copy_matrix(R, best)
         if reset > 0 and count[0] % int(reset) == 0:
-            R[:] = np.sqrt(FLOOR) * best
+            copy_matrix(best, R)
+            R *= np.sqrt(FLOOR)
             stand(R, z, theta)
 
 

@@ -172,8 +172,8 @@ def evaluated(at: BlockModel, signals: Signals) -> BlockModel:
     """Return the point with its own Gram matrix."""
     from ultraquiet.identify.subspace.kernels import sensitivity_gram
 
-    blocks = (at.tau, at.sigma, at.kappa, np.ascontiguousarray(at.b), np.ascontiguousarray(at.c))
-    return replace(at, G=sensitivity_gram(*blocks, at.direct, signals.drive, signals.tail, signals.outputs))
+    blocks = map(np.ascontiguousarray, (at.tau, at.sigma, at.kappa, at.b, at.c, at.direct))  # compiled for one layout
+    return replace(at, G=sensitivity_gram(*blocks, signals.drive, signals.tail, signals.outputs))
 
 
 def _loss(at: BlockModel, signals: Signals, weighted: bool) -> float:

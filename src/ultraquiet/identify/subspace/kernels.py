@@ -55,7 +55,9 @@ def modal_gram(poles, u, tail):
                     block[at, t - start] = x.real
                     block[at + 1, t - start] = x.imag
                 state[k, j] = x
-        block[first:, : stop - start] = tail[:, start:stop]
+        for i in range(tail.shape[0]):  # a slice assigned compiles four seconds of sentences on shapes that differ
+            for t in range(start, stop):
+                block[first + i, t - start] = tail[i, t]
         out += np.dot(block, block.T)
     return out
 
@@ -115,8 +117,12 @@ def sensitivity_gram(tau, sigma, kappa, b, c, direct, u, tail, y):
                 rows[at + 2, t], rows[at + 3, t] = v1, v2
             slope[k, 0], slope[k, 1], slope[k, 2], slope[k, 3] = q1, q2, v1, v2
             last[k, 0], last[k, 1] = x1, x2
-        rows[first:errors, :length] = tail[:, start : start + length]
+        for i in range(tail.shape[0]):
+            for t in range(length):
+                rows[first + i, t] = tail[i, start + t]
         said = np.dot(flat, x) + np.dot(direct, rows[first:errors])
-        rows[errors:, :length] = y[:, start : start + length] - said[:, :length]
+        for i in range(ny):
+            for t in range(length):
+                rows[errors + i, t] = y[i, start + t] - said[i, t]
         out += np.dot(rows, rows.T)
     return out

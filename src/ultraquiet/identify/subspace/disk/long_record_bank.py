@@ -2,7 +2,7 @@
 
 s_a(t) = p_a s_a(t - 1) + w_a(t) gives s_a s_b* = p_a p_b* s_a(t-1) s_b(t-1)* + s_a w_b + w_a s_b* - w_a w_b. Summed
 over the record, the states' products solve (1 - p_a p_b*) G = X + X^H - W - p_a p_b* s_a(end) s_b(end)*: only the
-products X of states and inputs need the samples, a hundredth of the work of `state_kernels.modal_gram`.
+products X of states and inputs need the samples, a hundredth of the work of `kernels.modal_gram`.
 """
 
 from collections.abc import Iterator
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ultraquiet._base.compiled import FLUSH, compiled
+from ultraquiet._base.compiled_arrays import copy_vector
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify.subspace import modal_least_squares
 
@@ -127,4 +128,4 @@ def simulated(A, driven, x, states):
             for k in range(order):
                 s += A[i, k] * x[k]
             out[i] = s
-        x[:] = out
+        copy_vector(out, x)
