@@ -191,3 +191,22 @@ def test_a_peak_below_the_lowest_line_is_sought_there():
     # a loop that is quiet there, or one asked for lines, is measured no further down than it was asked
     quiet = uq.StateSpace(law.A, law.B, law.C, -law.D, rate_hz)
     assert uq.simulate.measure_sensitivity(bench, quiet).f_hz[0] > 4.0
+
+
+@pytest.mark.slow
+def test_a_loop_that_amplifies_most_at_rest_is_measured_as_far_down_as_a_run_tells_lines_apart():
+    """S = 2 at 0 Hz, by a law that takes half of the stiffness: no run is long enough for that, which is said."""
+    rate_hz = 600.0
+    pole = np.exp(-2 * np.pi * 20.0 / rate_hz)
+    plant = uq.StateSpace([[pole]], [[1 - pole]], [[1.0]], [[0.0]], rate_hz)
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[0.5]], rate_hz)
+    opened = OpenLoop(uq.bench.LinearBench(plant))
+    found = uq.simulate.measure_sensitivity(opened.bench, law, opened=opened)
+    run_s = opened.bands[0].sweep.samples / rate_hz
+    assert 20 / run_s < found.f_hz[0] < 30 / run_s
+    assert found.peak_amplification_db() == pytest.approx(20 * np.log10(2), abs=0.1)
+    assert "the lowest" in found.unresolved()
+    assert "perhaps more below" in found.unresolved()
+    assert "below" not in found.unresolved(found.f_hz[0], 100.0)
+    stiffer = uq.StateSpace(law.A, law.B, law.C, -law.D, rate_hz)
+    assert "below" not in uq.simulate.measure_sensitivity(opened.bench, stiffer, opened=opened).unresolved()

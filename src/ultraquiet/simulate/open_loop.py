@@ -26,6 +26,7 @@ FINER, FINER_FAST = 4, 2
 LAST, RINGS = 8, 10.0
 OVERLAP = 1.1  # of the bands, where each fades
 BELOW = 0.7  # where a band below begins, over where the one above does
+FEWEST_PERIODS = 20.0  # of its lowest line in a run: fewer, and the short runs do not tell the lines of a band apart
 PER_DECADE = 60  # frequencies at which directions and levels are held
 SHORTER = 4  # the runs that find directions and levels are so much shorter
 # Directions this much weaker than the strongest are driven no more strongly.
@@ -260,9 +261,14 @@ class OpenLoop:
         fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
         return OpenBand(self.bench, slow), OpenBand(self.bench, fast)
 
-    def below(self, band: OpenBand) -> OpenBand:
-        """The next band below, a run as long for few frequencies: for loops that amplify most under the lowest line."""
+    def below(self, band: OpenBand) -> OpenBand | None:
+        """The next band below, a run as long for few frequencies: for loops that amplify most under the lowest line.
+
+        None where a run is too short for it.
+        """
         sweep = band.sweep
+        if BELOW * sweep.low_hz * self.bands[0].sweep.samples < FEWEST_PERIODS * sweep.rate_hz:
+            return None
         if sweep.low_hz not in self._below:
             clock = replace(self.bands[0].sweep, low_hz=BELOW * sweep.low_hz, high_hz=OVERLAP * sweep.low_hz)
             self._below[sweep.low_hz] = OpenBand(self.bench, clock)

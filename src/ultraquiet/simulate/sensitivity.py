@@ -111,16 +111,22 @@ class MeasuredSensitivity:
         return float(10 * np.log10(np.min(power[0] / power[1])))
 
     def unresolved(self, low_hz: float = 0.0, high_hz: float = np.inf) -> str:
-        """Return a sentence on the lines of a band that noise hides, in numbers."""
+        """Return a sentence on the lines of a band that noise hides, in numbers, and one on a peak that may lie below.
+
+        Below the lowest line nothing was measured; a loop that still rises there may amplify by more.
+        """
         band = self._band(low_hz, high_hz)
-        hidden = band & self.hidden
-        if not hidden.any():
-            return f"All {band.sum()} lines were resolved."
-        f = self.f_hz[hidden]
-        return (
-            f"Noise hides {hidden.sum()} of {band.sum()} lines, {f.min():.4g} to {f.max():.4g} Hz; they are counted at "
-            f"the bound it leaves."
-        )
+        hidden, f = band & self.hidden, self.f_hz
+        said = f"All {band.sum()} lines were resolved."
+        if hidden.any():
+            said = (
+                f"Noise hides {hidden.sum()} of {band.sum()} lines, {f[hidden].min():.4g} to {f[hidden].max():.4g} Hz; "
+                f"they are counted at the bound it leaves."
+            )
+        if low_hz >= f[0] or not _may_peak_below([self.S.values]):
+            return said
+        lowest_db = 20 * np.log10(self._size()[0])
+        return f"{said} The loop amplifies by {lowest_db:.1f} dB at the lowest, {f[0]:.3g} Hz, and perhaps more below."
 
     def _size(self) -> FloatArray:
         return _largest(self.S.values)
@@ -170,10 +176,10 @@ def measure_sensitivity(
         for pair, lines in zip(pairs, asked, strict=True):
             parts.append(pair.at(lines))
             progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
-        lowest = opened.bands[0]
-        while f_hz is None and _may_peak_below(parts):
-            lowest = opened.below(lowest)
-            parts.insert(0, _Pair(lowest, controller).at(None, most_hidden=0.0))
+        below = opened.below(opened.bands[0]) if f_hz is None else None
+        while below is not None and _may_peak_below([part.S for part in parts]):
+            parts.insert(0, _Pair(below, controller).at(None, most_hidden=0.0))
+            below = opened.below(below)
     return _joined(opened, parts)
 
 
@@ -272,12 +278,12 @@ class _Pair:
             places = np.unique(np.concatenate([places, (places[:-1] + places[1:])[steep] // 2]))
 
 
-def _may_peak_below(parts: list[_Part]) -> bool:
-    """Return whether the loop amplifies near the lowest line nearly as much as anywhere above it."""
-    if not parts[0].f_hz.size:
+def _may_peak_below(parts: list[ComplexArray]) -> bool:
+    """Return whether the loop amplifies near the lowest line nearly as much as anywhere above it; `(ny, ny, lines)`."""
+    if not parts[0].size:
         return False
-    lowest = float(_largest(parts[0].S[:, :, :1])[0])
-    return lowest > max(AMPLIFIES, NEARLY * max(float(_largest(part.S).max(initial=0.0)) for part in parts))
+    lowest = float(_largest(parts[0][:, :, :1])[0])
+    return lowest > max(AMPLIFIES, NEARLY * max(float(_largest(S).max(initial=0.0)) for S in parts))
 
 
 def _largest(S: ComplexArray) -> FloatArray:
