@@ -27,7 +27,7 @@ HIDDEN = "Lines that noise hides are drawn as measured; tables count them at the
 
 def chosen(result: StudyResult) -> str:
     """Return the law that the study is for: that of its requirements, or the one that is quietest where it is worst."""
-    if result.requirements is not None:
+    if result.requirements is not None and result.requirements.law in result.designs:
         return result.requirements.law
 
     def worst(name: str) -> float:
