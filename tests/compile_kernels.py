@@ -3,11 +3,13 @@
     python tests/compile_kernels.py
 
 Two processes, each with families that share nothing compiled, so that two cores are used once instead of every worker
-compiling all of it for itself. `make` runs this only when a kernel is newer than the last time.
+compiling all of it for itself; and one that collects the tests, which leaves their byte code, ten processor seconds
+of it, for all workers. `make` runs this only when a kernel is newer than the last time.
 """
 
 import multiprocessing
 import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -16,6 +18,7 @@ from pathlib import Path
 # As in the tests: the two processes are all the threads there are.
 for _library in ("OPENBLAS", "MKL", "OMP", "NUMBA"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+ROOT = Path(__file__).parents[1]
 SAMPLES = 1500
 
 
@@ -88,11 +91,19 @@ def compile_group(number):
         print(f"compiled {family.__name__}: {time.process_time() - started:.1f} processor seconds", flush=True)
 
 
+def collect():
+    """Collect all tests; what is wrong with one is said by the run itself."""
+    words = ("-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider")
+    nowhere = subprocess.DEVNULL
+    subprocess.run([sys.executable, *words], cwd=ROOT, stdout=nowhere, stderr=nowhere, check=False)
+
+
 def main():
     """Run the groups side by side."""
     started = time.perf_counter()
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=compile_group, args=(number,)) for number in range(len(GROUPS))]
+    workers.append(context.Process(target=collect))
     for worker in workers:
         worker.start()
     for worker in workers:

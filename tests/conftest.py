@@ -32,7 +32,7 @@ THREE_DRAWS = (
     "tests/signals/",
     "tests/values/",
 )
-# Of the packaged study: the law that asks for nothing, and the one that the requirements name; `make test-long` has all.
+# Of the packaged study: the law that asks for nothing, and the one that the requirements name; the long run has all.
 GATE_LAWS = ("hinf-as-printed", "quiet")
 # Folders whose set-up is the longest: their tests come first, so that no worker is left alone with them at the end.
 FIRST = ("tests/pipeline/", "tests/report/")

@@ -11,8 +11,9 @@ from pathlib import Path
 import grimp
 import pytest
 
+from package_source import PACKAGE, parsed
+
 ROOT = Path(__file__).parents[2]
-SRC = ROOT / "src" / "ultraquiet"
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +45,9 @@ def test_no_module_is_needed_to_load_itself(graph):
 
 def lazy_imports(modules: set[str]):
     """Modules of the package named by imports inside functions, as (importer, line, module)."""
-    for path in sorted(SRC.rglob("*.py")):
-        importer = ".".join(("ultraquiet", *path.relative_to(SRC).with_suffix("").parts)).removesuffix(".__init__")
-        functions = (n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef))
+    for path, tree in parsed():
+        importer = ".".join(("ultraquiet", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(".__init__")
+        functions = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef))
         for node in (inner for f in functions for inner in ast.walk(f)):
             if isinstance(node, ast.Import):
                 names = [alias.name for alias in node.names]
@@ -115,7 +116,7 @@ FOR_TYPES = "from typing import TYPE_CHECKING\n\nif TYPE_CHECKING:\n    from ult
 def copied(tmp_path_factory):
     """The package and its contracts in a folder of their own, with the linter's cache beside it."""
     tree = tmp_path_factory.mktemp("planted")
-    shutil.copytree(SRC, tree / "src" / "ultraquiet", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(PACKAGE, tree / "src" / "ultraquiet", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tree)
     return tree
 

@@ -8,8 +8,8 @@ from statistics import median
 
 import pytest
 
-SRC = Path(__file__).parents[2] / "src" / "ultraquiet"
-FILES = sorted(SRC.rglob("*.py"))
+from package_source import FILES, PACKAGE, parsed
+
 LONGEST_FILE, MEDIAN_FILE = 400, 120
 LONGEST_FUNCTION, P95_FUNCTION = 60, 31
 MOST_PARAMETERS = 10
@@ -20,13 +20,13 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 def named(path: Path) -> str:
-    return str(path.relative_to(SRC))
+    return str(path.relative_to(PACKAGE))
 
 
 @functools.cache
 def functions():
     """Every function of the package, methods and inner ones too, with its file."""
-    walked = ((path, node) for path in FILES for node in ast.walk(ast.parse(path.read_text())))
+    walked = ((path, node) for path, tree in parsed() for node in ast.walk(tree))
     return [(path, node) for path, node in walked if isinstance(node, FUNCTIONS)]
 
 
@@ -80,8 +80,8 @@ def test_no_function_takes_more_than_can_be_remembered():
 
 def test_a_public_class_name_means_one_thing():
     homes = defaultdict(list)
-    for path in FILES:
-        for node in ast.parse(path.read_text()).body:
+    for path, tree in parsed():
+        for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes[node.name].append(named(path))
     twice = [f"{name}: {', '.join(paths)}" for name, paths in sorted(homes.items()) if len(paths) > 1]

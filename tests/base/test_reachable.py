@@ -4,15 +4,13 @@ import ast
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-import ultraquiet
+from package_source import parsed
 from ultraquiet._base.errors import UnknownMethodError
 from ultraquiet._base.registry import lookup
 
-SRC = Path(ultraquiet.__file__).parent
 # In a process of its own, where no test has imported what a room forgot; a room imports no room above it, so that in
 # the order of the layers none can hide the gap of another.
 KNOWN = """
@@ -24,8 +22,8 @@ print(json.dumps({family: list(methods(family)) for family in FAMILIES}))
 
 def registered():
     """(family, name) of every decorated class of the source tree, read without importing it."""
-    for path in SRC.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    for _, tree in parsed():
+        for node in ast.walk(tree):
             for call in getattr(node, "decorator_list", ()):
                 if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "register":
                     yield tuple(ast.literal_eval(argument) for argument in call.args)
