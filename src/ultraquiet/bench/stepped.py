@@ -176,7 +176,7 @@ class Loop:
             y[:, j] = plant.step(self.held_command, self.gain[k] * self.d[:, k], k)
             answer = commands(who, law.step(y[:, j].copy()), len(self.u), k)
             requested[:, j] = self.gain[k] * (self.u[:, k] + answer)
-            self.held_command = np.clip(requested[:, j], self.low, self.high)
+            self.held_command = np.minimum(np.maximum(requested[:, j], self.low), self.high)
             yield
 
     def _block(self, requested: FloatArray, y: FloatArray) -> Block:

@@ -214,11 +214,12 @@ def packaged_study(name: str) -> Study:
 
 
 def quick_study(study: Study) -> Study:
-    """Return the study with two structures and two orders instead of a whole sweep, on its first unit alone."""
+    """Return the study with two structures and two orders instead of a whole sweep, on one unit, with one limit."""
     sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
     paper = study.paper and study.paper.model_copy(update={"records": study.paper.records[:1]})
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
-    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop})
+    limits = study.limits.model_copy(update={"bands_hz": study.limits.bands_hz[-1:]})  # the report ends with the last
+    return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop, "limits": limits})
 
 
 def reload_study(folder: Path) -> Study:
