@@ -10,11 +10,12 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.hinf.lower_bound import lower_bound
 from ultraquiet.design.hinf.problem.hidden import without_hidden
 from ultraquiet.design.hinf.problem.units import even_problem
-from ultraquiet.design.hinf.problem.verified import Verifier
+from ultraquiet.design.hinf.problem.verified import Reached, Verifier
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
 
 WIDTH = 1e-3  # relative distance from the optimum at which the two sides are asked for
+ASIDE = (0.0, 0.25, 0.5)  # of it: where a level is asked for once more when an equation could not be solved at it
 
 
 class Opinion(NamedTuple):
@@ -83,16 +84,16 @@ def heard(route: Verifier, high: float, low: float, tolerance: float = WIDTH, ce
 
     `certain` is the level that frequency responses prove out of reach, where it is known.
     """
-    scale = route.problem.level
-    over = route.beside(high * scale)
-    why_not = route.said
-    reaches = over is not None and over.achieved <= high * (1 + tolerance)
-    under = None if over is not None and over.achieved <= low else route.beside(low * scale)
-    why = route.said
+    certain = lower_bound(route.plant).level / route.problem.level if certain is None else certain
+    over, _, why_not = _made(route, [high * (1 - share * tolerance) for share in ASIDE])
+    lower_levels = [low * (1 - share * tolerance) for share in ASIDE]
+    if 0 < certain < low:
+        lower_levels.append(float(np.sqrt(certain * low)))
+    met = over is not None and over.achieved <= low
+    under, shown, why = (None, False, "") if met else _made(route, lower_levels)
     norm = min((found.achieved for found in (over, under) if found is not None), default=np.inf)
-    lower = norm <= low * (1 + tolerance / 2)
-    certain = lower_bound(route.plant).level / scale if certain is None else certain
-    shown = route.shown or low <= certain
+    reaches, lower = norm <= high * (1 + tolerance), norm <= low * (1 + tolerance / 2)
+    shown = shown or low <= certain
     if lower:
         said, decided = f"reaches {norm:.6g}: the optimum is lower than claimed", True
     elif not reaches:
@@ -104,3 +105,18 @@ def heard(route: Verifier, high: float, low: float, tolerance: float = WIDTH, ce
         said = f"reaches {high:.6g} with the norm {norm:.6g} and not {low:.6g}: {why or f'its loop gives {norm:.6g}'}"
     agrees = reaches and not lower and decided
     return Opinion(agrees, high, reaches, norm, lower, f"Direct discrete synthesis {said.rstrip('.')}.", decided)
+
+
+def _made(route: Verifier, levels: list[float]) -> tuple[Reached | None, bool, str]:
+    """Return the first controller at levels that fall, and what the first of them failed at: shown to be, and said.
+
+    On a plant whose equations lie at the edge of what can be solved, rounding decides at which levels they are.
+    """
+    shown, said = False, ""
+    for level in levels:
+        found = route.beside(level * route.problem.level)
+        if level == levels[0]:
+            shown, said = route.shown, route.said
+        if found is not None or route.shown:
+            return found, shown, said
+    return None, shown, said
