@@ -19,7 +19,7 @@ SIDE_BY_SIDE := -n $(WORKERS) --dist worksteal
 # Dozens of processes start in a run: byte code is kept, beside the packages and out of the sources, even where the
 # environment forbids it, for without it each of them compiles numpy, scipy and numba again, 1.5 processor seconds.
 unexport PYTHONDONTWRITEBYTECODE
-export PYTHONPYCACHEPREFIX := $(CURDIR)/$(VENV)/bytecode
+export PYTHONPYCACHEPREFIX := $(abspath $(VENV))/bytecode
 KERNELS := $(shell grep -rlE "njit|^@compiled" src --include=*.py)
 
 .PHONY: demo test test-long test-fresh test-kernels docs test-docs test-web lint bench format lock clean

@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-# As in the tests: the two processes are all the threads there are.
+# As in the tests: the processes are all the threads there are.
 for _library in ("OPENBLAS", "MKL", "OMP", "NUMBA"):
     os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
 ROOT = Path(__file__).parents[1]

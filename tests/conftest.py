@@ -140,17 +140,17 @@ def first_seed(request):
     return GATE_SEEDS[0] if asked is None else asked
 
 
-@pytest.fixture(scope="session", params=["two laws", pytest.param("all laws", marks=pytest.mark.slow)])
+@pytest.fixture(scope="session")
 def demo(request, tmp_path_factory, first_seed):
     """The embedded study in its quick form, once through: its folder, summary, what it said.
 
+    A run without slow tests has two of its laws, any other all of them.
     Workers side by side share one folder: the first walks, the others wait. Tests that walk it further do so in a copy.
     """
     from ultraquiet.pipeline import packaged_study, quick_study, walk
 
     base = tmp_path_factory.getbasetemp()
-    which = request.param.replace(" ", "-")
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"demo-{which}-{first_seed}"
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / f"demo-{first_seed}"
     words = folder / "said.json"
     with open(folder.with_suffix(".lock"), "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
@@ -158,7 +158,8 @@ def demo(request, tmp_path_factory, first_seed):
             said = []
             study = packaged_study("suite")
             head = study.study.model_copy(update={"seed": first_seed})
-            laws = GATE_LAWS if request.param == "two laws" else tuple(study.controllers)
+            short = "not slow" in request.config.getoption("markexpr")
+            laws = GATE_LAWS if short else tuple(study.controllers)
             some = {name: study.controllers[name] for name in laws}
             walk(quick_study(study.model_copy(update={"study": head, "controllers": some})), folder, say=said.append)
             words.write_text(json.dumps(said))

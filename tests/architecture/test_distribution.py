@@ -106,10 +106,10 @@ def test_it_is_installed_and_used(built, version, kind, tmp_path):
         pytest.skip("a source archive makes the same wheel on every Python; it is built on this one")
     (archive,) = built.glob(kind)
     place = tmp_path / "venv"
-    subprocess.run([interpreter(version), "-m", "venv", str(place)], check=True)
+    clean = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME", "PYTHONPYCACHEPREFIX")}
+    subprocess.run([interpreter(version), "-m", "venv", str(place)], env=clean, check=True)
     python = str(place / "bin" / "python")
     quiet = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    clean = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PYTHONHOME")}
     done = subprocess.run([*quiet, str(archive)], capture_output=True, text=True, env=clean, check=False)
     if "No matching distribution" in done.stderr or "Connection" in done.stderr:
         pytest.skip(f"the package index cannot be reached: {done.stderr.strip().splitlines()[-1]}")
@@ -134,4 +134,5 @@ def test_it_is_installed_and_used(built, version, kind, tmp_path):
 def test_python_311_and_313_are_among_those_that_are_tried():
     """Where they are at hand: a machine with one Python tries that one."""
     here = f"{sys.version_info.major}.{sys.version_info.minor}"
+    assert here in PYTHONS
     assert interpreter(here)

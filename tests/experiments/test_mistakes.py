@@ -34,7 +34,7 @@ do = "jump"
 [[commands]]
 do = "excite"
 name = "too loud"
-signal = { method = "tone", frequency_hz = 60.0, amplitude_v = 30.0 }
+signal = { method = "tone", frequency_hz = 60.0, amplitude_v = nan }
 
 [[commands]]
 do = "excite"
@@ -70,7 +70,7 @@ do = "disturbance-off"
         5: "has no setting 'colour'",
         8: "no command 'jump'",
         12: "'name' is 'too loud'",
-        13: "must lie between -25 and 25 V, got 30",
+        13: "'amplitude_v' must be finite",
         18: "'actuator' is 0",
         19: "no method 'sawtooth'",
         24: "'samples'",
@@ -126,7 +126,7 @@ signal = { method = "step" }
     for words in (
         r"line 6: signals: there is no method 'sawtooth'",
         r"line 12: signals 'tone' has no setting 'frequenzy_hz'",
-        r"line 16: Tone: 'amplitude_v' must lie between -25 and 25 V, got 30",
+        r"line 16: the signal spans -29.9988 to 29.9988 V, beyond the limits of 'strut 1', -25 to 25; lower it",
         r"line 20: there is no actuator 9; the bench has 1 to 6",
         r"line 21: Tone: 'frequency_hz' of 2000 Hz must lie below half the sampling rate",
         r"line 27: 'C' names records that line 13 leaves already",

@@ -160,8 +160,5 @@ def test_twenty_accelerometers_and_four_actuators_from_one_file(tmp_path, run):
     exact = Decimation(4).plant(blending.plant(delayed(truth)))
     margin = uq.analyse.disk_margins(exact, law)
     print("on the true plant:", margin)
-    # what `ok` promises of one channel, here of all at once
-    low, high = margin.gain_range
     assert margin.stable
-    assert 20 * np.log10(min(high, 1 / low)) >= 1.0
-    assert margin.phase_deg >= 5.0
+    assert margin.alpha >= 0.2

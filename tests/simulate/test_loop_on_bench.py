@@ -208,5 +208,6 @@ def test_a_loop_that_amplifies_most_at_rest_is_measured_as_far_down_as_a_run_tel
     assert "the lowest" in found.unresolved()
     assert "perhaps more below" in found.unresolved()
     assert "below" not in found.unresolved(found.f_hz[0], 100.0)
+    assert "below" not in uq.simulate.measure_sensitivity(opened.bench, law, [5.0, 50.0], opened=opened).unresolved()
     stiffer = uq.StateSpace(law.A, law.B, law.C, -law.D, rate_hz)
     assert "below" not in uq.simulate.measure_sensitivity(opened.bench, stiffer, opened=opened).unresolved()

@@ -68,11 +68,11 @@ def settings_object(
         pending: settings whose values are not known, which has been noted already.
 
     >>> mistakes = Mistakes()
-    >>> settings = {"frequenzy_hz": 5.0, "amplitude_v": 30.0, "phase_deg": "zero"}
+    >>> settings = {"frequenzy_hz": 5.0, "amplitude_v": float("nan"), "phase_deg": "zero"}
     >>> settings_object("signals", "tone", settings, (), mistakes)
     >>> for _, sentence in mistakes.by_line():
     ...     print(sentence[:69])
-    Tone: 'amplitude_v' must lie between -25 and 25 V, got 30.
+    Tone: 'amplitude_v' must be finite, got nan.
     signals 'tone' has no setting 'frequenzy_hz'; did you mean 'frequency
     signals 'tone': 'phase_deg' should be a valid number, unable to parse
     """

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path | None, typer.Option("--out", help="Folder for everything the study leaves.")]
 Again = Annotated[bool, typer.Option("--record-again", help="Set the records that are there aside and measure anew.")]
-Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures and orders; under two minutes.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Fewer structures, orders, units and limits; under two minutes.")]
 
 
 def demo(

@@ -13,7 +13,7 @@ TIGHTENED = 0.998
 VIOLATED = 1.0005  # beyond this share of the tightened demand a point joins the grid
 GROSSLY, THINNED = 1.01, 4  # beyond this share every fourth point does, peak or not
 ROUNDS = 10
-SLACK = 0.9  # of its limit: a demand that stays below is not put again
+SLACK = 0.9  # of its limit: a demand that stays below is left out until it is broken
 SOLVED = ("Solved", "AlmostSolved")
 
 
@@ -69,7 +69,8 @@ def solve(
         functions: `(size, nf)` the basis at all candidate frequencies.
         demands: on the same frequencies.
         noise: `(rows, size + 1)` matrix whose product with the weights and a last one must not exceed one in norm.
-        start: a solution of the same demands, brought to these frequencies; its binding points are the first grid.
+        start: a solution of the same demands, brought to these frequencies; the first grid is where it binds or breaks
+            a demand.
     """
     put = _first(demands, functions.shape[1]) if start is None else start.active
     active = put if start is None else _next(put, functions, demands, start)[0]
@@ -78,6 +79,8 @@ def solve(
         rounds += 1
         put = [p | a for p, a in zip(put, active, strict=True)]
         solution = solve_on(functions, demands, active, noise, rounds)
+        if not solution.ok and rounds > 1:  # the thinned programme may be harder than the whole
+            solution = solve_on(functions, demands, put, noise, rounds)
         active, broken = _next(active, functions, demands, solution) if solution.ok else (active, False)
         if not broken or rounds == ROUNDS:
             return replace(solution, active=put)
@@ -105,7 +108,7 @@ def _next(
         r = demand.reached(q, solution.level) / (1.0 if demand.sought else demand.tight)
         new = _broken(r) & ~on
         any_broken |= bool(new.any())
-        chosen.append(new | (on & (r > SLACK)))
+        chosen.append(new | (on if solution.level <= 0 else on & (r > SLACK)))
     return chosen, any_broken
 
 

@@ -24,6 +24,7 @@ QUADRATURE = 1 << 13
 NEGLIGIBLE = 1e-3  # share of a demand by which it may be exceeded between points
 EXCEEDED = 0.01  # from here on a law does not keep the demand, and is no proof of what can be had
 GRIDS = 3  # made after the first where a law exceeds a demand between the points
+INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
 NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
 
 Stretches = tuple[tuple[float, float], ...]
@@ -193,7 +194,7 @@ class LimitSearch:
         self, functions: ComplexArray, demands: Sequence[Demand], noise: FloatArray | None, solution: ConeSolution
     ) -> str:
         """Name the demands without which there is a solution."""
-        if "Infeasible" not in solution.status:
+        if solution.status not in INFEASIBLE:
             return f"{WHO}: the solver gave up ({solution.status}); ask for less basis or a milder demand."
         guilty = [
             demand.name

@@ -218,7 +218,7 @@ def quick_study(study: Study) -> Study:
     sweep = study.identify.model_copy(update={"structures": QUICK_STRUCTURES, "orders": QUICK_ORDERS})
     paper = study.paper and study.paper.model_copy(update={"records": study.paper.records[:1]})
     loop = study.closed_loop.model_copy(update={"units": study.closed_loop.units[:1]})
-    limits = study.limits.model_copy(update={"bands_hz": study.limits.bands_hz[-1:]})  # the report ends with the last
+    limits = study.limits.model_copy(update={"bands_hz": []})  # that of the loop alone
     return study.model_copy(update={"identify": sweep, "paper": paper, "closed_loop": loop, "limits": limits})
 
 

@@ -1,4 +1,4 @@
-"""Test signals in volts: each a frozen settings object whose verb `generate` is deterministic in its seed."""
+"""Test signals: each a frozen settings object whose verb `generate` is deterministic in its seed."""
 
 from ultraquiet._base.shown import show
 from ultraquiet.signals._abstract import MAXIMUM_V, Signal

@@ -1,4 +1,8 @@
-"""What every test signal shares: the limit in volts, the checks and the spectrum."""
+"""What every test signal shares: the checks and the spectrum.
+
+Settings that end in `_v` are in the unit of the actuator that is driven, whatever it is; what an actuator can take is
+known by its channel, and an experiment that exceeds it is refused before anything moves.
+"""
 
 from abc import ABC, abstractmethod
 
@@ -7,7 +11,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, between, positive, whole
 from ultraquiet._base.errors import InputError
 
-# Section 3.3 of the paper: every test signal stays inside +-25 V, beyond that the sensors saturate.
+# Section 3.3 of the paper: its test signals stay inside +-25 V, beyond that its sensors saturate; no limit of others.
 MAXIMUM_V = 25.0
 
 
@@ -16,10 +20,10 @@ class Signal(ABC):
 
     @abstractmethod
     def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
-        """Return the signal in volts, `(samples,)`."""
+        """Return the signal in the actuator's unit, `(samples,)`."""
 
     def spectrum(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-        """Return frequencies in Hz and the one-sided power spectral density in V^2/Hz, `(samples // 2 + 1,)` each.
+        """Return frequencies in Hz and the one-sided power spectral density in unit^2/Hz, `(samples // 2 + 1,)` each.
 
         S(f_k) = 2 |U_k|^2 / (rate n), the periodogram without window; its sum times rate / n is the mean square.
 
@@ -35,9 +39,9 @@ class Signal(ABC):
         return np.asarray(np.arange(psd.size) * (rate_hz / u.size), dtype=np.float64), psd.astype(np.float64)
 
 
-def volts(who: str, name: str, value: float) -> float:
-    """Return an amplitude inside +-MAXIMUM_V."""
-    return between(who, name, value, -MAXIMUM_V, MAXIMUM_V, "V")
+def amplitude(who: str, name: str, value: float) -> float:
+    """Return a finite number, of either sign."""
+    return between(who, name, value, -np.inf, np.inf)
 
 
 def clock(who: str, samples: int, rate_hz: float) -> tuple[int, float]:

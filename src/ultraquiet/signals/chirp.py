@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, below_nyquist, clock, volts
+from ultraquiet.signals._abstract import Signal, amplitude, below_nyquist, clock
 
 
 @register("signals", "chirp")
@@ -16,10 +16,10 @@ class Chirp(Signal):
 
     Args:
         start_hz, stop_hz: first and last frequency in Hz; falling sweeps are allowed.
-        start_v, stop_v: first and last amplitude in volts.
+        start_v, stop_v: first and last amplitude, in the actuator's unit.
 
     Raises:
-        InputError: an amplitude beyond +-25 V, a frequency not above zero or not below half the sampling rate.
+        InputError: an amplitude that is not finite, a frequency not above zero or not below half the sampling rate.
 
     >>> u = Chirp(start_hz=5, stop_hz=100).generate(samples=4096, rate_hz=3500.0)
     >>> u.shape, float(abs(u).max()) <= 25.0
@@ -36,11 +36,11 @@ class Chirp(Signal):
     def __post_init__(self) -> None:
         positive("Chirp", "start_hz", self.start_hz, "Hz")
         positive("Chirp", "stop_hz", self.stop_hz, "Hz")
-        volts("Chirp", "start_v", self.start_v)
-        volts("Chirp", "stop_v", self.stop_v)
+        amplitude("Chirp", "start_v", self.start_v)
+        amplitude("Chirp", "stop_v", self.stop_v)
 
     def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
-        """Return the sweep over all `samples` in volts, `(samples,)`; the seed has no influence."""
+        """Return the sweep over all `samples` in the actuator's unit, `(samples,)`; the seed has no influence."""
         n, rate = clock("Chirp", samples, rate_hz)
         below_nyquist("Chirp", "stop_hz", max(self.start_hz, self.stop_hz), rate)
         t = np.arange(n) / n

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, volts
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws
 
 
 @register("signals", "multisine")
@@ -18,7 +18,7 @@ class Multisine(Signal):
     Args:
         start_hz, stop_hz: band in Hz; every harmonic of rate / period_samples inside it is excited (not zero).
         period_samples: length of one period.
-        peak_v: the largest absolute value in volts.
+        peak_v: the largest absolute value, in the actuator's unit.
         odd: excite odd harmonics only, so that even distortion shows on the even lines.
         detection_group: of every so many neighbouring harmonics one is left out, at random, so that odd distortion
             shows there; 0 leaves none out. Four is usual.
@@ -26,7 +26,7 @@ class Multisine(Signal):
         phases: "random" (uniform, drawn from the seed) or "schroeder" (low crest factor, the seed has no influence).
 
     Raises:
-        InputError: a peak beyond 25 V, an empty band, a band without harmonics or beyond half the sampling rate.
+        InputError: a peak not above zero, an empty band, a band without harmonics or beyond half the sampling rate.
 
     >>> u = Multisine(start_hz=5, stop_hz=250, period_samples=1024).generate(samples=2048, seed=2)
     >>> bool((u[:1024] == u[1024:]).all())
@@ -48,7 +48,7 @@ class Multisine(Signal):
     def __post_init__(self) -> None:
         band("Multisine", self.start_hz, self.stop_hz)
         whole("Multisine", "period_samples", self.period_samples, 2)
-        positive("Multisine", "peak_v", volts("Multisine", "peak_v", self.peak_v), "V")
+        positive("Multisine", "peak_v", self.peak_v)
         one_of("Multisine", "phases", self.phases, ("random", "schroeder"))
         if self.detection_group:
             whole("Multisine", "detection_group", self.detection_group, 2)
@@ -79,7 +79,7 @@ class Multisine(Signal):
         return self.harmonics(rate_hz) * (rate_hz / self.period_samples)
 
     def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
-        """Return the periods in volts, `(samples,)`; the last one may be cut short."""
+        """Return the periods in the actuator's unit, `(samples,)`; the last one may be cut short."""
         n, rate = clock("Multisine", samples, rate_hz)
         k = self.harmonics(rate)
         if self.phases == "random":

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, volts
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws
 
 
 @register("signals", "noise")
@@ -19,10 +19,10 @@ class BandLimitedNoise(Signal):
 
     Args:
         stop_hz, start_hz: edges of the band in Hz.
-        peak_v: the largest absolute value in volts; the rms is about a quarter of it.
+        peak_v: the largest absolute value, in the actuator's unit; the rms is about a quarter of it.
 
     Raises:
-        InputError: a peak beyond 25 V, an empty band, a band beyond half the sampling rate or too narrow for the
+        InputError: a peak not above zero, an empty band, a band beyond half the sampling rate or too narrow for the
             number of samples.
 
     >>> u = BandLimitedNoise(stop_hz=250, peak_v=25).generate(seed=1)
@@ -38,10 +38,10 @@ class BandLimitedNoise(Signal):
 
     def __post_init__(self) -> None:
         band("BandLimitedNoise", self.start_hz, self.stop_hz)
-        positive("BandLimitedNoise", "peak_v", volts("BandLimitedNoise", "peak_v", self.peak_v), "V")
+        positive("BandLimitedNoise", "peak_v", self.peak_v)
 
     def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
-        """Return noise in volts, `(samples,)`, the same for the same seed."""
+        """Return noise in the actuator's unit, `(samples,)`, the same for the same seed."""
         n, rate = clock("BandLimitedNoise", samples, rate_hz)
         below_nyquist("BandLimitedNoise", "stop_hz", self.stop_hz, rate)
         f = np.fft.rfftfreq(n, 1.0 / rate)

@@ -10,11 +10,11 @@ from ultraquiet.signals.multisine import Multisine
 def orthogonal_multisines(
     signal: Multisine, inputs: int, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0
 ) -> FloatArray:
-    """Return commands `(experiment, input, samples)` in volts for as many experiments as inputs.
+    """Return commands `(experiment, input, samples)` in the actuators' units for as many experiments as inputs.
 
     U_je(k) = a T_je exp(i phi_j(k)) with T the DFT matrix: at every line U U^H is diagonal, so the response of each
     input comes out as if it had been excited alone in all experiments, with `inputs` times less variance than one
-    actuator at a time at the same voltage.
+    actuator at a time at the same level.
 
     Args:
         signal: band, period and peak; its phases are drawn anew for each input.

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, clock, draws, volts
+from ultraquiet.signals._abstract import Signal, clock, draws
 
 # Feedback taps of shift registers of maximal length, by number of stages: primitive polynomials over GF(2).
 # Reference: W. Stahnke, Math. Comp. 27 (1973) 977-980, doi:10.1090/S0025-5718-1973-0327722-7.
@@ -42,10 +42,10 @@ class Prbs(Signal):
 
     Args:
         stop_hz: bandwidth (half power) in Hz, at most 0.4429 times the sampling rate.
-        level_v: the level in volts.
+        level_v: the level, in the actuator's unit.
 
     Raises:
-        InputError: a level beyond 25 V, a bandwidth that would need bits shorter than a sample.
+        InputError: a level not above zero, a bandwidth that would need bits shorter than a sample.
 
     >>> u = Prbs(stop_hz=150, level_v=25).generate(seed=3)
     >>> sorted(set(u.tolist()))
@@ -59,7 +59,7 @@ class Prbs(Signal):
 
     def __post_init__(self) -> None:
         positive("Prbs", "stop_hz", self.stop_hz, "Hz")
-        positive("Prbs", "level_v", volts("Prbs", "level_v", self.level_v), "V")
+        positive("Prbs", "level_v", self.level_v)
 
     def hold_samples(self, rate_hz: float = 3500.0) -> int:
         """Return for how many samples each bit is held."""
@@ -71,7 +71,7 @@ class Prbs(Signal):
         return max(1, round(HALF_POWER * rate_hz / self.stop_hz))
 
     def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
-        """Return the sequence in volts, `(samples,)`; the seed chooses where in its period it begins.
+        """Return the sequence in the actuator's unit, `(samples,)`; the seed chooses where in its period it begins.
 
         The register is long enough that nothing repeats within `samples`, up to a million bits.
         """

@@ -7,7 +7,7 @@ from ultraquiet._base.constraints import FloatArray, real_array, whole
 
 
 def on_actuator(signal_v: ArrayLike, actuator: int, actuators: int = 6) -> FloatArray:
-    """Return `(actuators, samples)` volts, zero but for row `actuator` (counted from 0).
+    """Return `(actuators, samples)` commands, zero but for row `actuator` (counted from 0).
 
     The paper's experiment: one strut excited, six geophones read, repeated for each strut (section 3.4).
 

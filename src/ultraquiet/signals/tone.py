@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, below_nyquist, clock, volts
+from ultraquiet.signals._abstract import Signal, amplitude, below_nyquist, clock
 
 
 @register("signals", "tone")
@@ -15,7 +15,7 @@ class Tone(Signal):
     """u(t) = amplitude sin(2 pi f t + phase): the paper's Fig. 10 at 60 Hz and 25 V.
 
     Raises:
-        InputError: an amplitude beyond 25 V, a frequency not above zero or not below half the sampling rate.
+        InputError: an amplitude that is not finite, a frequency not above zero or not below half the sampling rate.
 
     >>> float(Tone(frequency_hz=60.0, amplitude_v=25.0).generate(samples=1)[0])
     0.0
@@ -27,11 +27,11 @@ class Tone(Signal):
 
     def __post_init__(self) -> None:
         positive("Tone", "frequency_hz", self.frequency_hz, "Hz")
-        volts("Tone", "amplitude_v", self.amplitude_v)
+        amplitude("Tone", "amplitude_v", self.amplitude_v)
         between("Tone", "phase_deg", self.phase_deg, -360.0, 360.0, "degrees")
 
     def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
-        """Return the sine in volts, `(samples,)`; the seed has no influence."""
+        """Return the sine in the actuator's unit, `(samples,)`; the seed has no influence."""
         n, rate = clock("Tone", samples, rate_hz)
         below_nyquist("Tone", "frequency_hz", self.frequency_hz, rate)
         angle = 2.0 * np.pi * self.frequency_hz / rate * np.arange(n) + np.radians(self.phase_deg)

@@ -1,6 +1,6 @@
 """The sensitivity matrix as the bench shows it, from which every direction and band can be read."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +30,7 @@ EDGE = 1.05  # where a sweep fades in and out
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
 # A loop that amplifies by more than this at its lowest line, and there nearly as much as anywhere else, may amplify
-# most below: it is measured further down, as long as it does and the open loop is heard.
+# most below: it is measured further down, as long as it does, the open loop is heard and a run is long enough.
 AMPLIFIES, NEARLY = 1.06, 0.9
 
 
@@ -47,6 +47,7 @@ class MeasuredSensitivity:
         opened, closed: from disturbance to sensors, `(ny, nu, nf)`.
         deviation: of the largest singular value, from noise, `(nf,)`.
         reach: sentence on directions the actuators do not reach; empty where they reach all.
+        below: sentence on what S may do under the lowest line; empty where it falls there, or lines were asked for.
     """
 
     S: FrequencyResponse
@@ -54,6 +55,7 @@ class MeasuredSensitivity:
     closed: ComplexArray
     deviation: FloatArray
     reach: str = ""
+    below: str = ""
 
     @property
     def f_hz(self) -> FloatArray:
@@ -111,10 +113,7 @@ class MeasuredSensitivity:
         return float(10 * np.log10(np.min(power[0] / power[1])))
 
     def unresolved(self, low_hz: float = 0.0, high_hz: float = np.inf) -> str:
-        """Return a sentence on the lines of a band that noise hides, in numbers, and one on a peak that may lie below.
-
-        Below the lowest line nothing was measured; a loop that still rises there may amplify by more.
-        """
+        """Return a sentence on the lines of a band that noise hides, in numbers, and `below` where the band begins."""
         band = self._band(low_hz, high_hz)
         hidden, f = band & self.hidden, self.f_hz
         said = f"All {band.sum()} lines were resolved."
@@ -123,10 +122,7 @@ class MeasuredSensitivity:
                 f"Noise hides {hidden.sum()} of {band.sum()} lines, {f[hidden].min():.4g} to {f[hidden].max():.4g} Hz; "
                 f"they are counted at the bound it leaves."
             )
-        if low_hz >= f[0] or not _may_peak_below([self.S.values]):
-            return said
-        lowest_db = 20 * np.log10(self._size()[0])
-        return f"{said} The loop amplifies by {lowest_db:.1f} dB at the lowest, {f[0]:.3g} Hz, and perhaps more below."
+        return f"{said} {self.below}" if self.below and low_hz < f[0] else said
 
     def _size(self) -> FloatArray:
         return _largest(self.S.values)
@@ -157,7 +153,7 @@ def measure_sensitivity(
         bench: any bench; with fewer sensors than actuators S is full, with more it is that of the reached directions.
         controller: acts as u = K y.
         f_hz: lines in Hz that are asked for, moved to the nearest of a run; chosen from S itself when absent, over the
-            whole range of the sweep, and further down where S still rises there.
+            whole range of the sweep, and further down where S still rises there and a run is long enough.
         opened: the open loop of the same bench, measured before; its runs are made once for all laws.
 
     Returns:
@@ -180,7 +176,8 @@ def measure_sensitivity(
         while below is not None and _may_peak_below([part.S for part in parts]):
             parts.insert(0, _Pair(below, controller).at(None, most_hidden=0.0))
             below = opened.below(below)
-    return _joined(opened, parts)
+    found = _joined(opened, parts)
+    return found if f_hz is not None else replace(found, below=_rises_below(found))
 
 
 def _asked(opened: OpenLoop, f_hz: ArrayLike) -> list[np.ndarray]:
@@ -276,6 +273,13 @@ class _Pair:
             if not steep.any():
                 return places
             places = np.unique(np.concatenate([places, (places[:-1] + places[1:])[steep] // 2]))
+
+
+def _rises_below(found: MeasuredSensitivity) -> str:
+    if found.hidden[0] or not _may_peak_below([found.S.values]):
+        return ""
+    lowest_db = 20 * np.log10(float(_largest(found.S.values[:, :, :1])[0]))
+    return f"The loop amplifies by {lowest_db:.1f} dB at the lowest, {found.f_hz[0]:.3g} Hz, and perhaps more below."
 
 
 def _may_peak_below(parts: list[ComplexArray]) -> bool:

@@ -82,7 +82,7 @@ def low_pass(
     """
     who = "low_pass"
     ratio = positive(who, "height", height) / positive(who, "floor", floor)
-    _below_nyquist(who, "corner_hz", corner_hz, rate_hz)
+    _refuse_beyond_nyquist(who, "corner_hz", corner_hz, rate_hz)
     poles = _butterworth(whole(who, "order", order, 1))
     zeros = poles * ratio ** (1 / order)
     return realised(zeros, poles, floor, corner_hz, rate_hz, channels)
@@ -109,7 +109,7 @@ def high_pass(
     """
     who = "high_pass"
     ratio = positive(who, "high", high) / positive(who, "low", low)
-    _below_nyquist(who, "corner_hz", corner_hz, rate_hz)
+    _refuse_beyond_nyquist(who, "corner_hz", corner_hz, rate_hz)
     zeros = _butterworth(whole(who, "order", order, 1))
     poles = zeros * ratio ** (1 / order)
     return realised(zeros, poles, high, corner_hz, rate_hz, channels)
@@ -136,7 +136,7 @@ def peak(
     who = "peak"
     positive(who, "height", height)
     positive(who, "zeta", zeta)
-    _below_nyquist(who, "tone_hz", tone_hz, rate_hz)
+    _refuse_beyond_nyquist(who, "tone_hz", tone_hz, rate_hz)
     zeros = np.roots([1.0, 2 * zeta * height, 1.0]).astype(np.complex128)
     poles = np.roots([1.0, 2 * zeta, 1.0]).astype(np.complex128)
     return realised(zeros, poles, 1.0, tone_hz, rate_hz, channels)
@@ -190,8 +190,9 @@ def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
     return corner_hz if rate_hz is None else min(corner_hz, HIGHEST * rate_hz)
 
 
-def _below_nyquist(who: str, name: str, f_hz: float, rate_hz: float | None) -> None:
-    if positive(who, name, f_hz, "Hz") and rate_hz is not None and f_hz >= rate_hz / 2:
+def _refuse_beyond_nyquist(who: str, name: str, f_hz: float, rate_hz: float | None) -> None:
+    positive(who, name, f_hz, "Hz")
+    if rate_hz is not None and f_hz >= rate_hz / 2:
         raise InputError(f"{who}: {name!r} must be below Nyquist, {rate_hz / 2:g} Hz, got {f_hz:g} Hz.")
 
 

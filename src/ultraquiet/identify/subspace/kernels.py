@@ -3,6 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.compiled import FLUSH, compiled
+from ultraquiet._base.compiled_arrays import copy_matrix
 
 MODAL_BLOCK = 2048  # samples of a filter bank held at once
 
@@ -55,9 +56,7 @@ def modal_gram(poles, u, tail):
                     block[at, t - start] = x.real
                     block[at + 1, t - start] = x.imag
                 state[k, j] = x
-        for i in range(tail.shape[0]):  # a slice assigned compiles four seconds of sentences on shapes that differ
-            for t in range(start, stop):
-                block[first + i, t - start] = tail[i, t]
+        copy_matrix(tail[:, start:stop], block[first:, : stop - start])
         out += np.dot(block, block.T)
     return out
 
@@ -117,9 +116,7 @@ def sensitivity_gram(tau, sigma, kappa, b, c, direct, u, tail, y):
                 rows[at + 2, t], rows[at + 3, t] = v1, v2
             slope[k, 0], slope[k, 1], slope[k, 2], slope[k, 3] = q1, q2, v1, v2
             last[k, 0], last[k, 1] = x1, x2
-        for i in range(tail.shape[0]):
-            for t in range(length):
-                rows[first + i, t] = tail[i, start + t]
+        copy_matrix(tail[:, start : start + length], rows[first:errors, :length])
         said = np.dot(flat, x) + np.dot(direct, rows[first:errors])
         for i in range(ny):
             for t in range(length):

@@ -59,7 +59,8 @@ def _headline(result: StudyResult, name: str) -> str:
         unit, loop = next(iter(failed.items()))
         return f"{name} is {loop.word} on {unit}"
     worst = min(_band_db(loop) for loop in loops.values() if isinstance(loop, StableLoop))
-    low, high = result.plan.band_hz if result.requirements is None else result.requirements.band_hz
+    asked = result.requirements
+    low, high = result.plan.band_hz if asked is None or asked.law != name else asked.band_hz
     if worst > 0:
         return f"Quieter by {worst:.1f} dB in every direction, {low:.4g}-{high:.4g} Hz"
     return f"Not quieter in every direction: {worst:.1f} dB in the worst, {low:.4g}-{high:.4g} Hz"

@@ -1,12 +1,11 @@
-"""Excite: a test signal over time and frequency against its limits, and the list that the bench executes."""
+"""Excite: a test signal over time and frequency, and the list that the bench executes."""
 
 import numpy as np
 from nicegui import ui
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.tables import Method
-from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark
-from ultraquiet.signals import MAXIMUM_V
+from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
 from ultraquiet.workbench.figures.scale import Scale
 from ultraquiet.workbench.figures.traces import envelope
 from ultraquiet.workbench.jobs.lane import WorkItem
@@ -87,13 +86,17 @@ def signal_figure(
 ) -> Chart:
     """Return a signal over time, and its amplitude density."""
     places, shown = envelope(u[None], 900)
-    limits = [Mark("the bench's limit", y=v, colour="bad") for v in (MAXIMUM_V, -MAXIMUM_V)]
     over_time = Curve(name, places / rate_hz, shown[0], "measured")
     crest = float(np.abs(u).max() / max(np.sqrt(np.mean(u**2)), 1e-300))
     spectrum = Curve(name, scale.x(f_hz), np.sqrt(density), "measured")
     panels = [
-        ChartPanel(Axis("time (s)"), Axis("V"), [over_time], title="over time", marks=limits, height=220),
-        ChartPanel(scale.frequencies(), Axis("V/sqrt(Hz)", "log"), [spectrum], title="amplitude density", height=260),
+        ChartPanel(Axis("time (s)"), Axis("actuator's unit"), [over_time], title="over time", height=220),
+        ChartPanel(
+            scale.frequencies(), Axis("unit/sqrt(Hz)", "log"), [spectrum], title="amplitude density", height=260
+        ),
     ]
-    caption = f"RMS {np.sqrt(np.mean(u**2)):.3g} V, peak {np.abs(u).max():.3g} V, crest factor {crest:.2f}."
+    caption = (
+        f"RMS {np.sqrt(np.mean(u**2)):.3g}, peak {np.abs(u).max():.3g}, crest factor {crest:.2f}, in the unit of the "
+        "actuator that it will drive; a list that exceeds an actuator's limits is refused before anything moves."
+    )
     return Chart("signal", f"{name}, {u.size / rate_hz:.3g} s", caption, panels, legend="none")
