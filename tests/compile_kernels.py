@@ -91,23 +91,23 @@ def compile_group(number):
         print(f"compiled {family.__name__}: {time.process_time() - started:.1f} processor seconds", flush=True)
 
 
-def collect():
-    """Collect all tests; what is wrong with one is said by the run itself."""
+def collecting():
+    """Begin to collect all tests; what is wrong with one is said by the run itself."""
     words = ("-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider")
-    nowhere = subprocess.DEVNULL
-    subprocess.run([sys.executable, *words], cwd=ROOT, stdout=nowhere, stderr=nowhere, check=False)
+    return subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def main():
-    """Run the groups side by side."""
+    """Run the groups and the collection side by side."""
     started = time.perf_counter()
+    collection = collecting()
     context = multiprocessing.get_context("spawn")
     workers = [context.Process(target=compile_group, args=(number,)) for number in range(len(GROUPS))]
-    workers.append(context.Process(target=collect))
     for worker in workers:
         worker.start()
     for worker in workers:
         worker.join()
+    collection.wait()
     print(f"kernels are compiled: {time.perf_counter() - started:.1f} s")
     return max(abs(worker.exitcode) for worker in workers)
 

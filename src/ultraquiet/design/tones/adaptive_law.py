@@ -95,7 +95,7 @@ class AdaptiveLaw:
             return base + self._faded(self._last)
         try:
             met = self._adapt(readings)
-        except (np.linalg.LinAlgError, ZeroDivisionError):
+        except ZeroDivisionError:
             met = -1
         if met < 0 or not np.isfinite(self._v).all():
             self._diverged("its parameters were no longer finite")
