@@ -88,7 +88,7 @@ def generate(
     require_ours(folder)
     choice, why = maker.choice(c31)
     if c31.binding:
-        cycles.require_fit(choice.law, c31.cycles, 1.0 if c31.share is None else c31.share)
+        cycles.require_fit(choice.law, c31.cycles_at(choice.law.rate_hz), 1.0 if c31.share is None else c31.share)
     status = maker.status(choice)
     plan = plan_code(choice.law, controller.hash)
     files = render.sources(plan)
@@ -137,7 +137,7 @@ class _LawMaker:
         decision = decide_anti_windup(setting, self.controller, self.limits, self.plant, self.options.disturbance_v)
         if not decision.on:
             return self._of_form(anti_windup=False), f"off: {decision.why}"
-        room = c31.allowed if setting == "auto" else np.inf
+        room = c31.allowed_at(float(self.controller.rate_hz or 0)) if setting == "auto" else np.inf
         try:
             choice = self._of_form(anti_windup=True)
         except NumericalError as refusal:
@@ -206,6 +206,7 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
     law = choice.law
     used = cycles.frame_cycles(law)
     kernel = cycles.kernel_of(law)
+    budget = c31.cycles_at(law.rate_hz)
     anti_windup = law.L is not None
     return {
         "states": law.order,
@@ -215,13 +216,13 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
         "c31_cycles": used,
         "c31_kernel_cycles": kernel,
         "c31_output_cycles": cycles.output_cycles(law),
-        "c31_budget": c31.cycles,
-        "c31_budget_share": used / c31.cycles,
-        "c31_fits_the_model": used <= c31.cycles,
+        "c31_budget": budget,
+        "c31_budget_share": used / budget,
+        "c31_fits_the_model": used <= budget,
         "c31_words": cycles.words(law),
         "c31_internal_words": cycles.INTERNAL_WORDS,
         "c31_largest_order": cycles.largest_order(
-            law.form, c31.cycles, law.inputs, law.outputs, **cycles.count_settings(law)
+            law.form, budget, law.inputs, law.outputs, **cycles.count_settings(law)
         ),
         "cortex_m7_instructions": None,
         "coefficients": law.coefficients,

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.constraints import one_of, whole
-from ultraquiet.cli.deploy.exports import require_writable, show_exports
+from ultraquiet.cli.deploy.exports import require_place, require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
 from ultraquiet.cli.deploy.table import requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
@@ -40,7 +40,7 @@ def deploy(
     project: Annotated[
         Path | None, typer.Option(help="Write a folder with CMake and a workflow around the code.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over what --fmu, --export and --project name.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over the code and what the options name.")] = False,
     frame: Annotated[bool, typer.Option("--frame", help="Simulate the real-time frame around the code.")] = False,
     frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
     load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
@@ -61,6 +61,8 @@ def deploy(
     one_of("deploy", "precision", precision, PRECISIONS)
     folder = out or controller.with_suffix("")
     whole("deploy", "steps", steps, 1)
+    if not word_lengths:
+        require_place(folder, force, "--out", controller, plant)
     if word_lengths or precision in FIXED:
         refuse_others(precision, word_lengths, anti_windup, budget, target, fmu, export, project, frame)
         system = None if plant is None else loaded_plant(plant)
@@ -69,7 +71,7 @@ def deploy(
         else:
             finish(*deploy_fixed(law, folder, precision, form, system, steps))
         return
-    require_writable(law, fmu, fmi, export, project, force)
+    require_writable(law, folder, fmu, fmi, export, project, force)
     targets = requested_targets(target)
     system = None if plant is None else loaded_plant(plant)
     limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}

@@ -83,7 +83,7 @@ def singular_value_chart(f_hz: FloatArray, bands: Mapping[str, FloatArray], wire
     spread = 20 * np.log10(np.maximum(first[0], 1e-300) / np.maximum(first[-1], 1e-300))
     k = int(np.argmax(spread))
     many = first.shape[0] > 1
-    told = f" The directions lie furthest apart, {spread[k]:.0f} dB, at {f_hz[k]:.3g} Hz." if many else ""
+    told = f" The directions lie furthest apart, {spread[k]:.0f} dB, at {f_hz[k]:.4g} Hz." if many else ""
     panel = ChartPanel(frequency_axis(), decibel_axis("gain", unit), curves, height=260)
     caption = f"Gain of every direction of the transfer matrix.{told}{note}"
     return Chart("singular_values", "Singular values", caption, [panel])
