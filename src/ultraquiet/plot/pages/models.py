@@ -63,10 +63,8 @@ def poles_and_zeros(
     panel = ChartPanel(frequency_axis(*limits_hz), Axis("damping (1)"), curves, "", (), marks, height=260)
     outside = sum(z < 0 for _, z in zeros)
     many = f"{outside or 'none'} of the zeros {'lies' if outside == 1 else 'lie'} outside the unit circle"
-    caption = (
-        f"Poles and transmission zeros of the design plant from {limits_hz[0]:.2g} to {limits_hz[1]:.4g} Hz, "
-        f"conjugates counted once; {many}."
-    )
+    span = f"of the design plant from {limits_hz[0]:.2g} to {limits_hz[1]:.4g} Hz, conjugates counted once"
+    caption = f"Poles and transmission zeros {span}; {many}." if zeros else f"Poles {span}; it has no zeros."
     return Chart("roots", "Poles and zeros", caption, [panel])
 
 
