@@ -270,6 +270,7 @@ def parse(text: str, name: str = "study") -> Study:
     """
     content, places = read_toml(text, name, StudyError)
     content, places = _with_paper(content, places)
+    content = _with_all_records(content)
     mistakes = Mistakes(places)
     _check_sources(content, mistakes)
     for place, family, table in _methods(content):
@@ -298,6 +299,19 @@ def _with_paper(content: dict[str, Any], places: Mapping[Place, int]) -> tuple[d
     moved = {("paper", new): places[("identify", key)] for key, new in older.items() if ("identify", key) in places}
     rest = {key: value for key, value in sweep.items() if key not in older}
     return {**content, "identify": rest, "paper": table}, {**places, **moved}
+
+
+def _with_all_records(content: dict[str, Any]) -> dict[str, Any]:
+    """Return the content with the plant made from all files where it names no records."""
+    plant, files = content.get("plant"), _files_of(content.get("records"))
+    if not isinstance(plant, dict) or "records" in plant or not files:
+        return content
+    return {**content, "plant": {**plant, "records": list(dict.fromkeys(Path(file).stem for file in files))}}
+
+
+def _files_of(records: Any) -> list[str]:
+    files = records.get("files") if isinstance(records, dict) else None
+    return [file for file in files if isinstance(file, str)] if isinstance(files, list) else []
 
 
 def _check_sources(content: Mapping[str, Any], mistakes: Mistakes) -> None:
