@@ -48,7 +48,8 @@ var Uq = (() => {
         while (k < x.length && !(x[k] > 0)) k++;
         [x, y, low, high] = [x, y, low, high].map((v) => v && v.slice(k));
       }
-      return { ...c, x, y, low, high, kind: c.kind || "line" };
+      const kind = c.kind || "line";
+      return { ...c, x: aligned({ kind }) ? x : fit(x, xlog), y, low, high, kind };
     });
   }
   const aligned = (c) => c.kind === "line" || c.kind === "step";
@@ -81,8 +82,16 @@ var Uq = (() => {
     const room = lo === hi ? Math.abs(lo) * 0.1 || 1 : (hi - lo) * share;
     return [lo - room, hi + room];
   }
+  /* A range that an axis can show: a logarithmic one begins above zero. */
+  const SHOWN = 1e-6;
+  function shownRange(axis) {
+    if (!axis.range) return null;
+    const [lo, hi] = axis.range;
+    return axis.scale === "log" && !(lo > 0) ? (hi > 0 ? [hi * SHOWN, hi] : null) : axis.range;
+  }
   function homeX(panel, curves) {
-    if (panel.x.range) return panel.x.range;
+    const asked = shownRange(panel.x);
+    if (asked) return asked;
     let [lo, hi] = [Infinity, -Infinity];
     for (const c of curves) {
       [lo, hi] = extent(c.x, lo, hi);
@@ -101,6 +110,7 @@ var Uq = (() => {
   }
   function fitY(panel, curves, hidden, [xlo, xhi]) {
     let [lo, hi] = [Infinity, -Infinity];
+    const log = panel.y.scale === "log";
     for (const c of curves) {
       if (hidden.has(c.name)) continue;
       if (aligned(c)) {
@@ -109,11 +119,11 @@ var Uq = (() => {
       } else {
         for (let k = 0; k < c.x.length; k++)
           if (c.x[k] >= xlo && c.x[k] <= xhi) [lo, hi] = extent([c.y[k]], lo, hi);
-        if (c.kind === "bars" || c.kind === "stems") [lo, hi] = extent([0], lo, hi);
+        if (!log && (c.kind === "bars" || c.kind === "stems")) [lo, hi] = extent([0], lo, hi);
       }
     }
-    for (const m of panel.marks || []) if (m.y != null && !hidden.has(m.name)) [lo, hi] = extent([m.y], lo, hi);
-    return widened([lo, hi], panel.y.scale === "log", MARGIN);
+    for (const m of panel.marks || []) if (m.y != null && !(log && m.y <= 0) && !hidden.has(m.name)) [lo, hi] = extent([m.y], lo, hi);
+    return widened([lo, hi], log, MARGIN);
   }
   function written(v, step) {
     if (v === 0) return "0";
@@ -141,6 +151,7 @@ var Uq = (() => {
       const at = axis.names.map((_, k) => k).filter((k) => k >= lo && k <= hi);
       return [at, at.map((k) => axis.names[k])];
     }
+    if (!Number.isFinite(lo) || !Number.isFinite(hi) || !(hi > lo) || (axis.scale === "log" && !(lo > 0))) return [[], []];
     const room = length / (across ? 64 : 30);
     if (axis.scale !== "log" || hi / lo < 5) {
       const [ticks, step] = linearTicks(lo, hi, room, STEPS[axis.ticks]);
@@ -318,7 +329,7 @@ var Uq = (() => {
       });
     }
     yRange([lo, hi]) {
-      return this.figure.shareY || this.panel.y.range || fitY(this.panel, this.curves, this.hidden, [lo, hi]);
+      return this.figure.shareY || shownRange(this.panel.y) || fitY(this.panel, this.curves, this.hidden, [lo, hi]);
     }
     /* The room beside the panel for the words of its y axis: panels below one another begin at one place. */
     needs(height) {
@@ -470,7 +481,7 @@ var Uq = (() => {
     sharedY() {
       let [lo, hi] = [Infinity, -Infinity];
       for (const p of this.panels) {
-        const range = p.panel.y.range || fitY(p.panel, p.curves, this.hidden, p.home);
+        const range = shownRange(p.panel.y) || fitY(p.panel, p.curves, this.hidden, p.home);
         [lo, hi] = [Math.min(lo, range[0]), Math.max(hi, range[1])];
       }
       return hi > lo ? [lo, hi] : null;
