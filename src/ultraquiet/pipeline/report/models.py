@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
     Agreement,
@@ -15,10 +17,12 @@ from ultraquiet.pipeline.facts.models import (
     ResponsePlant,
     Root,
 )
+from ultraquiet.pipeline.identification import group
 from ultraquiet.pipeline.report.records import noted, span, wires
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, study
 from ultraquiet.plot.pages import models as pages
+from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.report import Picture, Section, Table
 from ultraquiet.values.channel import squared
 
@@ -27,6 +31,7 @@ from ultraquiet.values.channel import squared
 AT_DC = 1e-4
 # Below so many times the band's lower end the zeros of the paper's low order are compared with those of the plant.
 LOW = 5.0
+FEWEST_ORDERS = 4  # of a stabilisation diagram
 
 
 def identification(result: StudyResult) -> Section:
@@ -37,6 +42,7 @@ def identification(result: StudyResult) -> Section:
     sentences, tables, figures = list[str](), list[Table](), list[Picture]()
     if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
         figures.append(pages.errors_by_order(plant.errors_by_order, plant.order))
+    figures += _stabilisation(result)
     if best is None:
         sentences.append(
             "No records drive one actuator after the other, so no structures were ranked channel by channel."
@@ -56,6 +62,28 @@ def identification(result: StudyResult) -> Section:
         heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
         tables.append(Table(title, heads, _by_signal(facts.paper)))
     return Section("Identification", sentences, tables, figures)
+
+
+def _stabilisation(result: StudyResult) -> list[Picture]:
+    """Return the poles of one order after the other: of the response that was fitted, or of the record."""
+    plant, f_hz = result.plant.facts, result.analysis.facts.f_hz
+    if isinstance(plant, ResponsePlant):
+        roots, taken = dict(plant.modes_by_order), plant.order
+    else:
+        (record, *_) = group(result.records, result.study.plant.records[0])
+        try:
+            poles = poles_by_order(record)
+        except UltraquietError:
+            return []
+        roots = {n: frequency_and_damping(each, record.rate_hz) for n, each in poles.items()}
+        taken = plant.states if plant.states in roots else None
+    if len(roots) < FEWEST_ORDERS:
+        return []
+    low, high = span(result)
+    shown = (f_hz >= low) & (f_hz <= high)
+    unit = study.gain_unit(wires(result)).removeprefix("dB").removeprefix(" re ")
+    gain = f_hz[shown], result.analysis.facts.singular_values.plant[0, shown], unit
+    return [stabilisation(roots, (low, high), taken, gain)]
 
 
 def _by_structure(table: Sequence[RankedModel]) -> dict[str, list[tuple[int, float, float]]]:
