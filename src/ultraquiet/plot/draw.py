@@ -144,6 +144,9 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
         axes.axis("off")
         said = axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
         said.set_in_layout(False)  # long words are cut by the figure's edge, they do not press the axes to nothing
+    if panel.coloured is not None:
+        c = panel.coloured
+        axes.pcolormesh(c.x, c.y, c.values, vmin=c.ends[0], vmax=c.ends[1], cmap="viridis", shading="nearest")
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
         axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)

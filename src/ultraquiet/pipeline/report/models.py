@@ -1,6 +1,7 @@
 """What the report says of records and models."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -22,9 +23,11 @@ from ultraquiet.pipeline.report.records import noted, span, wires
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, study
 from ultraquiet.plot.pages import models as pages
+from ultraquiet.plot.pages.modes import mode_shapes
 from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.report import Picture, Section, Table
 from ultraquiet.values.channel import squared
+from ultraquiet.values.sketch import Sketch
 
 # Zeros nearer to 0 Hz than this share of the Nyquist frequency are those at z = 1, spread by rounding: a triple root is
 # good to its cube root.
@@ -201,15 +204,25 @@ def analysis(result: StudyResult) -> Section:
         caption = f"Zeros outside the unit circle below {low_hz:.4g} Hz, paper's structure"
         tables.insert(0, Table(caption, ("channel", "Hz"), low))
         sentences.append(_about_low_zeros(facts, low_hz, AT_DC * nyquist))
-    figures = [
+    low, high = span(result)
+    scene = mode_shapes(result.design_plant, (low, high), _sketch(result))
+    figures: list[Picture] = [
         pages.poles_and_zeros(
             [(p.frequency_hz, p.zeta) for p in facts.poles],
             [(z.frequency_hz, z.zeta) for z in facts.transmission_zeros],
             span(result),
         ),
+        *([] if scene is None else [scene]),
         pages.singular_value_chart(facts.f_hz, bands, wires(result), noted(result, "Fig. 12")),
     ]
     return Section("Analysis", sentences, tables, figures)
+
+
+def _sketch(result: StudyResult) -> Sketch | None:
+    """Return what the bench looks like, where it says so and its readings are the model's."""
+    offered = getattr(result.bench, "sketch", None)
+    found: Any = offered() if callable(offered) and result.study.blending is None else None
+    return found if isinstance(found, Sketch) else None
 
 
 def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
