@@ -59,7 +59,7 @@ def measure(settings: study.Study, folder: Path, beside: Path | None = None, say
     with locked(folder, say), _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)
-        store = Records(listed, bench, partial(identity, own, _bench_table(settings), beside), folder, say)
+        store = Records(listed, bench, partial(identity, own, bench_table(settings), beside), folder, say)
         store.claim()
         return store.take()
 
@@ -145,7 +145,7 @@ def prepared(
     """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
     own = bench_of(settings, beside)
     bench = own if own is None or settings.blending is None else blended(own, settings.blending, beside)
-    describe = partial(identity, own, _bench_table(settings), beside)
+    describe = partial(identity, own, bench_table(settings), beside)
     read = {} if settings.records is None else _read(settings.records, beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     names = list(read) if listed is None else [m.name for m in listed.measurements]
@@ -184,7 +184,7 @@ def _in_modes(
     return None if own is None else done.bench, done.records
 
 
-def _bench_table(settings: study.Study) -> dict[str, Any]:
+def bench_table(settings: study.Study) -> dict[str, Any]:
     """Return `[bench]` with its file by itself, so that the content of it counts."""
     if settings.bench is None:
         return {}

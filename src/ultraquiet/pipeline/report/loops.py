@@ -7,9 +7,10 @@ import numpy as np
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.report import laws
-from ultraquiet.pipeline.report.records import noted
+from ultraquiet.pipeline.report.records import noted, span
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages import bench
+from ultraquiet.plot.pages.waterfall import waterfall
 from ultraquiet.report import Picture, Section, Table
 
 # A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
@@ -258,7 +259,13 @@ def _time_responses(result: StudyResult) -> list[Picture]:
     units = " ".join(dict.fromkeys(c.unit for c in records[0].actuators if c.unit))
     sent = f"{result.plan.amplitude:g} {units}".strip()
     note = noted(result, "Figs. 14 and 15")
-    return [bench.densities(name, float(tone), *records), bench.under_tone(name, float(tone), sent, *records, note)]
+    closed, opened = records
+    seen = waterfall(name, float(tone), {"open loop": opened, "closed loop": closed}, span(result))
+    return [
+        bench.densities(name, float(tone), *records),
+        seen,
+        bench.under_tone(name, float(tone), sent, *records, note),
+    ]
 
 
 def code(result: StudyResult) -> Section:
