@@ -174,9 +174,14 @@ var Uq = (() => {
       const power = Math.pow(10, Math.floor(Math.log10(wanted)));
       step = [1, 2, 5, 10].find((m) => m * power >= wanted * 0.999) * power;
     }
-    const ticks = [];
-    for (let k = Math.ceil(lo / step - 1e-6); k * step <= hi + 1e-6 * step; k++) ticks.push(k * step);
-    return [ticks, step];
+    const at = (each) => {
+      const ticks = [];
+      for (let k = Math.ceil(lo / each - 1e-6); k * each <= hi + 1e-6 * each; k++) ticks.push(k * each);
+      return ticks;
+    };
+    // one number alone says nothing of the scale
+    for (let finer = 0; finer < 3 && at(step).length < 2; finer++) step = steps && steps.indexOf(step) > 0 ? steps[steps.indexOf(step) - 1] : step / 2;
+    return [at(step), step];
   }
   /* All ticks of an axis and the words at those that have room for one. */
   function ticksOf(axis, lo, hi, length, across) {
