@@ -52,6 +52,14 @@ def test_modal_response_is_that_of_the_triangular_kernel(rng):
     np.testing.assert_allclose(fast, slow, atol=1e-7 * np.abs(slow).max())
 
 
+def test_a_double_pole_that_rounding_makes_a_pair_is_not_split():
+    """1 / s^2 + 3 / s with an entry of round-off under the diagonal, which has a pair of poles at +-1e-17j."""
+    A = np.array([[8e-17, 1.0], [-5e-35, 7e-17]])
+    form = balance.Coordinates(A, np.array([[0.0], [1.0]]), np.array([[1.0, 3.0]]), np.eye(2), np.eye(2), (2,))
+    z = 1j * np.geomspace(0.1, 10, 20)
+    np.testing.assert_allclose(modal_response.split(form, np.zeros((1, 1))).at(z)[0, 0], z**-2 + 3 / z, rtol=1e-12)
+
+
 def test_bilinear_map_and_back_is_the_identity(rng):
     M = plant(rng)
     back = discretize.bilinear_to_continuous(*discretize.bilinear_to_discrete(*M))

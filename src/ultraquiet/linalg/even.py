@@ -4,8 +4,10 @@ import numpy as np
 from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet.linalg.ordered import real_schur
 
 SWEEPS = 20  # a handful settles it
+TANGLED = 1.5  # norm of A over its largest eigenvalue, beyond which terms of A cancel that rounding makes part of
 UNEVEN = 2.0**20  # row sums against column sums: below it, rounding costs less than half of the digits
 
 
@@ -51,3 +53,21 @@ def even_scale(A: FloatArray, B: FloatArray, C: FloatArray) -> FloatArray:
     bordered[:n, n], bordered[n, :n] = np.linalg.norm(B, axis=1), np.linalg.norm(C, axis=0)
     d = np.asarray(dgebal(bordered, scale=1, permute=0)[3], dtype=np.float64)
     return d[:n] / d[n]
+
+
+def untangled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return A, B, C in even coordinates in which A is hardly larger than its eigenvalues; as they are where it is not.
+
+    What is formed of a controller whose large terms cancel, as a closed loop, is round-off of those terms. A real Schur
+    form has the eigenvalues on its diagonal and, its states scaled by powers of two, little beside them.
+    """
+    if not A.size:
+        return A, B, C
+    d = even_scale(A, B, C)
+    a, b, c = A * d / d[:, None], B / d[:, None], C * d
+    if np.linalg.norm(a) <= TANGLED * np.sqrt(len(a)) * np.abs(np.linalg.eigvals(a)).max():
+        return A, B, C
+    T, Q = real_schur(a)
+    b, c = Q.T @ b, c @ Q
+    d = even_scale(T, b, c)
+    return T * d / d[:, None], b / d[:, None], c * d

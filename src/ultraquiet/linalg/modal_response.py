@@ -12,6 +12,7 @@ from ultraquiet.linalg.response import triangular_response
 
 # Loss of digits that is accepted for the speed; beyond it the triangular kernel is used.
 CONDITION = 1e6
+APART = 1e3  # the same for two states: what a pair of poles loses beside a triangular block of two is not worth it
 
 
 class Residues(NamedTuple):
@@ -43,8 +44,7 @@ def split(form: balance.Coordinates, D: Array) -> Residues:
     lost = form.T.size > 0 and np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) > CONDITION
     poles, terms, left = [np.zeros(0, complex)], [np.zeros((D.size, 0), complex)], []
     for low, high in pairwise([0, *np.cumsum(form.blocks)]):
-        oscillates = high - low == 2 and form.A[low, low + 1] * form.A[low + 1, low] < 0
-        if lost or not (oscillates or high - low == 1):
+        if lost or not (high - low == 1 or (high - low == 2 and _oscillates(form.A[low:high, low:high]))):
             left += list(range(low, high))
             continue
         p, b, c = _block(form.A[low:high, low:high], form.B[low:high], form.C[:, low:high])
@@ -55,6 +55,17 @@ def split(form: balance.Coordinates, D: Array) -> Residues:
         T, Q = complex_schur(form.A[np.ix_(left, left)])
         rest = (T, Q.conj().T @ form.B[left], form.C[:, left] @ Q)
     return Residues(np.concatenate(poles), np.concatenate(terms, axis=1), rest, D)
+
+
+def _oscillates(A: Array) -> bool:
+    """Return whether a block of two states is a complex pair whose eigenvectors are apart: a double pole is none.
+
+    Rounding makes a pair of a double integrator, of no width, whose residues are as large as they are meaningless. With
+    the diagonal's difference 2 d, the eigenvectors of [[d, a], [-b, -d]] have a condition of about (a + b) / w.
+    """
+    d, a, b = (A[0, 0] - A[1, 1]) / 2, A[0, 1], -A[1, 0]
+    width = a * b - d * d  # the imaginary part, squared
+    return bool(width > 0 and abs(a) + abs(b) + abs(d) < APART * np.sqrt(width))
 
 
 def _block(A: Array, B: Array, C: Array) -> tuple[Array, Array, Array]:

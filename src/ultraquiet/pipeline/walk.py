@@ -11,6 +11,7 @@ from typing import Any
 from ultraquiet import experiments
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.bench import Replay
 from ultraquiet.bench.from_file import from_file
@@ -149,13 +150,13 @@ def prepared(
             copies.claim()
             _write_study(settings, folder, beside)
             records, bench_key = copies.take(), None if bench is None else describe()
-            say(f"read: {len(records)} records")
+            say(f"read: {counted(len(records), 'record')}")
         else:
             store = Records(listed, bench, describe, folder, say)
             store.claim(record_again)
             _write_study(settings, folder, beside)
             records, bench_key = store.take(), store.bench_key
-            say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
+            say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if settings.blending is not None:
             bench, records = _in_modes(own, settings.blending, records, beside, say)
             bench_key = [bench_key, settings.blending]

@@ -11,7 +11,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.assumptions import WHO, out_of_reach, zeros_on_boundary
 from ultraquiet.design.hinf.gamma_search import Bracket, at_level, search
-from ultraquiet.design.hinf.problem.closing import Closed, closed
+from ultraquiet.design.hinf.problem.closing import Closed, closed, judged
 from ultraquiet.design.hinf.problem.hidden import without_hidden
 from ultraquiet.design.hinf.problem.regularise import WEIGHTS, regularised
 from ultraquiet.design.hinf.problem.units import EvenProblem, even_problem
@@ -124,7 +124,7 @@ def _solved(
         result = _result(v, bracket, found)
         wanted = P.states <= SMALL if second_opinion is None else second_opinion
         compared = wanted and result.status.ok and not bracket.is_zero
-        return _seconded(v, result) if compared else result
+        return _agreed(v, bracket, margin, _seconded(v, result)) if compared else result
     except NumericalError as error:
         return refused(str(error))
 
@@ -236,6 +236,17 @@ def _seconded(v: Verifier, result: DesignResult) -> DesignResult:
         word = "differs" if opinion.decided else "is undecided"
         status = Status(status.word, f"{status.sentence} The second opinion {word}: {opinion.sentence}")
     return replace(result, status=status, details={**result.details, "second_opinion": opinion})
+
+
+def _agreed(v: Verifier, bracket: Bracket, margin: float, result: DesignResult) -> DesignResult:
+    """Search once more by controllers alone where the second opinion has one below the level claimed."""
+    if not result.details["second_opinion"].below:
+        return result
+    found = judged(v, bracket, margin, True)
+    if found is None or found.found.achieved >= result.achieved:
+        return result
+    better = _result(v, bracket, found)
+    return _seconded(v, better) if better.status.ok else result
 
 
 def _conditions(plant: riccati.NormalisedPlant, level: riccati.Level) -> dict[str, float]:

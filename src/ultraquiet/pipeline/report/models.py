@@ -226,6 +226,8 @@ def _sketch(result: StudyResult) -> Sketch | None:
 
 
 def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
+    if not zeros:
+        return "The design plant has no transmission zeros."
     dc_hz = AT_DC * nyquist
     at_dc = sum(z.frequency_hz < dc_hz for z in zeros)
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)

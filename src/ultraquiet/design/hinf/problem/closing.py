@@ -48,7 +48,7 @@ def closed(v: Verifier, bracket: Bracket, margin: float) -> Closed | None:
     contradicted = v.best is not None and v.best.achieved * scale < low * (1 - CONTRADICTED)
     if hinted and found is not None and not contradicted and _shown(v, bracket):
         return Closed(found, low, min(bracket.best.gamma, found.achieved * scale), True)
-    return _judged(v, bracket, margin, contradicted)
+    return judged(v, bracket, margin, contradicted)
 
 
 def _shown(v: Verifier, bracket: Bracket) -> bool:
@@ -61,8 +61,8 @@ def _shown(v: Verifier, bracket: Bracket) -> bool:
     return any(level.reason and riccati.is_proof(v.plant, level) for level in levels)
 
 
-def _judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> Closed | None:
-    """Search by verified controllers alone."""
+def judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) -> Closed | None:
+    """Search by verified controllers alone; what equations say of levels counts unless they are contradicted."""
     scale = v.problem.level
     proven = max(bracket.certain if contradicted else bracket.proven, bracket.nought)
     if v.best is None:
@@ -70,6 +70,8 @@ def _judged(v: Verifier, bracket: Bracket, margin: float, contradicted: bool) ->
     if v.best is None:
         return None
     high = v.best.achieved * scale
+    if high < proven * (1 - CONTRADICTED):
+        proven = bracket.nought  # a controller that keeps a level is stronger than any proof that none does
     shown = proven
     low = max(proven, high / SPREAD)
     for _ in range(STEPS):

@@ -13,7 +13,7 @@ from ultraquiet.design.hinf import discrete_riccati, riccati
 from ultraquiet.design.hinf.problem.units import EvenProblem
 from ultraquiet.design.result import is_stable
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
-from ultraquiet.linalg.even import even_scale
+from ultraquiet.linalg.even import even_scale, untangled
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
@@ -101,7 +101,7 @@ class Verifier:
             return None
 
     def _closed(self, K: Matrices, gamma: float, level: riccati.Level | None) -> Reached | None:
-        law = self.problem.law(StateSpace(*K, rate_hz=self.P.rate_hz))
+        law = self.problem.law(StateSpace(*untangled(*K[:3]), K[3], rate_hz=self.P.rate_hz))
         loop = _evened(lft(self.P, law))
         poles = loop.poles()
         bound = gamma / self.problem.level
