@@ -13,6 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
+import small_study  # beside the tests of studies
+
 from ultraquiet import experiments, files
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.provenance import Provenance
@@ -80,7 +83,12 @@ def source():
     return Record(readings(1, 500)[:1], readings(2, 500), RATE_HZ)
 
 
-WORKS = {"record": record, "paced": lambda place: record(place, True), "convert": convert}
+def study(place):
+    """Walk a small study of two masses, every stage, with nothing said."""
+    small_study.walk(small_study.written(place.parent), place, say=lambda _: None)
+
+
+WORKS = {"record": record, "paced": lambda place: record(place, True), "convert": convert, "study": study}
 
 
 def forked(job):

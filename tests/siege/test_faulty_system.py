@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import siege_works as works
+from test_killed_study import names, numbers
 
 from ultraquiet import files
 from ultraquiet.experiments import journal
@@ -132,6 +133,33 @@ def test_every_call_of_a_recording_fails(forked, tmp_path, every):
 def test_every_call_of_a_conversion_fails(forked, tmp_path):
     calls, fates = struck(forked, "convert", tmp_path / "out", converted, KINDS)
     print(f"convert, {calls} calls: {dict(fates)}")
+
+
+STUDY_KINDS = {name: kind for name, kind in KINDS.items() if name != "short"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strikes", [12])
+def test_calls_of_a_study_fail(forked, tmp_path, strikes):
+    """A study is struck at calls evenly spread over all of them, and run again: the same numbers, no stray file."""
+    whole = tmp_path / "whole"
+    assert forked("study", whole)["fate"] == "done"
+    wanted, files_of_it = numbers(whole), names(whole)
+    place, fates = tmp_path / "struck", Counter()
+    calls = forked("study", place, at=10**9, kind=works.EIO)["calls"]
+    for name, kind in STUDY_KINDS.items():
+        for k in range(strikes):
+            at = 1 + (2 * k + 1) * (min(calls, MOST_CALLS) - 1) // (2 * strikes)
+            shutil.rmtree(place, ignore_errors=True)
+            fate = forked("study", place, at, kind)
+            word = "killed" if fate["code"] == -9 else fate["fate"]
+            assert word != "TRACEBACK", (name, at, fate["said"])
+            fates[f"{name}: {word}"] += 1
+            again = forked("study", place)
+            assert again.get("fate") == "done", (name, at, fate, again)
+            assert names(place) == files_of_it, (name, at, sorted(names(place) ^ files_of_it))
+            assert numbers(place) == wanted, (name, at)
+    print(f"study, {calls} calls, {strikes} of them struck in each way: {dict(fates)}")
 
 
 # The power-cut model: what was done since a file's last fsync is lost, in part or whole, and in any order.
