@@ -23,7 +23,7 @@ static void rest(void)
 /* y is what is read now; u (the command formed one sample before) and d (the disturbance) act until the next sample. */
 static void step(const double *u, const double *d, double *y)
 {
-    const double h = 1.0 / 3500.0, stiffness = 9.0e4, damping = 12.0, coupling = 0.125;
+    const double h = 1.0 / 2000.0, stiffness = 9.0e4, damping = 12.0, coupling = 0.125;
     for (int i = 0; i < 2; i++)
         y[i] = speed[i];
     for (int i = 0; i < 2; i++) {
@@ -38,7 +38,7 @@ static void step(const double *u, const double *d, double *y)
 static void introduce(void)
 {
     printf("ultraquiet-plant 1\n");
-    printf("rate 3500\n");
+    printf("rate 2000\n");
     printf("actuator N -25 25 push 1\nactuator N -25 25 push 2\n");
     printf("sensor m/s -10 10 speed 1\nsensor m/s -10 10 speed 2\n");
     printf("ahead 64\nnumbers hex\nready\n");

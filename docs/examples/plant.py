@@ -15,7 +15,7 @@ from pathlib import Path
 
 HANDSHAKE = """\
 ultraquiet-plant 1
-rate 3500
+rate 2000
 actuator N -25 25 push 1
 actuator N -25 25 push 2
 sensor m/s -10 10 speed 1
@@ -34,7 +34,7 @@ class Plant:
 
     def step(self, u, d):
         """Return what is read now; `u` and `d` act until the next sample."""
-        h, stiffness, damping, coupling = 1.0 / 3500.0, 9.0e4, 12.0, 0.125
+        h, stiffness, damping, coupling = 1.0 / 2000.0, 9.0e4, 12.0, 0.125
         y = list(self.speed)
         for i in range(2):
             push = u[i] + d[i]

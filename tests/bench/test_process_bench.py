@@ -34,7 +34,7 @@ def twin():
     spec.loader.exec_module(module)
     plant = module.Plant()
     return lambda channels: Wrapped(
-        lambda u, d: plant.step(u.tolist(), d.tolist()), plant.reset, 3500.0, channels.actuators, channels.sensors
+        lambda u, d: plant.step(u.tolist(), d.tolist()), plant.reset, 2000.0, channels.actuators, channels.sensors
     )
 
 
@@ -62,7 +62,7 @@ def command(request, compiled):
 
 
 def law_for(rng):
-    return StateSpace([[0.9]], 0.1 * rng.normal(size=(1, 2)), rng.normal(size=(2, 1)), rng.normal(size=(2, 2)), 3500.0)
+    return StateSpace([[0.9]], 0.1 * rng.normal(size=(1, 2)), rng.normal(size=(2, 1)), rng.normal(size=(2, 2)), 2000.0)
 
 
 def test_a_plant_outside_gives_the_record_of_the_plant_inside_to_the_bit(command, rng):
@@ -71,7 +71,7 @@ def test_a_plant_outside_gives_the_record_of_the_plant_inside_to_the_bit(command
         assert isinstance(bench, Bench)
         assert isinstance(bench, Streaming)
         assert [c.name for c in bench.actuators] == ["push 1", "push 2"]
-        assert (bench.rate_hz, bench.sensors[0].unit, bench.sensors[0].high) == (3500.0, "m/s", 10.0)
+        assert (bench.rate_hz, bench.sensors[0].unit, bench.sensors[0].high) == (2000.0, "m/s", 10.0)
         inside = twin()(bench)
         for law in (None, law_for(rng)):
             theirs, ours = bench.run(u, d, law), inside.run(u, d, law)

@@ -11,7 +11,8 @@ from ultraquiet.deploy import FmuController, read_law
 
 def called(monkeypatch, *words):
     """Run the command; return its exit code."""
-    monkeypatch.setattr("sys.argv", ["ultraquiet", "deploy", *map(str, words), "--target", "none", "--steps", "200"])
+    here = [] if "q31" in words else ["--target", "none"]
+    monkeypatch.setattr("sys.argv", ["ultraquiet", "deploy", *map(str, words), *here, "--steps", "200"])
     with pytest.raises(SystemExit) as ended:
         main()
     return ended.value.code or 0
@@ -62,13 +63,35 @@ def test_what_is_there_is_written_over_only_when_that_was_asked_for(rng, tmp_pat
         assert path.name in said
         assert path.read_bytes() == b"mine"
     assert not (tmp_path / "law").exists()
-    assert called(monkeypatch, tmp_path / "law.h5", *words, "--force") == 0
-    assert (tmp_path / "law.fmu").read_bytes() != b"mine"
-    assert read_law(tmp_path / "law.csv").states == 4
-    assert called(monkeypatch, tmp_path / "law.h5", "--project", project) == 2
-    assert "not empty" in capsys.readouterr().err
     stranger = tmp_path / "stranger"
     stranger.mkdir()
     (stranger / "notes.txt").write_text("mine")
     assert called(monkeypatch, tmp_path / "law.h5", "--project", stranger, "--force") == 2
+    assert "did not write" in capsys.readouterr().err
     assert [p.name for p in stranger.iterdir()] == ["notes.txt"]
+    assert not (tmp_path / "law").exists()
+    assert called(monkeypatch, tmp_path / "law.h5", *words, "--force") == 0
+    assert (tmp_path / "law.fmu").read_bytes() != b"mine"
+    assert read_law(tmp_path / "law.csv").states == 4
+    assert called(monkeypatch, tmp_path / "law.h5", "--out", tmp_path / "new", "--project", project) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.usefixtures("cc")
+@pytest.mark.parametrize("precision", ["q31", pytest.param("float32", marks=pytest.mark.slow)])
+def test_code_is_written_over_only_when_that_was_asked_for(rng, tmp_path, monkeypatch, capsys, precision):
+    source, code = files.save(random_law(rng, 2, 1, 1), tmp_path / "law.h5"), tmp_path / "law"
+    words = (source, "--precision", precision)
+    assert called(monkeypatch, *words) == 0
+    written = code / "controller.c"
+    written.write_text(written.read_text() + "/* by hand */\n")
+    assert called(monkeypatch, *words) == 2
+    assert "law' exists already and is not empty" in " ".join(capsys.readouterr().err.split())
+    assert "by hand" in written.read_text()
+    inner = source.rename(code / "law.h5")
+    assert called(monkeypatch, inner, "--out", code, "--force") == 2
+    assert "stands in it" in capsys.readouterr().err
+    inner.rename(source)
+    assert called(monkeypatch, *words, "--force") == 0
+    assert "by hand" not in written.read_text()

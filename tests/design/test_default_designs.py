@@ -1,11 +1,14 @@
 """Designs without any setting: robust on ordinary plants, whatever their shape, and the same in any units."""
 
+import time
+
 import numpy as np
 import pytest
 from ordinary_plants import closed_loop_radius, ordinary, with_units
 
+from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import disk_ranges
-from ultraquiet.design import BandAttenuation, Lqg, MixedSensitivity
+from ultraquiet.design import BandAttenuation, FixedStructure, Lqg, MixedSensitivity, PeakBounded
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.values import StateSpace
 
@@ -13,7 +16,7 @@ DESIGNS = [Lqg, MixedSensitivity, BandAttenuation]
 SIDES = ("input", "output")
 DB, DEGREES = 1.0, 5.0  # what a channel of ordinary care may be off by
 QUIETER_DB = 10.0
-PLANTS, DRAWS = 200, 5
+PLANTS, SEARCHED, DRAWS = 200, 20, 5
 SHARE_OK, SHARE_QUIETER = 0.9, 0.8
 
 
@@ -156,3 +159,44 @@ def test_defaults_on_two_hundred_plants(seed, design):
     assert not broken, broken[:10]
     assert words.count("ok") >= SHARE_OK * PLANTS
     assert quiet >= SHARE_QUIETER * PLANTS
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("design", [PeakBounded, FixedStructure])
+def test_defaults_that_search_on_twenty_plants(design):
+    """Never ok without standing its promise; the words are counted, and how quiet the laws are."""
+    rng, rows, broken = np.random.default_rng(1), [], []
+    for k in range(SEARCHED):
+        plant = ordinary(rng)
+        began = time.process_time()
+        try:
+            result = design().design(plant)
+        except InputError as error:
+            print(f"plant {k}, {plant.D.shape}: {error}", flush=True)
+            rows.append(("refused", np.nan))
+            continue
+        even, law, word = even_plant(plant), result.controller, str(result.status.word)
+        quieter = np.nan if law is None else even.rms_reduction_db(_of_even(even, law))
+        rows.append((word, quieter))
+        if result.status.ok:
+            off = upset_by_one_channel(plant, law) + upset_within_the_disk(rng, plant, law)
+            broken += [f"plant {k}, {plant.D.shape}: {change}" for change in off]
+        seconds = time.process_time() - began
+        print(f"plant {k}, {plant.D.shape}: {quieter:.1f} dB, {seconds:.0f} s, {str(result.status)[:150]}", flush=True)
+    words, quiet = [word for word, _ in rows], np.array([db for _, db in rows])
+    found = quiet[np.isfinite(quiet)]
+    counted = {word: words.count(word) for word in sorted(set(words))}
+    print(
+        f"{design.__name__}: {counted}; {(found >= QUIETER_DB).sum()} "
+        f"quieter by {QUIETER_DB:g} dB, median {np.median(found):.1f} dB; promises broken: {len(broken)}"
+    )
+    assert not broken, broken[:10]
+    taken = [word for word in words if word != "refused"]
+    assert words.count("ok") >= SHARE_OK * len(taken)
+
+
+def _of_even(even, law):
+    """Return a plant's law in the units of its even plant."""
+    u, y = even.inputs[:, None], even.outputs
+    return StateSpace(law.A, law.B / y, law.C / u, law.D / u / y, law.rate_hz)

@@ -62,8 +62,8 @@ def fmu(folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("bench", [cpp, fmu])
-def test_a_bench_of_another_language_walks_the_whole_study(bench, tmp_path, run):
+@pytest.mark.parametrize(("bench", "rate_hz"), [(cpp, 2000), (fmu, 4096)])
+def test_a_bench_of_another_language_walks_the_whole_study(bench, rate_hz, tmp_path, run):
     (tmp_path / "list.toml").write_text(LIST)
     (tmp_path / "study.toml").write_text(STUDY.replace("BENCH", bench(tmp_path)))
     code, _, said = run("run", "study.toml", "--out", "out")
@@ -77,4 +77,4 @@ def test_a_bench_of_another_language_walks_the_whole_study(bench, tmp_path, run)
     assert summary["deployment"]["quiet"]["bit_exact"] is True
     page = (tmp_path / "out" / "report.html").read_text()
     assert not foreign_words(page)
-    assert all(name in visible(page) for name in ("push 1", "speed 2", "(m/s)/N"))
+    assert all(name in visible(page) for name in ("push 1", "speed 2", "(m/s)/N", f"{rate_hz} Hz"))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ultraquiet.plot import Figure, Line, Panel, draw_svg
-from ultraquiet.plot.draw import MOST_INSIDE
+from ultraquiet.plot.legend import MOST_ABOVE
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -64,7 +64,7 @@ def test_a_fixed_range_is_kept():
 
 def test_many_names_stand_beside_the_curves():
     """A legend that would hide the lines is moved out of the axes, and the axes give way."""
-    few, many = (axes(drawn(panel([f"curve {k}" for k in range(n)])))[0] for n in (MOST_INSIDE, MOST_INSIDE + 1))
+    few, many = (axes(drawn(panel([f"curve {k}" for k in range(n)])))[0] for n in (MOST_ABOVE, MOST_ABOVE + 1))
     right_few, right_many = (points(next(g.iter(f"{SVG}path")).get("d"))[:, 0].max() for g in (few, many))
     assert right_many < right_few - 20
 
@@ -94,3 +94,16 @@ def test_gaps_in_the_data_are_gaps_in_the_curve():
         if p.get("clip-path") and p.get("style") and "#0072b2" in p.get("style").lower()
     ]
     assert curve.count("M") == 2
+
+
+@pytest.mark.parametrize("ways", [1, 2, 3])
+def test_a_legend_covers_no_curve(ways):
+    """Names that look the same in every panel stand above them all, as many rows as they need."""
+    figure = drawn(panel([f"a rather long name {k}" for k in range(5)]), panel(("first",)), panel(()), columns=ways)
+    curves = [points(p.get("d"))[:, 1] for g in axes(figure) for p in g.iter(f"{SVG}path") if p.get("clip-path")]
+    named = [g for g in ElementTree.fromstring(figure).iter(f"{SVG}g") if g.get("id", "").startswith("legend")]
+    assert len(named) == 1
+    texts = list(named[0].iter(f"{SVG}text"))
+    assert len(texts) == 6
+    lowest = max(float(re.search(r"[, ]([\d.]+)\)", t.get("transform") or t.get("style"))[1]) for t in texts)
+    assert lowest < min(y.min() for y in curves)

@@ -1,10 +1,12 @@
 """A bench by hand without a browser: its channels, a live look, a list that is measured and goes on as a study."""
 
 import itertools
+import re
 import time
 
 import pytest
 
+from ultraquiet.pipeline.identification import of_unit
 from ultraquiet.pipeline.study import parse
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.items import FOLDER
@@ -62,6 +64,28 @@ def test_what_was_measured_goes_to_the_boards_and_into_the_study(session):
     assert study.plant.records == ["noise-1"]
     again = bench_work.measured(session.folder, session.state)["records"]
     assert again == found, "records that are there stay"
+
+
+def test_further_units_have_models_of_their_own(session, monkeypatch):
+    """`[plant] units` of a study: kept on the boards, in the study and in the script, and made with the plant."""
+    periodic = 'signal = { method = "multisine", period_samples = 200, stop_hz = 1600.0, peak_v = 5.0 }'
+    (session.folder / "list.toml").write_text(re.sub("signal = .*", periodic, LIST))
+    for name, digest in bench_work.measured(session.folder, session.state)["records"].items():
+        session.do({"op": "measure", "name": name, "file": f"records/{name}.h5", "hash": digest})
+    step = {"op": "identify", "name": "m", "records": [f"noise-{k}" for k in range(1, 7)], "period_samples": 200}
+    session.do({**step, "method": {"method": "rational", "order": 4}, "units": ["flight"]})
+    session.do({"op": "design", "name": "k", "model": "m", "method": {"method": "peak-bounded"}, "reduce": None})
+    assert parse(session.toml()).plant.units == ["flight"]
+    made = session.make("models", "m")
+    ground, flight = made.value(), made.value(of_unit("flight"))
+    assert ground.D.shape == flight.D.shape
+    assert ground.hash != flight.hash
+    lines = session.python().splitlines()
+    monkeypatch.chdir(session.folder)
+    found: dict[str, object] = {}
+    exec("\n".join(line for line in lines if not line.startswith("law_")), found)
+    assert found["model_m_units"]["flight"].hash == flight.hash
+    assert any(line.startswith("law_k") and line.endswith("model_m_units)") for line in lines)
 
 
 def test_the_demo_is_a_study_by_hand(tmp_path):

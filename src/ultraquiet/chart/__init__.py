@@ -7,16 +7,31 @@ what (`colours.py`), and how it is drawn (`chart.js`, `chart.css`, on the uPlot 
 from ultraquiet.chart.assets import script, style
 from ultraquiet.chart.colours import law_colours
 from ultraquiet.chart.packing import Packing
-from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark, Region, decibel_axis, frequency_axis
+from ultraquiet.chart.spec import (
+    Axis,
+    Chart,
+    ChartPanel,
+    Curve,
+    HeatMap,
+    Mark,
+    MovingShape,
+    Region,
+    Scene,
+    decibel_axis,
+    frequency_axis,
+)
 
 __all__ = [
     "Axis",
     "Chart",
     "ChartPanel",
     "Curve",
+    "HeatMap",
     "Mark",
+    "MovingShape",
     "Packing",
     "Region",
+    "Scene",
     "decibel_axis",
     "frequency_axis",
     "law_colours",

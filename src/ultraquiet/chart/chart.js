@@ -3,6 +3,7 @@
    Uq.data(table)          arrays that several specifications name: {id: base64 of little-endian float32, or an array}
    Uq.chart(element, spec) one panel;   Uq.grid(element, spec) panels in columns
      -> {update(spec), destroy(), reset(), zoom(lo, hi), toggle(name, shown), svg(), png(), csv(), plots}
+   Uq.scene(element, spec) shapes in space, moving: {name, title, points, lines: [[a, b], ...], shapes: [{name, re, im}]}
    Uq.theme(word)          "light", "dark" or "auto"
    Events on the element: uq-zoom {lo, hi, along}, uq-click {panel, x, y}, uq-toggle {name, shown}. */
 var Uq = (() => {
@@ -48,7 +49,8 @@ var Uq = (() => {
         while (k < x.length && !(x[k] > 0)) k++;
         [x, y, low, high] = [x, y, low, high].map((v) => v && v.slice(k));
       }
-      return { ...c, x, y, low, high, kind: c.kind || "line" };
+      const kind = c.kind || "line";
+      return { ...c, x: aligned({ kind }) ? x : fit(x, xlog), y, low, high, kind };
     });
   }
   const aligned = (c) => c.kind === "line" || c.kind === "step";
@@ -61,6 +63,37 @@ var Uq = (() => {
     const plain = (v) => Array.from(v);
     return uPlot.join(along.map((c) => [plain(c.x), ...columns(c).map(plain)]));
   }
+
+  // ---- values as colours: dark to bright, told apart without colour as well ----------------------------------------
+  const RAMP = [[0.0, 68, 1, 84], [0.25, 59, 82, 139], [0.5, 33, 145, 140], [0.75, 94, 201, 98], [1.0, 253, 231, 37]];
+  function rampColour(share) {
+    const s = Math.max(0, Math.min(1, share)), k = Math.min(RAMP.length - 2, Math.floor(s * (RAMP.length - 1)));
+    const [a, b] = [RAMP[k], RAMP[k + 1]], part = (s - a[0]) / (b[0] - a[0]);
+    return `rgb(${[1, 2, 3].map((j) => Math.round(a[j] + part * (b[j] - a[j]))).join()})`;
+  }
+  function mapOf(panel, table) {
+    if (!panel.map) return null;
+    const [x, y, z] = ["x", "y", "z"].map((key) => array(panel.map[key], table));
+    return { ...panel.map, x, y, z };
+  }
+  /* Edges between the middles of cells, those of a logarithmic axis between their logarithms. */
+  function edges(middles, log) {
+    const v = log ? Array.from(middles, Math.log) : Array.from(middles), n = v.length, out = [];
+    for (let k = 0; k <= n; k++) out.push(n === 1 ? v[0] + k - 0.5 : k === 0 ? v[0] - (v[1] - v[0]) / 2 : k === n ? v[n - 1] + (v[n - 1] - v[n - 2]) / 2 : (v[k - 1] + v[k]) / 2);
+    return log ? out.map(Math.exp) : out;
+  }
+  function paintMap(ctx, m, panel, px, py) {
+    const xs = edges(m.x, panel.x.scale === "log").map(px), ys = edges(m.y, panel.y.scale === "log").map(py), n = m.x.length;
+    const [lo, hi] = m.range;
+    for (let i = 0; i < m.y.length; i++)
+      for (let j = 0; j < n; j++) {
+        const z = m.z[i * n + j];
+        if (!Number.isFinite(z)) continue;
+        ctx.fillStyle = rampColour((z - lo) / (hi - lo));
+        ctx.fillRect(Math.floor(xs[j]), Math.floor(ys[i + 1]), Math.ceil(xs[j + 1]) - Math.floor(xs[j]), Math.ceil(ys[i]) - Math.floor(ys[i + 1]));
+      }
+  }
+  const mapWords = (m) => `${m.name}, ${written(m.range[0])} to ${written(m.range[1])}`;
 
   // ---- ranges and ticks -------------------------------------------------------------------------------------------
   function extent(values, lo = Infinity, hi = -Infinity, from = 0, to = values ? values.length : 0) {
@@ -81,8 +114,17 @@ var Uq = (() => {
     const room = lo === hi ? Math.abs(lo) * 0.1 || 1 : (hi - lo) * share;
     return [lo - room, hi + room];
   }
-  function homeX(panel, curves) {
-    if (panel.x.range) return panel.x.range;
+  /* A range that an axis can show: a logarithmic one begins above zero. */
+  const SHOWN = 1e-6;
+  function shownRange(axis) {
+    if (!axis.range) return null;
+    const [lo, hi] = axis.range;
+    return axis.scale === "log" && !(lo > 0) ? (hi > 0 ? [hi * SHOWN, hi] : null) : axis.range;
+  }
+  function homeX(panel, curves, map) {
+    const asked = shownRange(panel.x);
+    if (asked) return asked;
+    if (map) { const ends = edges(map.x, panel.x.scale === "log"); return [ends[0], ends[ends.length - 1]]; }
     let [lo, hi] = [Infinity, -Infinity];
     for (const c of curves) {
       [lo, hi] = extent(c.x, lo, hi);
@@ -101,6 +143,7 @@ var Uq = (() => {
   }
   function fitY(panel, curves, hidden, [xlo, xhi]) {
     let [lo, hi] = [Infinity, -Infinity];
+    const log = panel.y.scale === "log";
     for (const c of curves) {
       if (hidden.has(c.name)) continue;
       if (aligned(c)) {
@@ -109,11 +152,11 @@ var Uq = (() => {
       } else {
         for (let k = 0; k < c.x.length; k++)
           if (c.x[k] >= xlo && c.x[k] <= xhi) [lo, hi] = extent([c.y[k]], lo, hi);
-        if (c.kind === "bars" || c.kind === "stems") [lo, hi] = extent([0], lo, hi);
+        if (!log && (c.kind === "bars" || c.kind === "stems")) [lo, hi] = extent([0], lo, hi);
       }
     }
-    for (const m of panel.marks || []) if (m.y != null && !hidden.has(m.name)) [lo, hi] = extent([m.y], lo, hi);
-    return widened([lo, hi], panel.y.scale === "log", MARGIN);
+    for (const m of panel.marks || []) if (m.y != null && !(log && m.y <= 0) && !hidden.has(m.name)) [lo, hi] = extent([m.y], lo, hi);
+    return widened([lo, hi], log, MARGIN);
   }
   function written(v, step) {
     if (v === 0) return "0";
@@ -141,6 +184,7 @@ var Uq = (() => {
       const at = axis.names.map((_, k) => k).filter((k) => k >= lo && k <= hi);
       return [at, at.map((k) => axis.names[k])];
     }
+    if (!Number.isFinite(lo) || !Number.isFinite(hi) || !(hi > lo) || (axis.scale === "log" && !(lo > 0))) return [[], []];
     const room = length / (across ? 64 : 30);
     if (axis.scale !== "log" || hi / lo < 5) {
       const [ticks, step] = linearTicks(lo, hi, room, STEPS[axis.ticks]);
@@ -236,6 +280,12 @@ var Uq = (() => {
   }
   function drawRegions(u, one) {
     const { ctx, bbox } = u;
+    if (one.map && !one.hidden.has(mapWords(one.map))) {
+      ctx.save();
+      ctx.beginPath(); ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height); ctx.clip();
+      paintMap(ctx, one.map, one.panel, (v) => u.valToPos(v, "x", true), (v) => u.valToPos(v, "y", true));
+      ctx.restore();
+    }
     const clamp = (v, lo, hi) => Math.max(lo, Math.min(hi, v));
     for (const r of one.panel.regions || []) {
       if (one.hidden.has(r.name)) continue;
@@ -261,7 +311,7 @@ var Uq = (() => {
       scale: along, side, label: bare ? undefined : axis.label, labelSize: 18, labelGap: 2, gap: 4,
       font: AXIS + "px system-ui, sans-serif", labelFont: AXIS + "px system-ui, sans-serif",
       stroke: () => colour("muted", one.root),
-      grid: { stroke: () => colour("grid", one.root), width: 1 },
+      grid: { stroke: () => (one.panel.map ? "rgb(255 255 255 / 14%)" : colour("grid", one.root)), width: 1 },
       ticks: { stroke: () => colour("grid", one.root), width: 1, size: bare ? 0 : 4 },
       splits: (u, k, lo, hi) => { const [ticks, texts] = found(u, lo, hi); words = texts; return ticks; },
       filter: (u, splits) => splits,
@@ -305,7 +355,8 @@ var Uq = (() => {
       this.panel = panel;
       this.along = (panel.x.label || "") + "|" + (panel.x.scale || "");
       this.curves = curvesOf(panel, this.figure.spec.data);
-      this.home = homeX(panel, this.curves);
+      this.map = mapOf(panel, this.figure.spec.data);
+      this.home = homeX(panel, this.curves, this.map);
       this.title.textContent = panel.title || "";
       this.title.hidden = !panel.title;
       if (this.plot && (shape(this.curves) !== was || JSON.stringify([panel.x, panel.y]) !== axes)) this.drop();
@@ -318,7 +369,8 @@ var Uq = (() => {
       });
     }
     yRange([lo, hi]) {
-      return this.figure.shareY || this.panel.y.range || fitY(this.panel, this.curves, this.hidden, [lo, hi]);
+      const across = this.map && edges(this.map.y, this.panel.y.scale === "log");
+      return this.figure.shareY || shownRange(this.panel.y) || (across && [across[0], across[across.length - 1]]) || fitY(this.panel, this.curves, this.hidden, [lo, hi]);
     }
     /* The room beside the panel for the words of its y axis: panels below one another begin at one place. */
     needs(height) {
@@ -391,6 +443,11 @@ var Uq = (() => {
       const found = {};
       if (!this.plot || left < 0) return found;
       const x = this.plot.posToVal(left, "x");
+      if (this.map) {
+        const y = this.plot.posToVal(top, "y"), at = (ends, v) => ends.findIndex((e, k) => k + 1 < ends.length && v >= e && v < ends[k + 1]);
+        const [j, i] = [at(edges(this.map.x, this.panel.x.scale === "log"), x), at(edges(this.map.y, this.panel.y.scale === "log"), y)];
+        if (i >= 0 && j >= 0) found[mapWords(this.map)] = written(this.map.z[i * this.map.x.length + j]);
+      }
       for (const c of this.curves) {
         if (this.hidden.has(c.name) || !c.name) continue;
         let k = -1;
@@ -470,14 +527,15 @@ var Uq = (() => {
     sharedY() {
       let [lo, hi] = [Infinity, -Infinity];
       for (const p of this.panels) {
-        const range = p.panel.y.range || fitY(p.panel, p.curves, this.hidden, p.home);
+        const range = shownRange(p.panel.y) || fitY(p.panel, p.curves, this.hidden, p.home);
         [lo, hi] = [Math.min(lo, range[0]), Math.max(hi, range[1])];
       }
       return hi > lo ? [lo, hi] : null;
     }
     entries() {
       const found = new Map();
-      for (const { panel, curves } of this.panels) {
+      for (const { panel, curves, map } of this.panels) {
+        if (map && !found.has(mapWords(map))) found.set(mapWords(map), { kind: "map", colour: "measured" });
         for (const c of curves) if (c.name && !found.has(c.name)) found.set(c.name, { kind: c.kind, colour: c.colour, dash: c.dash, symbol: c.symbol });
         for (const m of panel.marks || []) if (m.name && !found.has(m.name)) found.set(m.name, { kind: "mark", colour: m.colour || "muted", dash: m.dash || "--" });
         for (const r of panel.regions || []) if (r.name && !found.has(r.name)) found.set(r.name, { kind: "region", colour: r.colour || "requirement" });
@@ -568,6 +626,10 @@ var Uq = (() => {
     csv() {
       const quoted = (v) => (/[",\n]/.test(v) ? '"' + String(v).replace(/"/g, '""') + '"' : v);
       const rows = ["panel,curve,x label,x,y label,y,low,high"];
+      const maps = this.panels.filter((p) => p.map);
+      if (maps.length) rows[0] += ",value";
+      for (const { panel, map } of maps)
+        map.y.forEach((y, i) => map.x.forEach((x, j) => rows.push([panel.title || "", map.name, panel.x.label || "", x, panel.y.label || "", y, "", "", map.z[i * map.x.length + j]].map(quoted).join())));
       for (const { panel, curves } of this.panels)
         for (const c of curves)
           for (let k = 0; k < c.x.length; k++)
@@ -590,7 +652,8 @@ var Uq = (() => {
   const unit = (label) => { const m = /\(([^()]+(?:\([^()]*\))*)\)\s*$/.exec(label || ""); return m ? " " + m[1] : ""; };
   function swatch({ kind, colour: word, dash, symbol: mark }) {
     const paint = /^(#|rgb)/.test(word) ? word : `var(--uq-${word})`;
-    const inner = kind === "region" ? `<rect x="1" y="2" width="22" height="10" style="fill:${paint}"/>`
+    const inner = kind === "map" ? RAMP.slice(0, 4).map((_, k) => `<rect x="${1 + 5.5 * k}" y="2" width="6" height="10" fill="${rampColour(k / 3)}"/>`).join("")
+      : kind === "region" ? `<rect x="1" y="2" width="22" height="10" style="fill:${paint}"/>`
       : kind === "bars" ? `<rect x="6" y="2" width="12" height="10" style="fill:${paint}"/>`
       : kind === "points" && mark === "x" ? `<path d="M8 3l8 8M8 11l8-8" style="stroke:${paint};fill:none;stroke-width:1.5"/>`
       : kind === "points" && mark === "+" ? `<path d="M12 2v10M7 7h10" style="stroke:${paint};fill:none;stroke-width:1.5"/>`
@@ -644,7 +707,8 @@ var Uq = (() => {
       ctx.strokeStyle = ctx.fillStyle = colour(look.colour, figure.root);
       ctx.lineWidth = 2 * ratio;
       ctx.setLineDash(DASHES[look.dash || "-"].map((d) => d * ratio));
-      if (look.kind === "region" || look.kind === "bars") ctx.fillRect(x * ratio, (y + 2) * ratio, 22 * ratio, 10 * ratio);
+      if (look.kind === "map") [0, 1, 2, 3].forEach((k) => { ctx.fillStyle = rampColour(k / 3); ctx.fillRect((x + 1 + 5.5 * k) * ratio, (y + 2) * ratio, 6 * ratio, 10 * ratio); });
+      else if (look.kind === "region" || look.kind === "bars") ctx.fillRect(x * ratio, (y + 2) * ratio, 22 * ratio, 10 * ratio);
       else if (look.kind === "points") symbol(ctx, look.symbol || ".", (x + 12) * ratio, (y + 7) * ratio, 4 * ratio);
       else { ctx.beginPath(); ctx.moveTo(x * ratio, (y + 7) * ratio); ctx.lineTo((x + 24) * ratio, (y + 7) * ratio); ctx.stroke(); }
     });
@@ -670,6 +734,12 @@ var Uq = (() => {
       const px = (v) => left + u.valToPos(v, "x"), py = (v) => top + u.valToPos(v, "y");
       out.push(`<clipPath id="c${k}"><rect x="${left}" y="${top}" width="${w}" height="${h}"/></clipPath>`);
       const [xt, xw] = ticksOf(p.panel.x, u.scales.x.min, u.scales.x.max, w, true), [yt, yw] = ticksOf(p.panel.y, u.scales.y.min, u.scales.y.max, h, false);
+      if (p.map && !p.hidden.has(mapWords(p.map))) {
+        const sheet = element("canvas");
+        [sheet.width, sheet.height] = [Math.ceil(w), Math.ceil(h)];
+        paintMap(sheet.getContext("2d"), p.map, p.panel, (v) => px(v) - left, (v) => py(v) - top);
+        out.push(`<image x="${left}" y="${top}" width="${w}" height="${h}" href="${sheet.toDataURL("image/png")}"/>`);
+      }
       for (const r of p.panel.regions || []) {
         const [a, b] = r.x ? r.x.map((v, j) => (v == null ? [left, left + w][j] : px(v))) : [left, left + w];
         const [c, d] = r.y ? r.y.map((v, j) => (v == null ? [top + h, top][j] : py(v))) : [top + h, top];
@@ -699,6 +769,112 @@ var Uq = (() => {
     return out.join("\n");
   }
 
+  // ---- shapes in space, moving ------------------------------------------------------------------------------------
+  const TURN_S = 2.4, SWING = 0.22, PIXELS_A_RADIAN = 160;
+  class Scene {
+    constructor(root, spec) {
+      Object.assign(this, { root, spec, turn: 0.6, tilt: 0.35, still: matchMedia("(prefers-reduced-motion: reduce)").matches });
+      root.classList.add("uq");
+      const head = element("div", "uq-head", root);
+      element("div", "uq-title", head, spec.title);
+      const tools = element("div", "uq-tools", head);
+      const button = (word, why, work) => { const made = element("button", "uq-tool", tools, word); made.type = "button"; made.title = why; made.onclick = work; return made; };
+      button("stop", "stop or go on", (e) => { this.still = !this.still; e.target.textContent = this.still ? "move" : "stop"; this.play(); }).textContent = this.still ? "move" : "stop";
+      button("PNG", "save as PNG", () => this.save("png"));
+      button("CSV", "save the numbers", () => this.save("csv"));
+      this.points = array(spec.points, spec.data);
+      this.shapes = spec.shapes.map((s) => ({ name: s.name, re: array(s.re, spec.data), im: array(s.im, spec.data) }));
+      const body = element("div", "uq-body uq-scenes", root);
+      this.places = this.shapes.map((s) => {
+        const box = element("div", "uq-panel", body);
+        element("div", "uq-panel-title", box, s.name);
+        const canvas = element("canvas", "uq-scene", box);
+        canvas.setAttribute("role", "img");
+        canvas.setAttribute("aria-label", `${spec.title}: ${s.name}`);
+        this.turned(canvas);
+        return canvas;
+      });
+      const legend = element("div", "uq-legend", root);
+      for (const [word, paint] of [["at rest", "open"], ["moving; drag to turn", "chosen"]]) {
+        const entry = element("span", "uq-entry", legend);
+        entry.innerHTML = swatch({ kind: "line", colour: paint });
+        element("span", "", entry, word);
+      }
+      const n = this.points.length / 3;
+      this.middle = [0, 1, 2].map((a) => { let sum = 0; for (let k = 0; k < n; k++) sum += this.points[3 * k + a] / n; return sum; });
+      this.reach = 1e-300;
+      for (let k = 0; k < n; k++) this.reach = Math.max(this.reach, Math.hypot(...[0, 1, 2].map((a) => this.points[3 * k + a] - this.middle[a])));
+      this.visible = false;
+      new IntersectionObserver((rows) => { this.visible = rows[rows.length - 1].isIntersecting; this.play(); }).observe(root);
+      this.sized = new ResizeObserver(() => this.paint());
+      this.sized.observe(root);
+    }
+    turned(canvas) {
+      canvas.onpointerdown = (e) => { canvas.setPointerCapture(e.pointerId); this.from = [e.clientX, e.clientY, this.turn, this.tilt]; };
+      canvas.onpointermove = (e) => {
+        if (!this.from) return;
+        this.turn = this.from[2] + (e.clientX - this.from[0]) / PIXELS_A_RADIAN;
+        this.tilt = Math.max(-1.5, Math.min(1.5, this.from[3] + (e.clientY - this.from[1]) / PIXELS_A_RADIAN));
+        if (this.still) this.paint();
+      };
+      canvas.onpointerup = canvas.onpointercancel = () => (this.from = null);
+    }
+    play() {
+      if (this.frame || this.still || !this.visible) return this.still && this.paint();
+      const step = () => { this.frame = 0; this.paint(); if (!this.still && this.visible) this.frame = requestAnimationFrame(step); };
+      this.frame = requestAnimationFrame(step);
+    }
+    /* Where a point of a shape is on its canvas: turned about the vertical, tilted, without perspective. */
+    seen(shape, angle, k, middle, scale) {
+      const at = [0, 1, 2].map((a) => this.points[3 * k + a] - this.middle[a] + (shape ? SWING * this.reach * (shape.re[3 * k + a] * Math.cos(angle) - shape.im[3 * k + a] * Math.sin(angle)) : 0));
+      const [c, s, ct, st] = [Math.cos(this.turn), Math.sin(this.turn), Math.cos(this.tilt), Math.sin(this.tilt)];
+      const x = c * at[0] - s * at[1], y = s * at[0] + c * at[1];
+      return [middle[0] + scale * x, middle[1] - scale * (ct * at[2] + st * y)];
+    }
+    paint() {
+      const angle = this.still ? 0 : (2 * Math.PI * performance.now()) / 1000 / TURN_S, ratio = devicePixelRatio || 1;
+      this.places.forEach((canvas, j) => {
+        const [w, h] = [canvas.clientWidth, canvas.clientHeight];
+        if (!w || !h) return;
+        if (canvas.width !== Math.round(w * ratio)) [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
+        const ctx = canvas.getContext("2d"), scale = (0.42 * Math.min(w, 1.4 * h)) / this.reach;
+        ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
+        ctx.clearRect(0, 0, w, h);
+        for (const [shape, paint, wide] of [[null, "open", 1], [this.shapes[j], "chosen", 2]]) {
+          ctx.strokeStyle = ctx.fillStyle = colour(paint, this.root);
+          ctx.lineWidth = wide;
+          const at = Array.from({ length: this.points.length / 3 }, (_, k) => this.seen(shape, angle, k, [w / 2, h / 2], scale));
+          ctx.beginPath();
+          for (const [a, b] of this.spec.lines) { ctx.moveTo(...at[a]); ctx.lineTo(...at[b]); }
+          ctx.stroke();
+          if (shape) for (const [x, y] of at) { ctx.beginPath(); ctx.arc(x, y, 2.5, 0, 2 * Math.PI); ctx.fill(); }
+        }
+      });
+    }
+    csv() {
+      const rows = ["shape,point,x,y,z,x real,y real,z real,x imaginary,y imaginary,z imaginary"];
+      for (const s of this.shapes)
+        for (let k = 0; k < this.points.length / 3; k++)
+          rows.push([`"${s.name.replace(/"/g, '""')}"`, k + 1, ...[this.points, s.re, s.im].flatMap((v) => Array.from(v.slice(3 * k, 3 * k + 3)))].join());
+      return rows.join("\n") + "\n";
+    }
+    save(form) {
+      const offer = (url) => { const a = element("a"); a.href = url; a.download = this.spec.name + "." + form; a.click(); };
+      if (form === "csv") {
+        const url = URL.createObjectURL(new Blob([this.csv()], { type: "text/csv" }));
+        offer(url);
+        return setTimeout(() => URL.revokeObjectURL(url), 1000);
+      }
+      const sheet = element("canvas"), each = this.places.filter((c) => c.width);
+      [sheet.width, sheet.height] = [Math.max(...each.map((c) => c.width)), each.reduce((sum, c) => sum + c.height, 0)];
+      const ctx = sheet.getContext("2d");
+      ctx.fillStyle = colour("paper", this.root);
+      ctx.fillRect(0, 0, sheet.width, sheet.height);
+      each.reduce((y, c) => { ctx.drawImage(c, 0, y); return y + c.height; }, 0);
+      offer(sheet.toDataURL("image/png"));
+    }
+  }
+
   // ---- themes -----------------------------------------------------------------------------------------------------
   function theme(word) {
     if (word === "auto") delete document.documentElement.dataset.theme; else document.documentElement.dataset.theme = word;
@@ -707,12 +883,12 @@ var Uq = (() => {
   new MutationObserver(() => drawn.forEach((f) => f.redraw())).observe(document.documentElement, { attributes: true, attributeFilter: ["data-theme", "class"] });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawn.forEach((f) => f.redraw()));
 
-  const grid = (root, spec) => new Figure(root, spec);
+  const grid = (root, spec) => new Figure(root, spec), scene = (root, spec) => new Scene(root, spec);
   const chart = (root, spec) => {
     const whole = (one) => ({ ...one, columns: 1, legend: one.legend, title: one.title, panels: [{ ...one, title: "" }] });
     const figure = new Figure(root, whole(spec)), update = figure.update.bind(figure);
     figure.update = (one) => update(one.panels ? one : whole(one));
     return figure;
   };
-  return { data, chart, grid, theme, colour, figures: drawn };
+  return { data, chart, grid, scene, theme, colour, figures: drawn };
 })();

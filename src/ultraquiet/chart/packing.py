@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.chart.spec import Chart, ChartPanel, Curve
+from ultraquiet.chart.spec import Chart, ChartPanel, Curve, HeatMap, MovingShape, Scene
 
 ARRAYS = ("x", "y", "low", "high")
 
@@ -37,7 +37,7 @@ class Packing:
             self.data[self._names[key]] = base64.b64encode(raw).decode()
         return self._names[key]
 
-    def spec(self, figure: Chart | ChartPanel) -> dict[str, Any]:
+    def spec(self, figure: Chart | ChartPanel | Scene) -> dict[str, Any]:
         """Return a figure as JSON's types, its arrays by name.
 
         Raises:
@@ -52,12 +52,29 @@ class Packing:
     def _plain(self, value: Any) -> Any:
         if isinstance(value, Curve):
             return self._curve(value)
+        if isinstance(value, HeatMap | MovingShape | Scene):
+            return self._shown(value)
         if is_dataclass(value):
             plain = {f.name: self._plain(getattr(value, f.name)) for f in fields(value)}
             return {k: v for k, v in plain.items() if v is not None and v is not False and v not in ("", [], 0)}
         if isinstance(value, list | tuple):
             return [self._plain(each) for each in value]
         return value.item() if isinstance(value, np.generic) else value
+
+    def _shown(self, shown: HeatMap | MovingShape | Scene) -> dict[str, Any]:
+        """Return what is no curve, its arrays by name."""
+        if isinstance(shown, MovingShape):
+            return {"name": shown.name, "re": self.name_of(shown.re), "im": self.name_of(shown.im)}
+        if isinstance(shown, Scene):
+            shapes = [self._shown(shape) for shape in shown.shapes]
+            lines = [[int(a), int(b)] for a, b in shown.lines]
+            said = {"name": shown.name, "title": shown.title, "caption": shown.caption}
+            return {**said, "points": self.name_of(shown.points), "lines": lines, "shapes": shapes}
+        nx, ny, nz = (np.size(part) for part in (shown.x, shown.y, shown.z))
+        if nx * ny != nz:
+            raise InputError(f"map {shown.name!r}: x {nx} times y {ny} values are needed, got {nz}.")
+        arrays = {key: self.name_of(getattr(shown, key)) for key in ("x", "y", "z")}
+        return {"name": shown.name, "range": list(shown.range), **arrays}
 
     def _curve(self, curve: Curve) -> dict[str, Any]:
         sizes = {key: np.size(part) for key in ARRAYS if (part := getattr(curve, key)) is not None}

@@ -6,9 +6,10 @@ Keys of the JSON are the fields below, those that are None, False or empty left 
 numbers or the name of one in `spec.data` or `Uq.data(...)`, base64 of little-endian float32:
 
     grid:   {name, title, caption, columns, share, enlarge, legend: "below" | "right" | "none", panels, data, tools}
-    panel:  {title, x, y, curves, regions, marks, height, aspect, tinted, detail: [panel, ...]}
+    panel:  {title, x, y, curves, regions, marks, height, aspect, tinted, detail: [panel, ...], map}
     axis:   {label, scale: "linear" | "log", range: [lo, hi], ticks: "dB" | "deg" | "int", names: [...]}
     curve:  {name, x, y, low, high, colour, dash: "-" | "--" | ":" | "-.", kind, symbol, width}
+    map:    {name, x, y, z, range: [lo, hi]}
     region: {name, x: [lo, hi], y: [lo, hi], colour};   mark: {name, x | y, colour, dash}
 
 `colour` is a word of `chart.css` ("measured", "open", "chosen", "law-1" ... "law-8", "ok", "fragile", "bad", "muted")
@@ -83,10 +84,26 @@ class Mark:
 
 
 @dataclass(frozen=True, eq=False)
+class HeatMap:
+    """Values over two axes as colours: `z` has one value for every `y` and, within it, every `x`, `(y, x)` flat or not.
+
+    `x` and `y` rise and are the middles of the cells; `range` are the values of the darkest and the brightest colour.
+    `name` says what is shown, its unit in brackets.
+    """
+
+    name: str
+    x: ArrayLike
+    y: ArrayLike
+    z: ArrayLike
+    range: Range
+
+
+@dataclass(frozen=True, eq=False)
 class ChartPanel:
     """Curves over two axes; `detail` are the panels shown below it when it is enlarged.
 
-    `height` in CSS pixels, or `aspect` width over height; `tinted` for the diagonal of a grid.
+    `height` in CSS pixels, or `aspect` width over height; `tinted` for the diagonal of a grid; `map` lies below the
+    curves.
     """
 
     x: Axis
@@ -99,6 +116,7 @@ class ChartPanel:
     aspect: float = 0.0
     tinted: bool = False
     detail: Sequence["ChartPanel"] = ()
+    map: HeatMap | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +135,27 @@ class Chart:
     share: bool = False
     enlarge: bool = False
     legend: Literal["below", "right", "none"] = "below"
+
+
+@dataclass(frozen=True, eq=False)
+class MovingShape:
+    """How every point moves, as complex amplitudes `(n, 3)` in shares of the scene's size: x(t) = Re(shape e^(jwt))."""
+
+    name: str
+    re: ArrayLike
+    im: ArrayLike
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Points `(n, 3)` in space joined by lines (a, b), and shapes in which they move, each drawn by itself, moving."""
+
+    name: str
+    title: str
+    caption: str
+    points: ArrayLike
+    lines: Sequence[tuple[int, int]]
+    shapes: Sequence[MovingShape]
 
 
 def frequency_axis(low_hz: float | None = None, high_hz: float | None = None, label: str = "frequency (Hz)") -> Axis:

@@ -22,7 +22,7 @@ from ultraquiet.deploy.law.coefficients import anti_windup_gain
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import FormChoice, choose, error_of, require_stable
 from ultraquiet.deploy.law.kind import require_law
-from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, require_discrete, require_plant, rounded
+from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, own_limits, require_discrete, require_plant, rounded
 from ultraquiet.deploy.law.realisation import realisation
 from ultraquiet.deploy.options import C31Budget, CodeOptions, options_and_budget
 from ultraquiet.values.state_space import StateSpace
@@ -34,7 +34,7 @@ def generate(
     folder: str | Path,
     precision: str = "float32",
     name: str = "controller",
-    limits_v: ArrayLike = 25.0,
+    limits_v: ArrayLike | None = None,
     *,
     plant: StateSpace | None = None,
     options: CodeOptions | None = None,
@@ -52,7 +52,8 @@ def generate(
         folder: where to write; appears whole or not at all, and replaces only what this function wrote.
         precision: `float32` or `float64`, of coefficients, states and arithmetic.
         name: prefix of every file and symbol.
-        limits_v: actuator limits in volts: a number, `(nu,)`, or `(nu, 2)` low and high.
+        limits_v: actuator limits in volts, or in the unit of the law's commands: a number, `(nu,)`, or `(nu, 2)` low
+            and high; when absent, those of the law's own channels, 25 where these have none.
         plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.
         options: how the law becomes code: form, anti-windup, ramp and more.
         c31: what the law may take of a TMS320C31's frame.
@@ -84,15 +85,17 @@ def generate(
     require_plant(plant)
     require_law(controller, plant)
     even, loop = balanced(controller), None if plant is None else balanced(plant)
-    maker = _maker(even, precision, name, limits_v, loop, options)
+    limits = own_limits(controller) if limits_v is None else limits_v
+    maker = _maker(even, precision, name, limits, loop, options)
     require_ours(folder)
     choice, why = maker.choice(c31)
     if c31.binding:
-        cycles.require_fit(choice.law, c31.cycles, 1.0 if c31.share is None else c31.share)
+        cycles.require_fit(choice.law, c31.cycles_at(choice.law.rate_hz), 1.0 if c31.share is None else c31.share)
     status = maker.status(choice)
     plan = plan_code(choice.law, controller.hash)
     files = render.sources(plan)
     tables = _tables(choice, c31) | {"anti_windup_because": why} | footprint(plan.law, files)
+    tables |= _wires(controller, plan.law)
     files["vectors.csv"] = render.vectors(plan.law)
     if "c31" in options.targets:
         files |= c31_files(plan)
@@ -137,7 +140,7 @@ class _LawMaker:
         decision = decide_anti_windup(setting, self.controller, self.limits, self.plant, self.options.disturbance_v)
         if not decision.on:
             return self._of_form(anti_windup=False), f"off: {decision.why}"
-        room = c31.allowed if setting == "auto" else np.inf
+        room = c31.allowed_at(float(self.controller.rate_hz or 0)) if setting == "auto" else np.inf
         try:
             choice = self._of_form(anti_windup=True)
         except NumericalError as refusal:
@@ -206,6 +209,7 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
     law = choice.law
     used = cycles.frame_cycles(law)
     kernel = cycles.kernel_of(law)
+    budget = c31.cycles_at(law.rate_hz)
     anti_windup = law.L is not None
     return {
         "states": law.order,
@@ -215,13 +219,13 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
         "c31_cycles": used,
         "c31_kernel_cycles": kernel,
         "c31_output_cycles": cycles.output_cycles(law),
-        "c31_budget": c31.cycles,
-        "c31_budget_share": used / c31.cycles,
-        "c31_fits_the_model": used <= c31.cycles,
+        "c31_budget": budget,
+        "c31_budget_share": used / budget,
+        "c31_fits_the_model": used <= budget,
         "c31_words": cycles.words(law),
         "c31_internal_words": cycles.INTERNAL_WORDS,
         "c31_largest_order": cycles.largest_order(
-            law.form, c31.cycles, law.inputs, law.outputs, **cycles.count_settings(law)
+            law.form, budget, law.inputs, law.outputs, **cycles.count_settings(law)
         ),
         "cortex_m7_instructions": None,
         "coefficients": law.coefficients,
@@ -229,6 +233,17 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
         "forms_tried": {form: _finite(error) for form, error in choice.tried.items()},
         "eigenvector_condition": _finite(choice.condition),
         "bit_exact": None,
+    }
+
+
+def _wires(controller: StateSpace, law: Law) -> dict[str, list[str]]:
+    """Return what each measurement and command is, in the code's order, with the limits that the code keeps."""
+    return {
+        "measurements": [f"{wire.name} ({wire.unit})" for wire in controller.actuators],
+        "commands": [
+            f"{wire.name} {low:g} to {high:g} {wire.unit}".rstrip()
+            for wire, (low, high) in zip(controller.sensors, law.limits.tolist(), strict=True)
+        ],
     }
 
 

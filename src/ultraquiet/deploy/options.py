@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import between, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
-from ultraquiet.deploy.c31.cycles import BUDGET_CYCLES
+from ultraquiet.deploy.c31.cycles import budget_at
 from ultraquiet.deploy.law.form_choice import TOLERANCE
 from ultraquiet.deploy.law.law import OVERRUN_LIMIT
 from ultraquiet.deploy.law.realisation import FORMS
@@ -78,23 +78,25 @@ class C31Budget(Shown):
     """Instructions of a TMS320C31's frame that a law may take.
 
     Args:
-        cycles: instructions a frame may take.
+        cycles: instructions a frame may take; when absent, the share of the law's own frame that the paper leaves to
+            its laws: 2800 at 3500 Hz.
         enforce: refuse a law that does not fit.
         share: refuse a law that takes more than this share of `cycles`, 0 to 1.
 
     Raises:
         InputError: an impossible budget or share.
 
-    >>> C31Budget(share=0.5).allowed
+    >>> C31Budget(share=0.5).allowed_at(3500.0)
     1400.0
     """
 
-    cycles: int = BUDGET_CYCLES
+    cycles: int | None = None
     enforce: bool = False
     share: float | None = None
 
     def __post_init__(self) -> None:
-        whole("deploy", "budget_cycles", self.cycles, 1)
+        if self.cycles is not None:
+            whole("deploy", "budget_cycles", self.cycles, 1)
         if self.share is not None:
             between("deploy", "budget_share", self.share, 0.0, 1.0)
 
@@ -103,10 +105,13 @@ class C31Budget(Shown):
         """True when a law that takes more is refused."""
         return self.enforce or self.share is not None
 
-    @property
-    def allowed(self) -> float:
-        """Instructions that the law may take."""
-        return self.cycles * (1.0 if self.share is None else self.share)
+    def cycles_at(self, rate_hz: float) -> int:
+        """Return the instructions of a frame at this rate."""
+        return budget_at(rate_hz) if self.cycles is None else self.cycles
+
+    def allowed_at(self, rate_hz: float) -> float:
+        """Return the instructions that a law of this rate may take."""
+        return self.cycles_at(rate_hz) * (1.0 if self.share is None else self.share)
 
 
 # Settings of `generate` that stand in the budget, by the names it takes them under.

@@ -185,7 +185,7 @@ class LimitSearch:
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
-            f"A controller attenuates {low:g}-{high:g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
+            f"A controller attenuates {low:.4g}-{high:.4g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
             f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; solver: {solution.status}, "
             f"{solution.rounds} grids, {self.basis.size} functions{less}."
         )
@@ -234,4 +234,4 @@ def _stretches(f_hz: FloatArray, on: np.ndarray) -> Stretches:
 
 
 def _words(spans: Stretches) -> str:
-    return " and ".join(f"{low:.3g}-{high:.3g} Hz" if high > low else f"{low:.3g} Hz" for low, high in spans[:4])
+    return " and ".join(f"{low:.4g}-{high:.4g} Hz" if high > low else f"{low:.4g} Hz" for low, high in spans[:4])

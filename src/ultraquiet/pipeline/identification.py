@@ -10,6 +10,7 @@ from ultraquiet import identify, spectra
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
+from ultraquiet.identify.successive_orders import frequency_and_damping
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
@@ -145,6 +146,9 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
         order=fit.order,
         held_out_error=fit.error[1],
         errors_by_order=fit.errors_by_order,
+        modes_by_order={
+            n: frequency_and_damping(poles, rate_hz) for n, poles in getattr(fit, "poles_by_order", {}).items()
+        },
     )
     return Outcome(facts, {stored.PLANT: fit.model, stored.RESPONSE: response})
 

@@ -15,6 +15,7 @@ from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
+from ultraquiet.pipeline.tables.left_out import with_all_records, with_paper
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
 from ultraquiet.pipeline.tables.numbers import Band, Order, Positive
 from ultraquiet.pipeline.tables.paper import Paper
@@ -269,7 +270,8 @@ def parse(text: str, name: str = "study") -> Study:
       line 5: there is no key 'precison' here; did you mean 'precision'? Known are precision, limits.
     """
     content, places = read_toml(text, name, StudyError)
-    content, places = _with_paper(content, places)
+    content, places = with_paper(content, places)
+    content = with_all_records(content)
     mistakes = Mistakes(places)
     _check_sources(content, mistakes)
     for place, family, table in _methods(content):
@@ -282,22 +284,6 @@ def parse(text: str, name: str = "study") -> Study:
     _check_requirements(study, mistakes)
     mistakes.refuse(StudyError, name)
     return study.at(places)
-
-
-def _with_paper(content: dict[str, Any], places: Mapping[Place, int]) -> tuple[dict[str, Any], Mapping[Place, int]]:
-    """Return the content with the older keys `identify.paper_*` as the table `paper` that they are now."""
-    sweep = content.get("identify")
-    if not isinstance(sweep, dict) or "paper" in content:
-        return content, places
-    older = {
-        key: key.removeprefix("paper_") for key in sweep if key in ("paper_structure", "paper_order", "paper_records")
-    }
-    if not older:
-        return content, places
-    table: dict[str, Any] = {"records": ["chirp", "noise", "prbs"], **{new: sweep[key] for key, new in older.items()}}
-    moved = {("paper", new): places[("identify", key)] for key, new in older.items() if ("identify", key) in places}
-    rest = {key: value for key, value in sweep.items() if key not in older}
-    return {**content, "identify": rest, "paper": table}, {**places, **moved}
 
 
 def _check_sources(content: Mapping[str, Any], mistakes: Mistakes) -> None:

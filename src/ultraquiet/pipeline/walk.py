@@ -11,6 +11,7 @@ from typing import Any
 from ultraquiet import experiments
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.bench import Replay
 from ultraquiet.bench.from_file import from_file
@@ -58,7 +59,7 @@ def measure(settings: study.Study, folder: Path, beside: Path | None = None, say
     with locked(folder, say), _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)
-        store = Records(listed, bench, partial(identity, own, _bench_table(settings), beside), folder, say)
+        store = Records(listed, bench, partial(identity, own, bench_table(settings), beside), folder, say)
         store.claim()
         return store.take()
 
@@ -136,7 +137,7 @@ def prepared(
     """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
     own = bench_of(settings, beside)
     bench = own if own is None or settings.blending is None else blended(own, settings.blending, beside)
-    describe = partial(identity, own, _bench_table(settings), beside)
+    describe = partial(identity, own, bench_table(settings), beside)
     read = {} if settings.records is None else _read(settings.records, beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     names = list(read) if listed is None else [m.name for m in listed.measurements]
@@ -149,13 +150,13 @@ def prepared(
             copies.claim()
             _write_study(settings, folder, beside)
             records, bench_key = copies.take(), None if bench is None else describe()
-            say(f"read: {len(records)} records")
+            say(f"read: {counted(len(records), 'record')}")
         else:
             store = Records(listed, bench, describe, folder, say)
             store.claim(record_again)
             _write_study(settings, folder, beside)
             records, bench_key = store.take(), store.bench_key
-            say(f"recorded: {len(records)} records, {listed.duration_s:.0f} s on the bench")
+            say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if settings.blending is not None:
             bench, records = _in_modes(own, settings.blending, records, beside, say)
             bench_key = [bench_key, settings.blending]
@@ -175,7 +176,7 @@ def _in_modes(
     return None if own is None else done.bench, done.records
 
 
-def _bench_table(settings: study.Study) -> dict[str, Any]:
+def bench_table(settings: study.Study) -> dict[str, Any]:
     """Return `[bench]` with its file by itself, so that the content of it counts."""
     if settings.bench is None:
         return {}

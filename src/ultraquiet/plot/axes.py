@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import figure_of
+from ultraquiet.plot import legend
 from ultraquiet.plot.draw import STYLE, panel_on
 from ultraquiet.plot.figure import Figure
 
@@ -40,7 +41,9 @@ def draw_axes(shown: Figure, ax: Any = None) -> "Axes | np.ndarray[Any, Any]":
     import matplotlib as mpl
     from matplotlib import pyplot
 
+    canvas = None
     with mpl.rc_context(STYLE):
+        above = ax is None and legend.is_above(shown)
         if ax is None:
             rows = -(-len(shown.panels) // shown.columns)
             canvas, grid = pyplot.subplots(
@@ -53,7 +56,9 @@ def draw_axes(shown: Figure, ax: Any = None) -> "Axes | np.ndarray[Any, Any]":
             if len(axes) != len(shown.panels):
                 raise InputError(f"plot: {len(axes)} axes were given for the {len(shown.panels)} panels of the figure.")
         for each, panel in zip(axes, shown.panels, strict=False):
-            panel_on(each, panel)
+            panel_on(each, panel, named=not above)
+        if canvas is not None and above:
+            legend.put_above(canvas, axes[: len(shown.panels)], shown, room_is_made=False)
         for each in axes[len(shown.panels) :]:
             each.set_visible(False)
     return _given_back(axes[: len(shown.panels)])

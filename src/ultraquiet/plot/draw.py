@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet.plot import legend
 from ultraquiet.plot.figure import Figure, Panel
 
 if TYPE_CHECKING:
@@ -17,10 +18,8 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 PNG_DPI, STILL_DPI = 150, 120
 CROWDED = 12  # panels, beyond which each shows less
 CONFIDENT = 0.15  # opacity of a confidence
-MOST_INSIDE = 8  # labels; more of them would hide the lines, and stand beside the panel instead
-# Inches beside each panel for numbers and title, for a label besides, right of all for a legend beside its panels,
-# above all for one of many panels.
-LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN, LEGEND_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9, 0.3
+# Inches beside each panel for numbers and title, for a label besides, right of all for a legend beside its panels.
+LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
 STYLE: "dict[RcKeyType, Any]" = {
     "font.size": 8.5,
     "axes.titlesize": 9,
@@ -85,19 +84,17 @@ def _laid_out(figure: Figure, dpi: float) -> "Canvas":
     columns = figure.columns
     rows = -(-len(figure.panels) // columns)
     canvas = Canvas(figsize=figure.size_in, dpi=dpi)
+    above = legend.is_above(figure)
     grid = canvas.subplots(rows, columns, squeeze=False, gridspec_kw=_margins(figure, rows))
     for k, axes in enumerate(grid.ravel()):
         if k < len(figure.panels):
-            panel_on(axes, figure.panels[k], legend=not _is_crowded(figure))
+            panel_on(axes, figure.panels[k], named=not above and not _is_crowded(figure))
             if _is_crowded(figure):
                 _bared(axes, last_row=k >= len(figure.panels) - columns)
         else:
             axes.set_visible(False)
-    if _is_crowded(figure):
-        labelled = [axes.get_legend_handles_labels() for axes in grid.ravel()]
-        named = {label: line for lines, labels in labelled for line, label in zip(lines, labels, strict=True)}
-        if named:
-            canvas.legend(list(named.values()), list(named), loc="upper center", ncols=MOST_INSIDE)
+    if above:
+        legend.put_above(canvas, list(grid.ravel()), figure)
     return canvas
 
 
@@ -123,10 +120,10 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
     width, height = figure.size_in
     left = LEFT_IN + LABEL_IN * any(panel.y_label for panel in figure.panels)
     bottom = BOTTOM_IN + LABEL_IN * any(panel.x_label for panel in figure.panels)
-    beside = BESIDE_IN if any(_labels(panel) > MOST_INSIDE for panel in figure.panels) else 0.0
+    beside = BESIDE_IN if legend.is_beside(figure) else 0.0
     each_width = (width - RIGHT_IN - beside) / figure.columns - left
     crowded = _is_crowded(figure)
-    above = LEGEND_IN * (crowded and any(map(_labels, figure.panels)))
+    above = legend.height_above_in(figure)
     between = TOP_IN + (0.0 if crowded else bottom)  # of many panels the last row alone has words below
     each_height = (height - above - TOP_IN - bottom - (rows - 1) * between) / rows
     return {
@@ -139,11 +136,7 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
     }
 
 
-def _labels(panel: Panel) -> int:
-    return sum(bool(each.label) for each in (*panel.lines, *panel.fills))
-
-
-def panel_on(axes: "Axes", panel: Panel, legend: bool = True) -> None:
+def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
     """Draw one panel on matplotlib axes."""
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
 
@@ -151,6 +144,9 @@ def panel_on(axes: "Axes", panel: Panel, legend: bool = True) -> None:
         axes.axis("off")
         said = axes.text(0.0, 1.0, "\n".join(panel.words), va="top", family="monospace", transform=axes.transAxes)
         said.set_in_layout(False)  # long words are cut by the figure's edge, they do not press the axes to nothing
+    if panel.coloured is not None:
+        c = panel.coloured
+        axes.pcolormesh(c.x, c.y, c.values, vmin=c.ends[0], vmax=c.ends[1], cmap="viridis", shading="nearest")
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
         axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)
@@ -176,8 +172,8 @@ def panel_on(axes: "Axes", panel: Panel, legend: bool = True) -> None:
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    labels = _labels(panel) if legend else 0
-    if labels > MOST_INSIDE:
+    labels = sum(bool(each.label) for each in (*panel.lines, *panel.fills)) if named else 0
+    if labels > legend.MOST_ABOVE:
         axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     elif labels:
         axes.legend(loc="best")

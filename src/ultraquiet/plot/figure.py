@@ -41,6 +41,17 @@ class Fill:
     shade: int = 0
 
 
+@dataclass(frozen=True, eq=False)
+class Coloured:
+    """Values `(y, x)` over two axes as colours, from the first of `ends` to the second; `label` says what they are."""
+
+    x: FloatArray
+    y: FloatArray
+    values: FloatArray
+    ends: tuple[float, float]
+    label: str = ""
+
+
 @dataclass(frozen=True)
 class Panel:
     """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x.
@@ -60,6 +71,7 @@ class Panel:
     x_names: Sequence[str] = ()
     fills: Sequence["Fill"] = ()
     words: Sequence[str] = ()
+    coloured: Coloured | None = None
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,14 @@
 """Figures on paper and figures on a page: each made from the other, so that both show the same."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Region
-from ultraquiet.plot.figure import Figure, Line, Panel
+from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Region, Scene
+from ultraquiet.plot.figure import Coloured, Figure, Line, Panel
 
 # Colour words of the page in the order of the paper's palette; what has no place there is drawn black.
 WORDS = ("chosen", "law-1", "law-2", "law-3", "law-4", "law-5", "measured", "open")
@@ -17,6 +18,7 @@ MARKS = {".": ".", "o": "o", "x": "x", "+": "+", "s": "s"}
 PIXELS_PER_IN = 110.0
 STILL_IN = 8.0  # width of a still
 STILL_PANEL_IN = 1.9
+SWING, TURN, TILT = 0.22, 0.6, 0.35  # of a shape: its size over the scene's, and from where it is seen
 DASHES: dict[str, Literal["-", "--", ":", "-."]] = {"-": "-", "--": "--", ":": ":", "-.": "-."}
 
 
@@ -54,6 +56,31 @@ def figure_of(chart: Chart) -> Figure:
     return Figure(chart.name, chart.title, chart.caption, panels, columns, size)
 
 
+def still_of(scene: Scene) -> Figure:
+    """Return a scene as a figure on paper: every shape at its largest, over the points at rest."""
+    points = np.asarray(scene.points, dtype=float).reshape(-1, 3)
+    points = points - points.mean(axis=0)
+    reach = max(float(np.linalg.norm(points, axis=1).max()), np.finfo(float).tiny)
+    panels = []
+    for shape in scene.shapes:
+        moved = points + SWING * reach * np.asarray(shape.re, dtype=float).reshape(-1, 3)
+        lines = [Line(*_seen(points, scene.lines), "at rest", "--", SHADES["open"])]
+        lines.append(Line(*_seen(moved, scene.lines), "moved", "-", SHADES["chosen"]))
+        wide = 1.4 * reach
+        panels.append(Panel(lines, shape.name, x_range=(-wide, wide), y_range=(-wide, wide)))
+    columns = min(3, len(panels))
+    return Figure(scene.name, scene.title, scene.caption, panels, columns, (STILL_IN, 2.6 * -(-len(panels) // columns)))
+
+
+def _seen(points: FloatArray, lines: Sequence[tuple[int, int]]) -> tuple[FloatArray, FloatArray]:
+    """Return lines in space as one broken line on paper, seen from aside and a little above."""
+    c, s, ct, st = np.cos(TURN), np.sin(TURN), np.cos(TILT), np.sin(TILT)
+    x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
+    flat = np.vstack([np.column_stack([x, ct * points[:, 2] + st * y]), [np.nan, np.nan]])
+    order = [end for a, b in lines for end in (a, b, len(points))]
+    return flat[order, 0], flat[order, 1]
+
+
 def _still(panel: ChartPanel) -> Panel:
     lines = [line for curve in panel.curves for line in _lines(curve)]
     ends = panel.x.range or _ends(panel.curves)
@@ -65,7 +92,12 @@ def _still(panel: ChartPanel) -> Panel:
     logs = panel.x.scale == "log", panel.y.scale == "log"
     x_range = ends if logs[0] else panel.x.range
     names = (panel.title, panel.x.label, panel.y.label)
-    return Panel(lines, *names, logs[0], x_range, panel.y.range, spans, logs[1], panel.x.names)
+    still = Panel(lines, *names, logs[0], x_range, panel.y.range, spans, logs[1], panel.x.names)
+    if panel.map is None:
+        return still
+    x, y = (np.asarray(part, dtype=float).ravel() for part in (panel.map.x, panel.map.y))
+    z = np.asarray(panel.map.z, dtype=float).reshape(y.size, x.size)
+    return replace(still, coloured=Coloured(x, y, z, panel.map.range, panel.map.name))
 
 
 def _ends(curves: Sequence[Curve]) -> tuple[float, float] | None:

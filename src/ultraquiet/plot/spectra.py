@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.plot.figure import Figure, Line, Panel
 from ultraquiet.spectra import CRITERIA, BandLevels, PowerSpectrum, Transmissibility
 from ultraquiet.spectra.coherence import TRUSTED
@@ -19,7 +19,6 @@ HZ = "frequency (Hz)"
 FLOOR = 1e-300
 LOWEST_DB = -120.0  # where an interval that reaches down to nothing ends
 MARGIN_DB = 10.0
-PHASE_RANGE = (-185.0, 185.0)  # degrees
 STYLES, COLOURS = ("-", "-.", ":"), 8  # of the palette: then another style of line begins
 PANEL_IN = (4.0, 2.2)
 SIGNATURE_WIDTH = 48
@@ -62,14 +61,25 @@ def response_figure(response: FrequencyResponse) -> Figure:
         span_db = _trusted_range(_db(np.abs(response.values[i]) ** 2), response.coherence, i)
         unit = f"dB re {references.pop()}" if len(references) == 1 else "dB"
         panels.append(Panel(lines, title, HZ, unit, x_log=True, y_range=span_db))
-        phases = [Line.of(x, np.degrees(np.angle(g)), shade=j) for j, g in enumerate(response.values[i])]
-        panels.append(Panel(phases, f"{sensor.name}: phase", HZ, "degrees", x_log=True, y_range=PHASE_RANGE))
+        phases = [Line.of(x, unwrapped_deg(g), shade=j) for j, g in enumerate(response.values[i])]
+        panels.append(Panel(phases, f"{sensor.name}: phase", HZ, "degrees", x_log=True))
         if response.coherence is not None:
             coherences = _coherences(response, i)
             panels.append(Panel(coherences, f"{sensor.name}: coherence", HZ, x_log=True, y_range=(0.0, 1.05)))
     columns = 2 if response.coherence is None else 3
     signed, size = _signed(panels, response.estimator), _size(panels, columns)
     return Figure("response", "Frequency responses", f"{response.estimator}.", signed, columns, size)
+
+
+def unwrapped_deg(gains: ComplexArray) -> FloatArray:
+    """Return the phase in degrees without jumps, which begins between -180 and 180 degrees; a gap where nothing is.
+
+    >>> unwrapped_deg(np.exp(-1j * np.arange(5.0) * 2.0)).round(1).tolist()
+    [0.0, -114.6, -229.2, -343.8, -458.4]
+    """
+    phase, there = np.full(gains.size, np.nan), np.isfinite(gains) & (np.abs(gains) > 0)
+    phase[there] = np.degrees(np.unwrap(np.angle(gains[there])))
+    return phase
 
 
 def _reference(sensor: Channel, actuator: Channel) -> str:

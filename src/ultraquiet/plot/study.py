@@ -46,9 +46,18 @@ def responses(name: str, record: Record, actuator: int, note: str = "") -> Figur
         )
         for i, (y, c) in enumerate(zip(record.outputs, record.sensors, strict=True))
     ]
-    caption = f"Readings of all sensors while {record.actuators[actuator].name} sends '{name}'.{note}"
+    driven, verb = _driven(record, actuator)
+    caption = f"Readings of all sensors while {driven} {verb} '{name}'.{note}"
     rows = -(-len(panels) // 3)
-    return Figure("responses", f"Responses to {record.actuators[actuator].name}", caption, panels, 3, (8.0, 1.9 * rows))
+    return Figure("responses", f"Responses to {driven}", caption, panels, 3, (8.0, 1.9 * rows))
+
+
+def _driven(record: Record, actuator: int) -> tuple[str, str]:
+    """Return who moves in a record, and the verb: one actuator by its name, or how many at once."""
+    moving = int(np.count_nonzero(np.ptp(record.inputs, axis=1)))
+    if moving <= 1:
+        return record.actuators[actuator].name, "sends"
+    return (f"all {moving} actuators" if moving == len(record.inputs) else f"{moving} actuators at once"), "send"
 
 
 def simulation(
@@ -72,7 +81,9 @@ def simulation(
     limits = (
         f" The bench clips at {reading.low:g} and {reading.high:g} {reading.unit}, models do not." if clipped else ""
     )
-    caption = f"'{name}' on {command.name}, and what models say of it.{limits}{note}"
+    driven, _ = _driven(record, actuator)
+    shown = "" if driven == command.name else f", {command.name} shown"
+    caption = f"'{name}' on {driven}{shown}, and what models say of it.{limits}{note}"
     return Figure(file_stem(name), f"Response to '{name}'", caption, panels, 1, (8.0, 4.2))
 
 

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ultraquiet.chart import Chart
+from ultraquiet.chart import Chart, Scene
 from ultraquiet.plot import Figure
 
-Picture = Chart | Figure
+Picture = Chart | Figure | Scene
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
-from ultraquiet.chart import Chart, Packing
-from ultraquiet.plot import chart_of, draw_small_png, figure_of
+from ultraquiet.chart import Packing, Scene
+from ultraquiet.plot import Figure, chart_of, draw_small_png, figure_of
+from ultraquiet.plot.page import still_of
 from ultraquiet.report.content import Picture, Report
 
 MOST_BYTES = 60_000  # of a still
@@ -30,8 +31,14 @@ def on_page(pictures: Iterable[Picture], packing: Packing) -> dict[str, PageFigu
 
 
 def _prepared(picture: Picture, packing: Packing) -> PageFigure:
-    chart = picture if isinstance(picture, Chart) else chart_of(picture)
-    figure = figure_of(picture) if isinstance(picture, Chart) else picture
+    chart = chart_of(picture) if isinstance(picture, Figure) else picture
+    figure = (
+        picture
+        if isinstance(picture, Figure)
+        else still_of(picture)
+        if isinstance(picture, Scene)
+        else figure_of(picture)
+    )
     still = base64.b64encode(draw_small_png(figure, MOST_BYTES)).decode()
     spec = packing.spec(chart)
     spec.pop("caption", None)  # stands below the figure already

@@ -4,7 +4,7 @@
   if (specs) {
     Uq.data(JSON.parse(document.getElementById("uq-data").textContent));
     const all = JSON.parse(specs.textContent);
-    document.querySelectorAll("[data-chart]").forEach((place) => (place.chart = Uq.grid(place, all[place.dataset.chart])));
+    document.querySelectorAll("[data-chart]").forEach((place) => (place.chart = (all[place.dataset.chart].shapes ? Uq.scene : Uq.grid)(place, all[place.dataset.chart])));
   }
   const dark = () => (root.dataset.theme ? root.dataset.theme === "dark" : matchMedia("(prefers-color-scheme: dark)").matches);
   document.getElementById("theme").onclick = () => (root.dataset.theme = dark() ? "light" : "dark");

@@ -27,6 +27,7 @@ ALIGNED = 0.5
 # neighbourhood, and where it is one beside it. There, a mode this share of a line from one that is known is the same.
 WIDE, NARROW, OTHER = 1.1, 0.6, 0.25
 # Whatever is this much smaller than the largest amplitude in its band is not resolved from it.
+REAL = 1e-9  # of the rate; a pole nearer than this to the real axis lies on it, but for rounding
 RESOLUTION = 1e-6
 
 
@@ -263,4 +264,6 @@ def _mode(
         return None
     per_s = frames.rate_hz / frames.hop
     folded = abs((float(f_hz) + frames.rate_hz / 2) % frames.rate_hz - frames.rate_hz / 2)
+    if folded < REAL * frames.rate_hz:
+        folded = 0.0
     return Mode(rate * per_s, float(deviation * per_s), folded, float(seen))

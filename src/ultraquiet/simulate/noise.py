@@ -68,8 +68,14 @@ def noise_reduction(
     return NoiseReduction((low, high), opened, closed, reduction)
 
 
-def band_noise(who: str, channels: int, n: int, rate_hz: float, band_hz: tuple[float, float], seed: int) -> FloatArray:
-    """Return Gaussian noise `(channels, n)` of RMS one, of period `n`, whose spectrum is zero outside the band."""
+def band_noise(
+    who: str, channels: int, n: int, rate_hz: float, band_hz: tuple[float, float], seed: int, even: bool = False
+) -> FloatArray:
+    """Return Gaussian noise `(channels, n)` of RMS one, of period `n`, whose spectrum is zero outside the band.
+
+    `even` lines are all of one size and their phases alone are drawn: its samples are as good as Gaussian, and what
+    resonances make of a few lines does not hang on the draw.
+    """
     f = np.fft.rfftfreq(n, 1.0 / rate_hz)
     inside = (f >= band_hz[0]) & (f <= band_hz[1])
     if not inside.any():
@@ -78,7 +84,8 @@ def band_noise(who: str, channels: int, n: int, rate_hz: float, band_hz: tuple[f
             f"'duration_s' longer."
         )
     draw = np.random.default_rng(whole(who, "seed", seed, 0)).standard_normal((2, channels, f.size))
-    noise = np.fft.irfft(np.where(inside, draw[0] + 1j * draw[1], 0.0), n, axis=1)
+    spectrum = draw[0] + 1j * draw[1]
+    noise = np.fft.irfft(np.where(inside, spectrum / np.abs(spectrum) if even else spectrum, 0.0), n, axis=1)
     return noise / np.sqrt(np.mean(noise**2, axis=1, keepdims=True))
 
 

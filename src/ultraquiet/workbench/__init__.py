@@ -6,6 +6,6 @@ the pages (`jobs/`), and the pages themselves (`web/`, the only place that impor
 
 from ultraquiet.workbench.engine.making.prepare import detrended
 from ultraquiet.workbench.engine.session import Session
-from ultraquiet.workbench.engine.written.calls import law, plant, read_channels
+from ultraquiet.workbench.engine.written.calls import further, law, plant, read_channels
 
-__all__ = ["Session", "detrended", "law", "plant", "read_channels"]
+__all__ = ["Session", "detrended", "further", "law", "plant", "read_channels"]

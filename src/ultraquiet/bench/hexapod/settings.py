@@ -17,8 +17,10 @@ from ultraquiet.bench.hexapod.physics.drift import REFERENCE_C, weather
 from ultraquiet.bench.hexapod.physics.hysteresis import none, typical
 from ultraquiet.bench.hexapod.physics.parameters import BASES, GEOPHONE_HZ, RATE_HZ
 from ultraquiet.bench.hexapod.physics.parts import INSTRUMENTS
+from ultraquiet.bench.hexapod.physics.sketched import sketch
 from ultraquiet.bench.hexapod.wiring import ACTUATORS, SENSORS, channels, limits, noise
 from ultraquiet.values import Channel, StateSpace
+from ultraquiet.values.sketch import Sketch
 
 MOST_SPREAD = 5.0  # times the tolerances: beyond, a draw may have no stiffness or mass left
 TEMPERATURES_C = -50.0, 100.0  # where the linear laws of `drift.py` may still be believed, and every part is sound
@@ -103,6 +105,10 @@ class HexapodSettings:
         f = frequency_array("Hexapod.linear_response", f_hz)
         between("Hexapod.linear_response", "temperature_c", temperature_c, *TEMPERATURES_C, "degrees Celsius")
         return self.model.response(f, temperature_c) * np.exp(-2j * np.pi * f / RATE_HZ)
+
+    def sketch(self) -> Sketch:
+        """Return its joints and struts, and how the platform moves with the readings of the struts, base at rest."""
+        return sketch(self.model.parts.at, len(self.sensors))
 
     @property
     def model(self) -> Model:

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.constraints import one_of, whole
-from ultraquiet.cli.deploy.exports import require_writable, show_exports
+from ultraquiet.cli.deploy.exports import require_place, require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
+from ultraquiet.cli.deploy.ranges import refuse_range, requested_limits, unsaid
 from ultraquiet.cli.deploy.table import requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
@@ -19,6 +20,12 @@ def deploy(
     out: Annotated[Path | None, typer.Option(help="Folder for the code; default: beside the controller.")] = None,
     precision: Annotated[str, typer.Option(help="float32, float64, or whole numbers: q31, q15.")] = "float32",
     form: Annotated[str, typer.Option(help="auto, modal, delta, schur, dense, bank ...")] = "auto",
+    limits: Annotated[
+        str | None, typer.Option(help="Largest command: SIZE, or a SIZE or LOW:HIGH for each; default: the actuators'.")
+    ] = None,
+    reading: Annotated[
+        str | None, typer.Option("--range", help="Largest reading, for q31 and q15; default: the sensors'.")
+    ] = None,
     anti_windup: Annotated[
         bool, typer.Option("--anti-windup", help="Correct the state by what the limits take away.")
     ] = False,
@@ -40,7 +47,7 @@ def deploy(
     project: Annotated[
         Path | None, typer.Option(help="Write a folder with CMake and a workflow around the code.")
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over what --fmu, --export and --project name.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over the code and what the options name.")] = False,
     frame: Annotated[bool, typer.Option("--frame", help="Simulate the real-time frame around the code.")] = False,
     frames: Annotated[int, typer.Option(help="With --frame: how many.")] = 1_000_000,
     load: Annotated[float, typer.Option(help="With --frame: share of a frame that background work needs.")] = 0.5,
@@ -61,25 +68,31 @@ def deploy(
     one_of("deploy", "precision", precision, PRECISIONS)
     folder = out or controller.with_suffix("")
     whole("deploy", "steps", steps, 1)
+    ranges = requested_limits(limits, law)
+    if not word_lengths:
+        require_place(folder, force, "--out", controller, plant)
     if word_lengths or precision in FIXED:
         refuse_others(precision, word_lengths, anti_windup, budget, target, fmu, export, project, frame)
         system = None if plant is None else loaded_plant(plant)
         if word_lengths:
             finish(show_word_lengths(law, system))
         else:
-            finish(*deploy_fixed(law, folder, precision, form, system, steps))
+            finish(*deploy_fixed(law, folder, precision, form, system, steps, limits, reading))
         return
-    require_writable(law, fmu, fmi, export, project, force)
+    refuse_range(reading, precision)
+    require_writable(law, folder, fmu, fmi, export, project, force)
     targets = requested_targets(target)
     system = None if plant is None else loaded_plant(plant)
-    limit = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}
-    deployment = room.generate(law, folder, precision, form=form, anti_windup=anti_windup, plant=system, **limit)
+    budgeted = {} if budget is None else {"budget_cycles": budget, "enforce_budget": True}
+    asked = {"form": form, "anti_windup": anti_windup, **budgeted}
+    deployment = room.generate(law, folder, precision, limits_v=ranges, plant=system, **asked)
     verified = deployment.verify(steps, targets=targets)
     show = screen()
     grid = TextTable(("what", "value"), f"{folder}")
     for row in rows(deployment, verified):
         grid.add(*row)
     show.table(grid)
+    show.say(*unsaid(limits, law.sensors, ranges, "--limits", "may come to"))
     show.say(deployment.status, verified.status)
     ends = {} if system is None else both_ends(system, deployment.quantised)
     if system is not None:

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.constraints import one_of
+from ultraquiet._base.errors import InputError
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.targets import require_free, require_free_folder
 
@@ -13,7 +14,13 @@ if TYPE_CHECKING:
 
 
 def require_writable(
-    law: "StateSpace", fmu: Path | None, fmi: str, export: list[Path] | None, project: Path | None, force: bool
+    law: "StateSpace",
+    folder: Path,
+    fmu: Path | None,
+    fmi: str,
+    export: list[Path] | None,
+    project: Path | None,
+    force: bool,
 ) -> None:
     """Refuse what could not be written later, or would write over something, before any work is done."""
     from ultraquiet.deploy import foton_text
@@ -27,8 +34,33 @@ def require_writable(
         require_free("deploy", path, force, tuple(FORMATS), "--export")
         if path.suffix.lower() == ".txt":
             foton_text(law)
-    if project is not None:
-        require_free_folder("deploy", project, force, "--project")
+    if project is None:
+        return
+    require_place(project, force, "--project")
+    code, around = folder.resolve(), project.resolve()
+    if code.is_relative_to(around) or around.is_relative_to(code):
+        raise InputError(f"deploy: --project '{project}' and the code's folder '{folder}' must not lie in each other.")
+    inside = [path for path in (fmu, *(export or [])) if path is not None and path.resolve().is_relative_to(around)]
+    if inside:
+        raise InputError(f"deploy: --project '{project}' is replaced as a whole; write '{inside[0]}' beside it.")
+
+
+def require_place(folder: Path, force: bool, option: str, *read: Path | None) -> None:
+    """Refuse a folder that is taken and may not be replaced, that is somebody else's, or that holds what is read.
+
+    A folder is replaced as a whole: a law or a plant in it would be gone.
+    """
+    from ultraquiet.deploy.c_code.output_folder import require_ours
+
+    if folder.is_dir():
+        require_ours(folder)
+    require_free_folder("deploy", folder, force, option)
+    for path in read:
+        if path is not None and path.resolve().is_relative_to(folder.resolve()) and folder.exists():
+            raise InputError(
+                f"deploy: the folder '{folder}' is replaced as a whole, and '{path}' stands in it; choose another "
+                f"{option}."
+            )
 
 
 def show_exports(

@@ -3,7 +3,10 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.deploy.ranges import requested_range, requested_size, unsaid
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -42,18 +45,29 @@ def show_word_lengths(law: "StateSpace", plant: "StateSpace | None") -> "Status"
 
 
 def deploy_fixed(
-    law: "StateSpace", folder: Path, word: str, form: str, plant: "StateSpace | None", steps: int
+    law: "StateSpace",
+    folder: Path,
+    word: str,
+    form: str,
+    plant: "StateSpace | None",
+    steps: int,
+    limits: str | None,
+    reading: str | None,
 ) -> "tuple[Status, Status]":
     """Generate whole-number C99, compare it with its twin, print one table; return what law and code came to."""
     from ultraquiet import deploy
 
-    deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant)
+    full = requested_size(limits, law)
+    span = requested_range(reading, law)
+    deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant, input_v=span, output_v=full)
     verified = deployment.verify(steps)
     grid = TextTable(("what", "value"), f"{folder}")
     for key, value in deployment.tables.items():
         grid.add(key.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else str(value))
     show = screen()
     show.table(grid)
+    show.say(*unsaid(reading, law.actuators, np.array([-span, span]), "--range", "can come to"))
+    show.say(*unsaid(limits, law.sensors, np.array([-full, full]), "--limits", "may come to"))
     show.say(deployment.status, verified.status)
     facts = {"folder": folder, "status": deployment.status, "verified": verified.status}
     show.result({**facts, "tables": deployment.tables})

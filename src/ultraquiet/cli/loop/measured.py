@@ -138,9 +138,16 @@ def _by_name(place: LoopPlace, **columns: Any) -> dict[str, Any]:
     }
 
 
+def _sized(size: float, place: LoopPlace) -> str:
+    """Return a size with the unit that all actuators share, without one where they share none."""
+    units = {wire.unit for wire in place.bench.actuators}
+    return f"{size:g} {units.pop()}".strip() if len(units) == 1 else f"{size:g}"
+
+
 def _tone_grid(t: "Attenuation", place: LoopPlace, size: float) -> TextTable:
     grid = TextTable(
-        ("tone", "sensor", "unit", "open", "closed", "reduction"), f"tones of {size:g} at all actuators, amplitudes"
+        ("tone", "sensor", "unit", "open", "closed", "reduction"),
+        f"tones of {_sized(size, place)} at all actuators, amplitudes",
     )
     for k, f in enumerate(t.tones_hz):
         for i, sensor in enumerate(place.bench.sensors):
@@ -150,7 +157,7 @@ def _tone_grid(t: "Attenuation", place: LoopPlace, size: float) -> TextTable:
 
 
 def _noise_grid(n: "NoiseReduction", place: LoopPlace, size: float) -> TextTable:
-    title = f"noise of {size:g} RMS at all actuators, {n.band_hz[0]:.4g} to {n.band_hz[1]:.4g} Hz, RMS"
+    title = f"noise of {_sized(size, place)} RMS at all actuators, {n.band_hz[0]:.4g} to {n.band_hz[1]:.4g} Hz, RMS"
     grid = TextTable(("sensor", "unit", "open", "closed", "reduction"), title)
     for i, sensor in enumerate(place.bench.sensors):
         levels = (f"{n.open_rms[i]:.4g}", f"{n.closed_rms[i]:.4g}")
@@ -160,7 +167,7 @@ def _noise_grid(n: "NoiseReduction", place: LoopPlace, size: float) -> TextTable
 
 def _step_grid(s: "StepReduction", place: LoopPlace) -> TextTable:
     heads = ("actuator", "sensor", "unit", "peak open", "peak closed", "settles open", "settles closed")
-    grid = TextTable(heads, f"step of {s.amplitude:g} at each actuator, to 2 % of the peak")
+    grid = TextTable(heads, f"step of {_sized(s.amplitude, place)} at each actuator, to 2 % of the peak")
     for k, actuator in enumerate(place.bench.actuators):
         for i, sensor in enumerate(place.bench.sensors):
             peaks = (f"{s.open_peak[i, k]:.4g}", f"{s.closed_peak[i, k]:.4g}")

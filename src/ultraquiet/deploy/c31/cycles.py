@@ -8,8 +8,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.law.law import Law
 
 # Section 4.2 of the paper: half of the 285 us between samples at 3.5 kHz is left to the law; at 50 ns an instruction
-# that is 2800 instructions in 140 us.
-BUDGET_CYCLES = 2800
+# that is 2800 instructions in 140 us. At another rate the law has the same share of a frame.
+BUDGET_CYCLES, AT_HZ = 2800, 3500.0
 # Reading six converters, limiting, writing six, the registers saved and the interrupt's entry and exit: an allowance.
 # The emitted frame takes FRAME and so much a measurement and a command, 131 and 140 cycles six by six; where that is
 # more than the allowance, it counts instead.
@@ -150,6 +150,15 @@ def words(law: Law) -> int:
         gains = own * law.states + len(law.channels) + turns + 2 * law.outputs
         gains += law.L.size if law.L is not None and law.turned else 0
     return gains + law.states + law.inputs + law.outputs + corrections + POINTERS + AHEAD
+
+
+def budget_at(rate_hz: float) -> int:
+    """Return the instructions left to a law at a rate in Hz.
+
+    >>> budget_at(3500.0), budget_at(8000.0)
+    (2800, 1225)
+    """
+    return max(int(BUDGET_CYCLES * AT_HZ / rate_hz), 1)
 
 
 def largest_order(

@@ -151,7 +151,8 @@ def _status(law: FixedLaw, error: float, alone: bool, tolerance: float, scaling:
         lost = "makes the loop unstable" if not np.isfinite(error) else f"changes {what} by {error:.1e} of its size"
         raise InputError(
             f"generate_fixed: {law.word} in {law.form} form {lost} and puts rounding noise of {noise:.1e} of the range"
-            f" on the commands, more than {tolerance:g}; take {_more(law)}{other} or a larger tolerance."
+            f" on the commands, more than {tolerance:g}; take {_more(law)}{other}, a larger tolerance, or ranges nearer"
+            f" to what comes and goes: readings have +-{law.input_v:g} now, commands +-{law.output_v:g}."
         )
     reach = "no state can overflow" if not law.saturates else "states are limited"
     return Status(

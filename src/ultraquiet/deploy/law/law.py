@@ -22,6 +22,9 @@ OVERRUN_LIMIT = 4
 # Of each actuator's range: identification in closed loop leaves nine tenths to the control.
 EXCITATION_SHARE = 0.1
 
+# The largest test signal of the paper, volts: what a command is held to where neither caller nor actuator says.
+UNSAID = 25.0
+
 DTYPES = {"float32": np.float32, "float64": np.float64}
 
 
@@ -177,6 +180,16 @@ def rounded(
     )
 
 
+def own_limits(controller: StateSpace) -> FloatArray:
+    """Return the limits of a law's commands as its channels have them, `(nu, 2)`; `UNSAID` where they have none.
+
+    >>> own_limits(StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=10.0)).tolist()
+    [[-25.0, 25.0]]
+    """
+    own = np.array([[wire.low, wire.high] for wire in controller.sensors], dtype=np.float64)
+    return np.where(np.isfinite(own), own, [-UNSAID, UNSAID])
+
+
 def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -> FloatArray:
     """Return limits as `(nu, 2)` from one number, one per actuator (both symmetric), or a low and a high for each.
 
@@ -194,8 +207,9 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
     if limits.shape != (outputs, 2):
         raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {limits.shape}.")
     if np.any(limits[:, 0] > 0) or np.any(limits[:, 1] < 0) or np.any(limits[:, 0] >= limits[:, 1]):
+        zero = "0 V" if what.endswith("_v") else "0"
         raise InputError(
-            f"deploy: each actuator's range in '{what}' must hold 0 V, where the ramp ends, got {limits.tolist()}."
+            f"deploy: each actuator's range in '{what}' must hold {zero}, where the ramp ends, got {limits.tolist()}."
         )
     return limits
 

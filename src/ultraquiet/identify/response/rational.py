@@ -1,6 +1,6 @@
 """State space from a measured frequency response: a weighted rational fit with common poles."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
@@ -57,6 +57,7 @@ class ResponseFit:
         error: weighted RMS error relative to the response, at lines used for the fit and at held-out ones; before
             the last fit, to all lines.
         errors_by_order: held-out error of every order tried.
+        poles_by_order: poles in z of every order tried, from the fitted half of the lines.
     """
 
     model: StateSpace
@@ -64,6 +65,7 @@ class ResponseFit:
     order: int
     error: tuple[float, float]
     errors_by_order: dict[int, float]
+    poles_by_order: dict[int, ComplexArray] = field(default_factory=dict[int, ComplexArray])
 
 
 @register("identify", "rational")
@@ -178,7 +180,8 @@ class Rational:
         if lean is not None and lean.modes.poles.size + G.shape[1] * (self.delay - 1) <= model.states:
             model = _assembled(self, _blocks(settled(lean.modes, whole)), rate_hz, response)
             error = lean.error, lean.held_out
-        return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order)
+        poles = {n: fit.poles for n, fit in fits.items()}
+        return ResponseFit(model, _verdict(error[1]), chosen, error, errors_by_order, poles)
 
 
 def _by_order(

@@ -11,7 +11,15 @@ from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import Result
-from ultraquiet.identify.subspace import evidence, fit, hankel, missing_modes, modal_least_squares, order_selection
+from ultraquiet.identify.subspace import (
+    evidence,
+    fit,
+    hankel,
+    missing_modes,
+    modal_least_squares,
+    order_selection,
+    unexcited,
+)
 from ultraquiet.identify.subspace.disk.long_record import identify_long_subspace
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
@@ -30,7 +38,8 @@ class Subspace(SubspaceSettings):
     taken from the Gram matrix of the Hankel data (cost and memory do not grow with the record beyond one pass). A, and
     with it the poles, follow from its shift structure. B, D and initial state, and C in turn, then minimise the
     simulated error in modal coordinates; `refine` lets the poles move too, by Gauss-Newton. The noise gain K is fitted
-    last, to what the simulation leaves.
+    last, to what the simulation leaves. In bands where all inputs are silent, of which a record says nothing, the model
+    answers as little as the rest allows (`unexcited`).
 
     Args:
         order: number of states; None tries orders on a held-out part of the record, and leaves out of the best the
@@ -80,9 +89,11 @@ class Subspace(SubspaceSettings):
         usable("Subspace", record, self.order or 1, 0)
         evidence.independent("Subspace", record)
         data = fit.Scaled.of(record)
+        heard = unexcited.topped_up(data, unexcited.silent_bands(data.u))
         order = order_selection.chosen(self, record) if self.order is None else self.order
-        starts = (self._start(data, rows, order) for rows in self.horizons(record, order))
-        return self._finished(record, data, self._replenished(data, min(starts, key=lambda start: start.loss)))
+        starts = (self._start(heard, rows, order) for rows in self.horizons(record, order))
+        start = self._replenished(heard, min(starts, key=lambda start: start.loss))
+        return self._finished(record, data, heard, start)
 
     def _start(self, data: fit.Scaled, rows: int, order: int) -> SubspaceStart:
         """Return the modes found with `rows` block rows."""
@@ -119,14 +130,15 @@ class Subspace(SubspaceSettings):
             found, bank, modes = trial, other_bank, other
         return found[0], steps, found[2]
 
-    def _finished(self, record: Record, data: fit.Scaled, start: SubspaceStart) -> Result:
+    def _finished(self, record: Record, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> Result:
+        """Return the result of a search on `heard`, the data topped up where they are silent, judged on the data."""
         if self.refine:
-            system, steps, converged = self._refined(data, start.modes)
+            system, steps, converged = self._refined(heard, start.modes)
         else:
             system, steps, converged = fit.system(start.settled()), 0, True
         system = replace(system, K=fit.noise_gain(system, start.innovations(data), data))
         if self.refine and self.focus == "prediction":
-            system, more, converged = fit.refined_prediction(system, data, self.options())
+            system, more, converged = fit.refined_prediction(system, heard, self.options())
             steps += more
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         search = evidence.SearchSummary(steps, converged, self.focus == "prediction" and self.refine)

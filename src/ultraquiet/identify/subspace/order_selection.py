@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
+from ultraquiet.identify.subspace import fit, hankel, modal_least_squares, unexcited
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.values import Record
 
@@ -30,6 +30,7 @@ def chosen(settings: SubspaceSettings, record: Record) -> int:
     from the start, so that no initial state is fitted to the part that judges.
     """
     data = fit.Scaled.of(record)
+    data = unexcited.topped_up(data, unexcited.silent_bands(data.u))
     split = record.samples - record.samples // HELD_OUT
     u, y = data.centred_u[:, :split], data.y[:, :split]
     rows = max(settings.horizons(record.part(0, split), 1))

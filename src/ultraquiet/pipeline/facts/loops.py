@@ -191,6 +191,8 @@ class CodeFacts:
     cortex_m7_output_instructions: int | None = None
     bit_exact_on: Mapping[str, bool] | None = None
     latency_us: Mapping[str, float] | None = None
+    measurements: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
     status: str
     verification: str
 

@@ -4,6 +4,7 @@ Frequencies are in Hz, attenuations in dB and positive where it is quieter; `sta
 """
 
 from collections.abc import Mapping
+from dataclasses import field
 
 from ultraquiet.pipeline.facts.typed import Matrix, Vector, fact
 
@@ -72,13 +73,17 @@ class RecordPlant:
 
 @fact
 class ResponsePlant:
-    """Stage `plant`, from periodic responses; errors are relative, over the held-out lines."""
+    """Stage `plant`, from periodic responses; errors are relative, over the held-out lines.
+
+    `modes_by_order` are frequency in Hz and damping of the poles of every order tried, `(m, 2)`.
+    """
 
     status: str
     states: int
     order: int
     held_out_error: float
     errors_by_order: Mapping[int, float]
+    modes_by_order: Mapping[int, Matrix] = field(default_factory=dict)
 
 
 PlantFacts = RecordPlant | ResponsePlant

@@ -4,12 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.report import laws
-from ultraquiet.pipeline.report.records import noted
+from ultraquiet.pipeline.report.records import noted, span
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages import bench
+from ultraquiet.plot.pages.waterfall import waterfall
 from ultraquiet.report import Picture, Section, Table
 
 # A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
@@ -18,7 +19,8 @@ IDLE = 1e-3
 DRAWN_ABOVE_DB = 1.0
 
 
-CODE_COLUMNS = ("states", "form", "c31_cycles", "c31_budget", "flash_bytes", "ram_bytes", "bit_exact")
+CODE_COLUMNS = ("states", "form", "cortex_m7_instructions", "flash_bytes", "ram_bytes", "bit_exact")
+C31_COLUMNS = ("states", "form", "c31_cycles", "c31_budget", *CODE_COLUMNS[2:])  # of the paper's processor
 
 
 def design(result: StudyResult) -> Section:
@@ -257,15 +259,20 @@ def _time_responses(result: StudyResult) -> list[Picture]:
     units = " ".join(dict.fromkeys(c.unit for c in records[0].actuators if c.unit))
     sent = f"{result.plan.amplitude:g} {units}".strip()
     note = noted(result, "Figs. 14 and 15")
-    return [bench.densities(name, float(tone), *records), bench.under_tone(name, float(tone), sent, *records, note)]
+    closed, opened = records
+    seen = waterfall(name, float(tone), {"open loop": opened, "closed loop": closed}, span(result))
+    return [
+        bench.densities(name, float(tone), *records),
+        seen,
+        bench.under_tone(name, float(tone), sent, *records, note),
+    ]
 
 
 def code(result: StudyResult) -> Section:
     """The generated code of each controller."""
-    rows: list[tuple[str, ...]] = []
-    for name, facts in result.deployment.items():
-        generated = isinstance(facts, CodeFacts)
-        rows.append((name, *(str(getattr(facts, column)) if generated else "-" for column in CODE_COLUMNS)))
+    c31 = result.study.paper is not None
+    columns = C31_COLUMNS if c31 else CODE_COLUMNS
+    rows = [(name, *(_of_code(facts, column) for column in columns)) for name, facts in result.deployment.items()]
     sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
     note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
     failed = [name for name, facts in result.deployment.items() if facts.failed]
@@ -275,8 +282,14 @@ def code(result: StudyResult) -> Section:
         else "The code of every law was compiled and compared with its twin; what a reduction left of each law stands "
         "beside it."
     )
-    tables = [Table("Generated C99", ("controller", *CODE_COLUMNS), rows), *_reductions(result)]
-    return Section("Code", [text, note], tables, [], sentences)
+    tables = [Table("Generated C99", ("controller", *columns), rows), *_reductions(result)]
+    return Section("Code", [text, note] if c31 else [text], tables, [], sentences)
+
+
+def _of_code(facts: CodeFacts | NoCode, column: str) -> str:
+    """Return one fact of a law's code as its cell says it."""
+    value = getattr(facts, column, None)
+    return "-" if value is None else str(value)
 
 
 def _number(value: float, digits: int = 4) -> str:

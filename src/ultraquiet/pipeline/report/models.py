@@ -1,9 +1,12 @@
 """What the report says of records and models."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
     Agreement,
@@ -15,18 +18,23 @@ from ultraquiet.pipeline.facts.models import (
     ResponsePlant,
     Root,
 )
+from ultraquiet.pipeline.identification import group
 from ultraquiet.pipeline.report.records import noted, span, wires
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot import Figure, study
 from ultraquiet.plot.pages import models as pages
+from ultraquiet.plot.pages.modes import mode_shapes
+from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.report import Picture, Section, Table
 from ultraquiet.values.channel import squared
+from ultraquiet.values.sketch import Sketch
 
 # Zeros nearer to 0 Hz than this share of the Nyquist frequency are those at z = 1, spread by rounding: a triple root is
 # good to its cube root.
 AT_DC = 1e-4
 # Below so many times the band's lower end the zeros of the paper's low order are compared with those of the plant.
 LOW = 5.0
+FEWEST_ORDERS = 4  # of a stabilisation diagram
 
 
 def identification(result: StudyResult) -> Section:
@@ -37,6 +45,7 @@ def identification(result: StudyResult) -> Section:
     sentences, tables, figures = list[str](), list[Table](), list[Picture]()
     if isinstance(plant, ResponsePlant) and len(plant.errors_by_order) > 1:
         figures.append(pages.errors_by_order(plant.errors_by_order, plant.order))
+    figures += _stabilisation(result)
     if best is None:
         sentences.append(
             "No records drive one actuator after the other, so no structures were ranked channel by channel."
@@ -56,6 +65,28 @@ def identification(result: StudyResult) -> Section:
         heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
         tables.append(Table(title, heads, _by_signal(facts.paper)))
     return Section("Identification", sentences, tables, figures)
+
+
+def _stabilisation(result: StudyResult) -> list[Picture]:
+    """Return the poles of one order after the other: of the response that was fitted, or of the record."""
+    plant, f_hz = result.plant.facts, result.analysis.facts.f_hz
+    if isinstance(plant, ResponsePlant):
+        roots, taken = dict(plant.modes_by_order), plant.order
+    else:
+        (record, *_) = group(result.records, result.study.plant.records[0])
+        try:
+            poles = poles_by_order(record)
+        except UltraquietError:
+            return []
+        roots = {n: frequency_and_damping(each, record.rate_hz) for n, each in poles.items()}
+        taken = plant.states if plant.states in roots else None
+    if len(roots) < FEWEST_ORDERS:
+        return []
+    low, high = span(result)
+    shown = (f_hz >= low) & (f_hz <= high)
+    unit = study.gain_unit(wires(result)).removeprefix("dB").removeprefix(" re ")
+    gain = f_hz[shown], result.analysis.facts.singular_values.plant[0, shown], unit
+    return [stabilisation(roots, (low, high), taken, gain)]
 
 
 def _by_structure(table: Sequence[RankedModel]) -> dict[str, list[tuple[int, float, float]]]:
@@ -173,18 +204,30 @@ def analysis(result: StudyResult) -> Section:
         caption = f"Zeros outside the unit circle below {low_hz:.4g} Hz, paper's structure"
         tables.insert(0, Table(caption, ("channel", "Hz"), low))
         sentences.append(_about_low_zeros(facts, low_hz, AT_DC * nyquist))
-    figures = [
+    low, high = span(result)
+    scene = mode_shapes(result.design_plant, (low, high), _sketch(result))
+    figures: list[Picture] = [
         pages.poles_and_zeros(
             [(p.frequency_hz, p.zeta) for p in facts.poles],
             [(z.frequency_hz, z.zeta) for z in facts.transmission_zeros],
             span(result),
         ),
+        *([] if scene is None else [scene]),
         pages.singular_value_chart(facts.f_hz, bands, wires(result), noted(result, "Fig. 12")),
     ]
     return Section("Analysis", sentences, tables, figures)
 
 
+def _sketch(result: StudyResult) -> Sketch | None:
+    """Return what the bench looks like, where it says so and its readings are the model's."""
+    offered = getattr(result.bench, "sketch", None)
+    found: Any = offered() if callable(offered) and result.study.blending is None else None
+    return found if isinstance(found, Sketch) else None
+
+
 def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
+    if not zeros:
+        return "The design plant has no transmission zeros."
     dc_hz = AT_DC * nyquist
     at_dc = sum(z.frequency_hz < dc_hz for z in zeros)
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)

@@ -20,7 +20,8 @@ def study_hash(result: StudyResult) -> str:
 def facts(result: StudyResult) -> list[tuple[str, str]]:
     """Return the lines of the first page: when, which bench, which records, which versions, which seed."""
     bench = result.study.bench
-    named = "none" if bench is None else ", ".join([bench.title, *(f"{k} {v}" for k, v in bench.settings.items())])
+    settings = {} if bench is None else bench.settings
+    named = "none" if bench is None else ", ".join([bench.title, *(f"{k} {_plain(v)}" for k, v in settings.items())])
     return [
         ("written", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC, study {study_hash(result)[:SHOWN]}"),
         ("bench", named),
@@ -28,6 +29,11 @@ def facts(result: StudyResult) -> list[tuple[str, str]]:
         ("versions", ", ".join(f"{k} {v}" for k, v in versions().items())),
         ("seed", str(result.study.study.seed)),
     ]
+
+
+def _plain(setting: object) -> str:
+    """Return a setting as a reader writes it: a list without its brackets."""
+    return " ".join(map(str, setting)) if isinstance(setting, list | tuple) else str(setting)
 
 
 def provenance(result: StudyResult) -> Section:

@@ -8,6 +8,7 @@ from ultraquiet.plot.spectra import HZ
 from ultraquiet.signals import Signal
 
 PERIODS, FEWEST = 20.0, 4096  # of the slowest frequency shown, and samples
+UNIT = "the actuator's unit"  # a signal has no other
 OVERSAMPLED = 8.0
 FLOOR = 1e-12
 HIGHEST = ("stop_hz", "frequency_hz")
@@ -24,8 +25,8 @@ def signal_figure(signal: Signal) -> Figure:
     f_hz = np.fft.rfftfreq(samples, 1.0 / rate_hz)
     db = 10.0 * np.log10(np.maximum(power, power.max(initial=0.0) * FLOOR + np.finfo(float).tiny))
     panels = [
-        Panel([Line.of(np.arange(samples) / rate_hz, values)], type(signal).__name__, "time (s)", "V"),
-        Panel([Line.of(f_hz[1:], db[1:])], "power of each line", HZ, "dB re V²", x_log=True),
+        Panel([Line.of(np.arange(samples) / rate_hz, values)], type(signal).__name__, "time (s)", f"command ({UNIT})"),
+        Panel([Line.of(f_hz[1:], db[1:])], "power of each line", HZ, f"dB re ({UNIT})²", x_log=True),
     ]
     caption = f"{samples} samples at {rate_hz:g} Hz, seed 0."
     return Figure("signal", type(signal).__name__, caption, panels, 2, (8.0, 2.4))

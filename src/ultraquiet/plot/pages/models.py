@@ -63,10 +63,8 @@ def poles_and_zeros(
     panel = ChartPanel(frequency_axis(*limits_hz), Axis("damping (1)"), curves, "", (), marks, height=260)
     outside = sum(z < 0 for _, z in zeros)
     many = f"{outside or 'none'} of the zeros {'lies' if outside == 1 else 'lie'} outside the unit circle"
-    caption = (
-        f"Poles and transmission zeros of the design plant from {limits_hz[0]:.2g} to {limits_hz[1]:.4g} Hz, "
-        f"conjugates counted once; {many}."
-    )
+    span = f"of the design plant from {limits_hz[0]:.2g} to {limits_hz[1]:.4g} Hz, conjugates counted once"
+    caption = f"Poles and transmission zeros {span}; {many}." if zeros else f"Poles {span}; it has no zeros."
     return Chart("roots", "Poles and zeros", caption, [panel])
 
 
@@ -83,7 +81,7 @@ def singular_value_chart(f_hz: FloatArray, bands: Mapping[str, FloatArray], wire
     spread = 20 * np.log10(np.maximum(first[0], 1e-300) / np.maximum(first[-1], 1e-300))
     k = int(np.argmax(spread))
     many = first.shape[0] > 1
-    told = f" The directions lie furthest apart, {spread[k]:.0f} dB, at {f_hz[k]:.3g} Hz." if many else ""
+    told = f" The directions lie furthest apart, {spread[k]:.0f} dB, at {f_hz[k]:.4g} Hz." if many else ""
     panel = ChartPanel(frequency_axis(), decibel_axis("gain", unit), curves, height=260)
     caption = f"Gain of every direction of the transfer matrix.{told}{note}"
     return Chart("singular_values", "Singular values", caption, [panel])

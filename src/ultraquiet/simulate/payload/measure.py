@@ -60,7 +60,7 @@ class OpenPayload:
     def noise(self) -> Shaken:
         """The shaker's noise."""
         low, high = self.setup.band_hz
-        noise = band_noise(WHO, 1, self._period, self.bench.rate_hz, (low, high), self.setup.seed)
+        noise = band_noise(WHO, 1, self._period, self.bench.rate_hz, (low, high), self.setup.seed, even=True)
         return self._opened(self.setup.shaker, noise[0])
 
     @cached_property
@@ -78,7 +78,7 @@ class OpenPayload:
         """The noise of the actuator on the payload; None where none is named."""
         if self.setup.force is None:
             return None
-        noise = band_noise(WHO, 1, self._period, self.bench.rate_hz, self.setup.band_hz, self.setup.seed + 1)
+        noise = band_noise(WHO, 1, self._period, self.bench.rate_hz, self.setup.band_hz, self.setup.seed + 1, even=True)
         return self._opened(self.setup.force, noise[0])
 
     def under(self, shaken: Shaken, law: StateSpace | Controller) -> PayloadReduction:

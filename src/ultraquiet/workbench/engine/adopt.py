@@ -37,7 +37,8 @@ def _boards(study: Study, folder: Path) -> Iterator[dict[str, Any]]:
         return
     method = {"method": study.plant.method, **_plain(study.plant.settings)}
     period = study.plant.period_samples
-    yield {"op": "identify", "name": "plant", "records": wanted, "period_samples": period, "method": method}
+    units = {"units": list(study.plant.units)} if study.plant.units else {}
+    yield {"op": "identify", "name": "plant", "records": wanted, "period_samples": period, "method": method, **units}
     for name, law in study.controllers.items():
         tables = [None if t is None else {"method": t.method, **_plain(t.settings)} for t in (law.design, law.reduce)]
         yield {"op": "design", "name": name, "model": "plant", "method": tables[0], "reduce": tables[1]}

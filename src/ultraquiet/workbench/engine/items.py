@@ -23,7 +23,8 @@ def key_of(state: State, board: str, name: str) -> str:
     """Return a hash of everything an item depends on, down to the files it came from."""
     recipe = state[board][name]
     above = [key_of(state, *parent) for parent in parents(recipe)]
-    tables = {each: state["tables"].get(each) for each in _TABLES.get(recipe["op"], ())}
+    named = (*_TABLES.get(recipe["op"], ()), *(("bench", "blending") if recipe.get("units") else ()))
+    tables = {each: state["tables"].get(each) for each in named}
     return content_hash(board, json.dumps(recipe, sort_keys=True), above, tables)[:24]
 
 

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import noted
 from ultraquiet._base.tables import Method
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.pipeline import Study, control, load_study, walk
+from ultraquiet.pipeline import control, load_study, walk
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import loop_plan
@@ -19,8 +18,7 @@ from ultraquiet.pipeline.study import ClosedLoop
 from ultraquiet.pipeline.walk import bench_of, measure
 from ultraquiet.workbench.engine.items import FOLDER
 from ultraquiet.workbench.engine.making import work
-from ultraquiet.workbench.engine.making.laws import design_table
-from ultraquiet.workbench.engine.making.models import plant_table
+from ultraquiet.workbench.engine.making.units import study_of
 from ultraquiet.workbench.jobs.lane import STOP_FILE
 
 FRAME_S = 0.05
@@ -30,24 +28,6 @@ LIVE_S = 3600.0
 def asked_to_stop(folder: Path) -> bool:
     """Tell whether the stop button was pressed."""
     return (folder / FOLDER / STOP_FILE).exists()
-
-
-def study_of(state: Mapping[str, Any]) -> Study:
-    """Return the study of the boards as far as its bench and list go; models and laws may still be missing.
-
-    Raises:
-        InputError: it has no bench.
-    """
-    tables = state["tables"]
-    if "bench" not in tables:
-        raise InputError("bench: the study has none; choose one on the page Bench.")
-    model, laws = state["model"], state["laws"]
-    # a study wants a plant and a law, which do not change what is measured for them
-    plant = plant_table(state["models"][model]) if model else {"method": "rational", "records": ["later"]}
-    designs = {name: design_table(recipe) for name, recipe in laws.items()} or {"later": {"design": {"method": "lqg"}}}
-    kept = {name: tables[name] for name in ("bench", "experiment", "blending", "closed_loop") if name in tables}
-    head = {"title": state["title"], **tables.get("study", {})}
-    return Study.model_validate({"study": head, **kept, "plant": plant, "controllers": designs})
 
 
 def measured(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:

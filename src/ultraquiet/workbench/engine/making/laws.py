@@ -31,11 +31,17 @@ def plan_of(plant: StateSpace, tables: Tables, bench: Any = None) -> LoopPlan:
 
 
 def designed(
-    name: str, plant: StateSpace, recipe: Mapping[str, Any], tables: Tables, stages: Cache | None = None
+    name: str,
+    plant: StateSpace,
+    recipe: Mapping[str, Any],
+    tables: Tables,
+    stages: Cache | None = None,
+    others: Mapping[str, StateSpace] | None = None,
 ) -> Made:
     """Design a law as the stage of a study does, and say what its loop keeps.
 
-    With the `stages` of the study it is read from there where it is there, and left there for a run.
+    With the `stages` of the study it is read from there where it is there, and left there for a run. `others` are the
+    models of further units, for designs that hold on several.
 
     Raises:
         InputError: the design found no law; the sentence says why.
@@ -43,9 +49,9 @@ def designed(
     plan = plan_of(plant, tables)
     settings = Design.model_validate(design_table(recipe))
     if stages is None:
-        outcome = control.designed(name, plant, settings, plan)
+        outcome = control.designed(name, plant, settings, plan, others)
     else:
-        outcome = design_stage(stages, name, settings, plant, plan, {})
+        outcome = design_stage(stages, name, settings, plant, plan, others or {})
     if name not in outcome.values:
         raise InputError(f"design: {outcome.facts.status}")
     law: StateSpace = outcome.values[name]

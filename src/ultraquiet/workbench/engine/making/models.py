@@ -23,12 +23,13 @@ POLYNOMIAL, PLANT_STAGE = "polynomial", "plant"
 
 
 def plant_table(recipe: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `[plant]` of a study for a model on the boards: groups of records, a period, a method."""
+    """Return `[plant]` of a study for a model on the boards: groups of records, a period, a method, further units."""
     groups = identification.grouped(recipe["records"])
     # one record of a group stands for itself: its group's name would mean all of them
     names = [name if len(members) > 1 else members[0] for name, members in groups.items()]
     period = {} if recipe.get("period_samples") is None else {"period_samples": recipe["period_samples"]}
-    return {**recipe["method"], "records": names, **period}
+    units = {"units": list(recipe["units"])} if recipe.get("units") else {}
+    return {**recipe["method"], "records": names, **period, **units}
 
 
 def identified(

@@ -15,7 +15,10 @@ from ultraquiet._base.progress import noted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.typed import finite
+from ultraquiet.pipeline.identification import of_unit
+from ultraquiet.pipeline.making.designs import takes_several
 from ultraquiet.pipeline.store.lock import locked
+from ultraquiet.pipeline.study import Design
 from ultraquiet.validate import advise
 from ultraquiet.values import Record
 from ultraquiet.workbench.engine.items import FACTS, VALUES, Item, item_of, order
@@ -23,6 +26,7 @@ from ultraquiet.workbench.engine.making import laws, models
 from ultraquiet.workbench.engine.making.imports import read_import
 from ultraquiet.workbench.engine.making.made import Made, tables_of
 from ultraquiet.workbench.engine.making.prepare import detrended
+from ultraquiet.workbench.engine.making.units import of_units
 from ultraquiet.workbench.engine.steps import State, parents
 
 CODE = "code"
@@ -62,6 +66,10 @@ class Surroundings:
         self.folder, self.state, self.code = folder, state, code
         self.stages = stages_of(folder) if shared else nullcontext(None)
         self.tables = tables_of(state)
+
+    def record(self, name: str) -> Record:
+        """Return a record, read first where nobody has looked at it yet."""
+        return make(self.folder, self.state, "data", name).value()
 
     def value(self, board: str, name: str, which: str = "value") -> Any:
         """Return a value of an item that is ready."""
@@ -149,17 +157,24 @@ def _record_made(record: Record) -> Made:
 def _model(item: Item, around: Surroundings) -> Made:
     records = {name: around.value("data", name) for name in item.recipe["records"]}
     if around.state["model"] != item.name:  # a study has one plant: the others are candidates beside it
-        return models.identified(records, item.recipe)
+        made = models.identified(records, item.recipe)
+        return Made(made.facts, {**made.values, **of_units(around.folder, around.state, item.recipe, records)})
     measured = [name for name, recipe in around.state["data"].items() if recipe["op"] == "measure"]
-    hashes = {name: records[name].hash if name in records else around.value("data", name).hash for name in measured}
+    hashes = {name: records[name].hash if name in records else around.record(name).hash for name in measured}
     with around.stages as cache:
-        return models.identified(records, item.recipe, cache, hashes if measured else None)
+        made = models.identified(records, item.recipe, cache, hashes if measured else None)
+        every = records if not item.recipe.get("units") else {n: around.record(n) for n in measured or records}
+        others = of_units(around.folder, around.state, item.recipe, every, cache)
+        return Made(made.facts, {**made.values, **others})
 
 
 def _law(item: Item, around: Surroundings) -> Made:
-    plant = around.value("models", item.recipe["model"])
+    model = item.recipe["model"]
+    plant, units = around.value("models", model), around.recipe("models", model).get("units") or ()
+    several = takes_several(Design.model_validate(laws.design_table(item.recipe)))
+    others = {unit: around.value("models", model, of_unit(unit)) for unit in units} if several else {}
     with around.stages as cache:
-        return laws.designed(item.name, plant, item.recipe, around.tables, cache)
+        return laws.designed(item.name, plant, item.recipe, around.tables, cache, others)
 
 
 def _code(item: Item, around: Surroundings) -> Made:

@@ -2,12 +2,14 @@
 
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from ultraquiet.files import parse_mapping, read_record
 from ultraquiet.pipeline import control, identification
 from ultraquiet.pipeline.facts import stored
-from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design, Plant
+from ultraquiet.pipeline.further_units import further_plants
+from ultraquiet.pipeline.study import ClosedLoop, Deploy, Design, Plant, Study
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.imports import mapping_text
 from ultraquiet.workbench.engine.making.laws import plan_of
@@ -45,7 +47,31 @@ def plant(records: Mapping[str, Record], table: Mapping[str, Any]) -> StateSpace
     return identification.plant(records, Plant.model_validate(table)).values[stored.PLANT]
 
 
-def law(name: str, model: StateSpace, table: Mapping[str, Any], loop: Mapping[str, Any]) -> StateSpace:
+def further(
+    records: Mapping[str, Record], table: Mapping[str, Any], tables: Mapping[str, Any]
+) -> dict[str, StateSpace]:
+    """Return the models of the further units that `[plant]` of a study names, by unit.
+
+    Args:
+        records: all that were measured, by their names in the study.
+        table: `[plant]`, as in a study file.
+        tables: `bench`, and `blending` where there is one, as in a study file.
+
+    Raises:
+        InputError: the bench knows no such unit.
+    """
+    later = {"later": {"design": {"method": "lqg"}}}  # a study wants a law, which does not change what is measured
+    study = Study.model_validate({"study": {"title": "by hand"}, **tables, "plant": table, "controllers": later})
+    return further_plants(study, records, Path())
+
+
+def law(
+    name: str,
+    model: StateSpace,
+    table: Mapping[str, Any],
+    loop: Mapping[str, Any],
+    others: Mapping[str, StateSpace] | None = None,
+) -> StateSpace:
     """Return the law that `[controllers.NAME]` of a study leads to, reduced where the table says so.
 
     Args:
@@ -53,10 +79,11 @@ def law(name: str, model: StateSpace, table: Mapping[str, Any], loop: Mapping[st
         model: G, `(ny, nu)`.
         table: `[controllers.NAME]`, as in a study file.
         loop: `[closed_loop]`: over which band and tones a reduction keeps what the law does.
+        others: models of further units by name, for designs that hold on several.
 
     Raises:
         KeyError: the design finds no law.
     """
     tables = Tables(ClosedLoop.model_validate(loop), Deploy(), None)
-    made = control.designed(name, model, Design.model_validate(table), plan_of(model, tables))
+    made = control.designed(name, model, Design.model_validate(table), plan_of(model, tables), others)
     return made.values[name]

@@ -1,7 +1,7 @@
 """The boards as a Python script: one line a step, which gives the same numbers when it is run in the study's folder."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from keyword import iskeyword
 from pathlib import Path
@@ -9,6 +9,8 @@ from typing import Any
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import lookup
+from ultraquiet.pipeline.making.designs import takes_several
+from ultraquiet.pipeline.study import Design
 from ultraquiet.workbench.engine.items import item_of
 from ultraquiet.workbench.engine.making.imports import CHANNEL_KEYS
 from ultraquiet.workbench.engine.making.laws import design_table
@@ -78,17 +80,33 @@ def _model(variable: str, name: str, recipe: Mapping[str, Any], state: State, fo
     records = recipe["records"]
     if len(records) == 1 and recipe.get("period_samples") is None:
         settings = _settings("identify", recipe["method"])
-        return [f"{variable} = {settings}.identify({_variable('data', records[0])}).state_space()"]
-    given = ", ".join(f"{each!r}: {_variable('data', each)}" for each in records)
-    return [f"{variable} = workbench.plant({{{given}}}, {plant_table(recipe)!r})"]
+        first = f"{variable} = {settings}.identify({_variable('data', records[0])}).state_space()"
+    else:
+        first = f"{variable} = workbench.plant({_given(records)}, {plant_table(recipe)!r})"
+    if not recipe.get("units"):
+        return [first]
+    tables = {key: state["tables"][key] for key in ("bench", "blending") if key in state["tables"]}
+    measured = [each for each, one in state["data"].items() if one["op"] == "measure"] or records
+    return [
+        first,
+        f"{variable}_units = workbench.further({_given(measured)}, {plant_table(recipe)!r}, {tables!r})",
+    ]
+
+
+def _given(records: Sequence[str]) -> str:
+    """Return records by their names as Python."""
+    return "{" + ", ".join(f"{each!r}: {_variable('data', each)}" for each in records) + "}"
 
 
 def _law(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
     model = _variable("models", recipe["model"])
-    if recipe.get("reduce") is None:
+    table = design_table(recipe)
+    several = state["models"][recipe["model"]].get("units") and takes_several(Design.model_validate(table))
+    if recipe.get("reduce") is None and not several:
         return [f"{variable} = {_settings('design', recipe['method'])}.design({model}).controller"]
     loop = state["tables"].get("closed_loop", {})
-    return [f"{variable} = workbench.law({name!r}, {model}, {design_table(recipe)!r}, {loop!r})"]
+    others = f", {model}_units" if several else ""
+    return [f"{variable} = workbench.law({name!r}, {model}, {table!r}, {loop!r}{others})"]
 
 
 def _code(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:

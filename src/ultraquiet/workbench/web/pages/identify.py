@@ -46,6 +46,8 @@ class _Identify:
         self.record = ui.select(self._records(), label="from the records", value=self._first(), multiple=True)
         self.record.props('dense outlined options-dense use-chips data-testid="identify-record"').classes("w-full")
         self.period = field("period (samples)", "period", "", "none: one record that moves all inputs")
+        self.units = field("further units of the bench", "units", "", "none; their names, with commas between")
+        self.units.set_visibility("bench" in self.view.session.state["tables"])
         self.form = MethodForm("identify", "box-jenkins", names=list(WHOLE))
         self.name = field("name of the model", "model-name", "", "method and order")
         with ui.element("div").classes("uq-row"):
@@ -88,7 +90,9 @@ class _Identify:
             say("identify: write the period as a whole number of samples.")
             return
         name = name or f"{method['method']}-{method.get('order', 'auto')}"
-        step = {"op": "identify", "name": name, "records": names, "period_samples": period, "method": method}
+        named = [each.strip() for each in str(self.units.value or "").split(",") if each.strip()]
+        units = {"units": named} if named else {}
+        step = {"op": "identify", "name": name, "records": names, "period_samples": period, "method": method, **units}
         if doing(self.view, step):
             making(self.view, "models", name)
             shown = [each for each in self.view.shown("models") if each != name]

@@ -1,0 +1,64 @@
+"""Bands in which a record's inputs are silent: it says nothing of the plant there, and a model may hold anything.
+
+Least squares fill such a band with whatever serves the others, resonances many times the plant's gain among them, and a
+controller believes them. Of all models that explain a record as well, the one that answers least where nothing was
+asked is taken: the inputs are topped up in those bands by noise to which the outputs hold no answer.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.identify.subspace.fit import Scaled
+
+SILENT = 1e-6  # of an input's mean power a line, below which a line is silent
+WIDE = (
+    0.01  # share of all lines that a silent band holds at least: what stands between the lines of a multisine is none
+)
+
+
+def silent_bands(u: FloatArray) -> list[tuple[int, int]]:
+    """Return first line and line after the last of each band in which all inputs `(nu, n)` are silent.
+
+    >>> t = np.arange(1000)
+    >>> u = sum(np.sin(2 * np.pi * k * t / 1000 + k**2) for k in range(1, 200))[None]
+    >>> silent_bands(u)
+    [(201, 501)]
+    """
+    power = _power(u)
+    quiet = np.all(power <= SILENT * power.mean(axis=1, keepdims=True), axis=0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= WIDE * quiet.size]
+
+
+def topped_up(data: Scaled, bands: list[tuple[int, int]]) -> Scaled:
+    """Return the signals with noise in the bands where the inputs are silent, of which the outputs know nothing.
+
+    min |y - G u|^2 + |G w|^2, which is |y - G (u + w)|^2 where u and w share no line. With rho the power of an output
+    in the silent bands over that in the others (the median over outputs), and mean powers over lines throughout,
+    |w|^2 = rho |u|^2: the gain that the plant has over the excited lines would answer as loudly as the noise, so the
+    plant's own answer costs no more than noise does. Without noise, w is nothing. Other units change nothing.
+
+    Hoerl and Kennard 1970, doi:10.1080/00401706.1970.10488634 (a penalty on what data do not tell).
+    """
+    if not bands:
+        return data
+    silent = np.concatenate([np.arange(a, b) for a, b in bands])
+    heard = _power(data.y)
+    excited = np.setdiff1d(np.arange(heard.shape[1]), silent)
+    rho = float(np.median(heard[:, silent].mean(axis=1) / heard[:, excited].mean(axis=1)))
+    n = data.samples
+    own = np.abs(np.fft.rfft(data.centred_u, axis=1))[:, excited]
+    size = np.sqrt(min(rho, 1.0) * np.mean(own**2, axis=1))
+    turns = np.random.default_rng(0).random((len(own), silent.size))
+    added = np.zeros((len(own), heard.shape[1]), dtype=np.complex128)
+    added[:, silent] = size[:, None] * np.exp(2j * np.pi * turns)
+    added[:, 0] = 0.0
+    return replace(data, u=data.u + np.fft.irfft(added, n, axis=1))
+
+
+def _power(x: FloatArray) -> FloatArray:
+    """Return the power of signals at each line, `(channels, lines)`; a window keeps what ends abruptly to itself."""
+    centred = x - x.mean(axis=1, keepdims=True)
+    return np.abs(np.fft.rfft(centred * np.hanning(x.shape[1]), axis=1)) ** 2

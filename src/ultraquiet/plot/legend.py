@@ -1,0 +1,57 @@
+"""Where the legend of a drawn figure stands: outside its axes, so that it covers no curve."""
+
+from typing import TYPE_CHECKING
+
+from ultraquiet.plot.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+MOST_ABOVE = 8  # names; more of them stand beside the panel, where it has room there
+# Inches of a name's sample of line, of a letter, of a row of names, and between names and panels.
+SAMPLE_IN, LETTER_IN, ROW_IN, GAP_IN = 0.55, 0.068, 0.18, 0.1
+
+
+def names(figure: Figure) -> list[str]:
+    """Return what a legend of all panels names, each once."""
+    return list(dict.fromkeys(each.label for p in figure.panels for each in (*p.lines, *p.fills) if each.label))
+
+
+def is_beside(figure: Figure) -> bool:
+    """Return whether each panel has its legend at its right: many names, and nothing that stands there."""
+    return figure.columns == 1 and any(
+        sum(bool(each.label) for each in (*p.lines, *p.fills)) > MOST_ABOVE for p in figure.panels
+    )
+
+
+def is_above(figure: Figure) -> bool:
+    """Return whether one legend above stands for all panels: each name has one look throughout."""
+    looks: dict[str, set[tuple[str, int]]] = {}
+    for panel in figure.panels:
+        for line in panel.lines:
+            looks.setdefault(line.label, set()).add((line.style, line.shade))
+        for fill in panel.fills:
+            looks.setdefault(fill.label, set()).add(("fill", fill.shade))
+    looks.pop("", None)
+    return bool(looks) and not is_beside(figure) and all(len(look) == 1 for look in looks.values())
+
+
+def columns_above(figure: Figure) -> int:
+    """Return how many names fit side by side."""
+    shown = names(figure)
+    widest = SAMPLE_IN + LETTER_IN * max(map(len, shown), default=1)
+    return max(1, min(len(shown), int(figure.size_in[0] / widest)))
+
+
+def height_above_in(figure: Figure) -> float:
+    """Return the room in inches that the legend above all panels takes; 0 where there is none."""
+    return GAP_IN + ROW_IN * -(-len(names(figure)) // columns_above(figure)) if is_above(figure) else 0.0
+
+
+def put_above(canvas: "Canvas", axes: "list[Axes]", figure: Figure, room_is_made: bool = True) -> None:
+    """Put one legend for all panels above them; the canvas' own layout makes room where none is made yet."""
+    labelled = [each.get_legend_handles_labels() for each in axes]
+    named = {label: line for lines, labels in labelled for line, label in zip(lines, labels, strict=True)}
+    loc = "upper center" if room_is_made else "outside upper center"
+    canvas.legend(list(named.values()), list(named), loc=loc, ncols=columns_above(figure), borderaxespad=0.3)

@@ -1,0 +1,128 @@
+"""Every kind of curve on every kind of axis in a browser: none hangs the page, whatever the numbers are."""
+
+import itertools
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, HeatMap, Mark, MovingShape, Packing, Scene, script, style
+
+pytestmark = [pytest.mark.web, pytest.mark.slow]
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or ""
+KINDS = ("line", "step", "path", "points", "bars", "stems")
+X = (np.arange(8.0), np.linspace(-2.0, 2.0, 8), np.zeros(8), np.array([3.0, 0.0, -1.0, 2.0, 5.0, 1.0, 4.0, 6.0]))
+Y = (np.linspace(-1.0, 1.0, 8), np.zeros(8), np.full(8, np.nan), np.geomspace(1e-30, 1e30, 8), np.full(8, 1e17))
+
+DRAW = """(s) => { window.drawn = null; setTimeout(() => {
+  const f = Uq.grid(document.getElementById("place"), JSON.parse(s));
+  f.visible = true; f.layout(); f.svg(); f.csv();
+  window.drawn = f.plots.filter((p) => p).length; f.destroy();
+}); }"""
+
+
+def cases():
+    """Charts of all kinds, scales and numbers, as a page takes them."""
+    for kind, scale_x, scale_y in itertools.product(KINDS, ("linear", "log"), ("linear", "log")):
+        panels = [
+            ChartPanel(Axis("x", scale_x, span), Axis("y", scale_y, span), [Curve("c", x, y, kind=kind, width=0.5)])
+            for x, y in itertools.product(X, Y)
+            if kind in ("path", "points", "bars", "stems") or (np.diff(x) > 0).all()
+            for span in (None, (0.0, 5.0))
+        ]
+        marked = [ChartPanel(p.x, p.y, p.curves, marks=[Mark("m", y=0.0), Mark("n", x=0.0)]) for p in panels]
+        yield f"{kind}, {scale_x} over {scale_y}", Chart("c", "C", "", [*panels, *marked], 4)
+
+
+def test_no_axis_hangs_the_page():
+    playwright = pytest.importorskip("playwright.sync_api")
+    if not CHROMIUM:
+        pytest.skip("no Chromium on this machine")
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page()
+        page.set_default_timeout(20_000)
+        wrong: list[str] = []
+        page.on("pageerror", lambda error: wrong.append(str(error)))
+        page.set_content(f"<style>{style()}</style><div id=place></div>")
+        page.add_script_tag(content=script())
+        for name, chart in cases():
+            packing = Packing()
+            spec = json.dumps({**packing.spec(chart), "data": packing.data})
+            page.evaluate(DRAW, spec)
+            page.wait_for_function("window.drawn !== null", polling=50)  # times out where the page hangs
+            assert page.evaluate("window.drawn") == len(chart.panels), name
+        assert wrong == []
+        chromium.close()
+
+
+SCENE = """async (s) => {
+  const place = document.getElementById("place"), scene = Uq.scene(place, JSON.parse(s));
+  const look = () => place.querySelector("canvas").toDataURL();
+  const wait = (ms) => new Promise((done) => setTimeout(done, ms));
+  await wait(300);
+  const first = look();
+  await wait(300);
+  const second = look();
+  place.querySelector("button").click();
+  await wait(100);
+  const third = look();
+  await wait(300);
+  return { moves: first !== second, stops: third === look(), lines: scene.csv().trim().split("\\n").length };
+}"""
+
+
+def test_shapes_move_until_they_are_stopped():
+    playwright = pytest.importorskip("playwright.sync_api")
+    if not CHROMIUM:
+        pytest.skip("no Chromium on this machine")
+    shape = MovingShape("one", [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], np.zeros((2, 3)))
+    scene = Scene("s", "S", "", [[0.0, 0.0, 0.0], [0.0, 1.0, 1.0]], [(0, 1)], [shape])
+    packing = Packing()
+    spec = json.dumps({**packing.spec(scene), "data": packing.data})
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page()
+        page.set_content(f"<style>{style()}</style><div id=place></div>")
+        page.add_script_tag(content=script())
+        assert page.evaluate(SCENE, spec) == {"moves": True, "stops": True, "lines": 3}
+        chromium.close()
+
+
+MAP = """async (s) => {
+  const f = Uq.grid(document.getElementById("place"), JSON.parse(s));
+  f.visible = true; f.layout();
+  await new Promise((done) => setTimeout(done, 300));
+  const p = f.panels[0], u = p.plot, X = (x, c) => u.valToPos(x, "x", c), Y = (y, c) => u.valToPos(y, "y", c);
+  const at = (x, y) => p.values(X(x), Y(y))["level (dB), 0 to 8"];
+  const pixel = (x, y) => [...u.ctx.getImageData(X(x, true) + 3, Y(y, true) + 3, 1, 1).data];
+  return {
+    read: [at(1, 1), at(3, 100), at(2, 10)], dark: pixel(1, 1), bright: pixel(3, 100),
+    rows: f.csv().trim().split("\\n"), svg: f.svg().includes("<image"),
+  };
+}"""
+
+
+def test_values_as_colours_are_drawn_saved_and_read():
+    playwright = pytest.importorskip("playwright.sync_api")
+    if not CHROMIUM:
+        pytest.skip("no Chromium on this machine")
+    shown = HeatMap("level (dB)", [1.0, 2.0, 3.0], [1.0, 10.0, 100.0], np.arange(9.0), (0.0, 8.0))
+    panel = ChartPanel(Axis("time (s)"), Axis("frequency (Hz)", "log"), [], map=shown)
+    packing = Packing()
+    spec = json.dumps({**packing.spec(Chart("m", "M", "", [panel])), "data": packing.data})
+    with playwright.sync_playwright() as started:
+        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = chromium.new_page()
+        page.set_content(f"<style>{style()}</style><div id=place></div>")
+        page.add_script_tag(content=script())
+        found = page.evaluate(MAP, spec)
+        chromium.close()
+    assert found["read"] == ["0", "8", "4"]
+    assert found["dark"][2] > found["dark"][1]
+    assert found["bright"][0] > 200
+    assert found["bright"][1] > 200
+    assert len(found["rows"]) == 10
+    assert found["rows"][-1].endswith(",8")
+    assert found["svg"]
