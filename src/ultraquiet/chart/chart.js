@@ -174,9 +174,14 @@ var Uq = (() => {
       const power = Math.pow(10, Math.floor(Math.log10(wanted)));
       step = [1, 2, 5, 10].find((m) => m * power >= wanted * 0.999) * power;
     }
-    const ticks = [];
-    for (let k = Math.ceil(lo / step - 1e-6); k * step <= hi + 1e-6 * step; k++) ticks.push(k * step);
-    return [ticks, step];
+    const at = (each) => {
+      const ticks = [];
+      for (let k = Math.ceil(lo / each - 1e-6); k * each <= hi + 1e-6 * each; k++) ticks.push(k * each);
+      return ticks;
+    };
+    // one number alone says nothing of the scale
+    for (let finer = 0; finer < 3 && at(step).length < 2; finer++) step = steps && steps.indexOf(step) > 0 ? steps[steps.indexOf(step) - 1] : step / 2;
+    return [at(step), step];
   }
   /* All ticks of an axis and the words at those that have room for one. */
   function ticksOf(axis, lo, hi, length, across) {
@@ -653,7 +658,7 @@ var Uq = (() => {
   function swatch({ kind, colour: word, dash, symbol: mark }) {
     const paint = /^(#|rgb)/.test(word) ? word : `var(--uq-${word})`;
     const inner = kind === "map" ? RAMP.slice(0, 4).map((_, k) => `<rect x="${1 + 5.5 * k}" y="2" width="6" height="10" fill="${rampColour(k / 3)}"/>`).join("")
-      : kind === "region" ? `<rect x="1" y="2" width="22" height="10" style="fill:${paint}"/>`
+      : kind === "region" ? `<rect x="1" y="2" width="22" height="10" style="fill:${paint}${word === "requirement" ? "" : ";opacity:.3"}"/>`
       : kind === "bars" ? `<rect x="6" y="2" width="12" height="10" style="fill:${paint}"/>`
       : kind === "points" && mark === "x" ? `<path d="M8 3l8 8M8 11l8-8" style="stroke:${paint};fill:none;stroke-width:1.5"/>`
       : kind === "points" && mark === "+" ? `<path d="M12 2v10M7 7h10" style="stroke:${paint};fill:none;stroke-width:1.5"/>`
@@ -773,8 +778,19 @@ var Uq = (() => {
   const TURN_S = 2.4, SWING = 0.22, PIXELS_A_RADIAN = 160;
   class Scene {
     constructor(root, spec) {
-      Object.assign(this, { root, spec, turn: 0.6, tilt: 0.35, still: matchMedia("(prefers-reduced-motion: reduce)").matches });
+      Object.assign(this, { root, turn: 0.6, tilt: 0.35, visible: false, still: matchMedia("(prefers-reduced-motion: reduce)").matches });
       root.classList.add("uq");
+      this.seenBy = new IntersectionObserver((rows) => { this.visible = rows[rows.length - 1].isIntersecting; this.play(); });
+      this.sized = new ResizeObserver(() => this.paint());
+      this.update(spec);
+      this.seenBy.observe(root);
+      this.sized.observe(root);
+    }
+    destroy() { this.seenBy.disconnect(); this.sized.disconnect(); this.visible = false; this.root.replaceChildren(); }
+    update(spec) {
+      const root = this.root;
+      this.spec = spec;
+      root.replaceChildren();
       const head = element("div", "uq-head", root);
       element("div", "uq-title", head, spec.title);
       const tools = element("div", "uq-tools", head);
@@ -804,10 +820,7 @@ var Uq = (() => {
       this.middle = [0, 1, 2].map((a) => { let sum = 0; for (let k = 0; k < n; k++) sum += this.points[3 * k + a] / n; return sum; });
       this.reach = 1e-300;
       for (let k = 0; k < n; k++) this.reach = Math.max(this.reach, Math.hypot(...[0, 1, 2].map((a) => this.points[3 * k + a] - this.middle[a])));
-      this.visible = false;
-      new IntersectionObserver((rows) => { this.visible = rows[rows.length - 1].isIntersecting; this.play(); }).observe(root);
-      this.sized = new ResizeObserver(() => this.paint());
-      this.sized.observe(root);
+      this.paint();
     }
     turned(canvas) {
       canvas.onpointerdown = (e) => { canvas.setPointerCapture(e.pointerId); this.from = [e.clientX, e.clientY, this.turn, this.tilt]; };

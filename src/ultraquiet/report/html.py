@@ -5,9 +5,10 @@ from typing import Any
 
 from ultraquiet import chart
 from ultraquiet.files import write_bytes
-from ultraquiet.report.content import Report, Span, Verdict
+from ultraquiet.report.content import Report, Span, Table, Verdict
 from ultraquiet.report.figures import named_apart, on_page, pictures_of
 
+LONGEST = 40  # letters of a cell that stands on one line
 SHAPES = {"ok": "●", "fragile": "▲", "bad": "■"}  # beside the colour, for readers and printers that see none
 
 
@@ -18,6 +19,7 @@ def render(report: Report) -> str:
     loader = jinja2.PackageLoader("ultraquiet.report", ".")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     environment.tests.update(verdict=_is_verdict, span=_is_span)
+    environment.globals["prose"] = _prose
     apart, packing = named_apart(report), chart.Packing()
     figures = on_page(pictures_of(apart), packing)
     source = loader.get_source
@@ -38,6 +40,15 @@ def _is_verdict(cell: Any) -> bool:
 
 def _is_span(cell: Any) -> bool:
     return isinstance(cell, Span)
+
+
+def _prose(table: Table) -> list[bool]:
+    """Return which columns are sentences, which wrap and stand at the left; numbers never wrap."""
+    longest = [
+        max((len(str(row[k])) for row in table.rows if k < len(row)), default=0) for k in range(len(table.columns))
+    ]
+    spans = any(isinstance(cell, Span) for row in table.rows for cell in row)
+    return [not spans and n > LONGEST for n in longest]
 
 
 def write(report: Report, path: Path) -> Path:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,11 @@ class Sketch:
             )
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "moves", moves)
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as JSON's types; `Sketch(**plain)` is the same."""
+        lines = [[int(a), int(b)] for a, b in self.lines]
+        return {"points": self.points.tolist(), "lines": lines, "moves": self.moves.tolist()}
 
 
 def row_of(readings: int) -> Sketch:

@@ -12,6 +12,7 @@ from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.mistakes import Mistakes
 from ultraquiet._base.registry import lookup, methods
 from ultraquiet._base.tables import settings_object
+from ultraquiet.signals import Signal
 
 UNITS = {"hz": "Hz", "v": "V", "s": "s", "db": "dB", "deg": "deg", "percent": "%", "samples": "samples"}
 SIMPLE = (bool, int, float, str)
@@ -91,6 +92,8 @@ def _closed(field: "Field[Any]") -> bool:
 
 def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
     unit = UNITS.get(field.name.rpartition("_")[2], "")
+    if unit == "V" and issubclass(kind, Signal):
+        unit = "unit"  # that of the actuator which sends it
     allowed, choices = _allowed(kind, field)
     if choices and _shown(field) not in choices:
         choices = (_shown(field), *choices)

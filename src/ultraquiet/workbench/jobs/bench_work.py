@@ -16,6 +16,7 @@ from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import loop_plan
 from ultraquiet.pipeline.study import ClosedLoop
 from ultraquiet.pipeline.walk import bench_of, measure
+from ultraquiet.values.sketch import Sketch
 from ultraquiet.workbench.engine.items import FOLDER
 from ultraquiet.workbench.engine.making import work
 from ultraquiet.workbench.engine.making.units import study_of
@@ -42,7 +43,10 @@ def described(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
     bench = bench_of(study_of(state), folder)
     sides = {"actuators": bench.actuators, "sensors": bench.sensors}
     rows = {side: [[c.name, c.unit, c.low, c.high] for c in wires] for side, wires in sides.items()}
-    return finite({"rate_hz": bench.rate_hz, **rows, "name": type(bench).__name__})
+    offered = getattr(bench, "sketch", None)
+    sketch = offered() if callable(offered) else None
+    drawn = {} if not isinstance(sketch, Sketch) else {"sketch": sketch.plain()}
+    return finite({"rate_hz": bench.rate_hz, **rows, "name": type(bench).__name__, **drawn})
 
 
 def live(folder: Path, state: Mapping[str, Any], signal: dict[str, Any], actuator: int) -> Iterator[dict[str, Any]]:

@@ -12,6 +12,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.tables import Method
 from ultraquiet.identify.result import Result
+from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.validate import compare, response_band
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.items import FOLDER, key_of
@@ -136,6 +137,18 @@ def confidence(folder: Path, state: dict[str, Any], model: str) -> dict[str, Any
         return {"f_hz": f_hz, "low_db": band.gain_low_db, "high_db": band.gain_high_db}
 
     return _kept(folder, ["confidence", key_of(state, "models", model)], compute)
+
+
+def modes(folder: Path, state: dict[str, Any], data: str) -> dict[str, Any]:
+    """Look at the poles of a record, one order after the other."""
+
+    def compute() -> dict[str, Any]:
+        record: Record = work.make(folder, state, "data", data).value()
+        roots = {n: frequency_and_damping(p, record.rate_hz) for n, p in poles_by_order(record).items()}
+        rows = [(n, *row) for n, found in roots.items() for row in found]
+        return {"rows": np.array(rows).reshape(-1, 3), "orders": np.array(list(roots)), "rate_hz": record.rate_hz}
+
+    return _kept(folder, ["modes", key_of(state, "data", data)], compute)
 
 
 def orders(folder: Path, state: dict[str, Any], data: str, method: dict[str, Any], tried: list[int]) -> dict[str, Any]:

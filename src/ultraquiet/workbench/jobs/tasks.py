@@ -33,6 +33,7 @@ TASKS: dict[str, Callable[..., Any]] = {
     "judge": looks.judge,
     "confidence": looks.confidence,
     "orders": looks.orders,
+    "modes": looks.modes,
     "describe": bench_work.described,
     "measure": bench_work.measured,
     "live": bench_work.live,

@@ -5,7 +5,7 @@ from typing import Any
 
 from nicegui import ui
 
-from ultraquiet.chart.spec import Chart
+from ultraquiet.chart.spec import Chart, Scene
 from ultraquiet.workbench.web.frames import FrameStore, packed
 
 
@@ -34,7 +34,7 @@ class ChartElement(ui.element, component="static/chart.js"):
         if on_point is not None:
             self.on("point", lambda event: on_point(event.args))
 
-    def show(self, figure: Chart) -> None:
+    def show(self, figure: Chart | Scene) -> None:
         """Draw a figure in place of what was drawn."""
         self._props["frame"] = self._frames.put(packed(figure))
         self.update()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet.chart.packing import Packing
-from ultraquiet.chart.spec import Chart, ChartPanel
+from ultraquiet.chart.spec import Chart, ChartPanel, Scene
 
 KEPT = 400
 BYTES = 4  # of a float32, at whose multiples the browser's arrays must begin
@@ -31,7 +31,7 @@ class _Arrays(Packing):
         return name
 
 
-def packed(figure: Chart | ChartPanel) -> bytes:
+def packed(figure: Chart | ChartPanel | Scene) -> bytes:
     """Return a figure as a frame: the length of its head, the head (JSON), the arrays one after the other.
 
     The head holds `spec`, and `arrays`: name and number of values of each. It is padded so that arrays are aligned.

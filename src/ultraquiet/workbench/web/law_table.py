@@ -138,8 +138,8 @@ def _headline(item: Item | None, view: View) -> None:
         if quiet is None or not facts["design"]["ok"]:
             text = f"{item.name}: {facts['status'].partition(':')[0]}"
         else:
-            word = "QUIETER" if quiet > 0 else "LOUDER"
-            text = f"{word} BY {abs(quiet):.1f} dB in the worst direction, {low:.3g}-{high:.3g} Hz"
+            word = "Quieter" if quiet > 0 else "Louder"
+            text = f"{word} by {abs(quiet):.1f} dB in the worst direction, {low:.3g}-{high:.3g} Hz"
         ui.label(text).classes("uq-title-line").props('data-testid="headline"')
         chip(judged(facts, view.session.state["tables"].get("requirements", {})) or facts["status"], "verdict")
     words(f"{item.name}: {facts['status'].partition(': ')[2]}", "caption")

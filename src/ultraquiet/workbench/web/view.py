@@ -7,6 +7,7 @@ from urllib.parse import urlencode
 from nicegui import ui
 
 from ultraquiet.chart.colours import law_colours
+from ultraquiet.pipeline.identification import grouped
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.figures.scale import Scale
@@ -71,6 +72,20 @@ class View:
         """Return those that are shown and made; a stale one stands for itself as it was."""
         items = [self.session.item(board, name) for name in self.shown(board)]
         return [item for item in items if item.ready]
+
+    def responding(self) -> list[Item]:
+        """Return the records whose response is shown: those that were clicked, else those of the study's own model.
+
+        The last record of a study that ran may be a tone, which tells of one frequency; of a model made from several
+        groups the first stands for all.
+        """
+        model = self.session.state["model"]
+        if "data" in self.params or model is None:
+            return self.ready("data")
+        names = list(self.session.state["models"][model]["records"])
+        first = next(iter(grouped(names).values()))
+        items = [self.session.item("data", name) for name in first[:MOST]]
+        return items if all(item.ready for item in items) else self.ready("data")
 
     def colours(self, board: str) -> dict[str, str]:
         """Return the colour that every item of a board keeps."""

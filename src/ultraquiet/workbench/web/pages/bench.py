@@ -145,7 +145,9 @@ def strip(bench: dict[str, Any], time_s: np.ndarray, signals: np.ndarray, limite
     clipped = [c[0] for c, count in zip(wires, limited or [0] * len(wires), strict=True) if count]
     panels = []
     for k, ((name, unit, low, high), row) in enumerate(zip(wires, signals, strict=True)):
-        limits = [Mark("limit", y=v, colour="bad") for v in (low, high) if v is not None and np.abs(row).max() > v / 2]
+        limits = [
+            Mark("limit", y=v, colour="bad") for v in (low, high) if v is not None and np.abs(row).max() > abs(v) / 2
+        ]
         colour = "open" if k < len(bench["actuators"]) else "measured"
         word = "command" if k < len(bench["actuators"]) else "reading"
         axes = Axis("time (s)"), Axis(unit)

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.plot.pages.loops import margin_bars
 from ultraquiet.workbench.engine.live import LiveLoop, Notched, Responses, live_loop, responses, weight_bound
 from ultraquiet.workbench.figures.loops import Sizes, loop_grid, sizes_of
@@ -73,9 +74,8 @@ class _Design:
         if item is None or not item.ready:
             return
         self._band = tuple(self.view.session.state["tables"].get("closed_loop", {}).get("band_hz") or ())
-        rate = float(item.facts["rate_hz"])
         made = next((law.facts.get("band_hz") for law in self.view.ready("laws")), None)
-        low, high = self._band or made or (rate / 350, rate / 35)
+        low, high = self._band or made or even_plant(item.value(), who="workbench").band_hz
         for key, value in (
             ("low", np.log10(low)),
             ("high", np.log10(high)),

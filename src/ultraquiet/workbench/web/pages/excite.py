@@ -90,9 +90,9 @@ def signal_figure(
     crest = float(np.abs(u).max() / max(np.sqrt(np.mean(u**2)), 1e-300))
     spectrum = Curve(name, scale.x(f_hz), np.sqrt(density), "measured")
     panels = [
-        ChartPanel(Axis("time (s)"), Axis("actuator's unit"), [over_time], title="over time", height=220),
+        ChartPanel(Axis("time (s)"), Axis("command (actuator's unit)"), [over_time], title="over time", height=220),
         ChartPanel(
-            scale.frequencies(), Axis("unit/sqrt(Hz)", "log"), [spectrum], title="amplitude density", height=260
+            scale.frequencies(), Axis("density (unit/√Hz)", "log"), [spectrum], title="amplitude density", height=260
         ),
     ]
     caption = (

@@ -1,5 +1,6 @@
 """Identify: a form for the method, the order by a click, and up to eight models over the measurement."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,9 @@ from nicegui import ui
 
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
 from ultraquiet.pipeline.identification import grouped
+from ultraquiet.plot.pages.modes import mode_shapes
+from ultraquiet.plot.pages.stabilisation import stabilisation
+from ultraquiet.values.sketch import Sketch
 from ultraquiet.workbench.figures.responses import Modelled, pole_map, response_grid
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, field, heading, table, words
@@ -18,6 +22,7 @@ from ultraquiet.workbench.web.view import Looker, View
 WHOLE = ("arx", "armax", "output-error", "box-jenkins", "subspace", "predictor-subspace", "rational")
 TRIED = list(range(1, 11))
 POINTS = 400
+HALVES = "grid-template-columns: minmax(0, 1fr) minmax(0, 1fr)"
 LEAST = -20.0  # a fit far below zero says no more than one at zero, and would hide the others
 
 
@@ -30,15 +35,22 @@ class _Identify:
     def __init__(self, view: View, columns: Columns) -> None:
         self.view, self._drawn = view, None
         self._measured: Any = None
-        self._looker, self._orders = Looker(view), Looker(view)
+        self._looker, self._orders, self._lines, self._shape = (Looker(view) for _ in range(4))
+        self._lines.failed(lambda _: None)  # a record too short for it is told of by the orders beside it
+        self._sketch: Sketch | None = None
+        self._asks_bench = True
+        self._stabilised: Any = None
         with columns.side:
             self._settings()
         with columns.main:
             self._candidates = ui.element("div")
-            self.responses = ChartElement(view.frames, "models-chart")
-            with ui.element("div").classes("uq-figures").style("grid-template-columns: minmax(0, 1fr) minmax(0, 1fr)"):
+            with ui.element("div").classes("uq-figures").style(HALVES):  # what a button leads to stands in sight
                 self.orders = ChartElement(view.frames, "orders-chart", on_point=self._picked)
+                self.stable = ChartElement(view.frames, "stabilisation-chart", on_point=self._stood)
+            self.responses = ChartElement(view.frames, "models-chart")
+            with ui.element("div").classes("uq-figures").style(HALVES):
                 self.poles = ChartElement(view.frames, "poles-chart")
+                self.modes = ChartElement(view.frames, "modes-chart")
         view.watch(self._refresh)
 
     def _settings(self) -> None:
@@ -52,7 +64,7 @@ class _Identify:
         self.name = field("name of the model", "model-name", "", "method and order")
         with ui.element("div").classes("uq-row"):
             button("Identify", self._identify, "identify", main=True)
-            button("Try orders 1 to 10", self._try, "try-orders")
+            button("Try orders 1 to 10", self._try, "try-orders", tip="fits of each, and a stabilisation diagram")
         words(
             "Judged on the last 40 % of the record, which those models have not seen; click an order to take it.",
             "caption",
@@ -66,7 +78,8 @@ class _Identify:
         return list(dict.fromkeys([*grouped(names), *names]))
 
     def _first(self) -> list[str]:
-        shown, groups = self.view.shown("data"), grouped(list(self.view.session.state["data"]))
+        shown = [item.name for item in self.view.responding()] or self.view.shown("data")
+        groups = grouped(list(self.view.session.state["data"]))
         return [name for name, members in groups.items() if set(members) & set(shown)][-1:]
 
     def _members(self) -> list[str]:
@@ -107,6 +120,7 @@ class _Identify:
         ui.notify(f"Trying orders {TRIED[0]} to {TRIED[-1]} of {bare['method']} …", timeout=3000)
         self._tried = bare
         self._orders.ask("orders", "orders", self._show_orders, data=members[0], method=bare, tried=TRIED)
+        self._lines.ask("modes", "poles by order", self._show_stable, data=members[0])
 
     def _show_orders(self, found: dict[str, Any], _: Any) -> None:
         rows = [row for row in found["rows"] if "unseen" in row]
@@ -125,6 +139,20 @@ class _Identify:
         panel = ChartPanel(Axis("order"), Axis("median fit (%)"), curves, height=300)
         self.orders.show(Chart("orders", f"Orders of {self._tried['method']}", caption, [panel]))
 
+    def _show_stable(self, _: Any, found: dict[str, Any]) -> None:
+        rows, rate_hz = found["rows"], float(found["rate_hz"])
+        roots = {int(n): rows[rows[:, 0] == n, 1:] for n in found["orders"]}
+        self._stabilised = list(roots)
+        inside = rows[(rows[:, 1] > 0) & (rows[:, 1] < 0.49 * rate_hz), 1]
+        low = float(inside.min()) / 1.2 if inside.size else rate_hz / 1e3
+        chart = stabilisation(roots, (low, rate_hz / 2), None)
+        self.stable.show(replace(chart, caption=f"{chart.caption} A click takes that order of 'subspace'."))
+
+    def _stood(self, at: dict[str, Any]) -> None:
+        if at.get("y") is not None and self._stabilised:
+            order = min(self._stabilised, key=lambda each: abs(each - at["y"]))
+            self._take({"method": "subspace", "order": order}, "")
+
     def _picked(self, at: dict[str, Any]) -> None:
         if at.get("x") is not None and hasattr(self, "_tried"):
             order = min(TRIED, key=lambda each: abs(each - at["x"]))
@@ -132,7 +160,7 @@ class _Identify:
 
     def _refresh(self) -> None:
         self._table()
-        data, models = self.view.ready("data"), self.view.ready("models")
+        data, models = self.view.responding(), self.view.ready("models")
         asked = ([i.key for i in data], [i.key for i in models], self.view.scale, self.view.session.state["model"])
         if asked == self._drawn:
             return
@@ -161,11 +189,28 @@ class _Identify:
             drawn.append(Modelled(name, f_hz, system.frequency_response(f_hz), colours[name]))
         if measured is not None:
             drawn = [m for m in drawn if m.values.shape[:2] == measured.values.shape[:2]]
-        title = "Models over the measurement" if drawn else "SeenResponse response"
+        title = "Models over the measurement" if drawn else "Measured response"
         self.responses.show(response_grid(title, measured, drawn, self.view.scale))
         if systems:
             poles = {name: (system.poles(), colours[name]) for name, system in systems.items()}
             self.poles.show(pole_map("Poles", poles))
+            self._draw_modes(systems)
+
+    def _draw_modes(self, systems: dict[str, Any]) -> None:
+        """Show the modes of the study's own model, else of the last that is shown."""
+        own = self.view.session.state["model"]
+        system = systems.get(own) or list(systems.values())[-1]
+        if self._sketch is None and "bench" in self.view.session.state["tables"] and self._asks_bench:
+            self._asks_bench = False
+            self._shape.ask("describe", "bench", lambda found, _: self._sketched(found, systems))
+        scene = mode_shapes(system, (0.0, system.rate_hz / 2), self._sketch)
+        if scene is not None:
+            self.modes.show(scene)
+
+    def _sketched(self, found: dict[str, Any], systems: dict[str, Any]) -> None:
+        if "sketch" in found:
+            self._sketch = Sketch(**found["sketch"])
+            self._draw_modes(systems)
 
     def _table(self) -> None:
         self._candidates.clear()

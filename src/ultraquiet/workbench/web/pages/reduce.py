@@ -34,7 +34,7 @@ class _Reduce:
             self.name = field("name of the new law", "reduced-name", "", "as the law, -small")
             button("Reduce", self._reduce, "reduce", main=True)
             words("Without a number of states the fewest are kept that lose no more than is allowed.", "caption")
-            words("A click on the chart below writes the number of states into the form.", "caption")
+            words("A click on the chart of states writes the number of states into the form.", "caption")
             ui.link("Deploy", view.link("Deploy")).props('data-testid="to-deploy"')
         with columns.main:
             self._table = ui.element("div")

@@ -67,7 +67,7 @@ class _Report:
         if asked:
             for each in asked.get("judged", []):
                 with ui.element("div").classes("uq-row"):
-                    chip("ok: met" if each.get("ok") else "short: missed")
+                    chip("ok: met" if each.get("met") else "short: missed")
                     words(str(each.get("sentence", "")))
         rows = [
             (

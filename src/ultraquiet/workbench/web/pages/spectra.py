@@ -50,7 +50,7 @@ class _Spectra:
             button("dB / plain (D)", lambda: self.view.set(g="plain" if self.view.scale.decibels else None), "key-d")
 
     def _refresh(self) -> None:
-        names = [item.name for item in self.view.ready("data")]
+        names = [item.name for item in self.view.responding()]
         self._empty.set_visibility(not names)
         if not names:
             return
@@ -81,7 +81,7 @@ class _Spectra:
         self.second.show(coherence_grid(measured, self.view.scale))
 
     def _density(self, _: Any, found: dict[str, Any]) -> None:
-        facts = self.view.ready("data")[-1].facts
+        facts = self.view.responding()[-1].facts
         channels = [*facts["actuators"], *facts["sensors"]]
         key = "asd" if self.kind.value == KINDS[1] else "rms"
         self.second.set_visibility(False)
@@ -90,7 +90,7 @@ class _Spectra:
 
 def measured_of(view: View, found: dict[str, Any]) -> SeenResponse:
     """Return a measured response with the channels of the record that is shown."""
-    facts = view.ready("data")[-1].facts
+    facts = view.responding()[-1].facts
     inputs = [Channel(*facts["actuators"][int(k)]) for k in found["inputs"]]
     outputs = [Channel(*c) for c in facts["sensors"]]
     words_ = str(found["words"])

@@ -11,7 +11,7 @@ function unpacked(buffer) {
   return spec;
 }
 export default {
-  template: `<div class="uq-host"><div ref="place"></div></div>`,
+  template: `<div class="uq-host"><div ref="place"></div><div ref="caption" class="uq-words caption"></div></div>`,
   props: { frame: String },
   data: () => ({ busy: false, next: null }),
   mounted() { this.$el.uqShow = (name) => this.show(name); this.show(this.frame); },
@@ -26,8 +26,9 @@ export default {
         const answer = await fetch(`/frames/${name}`);
         if (answer.ok && this.$refs.place) {
           const spec = unpacked(await answer.arrayBuffer());
-          if (this.figure) this.figure.update(spec);
+          if (this.figure && !!spec.shapes === !!this.figure.shapes) this.figure.update(spec);
           else this.begin(spec);
+          this.$refs.caption.textContent = spec.caption || "";
           this.$el.dataset.drawn = name;
           this.$el.dispatchEvent(new CustomEvent("uq-drawn", { bubbles: true, detail: name }));
         }
@@ -39,7 +40,8 @@ export default {
       }
     },
     begin(spec) {
-      this.figure = Uq.grid(this.$refs.place, spec);
+      this.figure?.destroy();
+      this.figure = (spec.shapes ? Uq.scene : Uq.grid)(this.$refs.place, spec);
       this.$refs.place.addEventListener("uq-zoom", (e) => this.$emit("zoom", e.detail));
       this.$refs.place.addEventListener("uq-click", (e) => this.$emit("point", e.detail));
     },
