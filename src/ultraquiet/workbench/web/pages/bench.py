@@ -113,7 +113,7 @@ class _Bench:
         item = None if name is None else self.view.session.item("models", name)
         if item is not None and item.ready:
             model = item.value()
-            moving = mode_shapes(model, (0.0, model.rate_hz / 2), sketch)
+            moving = mode_shapes(model, self.view.span(model), sketch)
             if moving is not None:
                 return replace(moving, title=f"The bench, moving in the modes of {name}")
         still = np.zeros(sketch.points.shape)
