@@ -10,6 +10,18 @@ import ultraquiet as uq
 
 RATE = 1000.0
 SUITE = (Path(uq.__file__).parent / "pipeline" / "suite.toml").read_text()
+OF_FILES = """[study]
+title = "mine"
+[records]
+files = ["run.csv"]
+[plant]
+method = "subspace"
+order = 2
+[controllers.quiet.design]
+method = "lqg"
+[deploy]
+limits = 5.0
+"""
 
 
 def law(nu, ny, rate_hz=RATE):
@@ -40,10 +52,19 @@ def made(tmp_path_factory):
         ("plain", table, "a,force,b"),
     ):
         np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header=head, comments="")
+    lines = (tmp_path / "run.csv").read_text().splitlines()
+    cells = lines[5].split(",")
+    for name, rows in (
+        ("ragged", [*lines[:5], ",".join(cells[:2]), *lines[6:]]),
+        ("backward", [*lines[:5], "0.5," + ",".join(cells[1:]), *lines[6:]]),
+        ("lone", lines[:2]),
+    ):
+        (tmp_path / f"{name}.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "notes.txt").write_text("Nothing but words.\n")
     for name in ("mine.h5", "mine.svg", "mine.csv", "mine.fmu"):
         (tmp_path / name).write_bytes(b"mine")
     (tmp_path / "study.toml").write_text(SUITE)
+    (tmp_path / "files.toml").write_text(OF_FILES)
     return tmp_path
 
 
@@ -82,6 +103,16 @@ COMMANDS = {
     "identify notes.txt --method arx --rate 1000": ("notes.txt", "numbers"),
     "identify . --method arx": ("'.'", "a folder"),
     "identify record.h5 --method lqg": ("'lqg'", "one of design", "arx"),
+    "identify ragged.csv --method arx": ("ragged.csv", "columns changed from 3 to 2"),
+    "identify backward.csv --method arx": ("backward.csv", "at sample 5", "--rate"),
+    "identify lone.csv --method arx": ("lone.csv", "single sample"),
+    "identify run.csv --inputs u --outputs u --method arx": ("'u'", "go in and to come out"),
+    "design run.csv": ("run.csv", "`identify`"),
+    "deploy run.csv": ("run.csv", "`design`"),
+    "validate run.csv plant.h5": ("run.csv", "`identify`"),
+    f"{LOOP} --duration 1e12": ("--duration", "at most"),
+    "deploy law.h5 --steps 100000000000": ("steps", "10000000"),
+    "campaign files.toml --benches 3": ("campaign", "no bench"),
     "validate record.h5 record.h5": ("Record", "model"),
     "validate plant.h5 slow-record.h5": ("1000 Hz", "500 Hz"),
     "design record.h5": ("Record", "model"),
@@ -225,6 +256,30 @@ def test_a_mistake_in_a_study_file(run, folder, monkeypatch, mistake):
     assert right in SUITE
     (folder / "study.toml").write_text(SUITE.replace(right, wrong, 1))
     graded(run, folder, ("run", "study.toml"), named)
+
+
+# What is written in a study of files, likewise.
+FILES = {
+    "a file that is none": ("run.csv", "rum.csv", ("rum.csv", "no such file")),
+    "one file without brackets": ('["run.csv"]', '"run.csv"', ("one mistake", "list in brackets", '["run.csv"]')),
+    "limits below zero": ("limits = 5.0", "limits = -5.0", ("one mistake", "'limits'", "greater than 0")),
+    "a limit of a list below zero": ("limits = 5.0", "limits = [-5.0]", ("one mistake", "'limits", "greater than 0")),
+    "limits in words": ("limits = 5.0", 'limits = "5 V"', ("'limits'", "number")),
+    "records of another name": ("order = 2", 'order = 2\nrecords = ["ran"]', ("ran", "run")),
+    "a design without its table": ("quiet.design]", "quiet]", ("'design' is missing", "known are design")),
+    "an order that is a fraction": ("order = 2", "order = 2.5", ("'order'", "integer")),
+    "an order without end": ("order = 2", "order = inf", ("'order'", "finite")),
+    "a column that is none": ('["run.csv"]', '["run.csv"]\ninputs = ["w"]\noutputs = ["y"]', ("'w'", "u (600)")),
+    "inputs alone": ('["run.csv"]', '["run.csv"]\ninputs = ["u"]', ("inputs", "outputs", "missing")),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", FILES)
+def test_a_mistake_in_a_study_of_files(run, folder, mistake):
+    right, wrong, named = FILES[mistake]
+    assert right in OF_FILES
+    (folder / "files.toml").write_text("\ufeff" + OF_FILES.replace(right, wrong, 1))
+    graded(run, folder, ("run", "files.toml"), named)
 
 
 def test_there_are_sixty_and_more():

@@ -13,6 +13,9 @@ from ultraquiet._base.registry import known_are
 
 # The line of a mistake in a table that was read from no text.
 NO_LINE = 0
+# What pydantic puts into a place besides keys and indices: the kinds of a value that may be one or the other.
+KIND = re.compile(r"\[key\]|constrained-\w+|(?:list|tuple|dict)\[.*\]|float|int|str|bool")
+WRONG_KIND = ("list_type", "tuple_type", "float_type", "int_type", "string_type", "bool_type")
 
 
 class TableError(InputError):
@@ -56,9 +59,8 @@ class Mistakes:
 
     def add_refusal(self, place: Place, error: ValidationError, model: type[BaseModel]) -> None:
         """Note everything that pydantic refused of a table at `place`."""
-        for refusal in error.errors():
-            path = tuple(step for step in refusal["loc"] if step != "[key]")
-            self.add((*place, *path), sentence(refusal, model))
+        for refusal in _of_their_kind(error.errors()):
+            self.add((*place, *_steps(refusal["loc"])), sentence(refusal, model))
 
     def by_line(self) -> list[tuple[int, str]]:
         """Return all mistakes by line."""
@@ -73,8 +75,26 @@ class Mistakes:
         return len(self._mistakes)
 
 
+def _steps(loc: Sequence[str | int]) -> Place:
+    """Return a place as somebody wrote it, without pydantic's words for keys and kinds."""
+    return tuple(step for step in loc if not (isinstance(step, str) and KIND.fullmatch(step)))
+
+
+def _of_their_kind(refusals: Sequence[Any]) -> list[Any]:
+    """Return the refusals without those of a kind that the value never was, where another kind was meant."""
+    kinds = [refusal["loc"][: k + 1] for refusal in refusals for k, step in enumerate(refusal["loc"]) if _is_kind(step)]
+    meant = [r for r in refusals if r["type"] not in WRONG_KIND]
+    asides = {loc for loc in kinds if any(r["loc"][: len(loc) - 1] == loc[:-1] for r in meant)}
+    return [r for r in refusals if r["type"] not in WRONG_KIND or r["loc"] not in asides]
+
+
+def _is_kind(step: str | int) -> bool:
+    return isinstance(step, str) and step != "[key]" and KIND.fullmatch(step) is not None
+
+
 def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, Any], Mapping[Place, int]]:
     """Return the tables of a TOML text and the line of each; what is no TOML is a mistake like any other."""
+    text = text.removeprefix("\ufeff")  # some editors begin a file by it
     try:
         return tomllib.loads(text), line_numbers(text)
     except tomllib.TOMLDecodeError as refusal:
@@ -88,7 +108,7 @@ def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, 
 
 def sentence(refusal: Any, model: type[BaseModel] | None) -> str:
     """Return what pydantic refused as a sentence; `model` is that of the table its path begins at."""
-    path = tuple(step for step in refusal["loc"] if step != "[key]")
+    path = _steps(refusal["loc"])
     key, kind, value = _named(path), refusal["type"], refusal["input"]
     if kind == "missing":
         return f"'{key}' is missing."

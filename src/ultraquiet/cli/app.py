@@ -75,6 +75,9 @@ def main() -> None:
     except UltraquietError as error:
         print(f"ultraquiet: {error}", file=sys.stderr)
         sys.exit(exit_code(error))
+    except MemoryError as error:
+        print(f"ultraquiet: this asks for more memory than there is; ask for less ({error}).", file=sys.stderr)
+        sys.exit(ExitCode.REFUSED)
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:  # what typer makes of Ctrl-C, without a word
             print(STOPPED, file=sys.stderr)

@@ -39,6 +39,7 @@ def convert(
             raise InputError("convert: --response takes no mapping, rate, inputs or outputs.")
         read = files.read_frf(source, conjugated)
         files.export_frf(read, target, overwrite=force, text=text)
+        told = []
         size = f"{len(read.actuators)} to {len(read.sensors)} channels at {read.f_hz.size} frequencies"
     else:
         record = files.read_record(source, rate_hz, inputs, outputs, mapping, keep_clock=True)
@@ -47,5 +48,7 @@ def convert(
             f"{len(record.actuators)} inputs and {len(record.sensors)} outputs, {record.samples} samples at "
             f"{record.rate_hz:g} Hz"
         )
-    screen().say(size, f"written: {target}")
+        sides = (("inputs", record.actuators), ("outputs", record.sensors))
+        told = [f"{side}: {', '.join(wire.name for wire in wires)}" for side, wires in sides]
+    screen().say(size, *told, f"written: {target}")
     screen().result({"written": target, "holds": size})

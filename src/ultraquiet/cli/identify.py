@@ -7,6 +7,7 @@ import numpy as np
 import typer
 
 from ultraquiet._base.constraints import between
+from ultraquiet._base.errors import InputError
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.order import AUTO, found_order, of_order
 from ultraquiet.cli.output.targets import beside, require_free
@@ -50,6 +51,9 @@ def identify(
     target = out or beside("identify", record, f"{method}.h5")
     require_free("identify", target, force)
     data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping, keep_clock=True)
+    same = [u.name for u, sent in zip(data.actuators, data.inputs, strict=True) if (data.outputs == sent).all(1).any()]
+    if same:
+        raise InputError(f"identify: '{same[0]}' was chosen to go in and to come out; name every column once.")
     cut = data.samples - int(held_out_share * data.samples)
     show = screen()
     with bars():

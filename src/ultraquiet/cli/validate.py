@@ -7,6 +7,7 @@ import typer
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.exits.codes import finish
+from ultraquiet.cli.loop.loaded import loaded
 
 STEPS = (1, 10)
 P_VALUES = ("p: white", "p: free of input", "p: no feedback")
@@ -29,7 +30,7 @@ def validate(
     from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.values import PolynomialMatrix, PolynomialModel, StateSpace
 
-    system = files.load(model)
+    system = loaded(model, "validate", "identify")
     if not isinstance(system, PolynomialMatrix | PolynomialModel | StateSpace):
         raise InputError(f"validate: '{model}' holds a {type(system).__name__}, not a model.")
     data = files.read_record(record, rate, inputs, outputs, mapping, keep_clock=True)

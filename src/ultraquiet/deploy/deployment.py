@@ -23,7 +23,7 @@ from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.deploy.verification.bench_tones import on_bench
 from ultraquiet.deploy.verification.fuzz import STEPS as FUZZ_STEPS
 from ultraquiet.deploy.verification.rounded_loop import reanalysis
-from ultraquiet.deploy.verification.verify import STEPS, Verification, verify_code
+from ultraquiet.deploy.verification.verify import MOST_STEPS, STEPS, Verification, verify_code
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -104,7 +104,7 @@ class Deployment(GeneratedCode, Shown):
             tones_hz: where attenuation is compared, Hz; the ends and the middle of a band when absent, the plant's own
                 for the analysis and the law's own for the bench.
         """
-        whole("Deployment.verify", "steps", steps, 1)
+        whole("Deployment.verify", "steps", steps, 1, MOST_STEPS)
         whole("Deployment.verify", "seed", seed, 0)
         whole("Deployment.verify", "fuzz_steps", fuzz_steps, 0)
         require_plant(plant)

@@ -111,8 +111,14 @@ def clock_hz(path: str, time: Column) -> float:
     if unit.lower() not in TIME_UNITS_S:
         raise InputError(f"read_record: '{path}' counts time in '{unit}', which is unknown; give --rate (rate_hz=).")
     t = time.values * TIME_UNITS_S[unit.lower()]
-    if t.size < 2 or not np.all(np.diff(t) > 0):
-        raise InputError(f"read_record: '{path}' has a time column that does not rise; give --rate (rate_hz=).")
+    if t.size < 2:
+        raise InputError(f"read_record: '{path}' holds a single sample, which makes no record.")
+    back = np.flatnonzero(~(np.diff(t) > 0))
+    if back.size:
+        raise InputError(
+            f"read_record: '{path}' has a time column that does not rise, first at sample {back[0] + 1}; give "
+            "--rate (rate_hz=) if the samples are in order all the same."
+        )
     rate_hz = (t.size - 1) / float(t[-1] - t[0])
     steps = np.diff(t)
     # A lost sample is a long step; a slow drift shows against the clock of the whole record only.

@@ -15,10 +15,10 @@ from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
-from ultraquiet.pipeline.tables.left_out import with_all_records, with_paper
+from ultraquiet.pipeline.tables.files import with_all_records
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
 from ultraquiet.pipeline.tables.numbers import Band, Order, Positive
-from ultraquiet.pipeline.tables.paper import Paper
+from ultraquiet.pipeline.tables.paper import Paper, with_paper
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
 # Names of controllers become names of files; "open" names the records of the open loop.

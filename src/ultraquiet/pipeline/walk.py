@@ -117,6 +117,7 @@ def conduct(
     Raises:
         UltraquietError: as `walk`; results of another campaign with `resume`.
     """
+    _require_bench(settings)
     table = settings.campaign or CampaignTable()
     asked = table if benches is None else table.model_copy(update={"benches": benches})
     with prepared(settings.model_copy(update={"campaign": asked}), folder, beside, say) as stages:
@@ -126,8 +127,15 @@ def conduct(
 @single_threaded
 def one_case(settings: study.Study, folder: Path, beside: Path | None, say: Say, case: int) -> dict[str, Any]:
     """Return the row of one case of a study's campaign, evaluated again."""
+    _require_bench(settings)
     with prepared(settings, folder, beside, say) as stages:
         return stages.campaign_of(settings.campaign or CampaignTable()).evaluate(case)
+
+
+def _require_bench(settings: study.Study) -> None:
+    """Refuse a campaign of a study that has none to draw, before anything is written."""
+    if settings.bench is None:
+        raise InputError("campaign: the study has no bench that could be drawn.")
 
 
 @contextmanager

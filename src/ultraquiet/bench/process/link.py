@@ -19,6 +19,11 @@ CONNECT_PAUSE_S = 0.05
 PAUSE_S = 0.0005
 
 
+def _plainly(error: OSError | ValueError) -> str:
+    """Return why the system refused, without the number that it has for it."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 class Deadline:
     """When one answer must be there, however many remarks come before it."""
 
@@ -145,7 +150,7 @@ class Child(Link):
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:
-            raise BenchError(f"Process: the plant '{command[0]}' cannot be started ({error}).") from error
+            raise BenchError(f"Process: the plant '{command[0]}' cannot be started ({_plainly(error)}).") from error
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         assert self._process.stderr is not None
@@ -250,7 +255,7 @@ class Remote(Link):
             except OSError as error:
                 # A plant that is just being started does not listen yet.
                 if time.monotonic() + CONNECT_PAUSE_S > deadline or not isinstance(error, ConnectionRefusedError):
-                    raise BenchError(f"Process: nothing answers on {host}, port {port} ({error}).") from error
+                    raise BenchError(f"Process: nothing answers on {host}, port {port} ({_plainly(error)}).") from error
                 time.sleep(CONNECT_PAUSE_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # an answer waits for every line
         self._socket.setblocking(False)

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from ultraquiet._base.constraints import one_of, whole
+from ultraquiet._base.constraints import one_of
 from ultraquiet.cli.deploy.exports import require_place, require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
-from ultraquiet.cli.deploy.ranges import refuse_range, requested_limits, unsaid
+from ultraquiet.cli.deploy.ranges import refuse_range, requested_limits, require_steps, unsaid
 from ultraquiet.cli.deploy.table import requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
@@ -67,7 +67,7 @@ def deploy(
     real_time = requested_frame(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
     one_of("deploy", "precision", precision, PRECISIONS)
     folder = out or controller.with_suffix("")
-    whole("deploy", "steps", steps, 1)
+    require_steps(steps)
     ranges = requested_limits(limits, law)
     if not word_lengths:
         require_place(folder, force, "--out", controller, plant)

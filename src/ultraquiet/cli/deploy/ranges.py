@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 
 if TYPE_CHECKING:
@@ -58,6 +58,13 @@ def requested_range(text: str | None, law: "StateSpace") -> float:
     if not 0.0 < size < np.inf:
         raise InputError(f"deploy: --range takes one size above zero for all readings, got '{text}'.")
     return size
+
+
+def require_steps(steps: int) -> None:
+    """Refuse a number of samples to compare that is none, or more than memory holds."""
+    from ultraquiet.deploy.verification.verify import MOST_STEPS
+
+    whole("deploy", "steps", steps, 1, MOST_STEPS)
 
 
 def refuse_range(text: str | None, precision: str) -> None:

@@ -6,17 +6,26 @@ from typing import TYPE_CHECKING
 from ultraquiet._base import registry
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.output.targets import ARCHIVES
 
 if TYPE_CHECKING:
     from ultraquiet.values import StateSpace
 
 
+def loaded(path: Path, who: str, maker: str) -> object:
+    """Return what an archive holds; a file of another kind is refused with who makes an archive of it."""
+    from ultraquiet import files
+
+    if path.is_file() and path.suffix.lower() not in ARCHIVES:
+        raise InputError(f"{who}: '{path}' is no archive (.h5) of this program; `{maker}` makes one.")
+    return files.load(path)
+
+
 def loaded_plant(path: Path, who: str = "deploy") -> "StateSpace":
     """Return the plant that a file holds, a state space or a model of one."""
-    from ultraquiet import files
     from ultraquiet.values import StateSpace
 
-    model = files.load(path)
+    model = loaded(path, who, "identify")
     system = model if isinstance(model, StateSpace) else getattr(model, "state_space", lambda: None)()
     if system is None:
         raise InputError(
@@ -29,10 +38,9 @@ def loaded_plant(path: Path, who: str = "deploy") -> "StateSpace":
 
 def loaded_law(path: Path, who: str) -> "StateSpace":
     """Return the controller in state space that a file holds."""
-    from ultraquiet import files
     from ultraquiet.values import StateSpace
 
-    law = files.load(path)
+    law = loaded(path, who, "design")
     if not isinstance(law, StateSpace):
         raise InputError(
             f"{who}: '{path}' holds a {type(law).__name__}, not a controller in state space; `design` makes one."

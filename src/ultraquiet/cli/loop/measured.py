@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ultraquiet.values import StateSpace
 
 DEFAULT = "default"
+MOST_SAMPLES = 1e8  # of all channels; 0.8 GB
 PERIODS = 16.0  # of the lowest tone, or line of the band, in a run whose length nobody asked for
 
 
@@ -54,6 +55,9 @@ class Wanted:
         size = place.amplitude if amplitude is None else positive(WHO, "--amplitude", amplitude)
         slowest: list[float] = [PERIODS / place.duration_s, *tones_hz, *([band[0]] if noise and band else [])]
         length = PERIODS / min(slowest) if duration_s is None else positive(WHO, "--duration", duration_s, "s")
+        longest_s = MOST_SAMPLES / (place.bench.rate_hz * (len(place.bench.actuators) + len(place.bench.sensors)))
+        if length > longest_s:
+            raise InputError(f"{WHO}: '--duration' may be {longest_s:.3g} s at most, got {length:g}.")
         return cls(tones_hz, noise, step, band, size, length, whole(WHO, "--seed", seed, 0))
 
 

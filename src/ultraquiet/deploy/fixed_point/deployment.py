@@ -15,6 +15,7 @@ from ultraquiet.deploy.fixed_point.compiled import FixedCode, self_test_passes
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
 from ultraquiet.deploy.toolchain import compiler
+from ultraquiet.deploy.verification.verify import MOST_STEPS
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -56,7 +57,7 @@ class FixedDeployment(Shown):
 
     def verify(self, steps: int = STEPS, seed: int = 0) -> FixedVerification:
         """Compile the code and compare `steps` samples over the whole range, and the self-test, with the twin."""
-        whole("FixedDeployment.verify", "steps", steps, 1)
+        whole("FixedDeployment.verify", "steps", steps, 1, MOST_STEPS)
         whole("FixedDeployment.verify", "seed", seed, 0)
         cc = compiler.compiler()
         if cc is None:

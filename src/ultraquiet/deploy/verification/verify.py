@@ -26,7 +26,7 @@ from ultraquiet.deploy.verification.fuzz import Fuzz, fuzz_code
 from ultraquiet.deploy.verification.rounded_loop import Reanalysis
 from ultraquiet.values.status import Status, StatusWord
 
-STEPS = 100_000
+STEPS, MOST_STEPS = 100_000, 10_000_000  # half a gigabyte of measurements six channels wide
 
 compare = differing
 

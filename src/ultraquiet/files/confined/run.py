@@ -19,7 +19,7 @@ from ultraquiet.files.confined import limits, transport
 from ultraquiet.files.confined.unpacked import budget_bytes
 from ultraquiet.files.whole import READER, understanding
 
-LEAST_S, BYTES_PER_S = 20, 2 << 20  # processor time for any file, and beyond it by its size: text takes longest
+LEAST_S, BYTES_PER_S = 6, 2 << 20  # processor time for any file, and beyond it by its size: text takes longest
 WAIT = 4  # wall time, times processor time: the machine may have other things to do
 HEAD_BYTES = 1 << 20  # of what is delivered beside numbers
 

@@ -44,10 +44,15 @@ def read_text(name: str, data: bytes) -> FileTable:
     except UnicodeDecodeError:
         raise InputError(f"read_record: '{name}' is no text file in UTF-8.") from None
     except ValueError as error:
-        raise InputError(f"read_record: '{name}', after line {start}: {reason(error)}.") from None
+        raise InputError(f"read_record: '{name}', after line {start}: {_plainly(reason(error))}.") from None
     header = _header(before, delimiter, rows.shape[1])
     columns = [Column(called, values, unit) for (called, unit), values in zip(header, rows.T, strict=True)]
     return FileTable(name, _with_roles(columns))
+
+
+def _plainly(refusal: str) -> str:
+    """Return what NumPy says of a table without its advice, which is on NumPy's own arguments."""
+    return refusal.partition("; use `usecols`")[0]
 
 
 def write_text(record: Record) -> bytes:

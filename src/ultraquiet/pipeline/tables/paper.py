@@ -1,9 +1,11 @@
 """`[paper]` of a study file: what a publication did, and what it printed."""
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import Field
 
+from ultraquiet._base.lines import Place
 from ultraquiet._base.tables import Strict
 from ultraquiet.pipeline.tables.numbers import Band, Order
 
@@ -42,3 +44,19 @@ class Paper(Strict):
     band_hz: Band = (10.0, 250.0)
     says: list[str] = Field(default=[])
     claims: list[Claim] = Field(default=[])
+
+
+def with_paper(content: dict[str, Any], places: Mapping[Place, int]) -> tuple[dict[str, Any], Mapping[Place, int]]:
+    """Return the content with the older keys `identify.paper_*` as the table `paper` that they are now."""
+    sweep = content.get("identify")
+    if not isinstance(sweep, dict) or "paper" in content:
+        return content, places
+    older = {
+        key: key.removeprefix("paper_") for key in sweep if key in ("paper_structure", "paper_order", "paper_records")
+    }
+    if not older:
+        return content, places
+    table: dict[str, Any] = {"records": ["chirp", "noise", "prbs"], **{new: sweep[key] for key, new in older.items()}}
+    moved = {("paper", new): places[("identify", key)] for key, new in older.items() if ("identify", key) in places}
+    rest = {key: value for key, value in sweep.items() if key not in older}
+    return {**content, "identify": rest, "paper": table}, {**places, **moved}

@@ -19,6 +19,9 @@ from ultraquiet.values.status import Status
 WHO = "tune_in_place"
 READING_SHARE, COMMAND_SHARE = 0.5, 0.6  # of the ranges of sensors and actuators; no law runs
 BELOW, TOP_SHARE = 10.0, 0.99  # the record begins so far below the band and ends at this share of half the rate
+# Far below the band a plant is often hardly heard, and what a law does there is paid for in the band: that stretch, up
+# to this share of the band's lower edge, is driven by itself, as loud as may be, and so many times longer.
+FAR_BELOW, LONGER = 0.5, 4.0
 PER_OCTAVE = (40, 60, 120)  # lines below, in and above the band: sharp modes stand high up
 NOISE_PERIODS = 2
 
@@ -68,7 +71,8 @@ def tune_in_place(
         band_hz: where the law is to be quiet; the record is densest there and above.
         law: what runs today.
         identify: how the response becomes a model; `Rational()` when absent.
-        seconds: a period of the record, two of which are measured a stretch and actuator.
+        seconds: a period of the record, two of which are measured a stretch and actuator; four times as long far below
+            the band.
         settle_s: before them.
 
     Returns:
@@ -82,12 +86,14 @@ def tune_in_place(
     settle = max(1, round(positive(WHO, "settle_s", settle_s, "s") * rate))
     first = max(1.0 / positive(WHO, "seconds", seconds, "s"), low / BELOW)
     top = TOP_SHARE * rate / 2
-    edges = sorted({first, *(f for f in (2 * low, high) if first < f < top), top})
+    edges = sorted({first, *(f for f in (FAR_BELOW * low, 2 * low, high) if first < f < top), top})
+    apart = 1 if edges[1] == FAR_BELOW * low else 0
     method = _begun(design, law)
     spent: dict[str, float] = {}
     with task("tuning in place", 3) as progress:
         clock = time.process_time()
-        passes = Injection.passes(edges, seconds, rate, PER_OCTAVE)
+        far = Injection.passes(edges[: apart + 1], LONGER * seconds, rate, PER_OCTAVE)
+        passes = [*far, *Injection.passes(edges[apart:], seconds, rate, PER_OCTAVE)]
         most = np.array([min(abs(c.low), abs(c.high)) for c in bench.actuators])
         levels = np.where(np.isfinite(most) & (most > 0), COMMAND_SHARE * most, 1.0)
         parts = [_recorded(bench, each, levels, settle) for each in passes]
