@@ -270,6 +270,8 @@ FILES = {
     "an order that is a fraction": ("order = 2", "order = 2.5", ("'order'", "integer")),
     "an order without end": ("order = 2", "order = inf", ("'order'", "finite")),
     "a column that is none": ('["run.csv"]', '["run.csv"]\ninputs = ["w"]\noutputs = ["y"]', ("'w'", "u (600)")),
+    "a rate that the clock contradicts": ('["run.csv"]', '["run.csv"]\nrate_hz = 500.0', ("500 Hz", "1000 Hz", "away")),
+    "in and out": ('["run.csv"]', '["run.csv"]\ninputs = ["u"]\noutputs = ["u"]', ("'u'", "name every column once")),
     "inputs alone": ('["run.csv"]', '["run.csv"]\ninputs = ["u"]', ("inputs", "outputs", "missing")),
 }  # fmt: skip
 

@@ -249,10 +249,7 @@ def test_the_self_test_covers_every_line_branch_and_condition(law_of, tmp_path, 
         f"{form}, anti-windup {aware}: {lines} % of {of_lines} lines, {branches} % of {of_branches} branches; of "
         f"{len(found)} decisions of several conditions {trees} are trees, for which that is MC/DC"
     )
-    # Whole numbers scaled so that nothing overflows: a command may be unable to reach one of its two limits.
-    least = 96.0 if form.startswith("q") and not aware else 100.0
-    assert lines >= least
-    assert branches >= least
+    assert (lines, branches) == (100.0, 100.0)
     assert trees == len(found)
 
 

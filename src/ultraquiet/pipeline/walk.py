@@ -8,7 +8,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ultraquiet import experiments
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.shown.line import counted
@@ -207,12 +210,21 @@ def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
         path = _at(name, beside)
         if path.stem in records:
             raise InputError(f"study: two files of [records] are called '{path.stem}'; rename one.")
-        records[path.stem] = read_record(path, table.rate_hz, table.inputs, table.outputs, mapping)
+        record = read_record(path, table.rate_hz, table.inputs, table.outputs, mapping, keep_clock=True)
+        same = [u.name for u, sent in zip(record.actuators, record.inputs, strict=True) if _among(sent, record.outputs)]
+        if same:
+            raise InputError(f"study: '{same[0]}' of '{name}' goes in and comes out as well; name every column once.")
+        records[path.stem] = record
     first = next(iter(records.values()))
     for name, record in records.items():
         if (record.rate_hz, record.actuators, record.sensors) != (first.rate_hz, first.actuators, first.sensors):
             raise InputError(f"study: '{name}' has other channels or another rate than '{next(iter(records))}'.")
     return records
+
+
+def _among(samples: FloatArray, rows: FloatArray) -> bool:
+    """Whether samples that move are one of the rows."""
+    return bool(np.ptp(samples) > 0 and (rows == samples).all(axis=1).any())
 
 
 def _at(name: str, beside: Path | None) -> Path:

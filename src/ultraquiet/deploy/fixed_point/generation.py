@@ -14,9 +14,9 @@ from ultraquiet.deploy.c_code.output_folder import manifest_text, require_ours, 
 from ultraquiet.deploy.c_code.render import heading, render
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
-from ultraquiet.deploy.fixed_point.law import FixedLaw
+from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
-from ultraquiet.deploy.fixed_point.self_test import self_test
+from ultraquiet.deploy.fixed_point.self_test import corner, self_test
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, require_stable
 from ultraquiet.deploy.law.kind import require_law
@@ -198,6 +198,10 @@ def _tables(law: FixedLaw, error: float) -> dict[str, Any]:
     }
 
 
+def _listed(words: Whole | None) -> list[int]:
+    return [] if words is None else [int(word) for word in words]
+
+
 def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
     law = deployment.law
     context = {
@@ -211,6 +215,7 @@ def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
         "down_u": (law.shift_u + law.bits - 2).tolist(),
         "top": 2 ** (law.bits - 1) - 1,
         "rows": self_test(law),
+        "corner": _listed(corner(law)),
         "basis": FNV_BASIS,
         "prime": FNV_PRIME,
         "factor": LCG_FACTOR,

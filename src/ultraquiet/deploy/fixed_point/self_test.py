@@ -5,8 +5,24 @@ from typing import Any
 import numpy as np
 
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP, MASK
-from ultraquiet.deploy.fixed_point.law import FixedLaw
+from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
+
+
+def corner(law: FixedLaw) -> Whole | None:
+    """Return the states and measurements, `(n + ny,)`, that carry a command beyond its range and no sum beyond its own.
+
+    A law whose states no measurement in range can fill may never meet a limit of its commands by itself; from here
+    both are met. None where none can be: the limits of such a law are idle.
+    """
+    rows = np.hstack([law.C.T, law.D])
+    sizes = [int(size) for size in np.abs(rows).sum(axis=1)]
+    downs = [law.bits - 2 + int(shift) for shift in law.shift_u]
+    top, most = 2 ** (law.bits - 1) - 1, 2 ** (2 * law.bits - 1) - 1
+    size = min(top, *((most - (1 << (d - 1))) // max(s, 1) for s, d in zip(sizes, downs, strict=True)))
+    reached = [(size * s + (1 << (d - 1))) >> d for s, d in zip(sizes, downs, strict=True)]
+    furthest = int(np.argmax(reached))
+    return size * np.sign(rows[furthest]) if reached[furthest] > top else None
 
 
 def self_test(law: FixedLaw) -> list[dict[str, Any]]:
@@ -18,6 +34,9 @@ def self_test(law: FixedLaw) -> list[dict[str, Any]]:
     plan += [("ENABLE", 0), ("RUN", 20)]
     if law.saturates:  # states at their ranges' corners, which a turn of the block carries beyond
         plan += [("PUSH", 0), ("RUN", 1), ("PUSH", 1), ("RUN", 1)]
+    ends = corner(law)
+    if ends is not None:
+        plan += [("CORNER", 1), ("CORNER", 0)]
     twin, random, digest, rows = FixedTwin(law), 1, FNV_BASIS, []
     twin.init()
     top = 2 ** (law.bits - 1) - 1
@@ -27,6 +46,11 @@ def self_test(law: FixedLaw) -> list[dict[str, Any]]:
         if op == "PUSH":
             twin.x = np.where(np.arange(law.states) * count % 2 == 0, top, -top)
         folded: list[int] = []
+        if op == "CORNER" and ends is not None:
+            held = ends if count else -ends
+            twin.x = held[: law.states]
+            folded += twin.output(held[law.states :]).tolist()
+            twin.x = np.zeros_like(twin.x)
         for _ in range(count if op in ("RUN", "HIGH", "LOW") else 0):
             y = np.zeros(law.inputs, np.int64)
             for j in range(law.inputs):
