@@ -16,7 +16,7 @@ from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.design.fixed_structure.tuning import posed
 from ultraquiet.linalg import balance, discretize
 from ultraquiet.values import StateSpace
-from ultraquiet.values.interconnect import feedback, gain, lft
+from ultraquiet.values.interconnect import feedback, gain, lft, series
 
 
 @pytest.fixture(scope="module")
@@ -288,3 +288,13 @@ def test_integrators_are_neither_refused_nor_misread(rate, unit):
             result = settings.design(G)
             print(f"{len(A)} states, {rate}, unit {unit:g}, {type(settings).__name__}: {result.status.word}")
             assert result.status.ok, result.status
+
+
+@pytest.mark.slow
+def test_a_law_that_makes_nothing_quieter_is_short_though_nothing_was_demanded():
+    """Twenty samples of delay at 300 Hz: what gets quiet between 10 and 100 Hz is nothing at all."""
+    late = StateSpace(*discretize.delay(20, 1), rate_hz=300.0)
+    lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=300.0)
+    result = FixedStructure(states=0).design(series(late, lag))
+    assert result.status.word == "short"
+    assert result.details["score"].measured["attenuation_db"] < 0.1

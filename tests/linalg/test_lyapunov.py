@@ -140,3 +140,16 @@ def test_both_equations_from_one_schur_form(n, rng):
 def test_an_eigenvalue_shared_with_its_mirror_is_said():
     with pytest.raises(NumericalError, match="share an eigenvalue"):
         lyapunov_both(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2), np.eye(2))
+
+
+@pytest.mark.parametrize("A", [np.diag([1.0, -1.0]), np.zeros((1, 1)), np.eye(2, k=1), np.array([[1e9, 5], [0, -1e9]])])
+def test_a_pair_that_cancels_is_no_equation_whatever_a_perturbed_one_gives(A):
+    """LAPACK moves the pair apart by round-off and solves that: for Q = I the answer looks like any other."""
+    for solve in (lyapunov, lambda A, Q: lyapunov_both(A, Q, Q)):
+        with pytest.raises(NumericalError, match="share an eigenvalue"):
+            solve(A, np.eye(len(A)))
+
+
+def test_poles_far_apart_in_speed_are_no_pair():
+    A = np.diag([-1e-7, -1e12])
+    np.testing.assert_allclose(np.diag(lyapunov(A, np.eye(2))), [0.5e7, 0.5e-12], rtol=1e-12)

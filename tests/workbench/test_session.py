@@ -5,6 +5,7 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from workbench_helpers import columns, csv_of
 
@@ -14,6 +15,7 @@ from ultraquiet.pipeline import load_study, walk
 from ultraquiet.pipeline.study import parse
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.making.imports import import_step, inside, received
+from ultraquiet.workbench.jobs import looks
 
 IDENTIFY = {"op": "identify", "name": "arx4", "records": ["fit"], "period_samples": None}
 METHOD = {"method": "arx", "order": 4}
@@ -146,3 +148,11 @@ def test_a_run_goes_on_from_what_was_done_by_hand_and_the_other_way_round(tmp_pa
     assert list(adopted.state["laws"]) == ["quiet"]
     assert adopted.make("laws", "quiet").value().hash == law.hash
     assert (made.folder / "stages" / "design-quiet.json").stat().st_mtime_ns == left["design-quiet"]
+
+
+def test_poles_are_looked_at_one_order_after_the_other(session):
+    """What the stabilisation diagram shows: the modes that the record was made with stand in line."""
+    found = looks.seen(session.folder, looks.modes(session.folder, session.state, "run")["view"])
+    last = found["rows"][found["rows"][:, 0] == found["orders"][-1]]
+    assert found["orders"].tolist() == list(range(2, int(found["orders"][-1]) + 1, 2))
+    assert np.abs(last[:, 1] / 8.0 - 1).min() < 0.02

@@ -600,6 +600,7 @@ var Uq = (() => {
       const each = Math.floor((total - gutter - (n - 1) * 8) / n);
       this.room = Math.max(...this.panels.filter((p) => !p.bare.y).map((p) => p.needs(this.heightOf(p, each) - 60)));
       this.body.style.minHeight = "";
+      this.body.classList.toggle("uq-narrow", each < 130);
       this.body.style.gridTemplateColumns = Array.from({ length: n }, (_, k) => each + (k ? 0 : gutter) + "px").join(" ");
       this.panels.forEach((p, k) => {
         const width = each + (k % n ? 0 : gutter);

@@ -3,15 +3,16 @@
 import warnings
 
 import numpy as np
-from scipy.linalg import LinAlgError, matrix_balance, solve_continuous_lyapunov
+from scipy.linalg import LinAlgError, matrix_balance, solve_continuous_lyapunov, solve_triangular
 from scipy.linalg.lapack import dtrsyl  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.errors import NumericalError
-from ultraquiet.linalg.ordered import Array, real_schur
+from ultraquiet.linalg.ordered import Array, complex_schur, real_schur
 
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 ROUND_OFF = 1e-16
 LEAST = 48  # rows and columns of a triangular block that LAPACK solves
+OPPOSED = 8 * float(np.finfo(float).eps)  # of the sizes of two eigenvalues: a smaller sum is none
 SOLVED = 1e-8  # of the sizes of the terms; what is left above it means that there was nothing to find
 
 
@@ -25,13 +26,15 @@ def lyapunov(A: Array, Q: Array) -> Array:
     if A.shape[0] == 0:
         return np.zeros((0, 0))
     A, Q, d = _balanced(A, Q, "Lyapunov")
-    with warnings.catch_warnings():
-        # SciPy warns where A and -A nearly share an eigenvalue; what counts is the residual
-        warnings.simplefilter("ignore", RuntimeWarning)
+    with warnings.catch_warnings(record=True) as said:
+        # SciPy warns where the sum of two eigenvalues is small beside A, which poles far apart in speed may well be
+        warnings.simplefilter("always", RuntimeWarning)
         try:
             X = symmetric(solve_continuous_lyapunov(A, -Q))
         except LinAlgError:
             X = np.full(Q.shape, np.nan)
+    if said:  # LAPACK moved a pair of eigenvalues apart and solved something else
+        X = np.full(Q.shape, np.nan) if _opposed(np.linalg.eigvals(A)) else _unmoved(A, Q)
     left = np.linalg.norm(A @ X + X @ A.T + Q)
     size = np.linalg.norm(A) * np.linalg.norm(X) + np.linalg.norm(Q)
     if not (np.isfinite(size) and left <= SOLVED * size):
@@ -39,6 +42,23 @@ def lyapunov(A: Array, Q: Array) -> Array:
             f"Lyapunov equation ({A.shape[0]} states): A and -A share an eigenvalue, so it has no single solution."
         )
     return X * np.outer(d, d)
+
+
+def _opposed(values: Array) -> bool:
+    """Return whether the sum of two eigenvalues is zero but for round-off of the two."""
+    size = np.abs(values)
+    return bool(np.any(np.abs(values[:, None] + values[None, :]) <= OPPOSED * (size[:, None] + size[None, :])))
+
+
+def _unmoved(A: Array, Q: Array) -> Array:
+    """Return X, column by column of a complex Schur form, whatever the sums of eigenvalues are beside the size of A."""
+    T, U = complex_schur(A)
+    F, n = U.conj().T @ Q @ U, len(T)
+    X = np.zeros((n, n), dtype=np.complex128)
+    for k in range(n - 1, -1, -1):
+        right = -F[:, k] - X[:, k + 1 :] @ T[k, k + 1 :].conj()
+        X[:, k] = solve_triangular(T + T[k, k].conj() * np.eye(n), right, check_finite=False)
+    return symmetric((U @ X @ U.conj().T).real)
 
 
 @np.errstate(over="ignore", invalid="ignore")

@@ -24,6 +24,7 @@ SMALLEST, LARGEST = 1e-10, 1e8  # of the damping
 ENOUGH = 1e-6  # relative decrease of a model step below which a point counts as stationary
 RELAXED = 1.3  # the balance moves on by more than the level asks: one without the other barely moves
 MISSED = 400.0  # weight of a missed hard requirement where laws are compared; missing by its inverse is forgiven
+BRIEF = 3  # share of the steps after which starts are compared that are polished otherwise
 CONTINUED = 3  # of the ends: the best one after a few steps need not be the best after many
 LOOKS, HIDES = 4, 1e-3  # between the points of the grid after each start, until no peak is higher there by this share
 LEVEL = 3e-3  # of the greatest requirement around one, where the balance of hard and soft is found
@@ -32,7 +33,12 @@ Value = Callable[[FloatArray, float], float]
 
 
 def bfgs(
-    value: Value, gradient: Callable[[FloatArray], FloatArray], x: FloatArray, steps: int
+    value: Value,
+    gradient: Callable[[FloatArray], FloatArray],
+    x: FloatArray,
+    steps: int,
+    patience: int = PATIENCE,
+    stagnant: float = STAGNANT,
 ) -> tuple[FloatArray, float]:
     """Minimise a function smooth almost everywhere.
 
@@ -59,7 +65,7 @@ def bfgs(
             V = np.eye(x.size) - np.outer(s, y) / sy
             H = V @ H @ V.T + np.outer(s, s) / sy
         history.append(f)
-        if len(history) > PATIENCE and history[-1 - PATIENCE] - f < STAGNANT * abs(f):
+        if len(history) > patience and history[-1 - patience] - f < stagnant * abs(f):
             break
     return x, f
 
@@ -169,17 +175,21 @@ def lowest(
     steps: int,
     rounds: int,
     judge: Callable[[FloatArray], float] | None = None,
+    polish: Callable[[FloatArray], FloatArray] | None = None,
 ) -> tuple[FloatArray, float] | None:
     """Return the best of several starts, its grid refined until no peak hides between the points.
 
-    The last few are compared by `judge`, an exact norm, where there is one.
+    The last few are compared by `judge`, an exact norm, where there is one, and go on by `polish` in place of the grid.
     """
     ends: list[FloatArray] = []
     for start in starts:
         x = stabilised(problem, start)
         if x is None or not np.isfinite(problem.value(x)):
             continue
-        x, _ = bfgs(problem.value, problem.gradient, x, steps)
+        x, _ = bfgs(problem.value, problem.gradient, x, steps if polish is None else steps // BRIEF)
+        if polish is not None:  # the grid need not be followed to the bottom
+            ends.append(x)
+            continue
         x, _ = minimax(problem, x, steps // 4)
         # a search finds the gaps of a grid: ends are only compared when none hides a peak there
         for _ in range(LOOKS):
@@ -189,8 +199,8 @@ def lowest(
         ends.append(x)
     if not ends:
         return None
-    ends = sorted(ends, key=problem.value)
-    polished = [_polished(problem, x, steps, rounds) for x in ends[:CONTINUED]]
+    ends = sorted(ends, key=judge if judge is not None and polish is not None else problem.value)
+    polished = [polish(x) if polish else _polished(problem, x, steps, rounds) for x in ends[:CONTINUED]]
     x = min(polished, key=judge or problem.value)
     return x, problem.value(x)
 

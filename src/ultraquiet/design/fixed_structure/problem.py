@@ -241,6 +241,15 @@ class TuningProblem:
             [np.hstack([A, np.zeros((n, a.shape[0]))]) + B @ U, np.hstack([np.zeros((a.shape[0], n)), a]) + b @ E]
         )
 
+    def slope_at(self, theta: FloatArray, f_hz: float) -> FloatArray:
+        """Return the gradient of the greatest requirement at one frequency, of infinity a very high one."""
+        w = self.plane.of_hz(f_hz) if np.isfinite(f_hz) else INFINITE * self.high
+        samples, self.samples = self.samples, self.sampled(np.array([float(w)]))
+        try:
+            return self.gradient(theta)
+        finally:
+            self.samples = samples
+
     def gradient(self, theta: FloatArray) -> FloatArray:
         """Return the gradient of the greatest peak."""
         return self.peaks(theta, 0.0, 1)[1][0]

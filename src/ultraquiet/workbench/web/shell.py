@@ -152,7 +152,7 @@ def _boards(view: View, place: Any) -> None:
             redo.set_enabled(session.can_redo)
         missing = [item for board in BOARDS for item in session.items(board) if not item.ready]
         if missing and all(job.over for job in view.jobs.recent):
-            button(f"Make what is missing ({len(missing)})", lambda: _make_all(view), "make-all", main=True)
+            button(f"Make missing ({len(missing)})", lambda: _make_all(view), "make-all", main=True)
         for board in BOARDS:
             heading(TITLES[board])
             if not session.state[board]:

@@ -7,7 +7,9 @@ from urllib.parse import urlencode
 from nicegui import ui
 
 from ultraquiet.chart.colours import law_colours
+from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.pipeline.identification import grouped
+from ultraquiet.values import StateSpace
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.figures.scale import Scale
@@ -18,6 +20,7 @@ from ultraquiet.workbench.web.frames import FrameStore
 from ultraquiet.workbench.web.place import ServedStudy
 
 Then = Callable[[dict[str, Any], dict[str, Any]], object]  # told a result and its arrays
+WIDER = 5.0  # than the band, at either end
 MOST = 8  # curves of one kind in a figure
 
 
@@ -86,6 +89,13 @@ class View:
         first = next(iter(grouped(names).values()))
         items = [self.session.item("data", name) for name in first[:MOST]]
         return items if all(item.ready for item in items) else self.ready("data")
+
+    def span(self, model: StateSpace) -> tuple[float, float]:
+        """Return the frequencies in which a model's modes are looked for: its band, and some way beyond."""
+        assert model.rate_hz is not None
+        asked = self.session.state["tables"].get("closed_loop", {}).get("band_hz")
+        low, high = asked or even_plant(model, who="workbench").band_hz
+        return low / WIDER, min(high * WIDER, model.rate_hz / 2)
 
     def colours(self, board: str) -> dict[str, str]:
         """Return the colour that every item of a board keeps."""

@@ -1,12 +1,15 @@
 """Bench: which one, its channels and limits, and what they read while one actuator moves."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from nicegui import ui
 
-from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark
+from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark, MovingShape, Scene
 from ultraquiet.pipeline import packaged_study
+from ultraquiet.plot.pages.modes import mode_shapes
+from ultraquiet.values.sketch import Sketch
 from ultraquiet.workbench.figures.traces import envelope
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
@@ -46,6 +49,7 @@ class _Bench:
         with columns.main:
             self._place = ui.element("div").classes("uq-figures")
             self.chart = ChartElement(view.frames, "live-chart")
+            self.shape = ChartElement(view.frames, "shape-chart")
         with columns.side:
             self._settings()
         view.watch(self._refresh)
@@ -99,6 +103,21 @@ class _Bench:
                 for c in found[side]
             ]
             table(("kind", "channel", "unit", "lowest", "highest"), rows, "channels")
+
+        if "sketch" in found:
+            self.shape.show(self._scene(Sketch(**found["sketch"])))
+
+    def _scene(self, sketch: Sketch) -> Scene:
+        """Return the bench as it stands; moving in the modes of the study's model once there is one."""
+        name = self.view.session.state["model"]
+        item = None if name is None else self.view.session.item("models", name)
+        if item is not None and item.ready:
+            model = item.value()
+            moving = mode_shapes(model, self.view.span(model), sketch)
+            if moving is not None:
+                return replace(moving, title=f"The bench, moving in the modes of {name}")
+        still = np.zeros(sketch.points.shape)
+        return Scene("bench", "The bench", "", sketch.points, sketch.lines, [MovingShape("at rest", still, still)])
 
     def _start(self) -> None:
         made = self.signal.table()

@@ -7,11 +7,12 @@ import numpy as np
 from nicegui import ui
 
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
+from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.identification import grouped
 from ultraquiet.plot.pages.modes import mode_shapes
 from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.values.sketch import Sketch
-from ultraquiet.workbench.figures.responses import Modelled, pole_map, response_grid
+from ultraquiet.workbench.figures.responses import Modelled, SeenResponse, pole_map, response_grid
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, field, heading, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
@@ -165,11 +166,31 @@ class _Identify:
         if asked == self._drawn:
             return
         self._drawn = asked
-        if data:
+        own = self._own_response()
+        if own is not None:
+            self._measured = own
+            self._draw()
+        elif data:
             names, settings = [item.name for item in data], {"estimator": "H1"}
             self._looker.ask("response", "frequency response", self._measure, names=names, settings=settings)
         else:
             self._draw()
+
+    def _own_response(self) -> SeenResponse | None:
+        """Return the response that the study's model was fitted to, unless records were clicked.
+
+        Groups of periodic records each move a part of the band: none of them alone shows the whole.
+        """
+        name = self.view.session.state["model"]
+        if "data" in self.view.params or name is None:
+            return None
+        item = self.view.session.item("models", name)
+        if not item.ready or item.recipe.get("period_samples") is None:
+            return None
+        found = item.value(stored.RESPONSE)
+        return SeenResponse(
+            found.f_hz, found.values, found.coherence, found.variance, found.actuators, found.sensors, found.estimator
+        )
 
     def _measure(self, _: Any, found: dict[str, Any]) -> None:
         self._measured = measured_of(self.view, found)
@@ -203,7 +224,7 @@ class _Identify:
         if self._sketch is None and "bench" in self.view.session.state["tables"] and self._asks_bench:
             self._asks_bench = False
             self._shape.ask("describe", "bench", lambda found, _: self._sketched(found, systems))
-        scene = mode_shapes(system, (0.0, system.rate_hz / 2), self._sketch)
+        scene = mode_shapes(system, self.view.span(system), self._sketch)
         if scene is not None:
             self.modes.show(scene)
 
