@@ -149,3 +149,19 @@ def test_missing_tools_are_named(law_of, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ToolError, match="'arm-none-eabi-gcc' is not installed"):
         count_instructions(made.law, made.folder)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(missing_program() is not None, reason="no compiler or emulator for the target")
+def test_small_code_against_fast_code_in_measured_instructions(law_of, tmp_path, monkeypatch):
+    """The same bits at -Os and -O2; the counts of both are printed."""
+    from ultraquiet.deploy.toolchain import emulator
+
+    usual = emulator.FLAGS
+    for states in (30, 60):
+        made = generate(law_of(states), tmp_path / f"{states}", form="modal")
+        for level in ("-O2", "-Os"):
+            monkeypatch.setattr(emulator, "FLAGS", tuple(level if flag == "-O2" else flag for flag in usual))
+            found = made.verify(300, targets=("cortex-m7",), fuzz_steps=0).on("cortex-m7")
+            print(f"{states} states at {level}: {found}")
+            assert "bit-exact" in str(found)
