@@ -65,7 +65,9 @@ def untangled(A: FloatArray, B: FloatArray, C: FloatArray) -> tuple[FloatArray, 
         return A, B, C
     d = even_scale(A, B, C)
     a, b, c = A * d / d[:, None], B / d[:, None], C * d
-    if np.linalg.norm(a) <= TANGLED * np.sqrt(len(a)) * np.abs(np.linalg.eigvals(a)).max():
+    size = np.linalg.norm(a) / (TANGLED * np.sqrt(len(a)))
+    # the mean square of the eigenvalues is no more than the square of the largest, and quickly there
+    if size**2 <= abs(float(np.sum(a * a.T))) / len(a) or size <= np.abs(np.linalg.eigvals(a)).max():
         return A, B, C
     T, Q = real_schur(a)
     b, c = Q.T @ b, c @ Q
