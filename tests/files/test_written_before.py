@@ -58,3 +58,10 @@ def test_registered_names_and_their_settings_answer(family):
 def test_public_names_answer(room):
     module = importlib.import_module(f"ultraquiet.{room}")
     assert [name for name in PUBLIC["names"][room] if not hasattr(module, name)] == []
+
+
+def test_a_frame_of_a_log_answers_to_its_older_name():
+    older = importlib.import_module("ultraquiet.files.frames")
+    assert older.Frame is older.LogFrame
+    with pytest.raises(AttributeError, match="no attribute 'Frames'"):
+        older.Frames  # noqa: B018

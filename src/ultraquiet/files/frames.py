@@ -13,6 +13,7 @@ noticed as well.
 import struct
 import zlib
 from dataclasses import dataclass
+from typing import Any
 
 MAGIC = b"\xf5UQ\n"  # no text begins so, and a transfer that changes line ends shows
 VERSION = 2
@@ -86,3 +87,9 @@ def frame_at(data: bytes | memoryview, at: int) -> LogFrame:
     if _CRC.unpack_from(view, end)[0] != zlib.crc32(view[HEAD_BYTES:end], begun):
         raise UnsoundError("it does not match its checksum")
     return LogFrame(kind, sequence, run, offset, channels, samples, view[HEAD_BYTES:end])
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Frame":  # its name until 0.1
+        return LogFrame
+    raise AttributeError(f"module 'ultraquiet.files.frames' has no attribute {name!r}")
