@@ -282,7 +282,7 @@ def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
     ("words", "sentence"),
     [
         (["--target", "z80"], "'target' must be one of"),
-        (["--steps", "0"], "'steps' must be at least 1"),
+        (["--steps", "0"], "'steps' must be between 1 and 10000000"),
         (["--budget", "300"], "largest order that would fit"),
         (["--form", "companion"], "'form' must be one of"),
         (["--precision", "float16"], "must be one of"),

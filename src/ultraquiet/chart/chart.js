@@ -744,7 +744,7 @@ var Uq = (() => {
         const sheet = element("canvas");
         [sheet.width, sheet.height] = [Math.ceil(w), Math.ceil(h)];
         paintMap(sheet.getContext("2d"), p.map, p.panel, (v) => px(v) - left, (v) => py(v) - top);
-        out.push(`<image x="${left}" y="${top}" width="${w}" height="${h}" href="${sheet.toDataURL("image/png")}"/>`);
+        out.push(`<image x="${left}" y="${top}" width="${w}" height="${h}" href=${JSON.stringify(sheet.toDataURL("image/png"))}/>`);
       }
       for (const r of p.panel.regions || []) {
         const [a, b] = r.x ? r.x.map((v, j) => (v == null ? [left, left + w][j] : px(v))) : [left, left + w];
