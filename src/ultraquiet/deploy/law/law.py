@@ -157,6 +157,8 @@ def rounded(
             )
         return frozen(numbers)
 
+    largest = float(np.finfo(dtype).max)
+    limits = np.clip(limits, -largest, largest)  # what lies beyond all numbers of the type limits none of them
     if not np.all(cast(limits)[:, 0] < cast(limits)[:, 1]):
         raise InputError(f"deploy: in {precision} an actuator's range in 'limits_v' is empty, got {limits.tolist()}.")
     return Law(
