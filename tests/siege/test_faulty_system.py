@@ -166,12 +166,14 @@ def test_calls_of_a_study_fail(forked, tmp_path, strikes):
 
 
 def operations(trace):
-    """Yield what was done to files, as the library wrote it down."""
-    data, at = trace.read_bytes(), 0
+    """Yield what was done to files, as the library wrote it down; a number that is given again is another file's."""
+    data, at, ages = trace.read_bytes(), 0, Counter()
     while at + HEAD.size <= len(data):
         op, length, other, _, file, place, when = HEAD.unpack_from(data, at)
         at += HEAD.size
-        yield op.decode(), file, place, data[at : at + length], data[at + length : at + length + other].decode(), when
+        ages[file] += op == b"c"
+        written, path = data[at : at + length], data[at + length : at + length + other].decode()
+        yield op.decode(), (file, ages[file]), place, written, path, when
         at += length + other
 
 
