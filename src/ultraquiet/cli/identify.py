@@ -45,13 +45,14 @@ def identify(
     from ultraquiet import files, validate
     from ultraquiet.cli.output.screen import screen
     from ultraquiet.cli.output.text_table import TextTable
+    from ultraquiet.identify.record_checks import in_and_out
     from ultraquiet.values.channel import squared
 
     held_out_share = between("identify", "hold-out", hold_out, 0.0, 0.9)
     target = out or beside("identify", record, f"{method}.h5")
     require_free("identify", target, force)
     data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping, keep_clock=True)
-    same = [u.name for u, sent in zip(data.actuators, data.inputs, strict=True) if (data.outputs == sent).all(1).any()]
+    same = in_and_out(data)
     if same:
         raise InputError(f"identify: '{same[0]}' was chosen to go in and to come out; name every column once.")
     cut = data.samples - int(held_out_share * data.samples)

@@ -24,6 +24,12 @@ BINS_PER_PARAMETER = 3
 LINE_SHARE = 1e-5
 
 
+def in_and_out(record: Record) -> list[str]:
+    """Return the inputs that move and stand among the outputs as well: a column that was chosen twice."""
+    wires = zip(record.actuators, record.inputs, strict=True)
+    return [wire.name for wire, sent in wires if np.ptp(sent) > 0 and (record.outputs == sent).all(axis=1).any()]
+
+
 def usable(who: str, record: Record, parameters: int, memory: int) -> None:
     """Refuse a record that cannot carry a model.
 

@@ -8,10 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ultraquiet import experiments
-from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.shown.line import counted
@@ -19,6 +16,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.bench import Replay
 from ultraquiet.bench.from_file import from_file
 from ultraquiet.files import read_record, reason, write_bytes
+from ultraquiet.identify.record_checks import in_and_out
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.mission import CampaignFacts
@@ -211,7 +209,7 @@ def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
         if path.stem in records:
             raise InputError(f"study: two files of [records] are called '{path.stem}'; rename one.")
         record = read_record(path, table.rate_hz, table.inputs, table.outputs, mapping, keep_clock=True)
-        same = [u.name for u, sent in zip(record.actuators, record.inputs, strict=True) if _among(sent, record.outputs)]
+        same = in_and_out(record)
         if same:
             raise InputError(f"study: '{same[0]}' of '{name}' goes in and comes out as well; name every column once.")
         records[path.stem] = record
@@ -220,11 +218,6 @@ def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
         if (record.rate_hz, record.actuators, record.sensors) != (first.rate_hz, first.actuators, first.sensors):
             raise InputError(f"study: '{name}' has other channels or another rate than '{next(iter(records))}'.")
     return records
-
-
-def _among(samples: FloatArray, rows: FloatArray) -> bool:
-    """Whether samples that move are one of the rows."""
-    return bool(np.ptp(samples) > 0 and (rows == samples).all(axis=1).any())
 
 
 def _at(name: str, beside: Path | None) -> Path:

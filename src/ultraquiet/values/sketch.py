@@ -43,6 +43,13 @@ class Sketch:
         return {"points": self.points.tolist(), "lines": lines, "moves": self.moves.tolist()}
 
 
+def sketch_of(bench: Any) -> Sketch | None:
+    """Return what a bench looks like, where it says so."""
+    offered = getattr(bench, "sketch", None)
+    drawn: Any = offered() if callable(offered) else None
+    return drawn if isinstance(drawn, Sketch) else None
+
+
 def row_of(readings: int) -> Sketch:
     """Return the sketch of a bench whose shape nobody told: its readings side by side, each moving up and down.
 

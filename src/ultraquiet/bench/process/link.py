@@ -10,6 +10,7 @@ from collections import deque
 from contextlib import suppress
 
 from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet.files import reason
 
 CHUNK_BYTES = 1 << 16
 LONGEST_LINE_BYTES = 1 << 20  # 40 000 numbers: more than any plant has channels, so it is no answer but rubbish
@@ -17,11 +18,6 @@ LAST_WORDS = 300  # characters of the plant's error output that a sentence quote
 GRACE_S = 1.0  # how long a plant may take to end by itself, then to obey SIGTERM
 CONNECT_PAUSE_S = 0.05
 PAUSE_S = 0.0005
-
-
-def _plainly(error: OSError | ValueError) -> str:
-    """Return why the system refused, without the number that it has for it."""
-    return getattr(error, "strerror", None) or str(error)
 
 
 class Deadline:
@@ -150,7 +146,7 @@ class Child(Link):
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:
-            raise BenchError(f"Process: the plant '{command[0]}' cannot be started ({_plainly(error)}).") from error
+            raise BenchError(f"Process: the plant '{command[0]}' cannot be started ({reason(error)}).") from error
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         assert self._process.stderr is not None
@@ -255,7 +251,7 @@ class Remote(Link):
             except OSError as error:
                 # A plant that is just being started does not listen yet.
                 if time.monotonic() + CONNECT_PAUSE_S > deadline or not isinstance(error, ConnectionRefusedError):
-                    raise BenchError(f"Process: nothing answers on {host}, port {port} ({_plainly(error)}).") from error
+                    raise BenchError(f"Process: nothing answers on {host}, port {port} ({reason(error)}).") from error
                 time.sleep(CONNECT_PAUSE_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # an answer waits for every line
         self._socket.setblocking(False)

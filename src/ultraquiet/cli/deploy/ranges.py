@@ -30,7 +30,7 @@ def requested_limits(text: str | None, law: "StateSpace") -> FloatArray:
     except (ValueError, IndexError):
         names = ", ".join(wire.name for wire in law.sensors)
         raise InputError(
-            f"deploy: --limits takes one size for all, or a size or LOW:HIGH for each of {names};  '{text}'."
+            f"deploy: --limits takes one size for all, or a size or LOW:HIGH for each of {names}; got '{text}'."
         ) from None
     return actuator_limits(np.broadcast_to(ranges, (len(law.sensors), 2)), len(law.sensors), "--limits")
 

@@ -13,9 +13,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.subspace.fit import Scaled
 
 SILENT = 1e-6  # of an input's mean power a line, below which a line is silent
-WIDE = (
-    0.01  # share of all lines that a silent band holds at least: what stands between the lines of a multisine is none
-)
+WIDE = 0.01  # share of all lines that a silent band holds at least: the gaps of a multisine are none
 
 
 def silent_bands(u: FloatArray) -> list[tuple[int, int]]:

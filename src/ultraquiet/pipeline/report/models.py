@@ -1,7 +1,6 @@
 """What the report says of records and models."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from ultraquiet.plot.pages.modes import mode_shapes
 from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.report import Picture, Section, Table
 from ultraquiet.values.channel import squared
-from ultraquiet.values.sketch import Sketch
+from ultraquiet.values.sketch import Sketch, sketch_of
 
 # Zeros nearer to 0 Hz than this share of the Nyquist frequency are those at z = 1, spread by rounding: a triple root is
 # good to its cube root.
@@ -220,9 +219,7 @@ def analysis(result: StudyResult) -> Section:
 
 def _sketch(result: StudyResult) -> Sketch | None:
     """Return what the bench looks like, where it says so and its readings are the model's."""
-    offered = getattr(result.bench, "sketch", None)
-    found: Any = offered() if callable(offered) and result.study.blending is None else None
-    return found if isinstance(found, Sketch) else None
+    return sketch_of(result.bench) if result.study.blending is None else None
 
 
 def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:

@@ -16,7 +16,7 @@ from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import loop_plan
 from ultraquiet.pipeline.study import ClosedLoop
 from ultraquiet.pipeline.walk import bench_of, measure
-from ultraquiet.values.sketch import Sketch
+from ultraquiet.values.sketch import sketch_of
 from ultraquiet.workbench.engine.items import FOLDER
 from ultraquiet.workbench.engine.making import work
 from ultraquiet.workbench.engine.making.units import study_of
@@ -43,9 +43,8 @@ def described(folder: Path, state: Mapping[str, Any]) -> dict[str, Any]:
     bench = bench_of(study_of(state), folder)
     sides = {"actuators": bench.actuators, "sensors": bench.sensors}
     rows = {side: [[c.name, c.unit, c.low, c.high] for c in wires] for side, wires in sides.items()}
-    offered = getattr(bench, "sketch", None)
-    sketch = offered() if callable(offered) else None
-    drawn = {} if not isinstance(sketch, Sketch) else {"sketch": sketch.plain()}
+    sketch = sketch_of(bench)
+    drawn = {} if sketch is None else {"sketch": sketch.plain()}
     return finite({"rate_hz": bench.rate_hz, **rows, "name": type(bench).__name__, **drawn})
 
 
