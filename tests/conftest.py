@@ -167,6 +167,15 @@ def demo(request, tmp_path_factory, first_seed):
     return folder, summary, json.loads(words.read_text())
 
 
+@pytest.fixture(scope="module")
+def browser():
+    """The system's Chromium, one for the tests of a module."""
+    from chromium import chromium_started
+
+    with chromium_started() as chromium:
+        yield chromium
+
+
 @pytest.fixture
 def run(monkeypatch, capsys, tmp_path):
     """Run `ultraquiet WORDS` in `tmp_path`; returns exit code, stdout and stderr."""

@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, HeatMap, Mark, MovingShape, Packing, Scene, script, style
 
 pytestmark = [pytest.mark.web, pytest.mark.slow]
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or ""
 KINDS = ("line", "step", "path", "points", "bars", "stems")
 X = (np.arange(8.0), np.linspace(-2.0, 2.0, 8), np.zeros(8), np.array([3.0, 0.0, -1.0, 2.0, 5.0, 1.0, 4.0, 6.0]))
 Y = (np.linspace(-1.0, 1.0, 8), np.zeros(8), np.full(8, np.nan), np.geomspace(1e-30, 1e30, 8), np.full(8, 1e17))
@@ -35,26 +33,21 @@ def cases():
         yield f"{kind}, {scale_x} over {scale_y}", Chart("c", "C", "", [*panels, *marked], 4)
 
 
-def test_no_axis_hangs_the_page():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM:
-        pytest.skip("no Chromium on this machine")
-    with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = chromium.new_page()
-        page.set_default_timeout(20_000)
-        wrong: list[str] = []
-        page.on("pageerror", lambda error: wrong.append(str(error)))
-        page.set_content(f"<style>{style()}</style><div id=place></div>")
-        page.add_script_tag(content=script())
-        for name, chart in cases():
-            packing = Packing()
-            spec = json.dumps({**packing.spec(chart), "data": packing.data})
-            page.evaluate(DRAW, spec)
-            page.wait_for_function("window.drawn !== null", polling=50)  # times out where the page hangs
-            assert page.evaluate("window.drawn") == len(chart.panels), name
-        assert wrong == []
-        chromium.close()
+def test_no_axis_hangs_the_page(browser):
+    page = browser.new_page()
+    page.set_default_timeout(20_000)
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.set_content(f"<style>{style()}</style><div id=place></div>")
+    page.add_script_tag(content=script())
+    for name, chart in cases():
+        packing = Packing()
+        spec = json.dumps({**packing.spec(chart), "data": packing.data})
+        page.evaluate(DRAW, spec)
+        page.wait_for_function("window.drawn !== null", polling=50)  # times out where the page hangs
+        assert page.evaluate("window.drawn") == len(chart.panels), name
+    assert wrong == []
+    page.close()
 
 
 SCENE = """async (s) => {
@@ -73,21 +66,16 @@ SCENE = """async (s) => {
 }"""
 
 
-def test_shapes_move_until_they_are_stopped():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM:
-        pytest.skip("no Chromium on this machine")
+def test_shapes_move_until_they_are_stopped(browser):
     shape = MovingShape("one", [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], np.zeros((2, 3)))
     scene = Scene("s", "S", "", [[0.0, 0.0, 0.0], [0.0, 1.0, 1.0]], [(0, 1)], [shape])
     packing = Packing()
     spec = json.dumps({**packing.spec(scene), "data": packing.data})
-    with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = chromium.new_page()
-        page.set_content(f"<style>{style()}</style><div id=place></div>")
-        page.add_script_tag(content=script())
-        assert page.evaluate(SCENE, spec) == {"moves": True, "stops": True, "lines": 3}
-        chromium.close()
+    page = browser.new_page()
+    page.set_content(f"<style>{style()}</style><div id=place></div>")
+    page.add_script_tag(content=script())
+    assert page.evaluate(SCENE, spec) == {"moves": True, "stops": True, "lines": 3}
+    page.close()
 
 
 MAP = """async (s) => {
@@ -104,21 +92,16 @@ MAP = """async (s) => {
 }"""
 
 
-def test_values_as_colours_are_drawn_saved_and_read():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM:
-        pytest.skip("no Chromium on this machine")
+def test_values_as_colours_are_drawn_saved_and_read(browser):
     shown = HeatMap("level (dB)", [1.0, 2.0, 3.0], [1.0, 10.0, 100.0], np.arange(9.0), (0.0, 8.0))
     panel = ChartPanel(Axis("time (s)"), Axis("frequency (Hz)", "log"), [], map=shown)
     packing = Packing()
     spec = json.dumps({**packing.spec(Chart("m", "M", "", [panel])), "data": packing.data})
-    with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = chromium.new_page()
-        page.set_content(f"<style>{style()}</style><div id=place></div>")
-        page.add_script_tag(content=script())
-        found = page.evaluate(MAP, spec)
-        chromium.close()
+    page = browser.new_page()
+    page.set_content(f"<style>{style()}</style><div id=place></div>")
+    page.add_script_tag(content=script())
+    found = page.evaluate(MAP, spec)
+    page.close()
     assert found["read"] == ["0", "8", "4"]
     assert found["dark"][2] > found["dark"][1]
     assert found["bright"][0] > 200

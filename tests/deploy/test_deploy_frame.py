@@ -288,7 +288,8 @@ def test_command_line_prints_time_line_and_table(made, tmp_path, capsys):
     show_frames(made, frame, 20_000, "c31", tmp_path / "frame.svg")
     said = capsys.readouterr().out
     found = frame.simulate(made, 20_000)
-    for word in ("converters read", "output", "update", "next interrupt", "utilisation", "slack us", "overrun: "):
+    named = ("a step takes", "left before the next tick (us)")
+    for word in ("converters read", "output", "update", "next interrupt", "overrun: ", *named):
         assert word in said
     assert f"{found.overrun_count} of 20000 frames overran" in said
     assert (tmp_path / "frame.svg").read_text().startswith("<svg")

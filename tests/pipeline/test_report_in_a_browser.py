@@ -4,7 +4,6 @@ import base64
 import csv
 import io
 import json
-import os
 import re
 import shutil
 import statistics
@@ -17,26 +16,14 @@ import numpy as np
 import pytest
 from test_any_bench import LIST, STUDY, TABLE, TWO_MASSES
 
+from chromium import SHOTS
 from ultraquiet.pipeline import load_study, walk
 
 pytestmark = [pytest.mark.web, pytest.mark.slow]
 MOST_BYTES, MOST_STILL_BYTES, OPENS_S = 4_000_000, 60_000, 1.0
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or ""
 STUDIES = ("demo", "two-masses", "four-by-three")
 # Quantities that are numbers by themselves.
 BARE = ("order",)
-SHOTS = Path(os.environ.get("ULTRAQUIET_ARTEFACTS", Path(__file__).parents[2] / "artefacts"))
-
-
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api")
-    if not CHROMIUM:
-        pytest.skip("no Chromium on this machine")
-    with playwright.sync_playwright() as started:
-        chromium = started.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield chromium
-        chromium.close()
 
 
 def made(folder, files, words):

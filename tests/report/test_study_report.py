@@ -1,10 +1,12 @@
 """The report of the embedded study: every section is there, and its tables are the numbers of `summary.json`."""
 
 import json
+import re
 
 import pytest
 
 from read_page import Page
+from ultraquiet.deploy.figures import figure_text, figure_words
 
 pytestmark = pytest.mark.web
 SECTIONS = [
@@ -117,8 +119,12 @@ def test_designs_are_those_of_the_summary(page, summary):
     for name, fact in summary["design"].items():
         row = table[name]
         assert (row["method"], row["states"]) == (fact["method"], str(fact["states"]))
-        for head, key in (("gamma", "gamma"), ("achieved", "achieved"), ("peak of S, dB", "peak_sensitivity_db")):
-            assert same(row[head], fact[key], 4), (name, head)
+        for key in ("gamma", "achieved"):
+            assert same(row[key], fact[key], 4), (name, key)
+        assert tenth(row["peak of S, dB"], fact["peak_sensitivity_db"]), name
+        limit = summary["limits"]["designs"][name]
+        (beyond,) = (cell for head, cell in row.items() if head.startswith("no linear law beyond"))
+        assert tenth(beyond, limit.get("limit_db")), "the limit stands beside its law"
         assert any(p.startswith(f"{name}: {fact['status']}") for p in section.paragraphs)
 
 
@@ -156,5 +162,14 @@ def test_code_is_that_of_the_summary(page, summary):
     assert set(table) == set(summary["deployment"])
     for name, fact in summary["deployment"].items():
         for key in ("states", "form", "c31_cycles", "c31_budget", "flash_bytes", "ram_bytes", "bit_exact"):
-            assert table[name][key] == str(fact.get(key, "-")), (name, key)
+            assert table[name][figure_words(key)] == figure_text(fact.get(key)), (name, key)
         assert any(p.startswith(f"{name}: ") for p in section.paragraphs)
+
+
+def test_no_name_of_the_program_stands_before_a_reader(page, demo):
+    """Names with underscores and words of Python belong to files; a reader is told in words."""
+    text = (demo[0] / "report.html").read_text(encoding="utf-8")
+    shown = re.sub(r"<[^>]+>", " ", re.sub(r"<(script|style)\b.*?</\1>", " ", text, flags=re.DOTALL))
+    found = set(re.findall(r"\b\w+_\w+\b|\b(?:True|False|None|null|nan)\b", shown))
+    print(f"{len(shown.split())} words, {len(found)} of them raw names")
+    assert found == set()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from workbench_helpers import browser, columns, csv_of, served
 
+from chromium import SHOTS
 from ultraquiet import files
 from ultraquiet.values import Record
 from ultraquiet.workbench import Session
@@ -236,8 +237,8 @@ def test_36_panels_and_a_dragged_weight_keep_up(finished):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)], ids=["1280", "1920"])
-def test_every_page_fits_its_window(finished, tmp_path_factory, size, scheme):
-    pictures = Path(os.environ.get("UQ_PICTURES", tmp_path_factory.mktemp("pictures")))
+def test_every_page_fits_its_window(finished, size, scheme):
+    pictures = SHOTS / "workbench"
     pictures.mkdir(exist_ok=True, parents=True)
     with served(finished) as made, browser(made, *size, scheme) as seen:
         for page in PAGES:

@@ -1,7 +1,6 @@
 """A workbench that is served for a test, and a browser in front of it that notes what must not happen."""
 
 import os
-import shutil
 import subprocess
 import sys
 import time
@@ -12,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from chromium import chromium_started
+
 START = "from ultraquiet.cli import main; main()"
-CHROMIUM = "/usr/bin/chromium"
 PATIENCE_MS = 120_000
 RATE = 200.0
 
@@ -131,15 +131,9 @@ class Seen:
 @contextmanager
 def browser(made: Served, width: int = 1280, height: int = 800, scheme: str = "light") -> Iterator[Seen]:
     """Open the printed address in a browser."""
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as play:
-        chrome = play.chromium.launch(executable_path=shutil.which("chromium") or CHROMIUM, args=["--no-sandbox"])
+    with chromium_started() as chrome:
         page = chrome.new_context(viewport={"width": width, "height": height}, color_scheme=scheme).new_page()
         seen = Seen(page, made.root)
         page.goto(made.address)
         seen.find("boards")
-        try:
-            yield seen
-        finally:
-            chrome.close()
+        yield seen

@@ -22,6 +22,14 @@ SAYS = {
     PAYLOAD: "reduction of the payload's RMS while the base is shaken",
     "disk_margin": "disk margin of all channels at once at the plant's {where}",
 }
+# The same as a line of a table.
+SHORT = {
+    "attenuation_db": "worst direction, {low:.4g}-{high:.4g} Hz",
+    "peak_db": "largest amplification anywhere",
+    "tones_db": "worst channel at the worst tone",
+    PAYLOAD: "payload, base shaken",
+    "disk_margin": "disk margin, all channels at once",
+}
 
 
 def judge(
@@ -47,6 +55,16 @@ def judge(
         for end in ENDS:
             judged.append(_one("disk_margin", end, asked.disk_margin, disk.get(end), band_hz))
     return RequirementsFacts(law=asked.law, band_hz=band_hz, judged=tuple(judged))
+
+
+def in_short(name: str, band_hz: Band) -> tuple[str, str]:
+    """Return a requirement as a line of a table names it, and its unit with a space before it.
+
+    >>> in_short("attenuation_db", (10.0, 100.0))
+    ('worst direction, 10-100 Hz', ' dB')
+    """
+    low, high = band_hz
+    return SHORT[name].format(low=low, high=high), " dB" if name.endswith("_db") else ""
 
 
 def margins_of(plant: StateSpace, law: StateSpace) -> dict[str, float]:
@@ -107,5 +125,5 @@ def _one(
     at = "" if name == "disk_margin" else f" on {where}"
     found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}"
     bound = "at least" if more else "at most"
-    sentence = f"{name}: {what}{at} is {found}, {bound} {asked:g}{unit} is asked: {'met' if met else 'missed'}."
+    sentence = f"{what}{at} is {found}, {bound} {asked:g}{unit} is asked: {'met' if met else 'missed'}."
     return RequirementFacts(requirement=name, where=where, asked=asked, figure=figure, met=met, sentence=sentence)

@@ -1,7 +1,6 @@
 """The one table of `ultraquiet deploy`: the law, its cost, what proved it, what became of the loop."""
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ultraquiet.deploy import Deployment, Verification
@@ -20,7 +19,9 @@ def requested_targets(names: list[str] | None) -> tuple[str, ...]:
 
 def rows(deployment: "Deployment", proof: "Verification") -> list[tuple[str, str]]:
     """Return what and value of every line."""
-    listed = [(key.replace("_", " "), plain(value)) for key, value in deployment.tables.items()]
+    from ultraquiet.deploy.figures import said
+
+    listed = said(deployment.tables)
     if proof.compiler is not None:
         listed.append(("compared here", f"{proof.steps} steps, compiled by {proof.compiler}, {proof.seconds:.1f} s"))
     listed.extend(on_targets(proof))
@@ -42,16 +43,3 @@ def on_targets(proof: "Verification") -> list[tuple[str, str]]:
         size = f"; {each.flash_bytes} bytes of flash, {each.stack_bytes} of stack"
         listed.append((f"on {each.target.title}", f"{each}{calm}{size}"))
     return listed
-
-
-def plain(value: Any) -> str:
-    """Return a value as a reader wants it."""
-    if value is None:
-        return "-"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {plain(each)}" for key, each in value.items())
-    if isinstance(value, list | tuple):
-        return ", ".join(plain(each) for each in value)
-    return f"{value:.3g}" if isinstance(value, float) else str(value)

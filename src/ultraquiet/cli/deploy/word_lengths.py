@@ -56,14 +56,15 @@ def deploy_fixed(
 ) -> "tuple[Status, Status]":
     """Generate whole-number C99, compare it with its twin, print one table; return what law and code came to."""
     from ultraquiet import deploy
+    from ultraquiet.deploy.figures import said
 
     full = requested_size(limits, law)
     span = requested_range(reading, law)
     deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant, input_v=span, output_v=full)
     verified = deployment.verify(steps)
     grid = TextTable(("what", "value"), f"{folder}")
-    for key, value in deployment.tables.items():
-        grid.add(key.replace("_", " "), f"{value:.3g}" if isinstance(value, float) else str(value))
+    for row in said(deployment.tables):
+        grid.add(*row)
     show = screen()
     show.table(grid)
     show.say(*unsaid(reading, law.actuators, np.array([-span, span]), "--range", "can come to"))

@@ -9,6 +9,7 @@ import numpy as np
 
 from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, ScriptRow, planted
+from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain.compiler import FLAGS
@@ -63,7 +64,7 @@ def readme(law: Law, model_hash: str, tables: dict[str, Any], sentences: list[st
     """Return the text of README.md; `sentences` are the sentences on the law and on its verification."""
     context = {
         **heading(law, model_hash),
-        "rows": [(key.replace("_", " "), _plain(value)) for key, value in tables.items()],
+        "rows": said(tables),
         "said": sentences,
         "assumptions": assumptions,
         "flags": " ".join(FLAGS),
@@ -71,18 +72,6 @@ def readme(law: Law, model_hash: str, tables: dict[str, Any], sentences: list[st
         "deviations": DEVIATIONS,
     }
     return render("README.md.j2", context)
-
-
-def _plain(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {_plain(each)}" for key, each in value.items())
-    if isinstance(value, list):
-        return ", ".join(map(_plain, value))
-    return f"{value:.2g}" if isinstance(value, float) else str(value)
 
 
 def vectors(law: Law, seed: int = 0) -> str:

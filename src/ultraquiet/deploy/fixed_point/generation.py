@@ -13,6 +13,7 @@ from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.c_code.output_folder import manifest_text, require_ours, write_folder
 from ultraquiet.deploy.c_code.render import heading, render
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP
+from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
@@ -220,7 +221,7 @@ def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
         "prime": FNV_PRIME,
         "factor": LCG_FACTOR,
         "step": LCG_STEP,
-        "tables": {key.replace("_", " "): value for key, value in deployment.tables.items() if value is not None},
+        "figures": said({key: value for key, value in deployment.tables.items() if value is not None}),
         "status": deployment.status,
         "flags": " ".join(FLAGS),
     }

@@ -55,5 +55,7 @@ def _said(value: Any, unit: str) -> str:
         return MISSING
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
+    if unit == "dB":
+        return f"{round(value, 1) + 0.0:.1f} dB"
     digits = f"{value:.4g}" if abs(value) < 1000 or isinstance(value, float) else str(value)
     return f"{digits} {unit}".rstrip()

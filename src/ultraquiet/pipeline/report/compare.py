@@ -125,13 +125,28 @@ def _chosen(other: Finished) -> str:
     return max(loops, key=worst, default="")
 
 
-def _flat(value: Any, at: str = "") -> dict[str, str]:
+def _flat(value: Any, at: str = "") -> dict[str, Any]:
     if isinstance(value, Mapping):
         return {k: v for key, each in value.items() for k, v in _flat(each, f"{at}.{key}" if at else str(key)).items()}
-    return {at: json.dumps(value)}
+    return {at: value}
 
 
-def _changed(here: Mapping[str, str], there: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
+def _changed(here: Mapping[str, Any], there: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for key in dict.fromkeys([*here, *there]):
         if here.get(key) != there.get(key):
-            yield key, here.get(key, "-"), there.get(key, "-")
+            yield key, _said(here.get(key)), _said(there.get(key))
+
+
+def _said(setting: Any) -> str:
+    """Return a setting as a reader writes it.
+
+    >>> _said([10.0, None]), _said(True)
+    ('10, -', 'yes')
+    """
+    if setting is None:
+        return "-"
+    if isinstance(setting, bool):
+        return "yes" if setting else "no"
+    if isinstance(setting, list):
+        return ", ".join(map(_said, setting))
+    return f"{setting:g}" if isinstance(setting, float) else str(setting)

@@ -9,18 +9,10 @@ from ultraquiet.pipeline.facts.loops import CodeFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report import laws
 from ultraquiet.pipeline.report.mission import payload_charts
+from ultraquiet.pipeline.requirements import in_short
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.study import packaged_study, quick_study
 from ultraquiet.report import Front, Picture, Span, Table, Verdict
-
-# Requirements as a reader says them, and their unit; one that is not listed is shown by its own name.
-SAYS = {
-    "attenuation_db": ("worst direction, {low:.4g}-{high:.4g} Hz", " dB"),
-    "peak_db": ("largest amplification anywhere", " dB"),
-    "tones_db": ("worst channel at the worst tone", " dB"),
-    "payload_db": ("payload, base shaken", " dB"),
-    "disk_margin": ("disk margin, all channels at once", ""),
-}
 
 
 def front(result: StudyResult) -> Front:
@@ -92,16 +84,11 @@ def _asked_and_reached(asked: RequirementsFacts, units: Sequence[str]) -> Table:
     rows: list[list[object]] = []
     for requirement, group in groupby(asked.judged, key=lambda each: each.requirement):
         judged = list(group)
-        text, unit = SAYS.get(requirement, (requirement.replace("_", " ").removesuffix(" db"), _unit_of(requirement)))
-        bound = f"{judged[0].asked:g}{unit}"
-        rows.append([text.format(low=asked.band_hz[0], high=asked.band_hz[1]), bound, *_reached(judged, units), None])
+        words, unit = in_short(requirement, asked.band_hz)
+        rows.append([words, f"{judged[0].asked:g}{unit}", *_reached(judged, units), None])
         failed = [each.where for each in judged if not each.met]
         rows[-1][-1] = Verdict.of(not failed, aside=f"on {', '.join(failed)}" if failed and len(judged) > 1 else "")
     return Table(f"Required of {asked.law}", ("requirement", "asked", *(units or ("reached",)), "verdict"), rows)
-
-
-def _unit_of(requirement: str) -> str:
-    return " dB" if requirement.endswith("_db") else ""
 
 
 def _reached(judged: Sequence[RequirementFacts], units: Sequence[str]) -> list[object]:

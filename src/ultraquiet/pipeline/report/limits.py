@@ -61,7 +61,7 @@ def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
     if isinstance(limit, RefusedBand) or not np.isfinite(limit.bound_db):
         return f"{low:.4g}-{high:.4g} Hz: {limit.status}"
     return (
-        f"{low:.4g}-{high:.4g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.3g}{unit}: "
+        f"{low:.4g}-{high:.4g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.4g}{unit}: "
         f"{limit.attenuation_db:.1f} dB can be reached, {limit.bound_db:.1f} dB cannot be exceeded."
     )
 

@@ -4,14 +4,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ultraquiet.deploy.figures import figure_text, figure_words
+from ultraquiet.pipeline.facts.limits import DesignLimit
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.report import laws
 from ultraquiet.pipeline.report.records import noted, span
+from ultraquiet.pipeline.requirements import in_short
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages import bench
 from ultraquiet.plot.pages.waterfall import waterfall
-from ultraquiet.report import Picture, Section, Table
+from ultraquiet.report import Picture, Section, Table, Verdict
 
 # A cost this small beside what the paper's T <= 1 row alone would weigh says that the optimum is to do nothing.
 IDLE = 1e-3
@@ -29,14 +32,27 @@ def design(result: StudyResult) -> Section:
     sentences: list[str] = []
     for name, outcome in result.designs.items():
         facts = outcome.facts
-        figures = (facts.gamma, facts.achieved, facts.peak_sensitivity_db)
-        rows.append((name, facts.method, facts.states, *(_number(figure) for figure in figures)))
+        figures = (_number(facts.gamma), _number(facts.achieved), _number(facts.peak_sensitivity_db, 1))
+        rows.append((name, facts.method, facts.states, *figures, *_beside_limit(result, name)))
         sentences.append(f"{name}: {' '.join([facts.status, *_remarks(facts)])}")
-    columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB")
-    caption = "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction"
+    low, high = result.plan.band_hz
+    quiet = (f"worst direction {low:.4g}-{high:.4g} Hz, dB", "no linear law beyond, dB")
+    columns = ("controller", "method", "states", "gamma", "achieved", "peak of S, dB", *quiet)
+    caption = (
+        "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction; no "
+        "linear law reaches beyond at the same peak of S and the same gain of the control"
+    )
     tables = [Table(caption, columns, rows), margins_table(result)]
     figures = [*laws.shaped_charts(result), *laws.margin_charts(result), *laws.locus_charts(result)]
     return Section("Design", [_in_short(result)], tables, figures, sentences)
+
+
+def _beside_limit(result: StudyResult, name: str) -> tuple[str, str]:
+    """Return how quiet a law makes the band on the design model, and what no linear law goes beyond at its price."""
+    limit = result.limits.facts.designs.get(name)
+    if not isinstance(limit, DesignLimit):
+        return "-", "-"
+    return _number(limit.attenuation_db, 1), _number(limit.limit_db, 1)
 
 
 def _in_short(result: StudyResult) -> str:
@@ -83,7 +99,7 @@ def margins_table(result: StudyResult) -> Table:
             least = at.least_change
             said = "none upsets it"
             if least is not None:
-                amount = f"{least.amount:+.2g} dB" if least.kind == "gain" else f"{least.amount:.2g} degrees"
+                amount = f"{least.amount:+.3g} dB" if least.kind == "gain" else f"{least.amount:.3g} degrees"
                 said = f"{amount} of {least.channel}, at {least.f_hz:.4g} Hz"
             together = "-" if at.disk_all is None else _number(at.disk_all, 2)
             worst = (min(at.gain_up_db.min(), at.gain_down_db.min()), at.phase_deg.min(), at.disk.min())
@@ -117,7 +133,7 @@ def closed_loop(result: StudyResult) -> Section:
     """Each loop on the bench of every unit."""
     plan, paper = result.plan, result.study.paper
     low, high = plan.band_hz
-    heads = [h for t in plan.tones_hz for h in (f"{t:g} Hz", *([f"{t:g} Hz paper_db"] if paper else []))]
+    heads = [h for t in plan.tones_hz for h in (f"{t:g} Hz", *([f"{t:g} Hz as the paper counts"] if paper else []))]
     columns = (
         "controller",
         "unit",
@@ -160,13 +176,13 @@ def _about_tones(result: StudyResult) -> list[str]:
     """Say what the columns of tones mean, and what a paper reported of its own."""
     if not result.plan.tones_hz:
         return []
-    text = "A column headed by a tone is reduction_db = -20 log10(|y closed| / |y open|) of the worst channel."
+    text = "A column headed by a tone is -20 log10(|y closed| / |y open|) of the worst channel."
     paper = result.study.paper
     if paper is None:
         return [text]
     counted = (
-        " paper_db = -20 log10(|y closed| / |d|) counts the plant's own gain as well: the row 'no control' shows how "
-        "much of it is had for nothing."
+        " As the paper counts, -20 log10(|y closed| / |d|) holds the plant's own gain as well: the row 'no control' "
+        "shows how much of it is had for nothing."
     )
     return [text + counted, *(f"The paper's simulations: {said}." for said in paper.says)]
 
@@ -176,16 +192,11 @@ def _requirements(facts: RequirementsFacts | None) -> list[Table]:
     if facts is None:
         return []
     low, high = facts.band_hz
-    rows = [
-        (
-            each.requirement,
-            each.where,
-            f"{each.asked:g}",
-            "-" if each.figure is None else _number(each.figure, 3),
-            "met" if each.met else "missed",
-        )
-        for each in facts.judged
-    ]
+    rows: list[tuple[object, ...]] = []
+    for each in facts.judged:
+        words, unit = in_short(each.requirement, facts.band_hz)
+        found = "-" if each.figure is None else f"{_number(each.figure, 3)}{unit}"
+        rows.append((words, each.where, f"{each.asked:g}{unit}", found, Verdict.of(each.met)))
     caption = f"Required of {facts.law}, worst direction over {low:.4g}-{high:.4g} Hz, disk margins on the design model"
     return [Table(caption, ("requirement", "where", "asked", "found", "verdict"), rows, folded=True)]
 
@@ -273,6 +284,7 @@ def code(result: StudyResult) -> Section:
     c31 = result.study.paper is not None
     columns = C31_COLUMNS if c31 else CODE_COLUMNS
     rows = [(name, *(_of_code(facts, column) for column in columns)) for name, facts in result.deployment.items()]
+    heads = ("controller", *map(figure_words, columns))
     sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
     note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
     failed = [name for name, facts in result.deployment.items() if facts.failed]
@@ -282,17 +294,16 @@ def code(result: StudyResult) -> Section:
         else "The code of every law was compiled and compared with its twin; what a reduction left of each law stands "
         "beside it."
     )
-    tables = [Table("Generated C99", ("controller", *columns), rows), *_reductions(result)]
+    tables = [Table("Generated C99", heads, rows), *_reductions(result)]
     return Section("Code", [text, note] if c31 else [text], tables, [], sentences)
 
 
 def _of_code(facts: CodeFacts | NoCode, column: str) -> str:
     """Return one fact of a law's code as its cell says it."""
-    value = getattr(facts, column, None)
-    return "-" if value is None else str(value)
+    return figure_text(getattr(facts, column, None))
 
 
 def _number(value: float, digits: int = 4) -> str:
     if not np.isfinite(value):
         return "-"
-    return f"{value:.{digits}f}" if digits == 1 else f"{value:.{digits}g}"
+    return f"{round(value, 1) + 0.0:.1f}" if digits == 1 else f"{value:.{digits}g}"  # no -0.0

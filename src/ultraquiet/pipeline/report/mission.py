@@ -42,9 +42,13 @@ def payload(result: StudyResult) -> Section:
 def _row(loop: PayloadLoop | NoPayload, tones: list[str]) -> list[str]:
     if isinstance(loop, NoPayload):
         return ["-"] * (3 + len(tones))
-    each = [f"{loop.tones_db[f]:.1f}" if f in loop.tones_db else "-" for f in tones]
-    force = "-" if loop.force is None else f"{loop.force.reduction_db:.1f}"
-    return [f"{loop.reduction_db:.1f}", f"{loop.worst_db:.1f} at {loop.worst_hz:.3g} Hz", *each, force]
+    each = [_tenths(loop.tones_db[f]) if f in loop.tones_db else "-" for f in tones]
+    force = "-" if loop.force is None else _tenths(loop.force.reduction_db)
+    return [_tenths(loop.reduction_db), f"{_tenths(loop.worst_db)} at {loop.worst_hz:.3g} Hz", *each, force]
+
+
+def _tenths(db: float) -> str:
+    return f"{round(db, 1) + 0.0:.1f}"  # no -0.0
 
 
 def _sentences(result: StudyResult) -> Iterator[str]:

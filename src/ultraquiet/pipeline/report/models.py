@@ -55,13 +55,13 @@ def identification(result: StudyResult) -> Section:
             f"matrix takes what each channel's own record prefers: {_counted(best)}."
         )
         loss = f"median loss {', '.join(filter(None, units))}".strip() if len(units) == 1 else "median loss"
-        columns = ("structure", "order", "median fit %", "worst fit %", loss, "ok", "CPU s")
+        columns = ("structure", "order", "median fit %", "worst fit %", loss, "channels ok", "CPU s")
         title = "All channels, judged on records no model has seen; best first"
         tables.append(Table(title, columns, _ranking(facts.table)))
         figures.append(pages.fits_by_order(_by_structure(facts.table)))
     if paper is not None and facts.paper:
         title = f"The paper's structure ({paper.structure}, order {paper.order}) from each test signal"
-        heads = ("signal", "median fit %", "worst fit %", "ok", "all stable", "all invertible", "s")
+        heads = ("signal", "median fit %", "worst fit %", "channels ok", "all stable", "all invertible", "CPU s")
         tables.append(Table(title, heads, _by_signal(facts.paper)))
     return Section("Identification", sentences, tables, figures)
 

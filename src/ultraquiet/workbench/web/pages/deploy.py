@@ -6,6 +6,7 @@ from typing import Any
 
 from nicegui import ui
 
+from ultraquiet.deploy.figures import said
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.making.work import CODE
 from ultraquiet.workbench.web.controls import button, chip, choice, field, heading, table, words
@@ -13,16 +14,14 @@ from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View
 
 SHOWN = (
-    ("states", "states"),
-    ("form", "form"),
-    ("precision", "precision"),
-    ("flash_bytes", "flash (bytes)"),
-    ("ram_bytes", "RAM (bytes)"),
-    ("cortex_m7_instructions", "Cortex-M7 instructions a sample"),
-    ("c31_cycles", "TMS320C31 cycles"),
-    ("c31_budget", "of its budget"),
-    ("bit_exact", "bit by bit its twin"),
-    ("response_error", "rounding, relative"),
+    "states",
+    "form",
+    "precision",
+    "flash_bytes",
+    "ram_bytes",
+    "cortex_m7_instructions",
+    "bit_exact",
+    "response_error",
 )
 
 
@@ -87,7 +86,7 @@ class _Deploy:
                 ui.label(f"{item.name} as C99").classes("uq-title-line")
                 chip(facts["status"], f"proof-{item.name}")
             words(facts["status"].partition(": ")[2], "caption")
-            rows = [(words_, _said(facts["code"].get(key))) for key, words_ in SHOWN]
+            rows = said({key: facts["code"].get(key) for key in SHOWN})
             rows.append(("commands end at", ", ".join(f"{low:.4g} to {high:.4g}" for low, high in facts["limits"][:6])))
             table(("figure", "value"), rows, f"figures-{item.name}")
             button("Download (zip)", lambda: _download(item), f"download-{item.name}")
@@ -106,13 +105,3 @@ def _download(item: Item) -> None:
             if path.is_file():
                 archive.write(path, path.relative_to(item.folder / CODE))
     ui.download.content(memory.getvalue(), f"{item.name}.zip")
-
-
-def _said(value: Any) -> str:
-    if value is None:
-        return "not known"
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if isinstance(value, dict):
-        return ", ".join(f"{key} {each}" for key, each in value.items())
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
