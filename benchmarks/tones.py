@@ -66,8 +66,11 @@ def measure() -> Iterator[Row]:
     for unit in ("ground", "flight"):
         model = identified(unit, seed)
         bench = uq.bench.Hexapod(unit=unit, seed=seed + 1, hysteresis=True)
-        fixed = Resonators().design(model).controller
-        laws = {"adaptive feedforward": AdaptiveFeedforward(), "Youla-Kucera": YoulaKucera()}
+        fixed = Resonators(tones_hz=(25.0,)).design(model).controller
+        laws = {
+            "adaptive feedforward": AdaptiveFeedforward(tones_hz=(25.0,)),
+            "Youla-Kucera": YoulaKucera(tones_hz=(25.0,)),
+        }
         designed = {name: method.design(model).law for name, method in laws.items()}
         for move, (f, wanted) in moves.items():
             d = tone(rng, f)
@@ -83,9 +86,9 @@ def measure() -> Iterator[Row]:
 def _speed(rng: np.random.Generator) -> Iterator[Row]:
     plant = uq.bench.Hexapod().linear_model()
     laws = {
-        "adaptive feedforward, one tone": AdaptiveFeedforward(),
+        "adaptive feedforward, one tone": AdaptiveFeedforward(tones_hz=(25.0,)),
         "adaptive feedforward, three tones": AdaptiveFeedforward(tones_hz=(25.0, 60.0, 100.0)),
-        "Youla-Kucera, 72 parameters": YoulaKucera(),
+        "Youla-Kucera, 72 parameters": YoulaKucera(tones_hz=(25.0,)),
         "filtered-x, 5 errors, 256 taps": FilteredXLms(reference=(5,)),
     }
     y = 0.3 * np.sin(2 * np.pi * 25 / RATE_HZ * np.arange(STEPS))[:, None] + 0.01 * rng.standard_normal((STEPS, 6))

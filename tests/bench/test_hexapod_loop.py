@@ -148,7 +148,7 @@ def test_noise_and_converter(seed):
 @pytest.mark.parametrize("unit", ["ground", "flight"])
 def test_a_60_hz_sine_of_25_v_clips_at_10_v(unit):
     """Fig. 10 of the paper."""
-    u = signals.on_actuator(signals.Tone(60.0, 25.0).generate(), actuator=1)
+    u = signals.on_actuator(signals.Tone(60.0, 25.0).generate(4096, 3500.0), actuator=1, actuators=6)
     record = Hexapod(unit=unit).run(u)
     clipped = record.clipped()
     print(

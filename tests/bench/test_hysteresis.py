@@ -122,7 +122,7 @@ def test_biases_shift_minor_loops():
 
 def test_a_hysteretic_bench_distorts_and_lags():
     """A pure tone comes back with its third harmonic, which the linear bench lacks."""
-    u = signals.on_actuator(signals.Tone(50.0, 15.0).generate(samples=7000), 0)
+    u = signals.on_actuator(signals.Tone(50.0, 15.0).generate(samples=7000, rate_hz=3500.0), 0, 6)
     third = {}
     for hysteresis in (False, True):
         y = Hexapod(noise=False, quantise=False, hysteresis=hysteresis).run(u).outputs[0, 3500:]

@@ -124,7 +124,7 @@ def of_identification(record):
     yield uq.validate.residual_test(found.model, one)
     yield uq.validate.response_band(found, [5.0, 20.0, 80.0])
     yield uq.validate.compare(found.model, one)
-    yield uq.validate.bode_agreement(found.model, found.model)
+    yield uq.validate.bode_agreement(found.model, found.model, (5.0, 200.0))
     yield uq.validate.select({"arx": found}, one)
     yield uq.validate.from_spread(found.model, [found.model], [5.0, 20.0, 80.0])
     other = found.model.state_space()

@@ -15,7 +15,8 @@ from ultraquiet.values import StateSpace
 
 ENTRIES = [(family, name) for family in registry.FAMILIES for name in registry.methods(family)]
 PLANT = Path(__file__).parents[2] / "docs" / "examples" / "plant.py"
-NEEDS_SETTINGS = {  # they wrap what the caller has
+TONE = {"tones_hz": (30.0,)}
+NEEDS_SETTINGS = {  # they wrap what the caller has, or work against what he names
     ("bench", "wrapped"): {
         "step": lambda u, d: 2.0 * (u + d),
         "reset": lambda: None,
@@ -24,6 +25,9 @@ NEEDS_SETTINGS = {  # they wrap what the caller has
         "sensors": ["speed"],
     },
     ("bench", "process"): {"command": (sys.executable, str(PLANT))},
+    ("design", "resonators"): TONE,
+    ("design", "adaptive-feedforward"): TONE,
+    ("design", "youla-kucera"): TONE,
 }
 # A recording answers no signal but its own; an FMU must be built first, by tests/bench/test_fmu_bench.py.
 TESTED_ELSEWHERE = {("bench", "replay"), ("bench", "fmu")}

@@ -12,7 +12,7 @@ SPAN = (21.0, 29.0)
 
 @pytest.fixture(scope="module")
 def law():
-    result = AdaptiveFeedforward().design(uq.bench.Hexapod(unit="ground").linear_model())
+    result = AdaptiveFeedforward(tones_hz=(25.0,)).design(uq.bench.Hexapod(unit="ground").linear_model())
     assert result.status.ok
     assert result.controller.is_stable()
     return result.law
@@ -112,7 +112,7 @@ def test_a_unit_that_is_not_the_model(law, seed, rng):
 def test_around_another_law(bench, rng):
     plant = bench.linear_model()
     inside = mild_damping(6)
-    law = AdaptiveFeedforward(around=inside).design(plant).law
+    law = AdaptiveFeedforward(tones_hz=(25.0,), around=inside).design(plant).law
     t = seconds(4.0)
     d = tone(rng, np.full(t.size, 24.2), volts=2.0)
     only, both = run(bench, d, inside), run(bench, d, law)
@@ -122,7 +122,7 @@ def test_around_another_law(bench, rng):
 
 
 def test_amplitudes_stay_within_their_limit(bench, rng):
-    law = AdaptiveFeedforward(limit_v=0.3).design(bench.linear_model()).law
+    law = AdaptiveFeedforward(tones_hz=(25.0,), limit_v=0.3).design(bench.linear_model()).law
     t = seconds(5.0)
     d = tone(rng, np.full(t.size, 25.0))
     opened, closed = run(bench, d), run(bench, d, law)
@@ -136,7 +136,7 @@ def test_amplitudes_stay_within_their_limit(bench, rng):
 def test_a_law_for_a_steady_tone_is_the_linear_one(rng):
     """Once the frequency is known, the adaptive law and the resonator bank do the same."""
     bench = uq.bench.Hexapod(unit="ground", linear=True)
-    result = AdaptiveFeedforward().design(bench.linear_model())
+    result = AdaptiveFeedforward(tones_hz=(25.0,)).design(bench.linear_model())
     t = seconds(4.0)
     d = tone(rng, np.full(t.size, 25.0))
     adaptive, linear = run(bench, d, result.law), run(bench, d, result.controller)

@@ -9,7 +9,7 @@ from ultraquiet.design import AdaptiveFeedforward, FilteredXLms, YoulaKucera
 from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import StateSpace
 
-METHODS = [AdaptiveFeedforward(), YoulaKucera(), FilteredXLms(reference=(5,), taps=64)]
+METHODS = [AdaptiveFeedforward(tones_hz=(25.0,)), YoulaKucera(tones_hz=(25.0,)), FilteredXLms(reference=(5,), taps=64)]
 
 
 def named(method):

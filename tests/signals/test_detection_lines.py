@@ -24,4 +24,4 @@ def test_refusals():
     with pytest.raises(uq.errors.InputError, match="detection_group"):
         uq.signals.Multisine(detection_group=1)
     with pytest.raises(uq.errors.InputError, match="inputs"):
-        uq.signals.orthogonal_multisines(uq.signals.Multisine(), inputs=0)
+        uq.signals.orthogonal_multisines(uq.signals.Multisine(), inputs=0, samples=4096, rate_hz=3500.0)

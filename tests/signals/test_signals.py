@@ -91,7 +91,12 @@ def test_the_paper_s_chirp():
 
 def test_paper_s_signals_carry_power_where_section_3_3_says(seed):
     """Above 10 dB/Hz up to 200, 400 and 175 Hz, says the paper, of spectra it does not scale; here in V^2/Hz."""
-    for signal, stop_hz in ((signals.Chirp(), 95.0), (signals.BandLimitedNoise(), 250.0), (signals.Prbs(), 150.0)):
+    paper = (
+        (signals.Chirp(5.0, 100.0, 25.0, 5.0), 95.0),
+        (signals.BandLimitedNoise(250.0, 25.0), 250.0),
+        (signals.Prbs(150.0, 25.0), 150.0),
+    )
+    for signal, stop_hz in paper:
         f_hz, psd = signal.spectrum(4096, RATE, seed)
         wide = np.convolve(psd, np.ones(25) / 25, mode="same")
         inside = (f_hz > 15.0) & (f_hz < stop_hz - 10.0)
@@ -123,7 +128,7 @@ def test_registers_are_of_maximal_length(stages):
 
 
 def test_step_edges_of_fig_8():
-    u = signals.Step(level_v=-7.0).generate(4096, RATE)
+    u = signals.Step(-7.0, 0.057, 0.687).generate(4096, RATE)
     rise, fall = np.flatnonzero(np.diff(u)) + 1
     assert (rise / RATE, fall / RATE) == pytest.approx((0.057, 0.687), abs=1 / RATE)
     assert u.min() == -7.0
@@ -152,7 +157,7 @@ def test_schroeder_phases_lower_the_crest():
 
 
 def test_on_actuator_fills_one_row():
-    u = signals.on_actuator(np.ones(5), actuator=5)
+    u = signals.on_actuator(np.ones(5), actuator=5, actuators=6)
     assert u.shape == (6, 5)
     assert u[5].sum() == u.sum() == 5.0
 
@@ -164,7 +169,7 @@ def test_signals_are_registered():
 @pytest.mark.parametrize("unit", [1e-9, 1e9])
 def test_levels_are_in_whatever_unit_the_actuator_has(unit):
     for small, large in (
-        (signals.Tone(), signals.Tone(amplitude_v=25.0 * unit)),
+        (signals.Tone(60.0), signals.Tone(60.0, amplitude_v=unit)),
         (signals.Step(level_v=1.0), signals.Step(level_v=unit)),
         (signals.BandLimitedNoise(peak_v=1.0), signals.BandLimitedNoise(peak_v=unit)),
         (signals.Prbs(level_v=1.0), signals.Prbs(level_v=unit)),
@@ -177,24 +182,24 @@ def test_levels_are_in_whatever_unit_the_actuator_has(unit):
 BAD = [
     (lambda: signals.Chirp(start_v=float("inf")), "'start_v' must be finite"),
     (lambda: signals.Chirp(start_hz=0.0), "above zero"),
-    (lambda: signals.Chirp(stop_hz=1750.0).generate(), "below half the sampling rate, 1750 Hz"),
+    (lambda: signals.Chirp(stop_hz=1750.0).generate(4096, RATE), "below half the sampling rate, 1750 Hz"),
     (lambda: signals.BandLimitedNoise(peak_v=float("inf")), "'peak_v' must be finite"),
     (lambda: signals.BandLimitedNoise(peak_v=0.0), "above zero"),
     (lambda: signals.BandLimitedNoise(stop_hz=10.0, start_hz=20.0), "start_hz < stop_hz"),
-    (lambda: signals.BandLimitedNoise(stop_hz=5000.0).generate(), "below half the sampling rate"),
-    (lambda: signals.BandLimitedNoise(stop_hz=0.5).generate(samples=64), "take more samples"),
+    (lambda: signals.BandLimitedNoise(stop_hz=5000.0).generate(4096, RATE), "below half the sampling rate"),
+    (lambda: signals.BandLimitedNoise(stop_hz=0.5).generate(64, RATE), "take more samples"),
     (lambda: signals.Prbs(level_v=float("nan")), "finite"),
-    (lambda: signals.Prbs(stop_hz=1600.0).generate(), "must not exceed 1550.15 Hz"),
+    (lambda: signals.Prbs(stop_hz=1600.0).generate(4096, RATE), "must not exceed 1550.15 Hz"),
     (lambda: signals.Tone(frequency_hz=-1.0), "above zero"),
-    (lambda: signals.Tone(frequency_hz=2000.0).generate(), "below half the sampling rate"),
+    (lambda: signals.Tone(frequency_hz=2000.0).generate(4096, RATE), "below half the sampling rate"),
     (lambda: signals.Step(level_v=float("-inf")), "'level_v' must be finite"),
     (lambda: signals.Step(rise_s=1.0, fall_s=0.5), "must come after"),
-    (lambda: signals.Multisine(5.0, 5.1, 64).generate(), "lengthen the period"),
+    (lambda: signals.Multisine(5.0, 5.1, 64).generate(4096, RATE), "lengthen the period"),
     (lambda: signals.Multisine(phases="best"), "one of 'random', 'schroeder'"),
-    (lambda: signals.Tone(10.0).generate(samples=0), "at least 1"),
-    (lambda: signals.Tone(10.0).generate(samples=10.5), "whole number"),
-    (lambda: signals.Tone(10.0).generate(rate_hz=0.0), "above zero"),
-    (lambda: signals.on_actuator([1.0], actuator=6), "between 0 and 5"),
+    (lambda: signals.Tone(10.0).generate(0, RATE), "at least 1"),
+    (lambda: signals.Tone(10.0).generate(10.5, RATE), "whole number"),
+    (lambda: signals.Tone(10.0).generate(10, 0.0), "above zero"),
+    (lambda: signals.on_actuator([1.0], actuator=6, actuators=6), "between 0 and 5"),
 ]
 
 
@@ -213,3 +218,14 @@ def test_bad_settings_are_refused_in_one_sentence(make, words):
 def test_a_seed_is_a_whole_number(kind, wrong):
     with pytest.raises(InputError, match="seed"):
         kind().generate(samples=4096, rate_hz=3500.0, seed=wrong)
+
+
+@pytest.mark.parametrize("kind", methods("signals").values(), ids=lambda kind: kind.__name__)
+def test_a_signal_that_names_nothing_fits_any_bench(kind, seed):
+    """No band, level or length of one bench is a default: amplitude one, frequencies and times by the rate alone."""
+    one = kind().generate(4096, 1.0, seed)
+    for rate in (250.0, 48_000.0):
+        gap = np.abs(kind().generate(4096, rate, seed) - one).max()
+        print(f"{kind.__name__}: peak {np.abs(one).max():.3f}, at {rate:g} Hz off that at 1 Hz by {gap:.1e}")
+        assert gap < 1e-9
+    assert 0.9 < np.abs(one).max() <= 1.0

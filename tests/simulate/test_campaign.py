@@ -44,6 +44,6 @@ def test_benches_are_drawn_one_unit_each():
     with pytest.raises(InputError, match="has no 'unit_seed'"):
         drawn_benches(object(), [1])
     with pytest.raises(InputError, match="give at least one"):
-        campaign([], gain([[1.0]], 10.0))
+        campaign([], gain([[1.0]], 10.0), BAND_HZ)
     with pytest.raises(InputError, match="'band_hz' must lie"):
         campaign([], gain([[1.0]], 10.0), (100.0, 5.0))

@@ -103,11 +103,11 @@ def test_refusals(loop):
         uq.simulate.attenuation(bench, law, (0.1,), duration_s=4.0)
     for wrong in ({"tones_hz": ()}, {"tones_hz": 5}, {"amplitude_v": 0.0}, {"amplitude_v": -1.0}):
         with pytest.raises(InputError, match=next(iter(wrong))):
-            uq.simulate.attenuation(bench, law, **wrong)
+            uq.simulate.attenuation(bench, law, **{"tones_hz": (25.0,), **wrong})
     with pytest.raises(InputError, match="must be"):
         uq.simulate.disturb(bench, np.zeros((3, 10)))
     with pytest.raises(RateError, match="1000 Hz"):
-        uq.simulate.attenuation(bench, uq.StateSpace(law.A, law.B, law.C, law.D, 500.0))
+        uq.simulate.attenuation(bench, uq.StateSpace(law.A, law.B, law.C, law.D, 500.0), (25.0,))
 
 
 def test_a_law_that_runs_away_is_named_by_the_hexapod():

@@ -89,10 +89,10 @@ def test_variance_told_is_the_variance_found(rng):
 def test_orthogonal_multisines_beat_one_actuator_at_a_time(inputs, rng):
     gains = rng.standard_normal((2, inputs))
     signal = uq.signals.Multisine(start_hz=10, stop_hz=1000, period_samples=700, peak_v=10)
-    together = uq.signals.orthogonal_multisines(signal, inputs, 700 * 6, seed=int(rng.integers(2**31)))
+    together = uq.signals.orthogonal_multisines(signal, inputs, 700 * 6, RATE_HZ, seed=int(rng.integers(2**31)))
     one = np.zeros_like(together)
     for j in range(inputs):
-        one[j, j] = signal.generate(700 * 6, seed=int(rng.integers(2**31)))
+        one[j, j] = signal.generate(700 * 6, RATE_HZ, seed=int(rng.integers(2**31)))
     variance = []
     for commands in (together, one):
         noise = 0.1 * rng.standard_normal((inputs, 2, 700 * 6))

@@ -15,20 +15,24 @@ from ultraquiet._base.errors import InputError
 MAXIMUM_V = 25.0
 
 
+# Share of the sampling rate below which anti-alias filters usually pass: the band of a signal that names no edge.
+ALIAS_FREE = 0.4
+
+
 class Signal(ABC):
     """A test signal. Subclasses are frozen dataclasses of settings."""
 
     @abstractmethod
-    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+    def generate(self, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
         """Return the signal in the actuator's unit, `(samples,)`."""
 
-    def spectrum(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    def spectrum(self, samples: int, rate_hz: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz and the one-sided power spectral density in unit^2/Hz, `(samples // 2 + 1,)` each.
 
         S(f_k) = 2 |U_k|^2 / (rate n), the periodogram without window; its sum times rate / n is the mean square.
 
         >>> from ultraquiet.signals import Tone
-        >>> f_hz, psd = Tone(frequency_hz=50.0, amplitude_v=2.0).spectrum(samples=3500)
+        >>> f_hz, psd = Tone(frequency_hz=50.0, amplitude_v=2.0).spectrum(samples=3500, rate_hz=3500.0)
         >>> float(f_hz[psd.argmax()]), round(float(psd.sum() * (f_hz[1] - f_hz[0])), 6)
         (50.0, 2.0)
         """
@@ -54,6 +58,11 @@ def draws(who: str, seed: int) -> np.random.Generator:
     return np.random.default_rng(whole(who, "seed", seed, 0))
 
 
+def upper_hz(stop_hz: float | None, rate_hz: float) -> float:
+    """Return the upper edge asked for; without one, as far as anti-alias filters usually let through."""
+    return ALIAS_FREE * rate_hz if stop_hz is None else stop_hz
+
+
 def below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> None:
     """Refuse a frequency that the sampling rate cannot carry."""
     if not f_hz < rate_hz / 2:
@@ -63,7 +72,10 @@ def below_nyquist(who: str, name: str, f_hz: float, rate_hz: float) -> None:
         )
 
 
-def band(who: str, start_hz: float, stop_hz: float) -> None:
-    """Refuse a band that is empty or begins below zero."""
+def band(who: str, start_hz: float, stop_hz: float | None) -> None:
+    """Refuse a band that is empty or begins below zero; an upper edge that is not named comes later."""
+    if stop_hz is None:
+        between(who, "start_hz", start_hz, 0.0, float("inf"), "Hz")
+        return
     if not 0 <= start_hz < stop_hz < float("inf"):
         raise InputError(f"{who}: the band must satisfy 0 <= start_hz < stop_hz, got {start_hz:g} to {stop_hz:g} Hz.")

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, upper_hz
 
 
 @register("signals", "multisine")
@@ -16,7 +16,8 @@ class Multisine(Signal):
     """u(t) = sum_k cos(2 pi k t rate / period + phi_k), equal amplitudes, scaled to its largest peak.
 
     Args:
-        start_hz, stop_hz: band in Hz; every harmonic of rate / period_samples inside it is excited (not zero).
+        start_hz, stop_hz: band in Hz, up to 0.4 of the rate when no edge is named; every harmonic of
+            rate / period_samples inside it is excited (not zero).
         period_samples: length of one period.
         peak_v: the largest absolute value, in the actuator's unit.
         odd: excite odd harmonics only, so that even distortion shows on the even lines.
@@ -28,7 +29,7 @@ class Multisine(Signal):
     Raises:
         InputError: a peak not above zero, an empty band, a band without harmonics or beyond half the sampling rate.
 
-    >>> u = Multisine(start_hz=5, stop_hz=250, period_samples=1024).generate(samples=2048, seed=2)
+    >>> u = Multisine(start_hz=5, stop_hz=250, period_samples=1024).generate(samples=2048, rate_hz=3500.0, seed=2)
     >>> bool((u[:1024] == u[1024:]).all())
     True
 
@@ -36,10 +37,10 @@ class Multisine(Signal):
     R. Pintelon, J. Schoukens, System Identification (2012), doi:10.1002/9781118287422.
     """
 
-    start_hz: float = 5.0
-    stop_hz: float = 250.0
+    start_hz: float = 0.0
+    stop_hz: float | None = None
     period_samples: int = 4096
-    peak_v: float = 25.0
+    peak_v: float = 1.0
     odd: bool = False
     phases: str = "random"
     detection_group: int = 0
@@ -54,16 +55,18 @@ class Multisine(Signal):
             whole("Multisine", "detection_group", self.detection_group, 2)
         whole("Multisine", "detection_seed", self.detection_seed, 0)
 
-    def harmonics(self, rate_hz: float = 3500.0) -> np.ndarray:
+    def harmonics(self, rate_hz: float) -> np.ndarray:
         """Return the numbers of the excited harmonics of rate / period_samples."""
-        below_nyquist("Multisine", "stop_hz", self.stop_hz, rate_hz)
+        stop = upper_hz(self.stop_hz, rate_hz)
+        band("Multisine", self.start_hz, stop)
+        below_nyquist("Multisine", "stop_hz", stop, rate_hz)
         k = np.arange(1, (self.period_samples + 1) // 2)
         f = k * rate_hz / self.period_samples
-        keep = (f >= self.start_hz) & (f <= self.stop_hz) & (not self.odd or k % 2 == 1)
+        keep = (f >= self.start_hz) & (f <= stop) & (not self.odd or k % 2 == 1)
         if not keep.any():
             raise InputError(
                 f"Multisine: no harmonic of {rate_hz / self.period_samples:g} Hz lies in the band {self.start_hz:g} to "
-                f"{self.stop_hz:g} Hz; lengthen the period."
+                f"{stop:g} Hz; lengthen the period."
             )
         return self._without_detection(k[keep])
 
@@ -74,11 +77,11 @@ class Multisine(Signal):
         drawn = draws("Multisine", self.detection_seed).integers(self.detection_group, size=groups)
         return np.delete(k, drawn + self.detection_group * np.arange(groups))
 
-    def lines_hz(self, rate_hz: float = 3500.0) -> FloatArray:
+    def lines_hz(self, rate_hz: float) -> FloatArray:
         """Return the excited frequencies in Hz."""
         return self.harmonics(rate_hz) * (rate_hz / self.period_samples)
 
-    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+    def generate(self, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
         """Return the periods in the actuator's unit, `(samples,)`; the last one may be cut short."""
         n, rate = clock("Multisine", samples, rate_hz)
         k = self.harmonics(rate)

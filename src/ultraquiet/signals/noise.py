@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, upper_hz
 
 
 @register("signals", "noise")
@@ -18,38 +18,40 @@ class BandLimitedNoise(Signal):
     u = irfft(g 1_band), g complex Gaussian, then scaled so that max |u| = peak_v. There is no mean.
 
     Args:
-        stop_hz, start_hz: edges of the band in Hz.
+        stop_hz, start_hz: edges of the band in Hz; up to 0.4 of the rate when none is named.
         peak_v: the largest absolute value, in the actuator's unit; the rms is about a quarter of it.
 
     Raises:
         InputError: a peak not above zero, an empty band, a band beyond half the sampling rate or too narrow for the
             number of samples.
 
-    >>> u = BandLimitedNoise(stop_hz=250, peak_v=25).generate(seed=1)
+    >>> u = BandLimitedNoise(stop_hz=250, peak_v=25).generate(4096, 3500.0, seed=1)
     >>> float(abs(u).max())
     25.0
 
     Reference: section 3.3 of the paper (250 Hz).
     """
 
-    stop_hz: float = 250.0
-    peak_v: float = 25.0
+    stop_hz: float | None = None
+    peak_v: float = 1.0
     start_hz: float = 0.0
 
     def __post_init__(self) -> None:
         band("BandLimitedNoise", self.start_hz, self.stop_hz)
         positive("BandLimitedNoise", "peak_v", self.peak_v)
 
-    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+    def generate(self, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
         """Return noise in the actuator's unit, `(samples,)`, the same for the same seed."""
         n, rate = clock("BandLimitedNoise", samples, rate_hz)
-        below_nyquist("BandLimitedNoise", "stop_hz", self.stop_hz, rate)
+        stop = upper_hz(self.stop_hz, rate)
+        band("BandLimitedNoise", self.start_hz, stop)
+        below_nyquist("BandLimitedNoise", "stop_hz", stop, rate)
         f = np.fft.rfftfreq(n, 1.0 / rate)
-        inside = (f >= self.start_hz) & (f <= self.stop_hz) & (f > 0)
+        inside = (f >= self.start_hz) & (f <= stop) & (f > 0)
         if not inside.any():
             raise InputError(
                 f"BandLimitedNoise: {n} samples at {rate:g} Hz resolve {rate / n:g} Hz, too coarse for the band "
-                f"{self.start_hz:g} to {self.stop_hz:g} Hz; take more samples."
+                f"{self.start_hz:g} to {stop:g} Hz; take more samples."
             )
         draw = draws("BandLimitedNoise", seed).standard_normal((2, f.size))
         u = np.fft.irfft(np.where(inside, draw[0] + 1j * draw[1], 0.0), n)

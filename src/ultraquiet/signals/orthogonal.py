@@ -7,9 +7,7 @@ from ultraquiet.signals._abstract import clock, draws
 from ultraquiet.signals.multisine import Multisine
 
 
-def orthogonal_multisines(
-    signal: Multisine, inputs: int, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0
-) -> FloatArray:
+def orthogonal_multisines(signal: Multisine, inputs: int, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
     """Return commands `(experiment, input, samples)` in the actuators' units for as many experiments as inputs.
 
     U_je(k) = a T_je exp(i phi_j(k)) with T the DFT matrix: at every line U U^H is diagonal, so the response of each
@@ -23,7 +21,7 @@ def orthogonal_multisines(
         rate_hz: samples per second.
         seed: draws the phases; another seed is another realisation.
 
-    >>> u = orthogonal_multisines(Multisine(period_samples=1000), inputs=3, samples=2000, seed=1)
+    >>> u = orthogonal_multisines(Multisine(period_samples=1000), inputs=3, samples=2000, rate_hz=3500.0, seed=1)
     >>> U = np.moveaxis(np.fft.rfft(u[:, :, :1000])[:, :, 30], 0, 1)
     >>> gram = U @ U.conj().T
     >>> u.shape, bool(np.abs(gram - np.diag(np.diag(gram))).max() < 1e-9 * np.abs(gram).max())

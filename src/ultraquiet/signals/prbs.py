@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, clock, draws
+from ultraquiet.signals._abstract import Signal, clock, draws, upper_hz
 
 # Feedback taps of shift registers of maximal length, by number of stages: primitive polynomials over GF(2).
 # Reference: W. Stahnke, Math. Comp. 27 (1973) 977-980, doi:10.1090/S0025-5718-1973-0327722-7.
@@ -41,36 +41,38 @@ class Prbs(Signal):
     S(f) ~ sinc^2(f / clock), half power at `stop_hz` with clock = stop_hz / 0.4429, rounded to whole samples a bit.
 
     Args:
-        stop_hz: bandwidth (half power) in Hz, at most 0.4429 times the sampling rate.
+        stop_hz: bandwidth (half power) in Hz, at most 0.4429 times the sampling rate; 0.4 times it when absent.
         level_v: the level, in the actuator's unit.
 
     Raises:
         InputError: a level not above zero, a bandwidth that would need bits shorter than a sample.
 
-    >>> u = Prbs(stop_hz=150, level_v=25).generate(seed=3)
+    >>> u = Prbs(stop_hz=150, level_v=25).generate(4096, 3500.0, seed=3)
     >>> sorted(set(u.tolist()))
     [-25.0, 25.0]
 
     Reference: section 3.3 of the paper (150 Hz).
     """
 
-    stop_hz: float = 150.0
-    level_v: float = 25.0
+    stop_hz: float | None = None
+    level_v: float = 1.0
 
     def __post_init__(self) -> None:
-        positive("Prbs", "stop_hz", self.stop_hz, "Hz")
+        if self.stop_hz is not None:
+            positive("Prbs", "stop_hz", self.stop_hz, "Hz")
         positive("Prbs", "level_v", self.level_v)
 
-    def hold_samples(self, rate_hz: float = 3500.0) -> int:
+    def hold_samples(self, rate_hz: float) -> int:
         """Return for how many samples each bit is held."""
-        if self.stop_hz > HALF_POWER * rate_hz:
+        stop = upper_hz(self.stop_hz, rate_hz)
+        if stop > HALF_POWER * rate_hz:
             raise InputError(
-                f"Prbs: 'stop_hz' of {self.stop_hz:g} Hz must not exceed {HALF_POWER * rate_hz:g} Hz at a sampling "
+                f"Prbs: 'stop_hz' of {stop:g} Hz must not exceed {HALF_POWER * rate_hz:g} Hz at a sampling "
                 f"rate of {rate_hz:g} Hz; lower it or sample faster."
             )
-        return max(1, round(HALF_POWER * rate_hz / self.stop_hz))
+        return max(1, round(HALF_POWER * rate_hz / stop))
 
-    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+    def generate(self, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
         """Return the sequence in the actuator's unit, `(samples,)`; the seed chooses where in its period it begins.
 
         The register is long enough that nothing repeats within `samples`, up to a million bits.

@@ -6,10 +6,10 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, real_array, whole
 
 
-def on_actuator(signal_v: ArrayLike, actuator: int, actuators: int = 6) -> FloatArray:
+def on_actuator(signal_v: ArrayLike, actuator: int, actuators: int) -> FloatArray:
     """Return `(actuators, samples)` commands, zero but for row `actuator` (counted from 0).
 
-    The paper's experiment: one strut excited, six geophones read, repeated for each strut (section 3.4).
+    One actuator driven, all sensors read, repeated for each actuator: the paper's experiment (section 3.4).
 
     >>> on_actuator([1.0, 2.0], actuator=1, actuators=3).tolist()
     [[0.0, 0.0], [1.0, 2.0], [0.0, 0.0]]

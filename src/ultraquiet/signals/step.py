@@ -9,6 +9,8 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet.signals._abstract import Signal, amplitude, clock
 
+EDGES = (0.1, 0.6)  # of the signal, where none are named
+
 
 @register("signals", "step")
 @dataclass(frozen=True)
@@ -17,28 +19,39 @@ class Step(Signal):
 
     Args:
         level_v: the level, in the actuator's unit.
-        rise_s, fall_s: times of the edges in seconds; an edge beyond the last sample does not appear.
+        rise_s, fall_s: times of the edges in seconds; an edge beyond the last sample does not appear. A tenth and six
+            tenths of the signal when absent.
 
     Raises:
         InputError: a level that is not finite, edges out of order.
 
-    >>> u = Step(level_v=10.0).generate()
+    >>> u = Step(level_v=10.0, rise_s=0.057, fall_s=0.687).generate(4096, 3500.0)
     >>> float(u[199]), float(u[200]), float(u[2404]), float(u[2405])
     (0.0, 10.0, 10.0, 0.0)
     """
 
-    level_v: float = 10.0
-    rise_s: float = 0.057
-    fall_s: float = 0.687
+    level_v: float = 1.0
+    rise_s: float | None = None
+    fall_s: float | None = None
 
     def __post_init__(self) -> None:
         amplitude("Step", "level_v", self.level_v)
-        between("Step", "rise_s", self.rise_s, 0.0, float("inf"), "s")
-        if not self.rise_s < self.fall_s:
-            raise InputError(f"Step: 'fall_s' of {self.fall_s:g} s must come after 'rise_s' of {self.rise_s:g} s.")
+        if self.rise_s is not None:
+            between("Step", "rise_s", self.rise_s, 0.0, float("inf"), "s")
+        if self.rise_s is not None and self.fall_s is not None:
+            _in_order(self.rise_s, self.fall_s)
 
-    def generate(self, samples: int = 4096, rate_hz: float = 3500.0, seed: int = 0) -> FloatArray:
+    def generate(self, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
         """Return the step in the actuator's unit, `(samples,)`; the seed has no influence."""
         n, rate = clock("Step", samples, rate_hz)
+        rise, fall = (
+            share * n / rate if at is None else at for share, at in zip(EDGES, (self.rise_s, self.fall_s), strict=True)
+        )
+        _in_order(rise, fall)
         t = np.arange(n) / rate
-        return np.where((t >= self.rise_s) & (t < self.fall_s), float(self.level_v), 0.0)
+        return np.where((t >= rise) & (t < fall), float(self.level_v), 0.0)
+
+
+def _in_order(rise_s: float, fall_s: float) -> None:
+    if not rise_s < fall_s:
+        raise InputError(f"Step: 'fall_s' of {fall_s:g} s must come after 'rise_s' of {rise_s:g} s.")

@@ -49,7 +49,7 @@ class Attenuation:
 def attenuation(
     bench: Bench,
     controller: StateSpace | Controller,
-    tones_hz: Sequence[float] = (5, 25, 100),
+    tones_hz: Sequence[float],
     amplitude_v: float = 1.0,
     duration_s: float = 2.0,
 ) -> Attenuation:
@@ -61,8 +61,8 @@ def attenuation(
     Args:
         bench: any bench; nothing of it is used but its `run`.
         controller: acts as u = K y.
-        tones_hz: frequencies of the tones in Hz.
-        amplitude_v: amplitude d of each tone in volts at the stack.
+        tones_hz: frequencies of the tones in Hz, those that disturb this bench.
+        amplitude_v: amplitude d of each tone in units of the actuators.
         duration_s: length of each run in seconds.
 
     Returns:

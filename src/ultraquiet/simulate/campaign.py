@@ -17,7 +17,6 @@ from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
 BROADBAND = "broadband_db"
-BAND_HZ = (5.0, 100.0)  # the paper's
 B = TypeVar("B")
 
 
@@ -44,9 +43,7 @@ def drawn_benches(bench: B, seeds: Sequence[int]) -> Iterator[B]:
     return (replace(bench, seed=seed, unit_seed=seed) for seed in checked)  # pyright: ignore[reportArgumentType]
 
 
-def campaign(
-    benches: Iterable[Bench], controller: StateSpace | Controller, band_hz: tuple[float, float] = BAND_HZ
-) -> MonteCarlo:
+def campaign(benches: Iterable[Bench], controller: StateSpace | Controller, band_hz: tuple[float, float]) -> MonteCarlo:
     """Close the loop on every bench, see whether it settles, measure its sensitivity, and return the spread.
 
     Args:

@@ -114,7 +114,7 @@ POINTS_PER_BAND = 200
 
 
 def bode_agreement(
-    first: Any, second: Any, band_hz: Sequence[float] = (5.0, 200.0), f_hz: ArrayLike | None = None
+    first: Any, second: Any, band_hz: Sequence[float] | None = None, f_hz: ArrayLike | None = None
 ) -> BodeAgreement:
     """Compare two responses in dB and degrees over a band: models, systems or measured responses.
 
@@ -122,28 +122,23 @@ def bode_agreement(
         first: anything with `frequency_response(f_hz)`, or a `FrequencyResponse`.
         second: likewise. Two measured ones must share their lines; beside one measured response the lines are its own,
             inside the band.
-        band_hz: lowest and highest frequency; 5-200 Hz is where the paper compares its three excitations.
+        band_hz: lowest and highest frequency; all lines of a measured response when absent.
         f_hz: lines of your own instead, in Hz.
 
     Raises:
-        InputError: an empty band, unequal shapes, lines that two measured responses do not share.
+        InputError: an empty band, none beside two models, unequal shapes, lines that two measured responses do not
+            share.
 
     >>> import ultraquiet as uq
     >>> lag = uq.PolynomialModel(b=[[0.0, 0.5]], f=[[1.0, -0.5]], rate_hz=1000.0)
     >>> twice = uq.PolynomialModel(b=[[0.0, 1.0]], f=[[1.0, -0.5]], rate_hz=1000.0)
-    >>> bode_agreement(lag, twice).worst_gain_db.round(3)
+    >>> bode_agreement(lag, twice, (5.0, 200.0)).worst_gain_db.round(3)
     array([[6.021]])
 
     Reference: section 3.6 and figure 11 of the paper.
     """
     who = "bode_agreement"
-    low, high = (float(x) for x in band_hz)
-    if not 0 < low < high:
-        raise InputError(f"{who}: the band must run upwards from above zero, got {low:g} to {high:g} Hz.")
-    f = np.geomspace(low, high, POINTS_PER_BAND) if f_hz is None else frequency_array(who, f_hz)
-    for measured in (first, second):
-        if isinstance(measured, FrequencyResponse) and f_hz is None:
-            f = measured.f_hz[(measured.f_hz >= low) & (measured.f_hz <= high)]
+    f = _lines(who, (first, second), band_hz) if f_hz is None else frequency_array(who, f_hz)
     g, h = (_response(who, x, f) for x in (first, second))
     if g.shape != h.shape:
         raise InputError(f"{who}: the responses have shapes {g.shape} and {h.shape}.")
@@ -152,6 +147,20 @@ def bode_agreement(
         gain_db = 20.0 * np.log10(np.abs(ratio))
     phase_deg = np.degrees(np.angle(ratio))
     return BodeAgreement(f, gain_db, phase_deg, np.max(np.abs(gain_db), axis=2), np.max(np.abs(phase_deg), axis=2))
+
+
+def _lines(who: str, compared: tuple[Any, Any], band_hz: Sequence[float] | None) -> FloatArray:
+    """Return the lines of measured responses inside the band, or points of it for two models."""
+    measured = [x for x in compared if isinstance(x, FrequencyResponse)]
+    if band_hz is None and not measured:
+        raise InputError(f"{who}: two models have no lines of their own; give 'band_hz' or 'f_hz' to compare them on.")
+    low, high = (0.0, np.inf) if band_hz is None else (float(x) for x in band_hz)
+    if band_hz is not None and not 0 < low < high:
+        raise InputError(f"{who}: the band must run upwards from above zero, got {low:g} to {high:g} Hz.")
+    if not measured:
+        return np.geomspace(low, high, POINTS_PER_BAND)
+    own = measured[-1].f_hz
+    return own[(own >= low) & (own <= high)]
 
 
 def _response(who: str, system: Any, f: FloatArray) -> Any:

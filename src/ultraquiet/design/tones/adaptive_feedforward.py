@@ -40,7 +40,7 @@ class AdaptiveFeedforward(StatedRobustness):
     `Resonators`. Without a tone in its span a resonator fades and its command is zero.
 
     Args:
-        tones_hz: nominal frequencies, Hz.
+        tones_hz: nominal frequencies, Hz; at least one.
         span: how far each may be from its nominal frequency, as a share of that.
         settling_s: time of the amplitudes to within two per cent.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
@@ -56,7 +56,7 @@ class AdaptiveFeedforward(StatedRobustness):
     Bodson and Douglas 1997, doi:10.1016/S0005-1098(97)00149-0; Mojiri and Bakhshai 2004, doi:10.1109/TAC.2003.821414.
     """
 
-    tones_hz: tuple[float, ...] = (25.0,)
+    tones_hz: tuple[float, ...] = ()
     span: float = 0.1
     settling_s: float = 0.3
     track_hz: float = 1.0
@@ -83,8 +83,8 @@ class AdaptiveFeedforward(StatedRobustness):
         linear law is stable and amplifies by `peak_db` at most at each of five stations of the span.
 
         Raises:
-            InputError: a tone or the end of its span outside (0, rate / 2), spans that overlap, no gain at a tone, an
-                unstable plant, a controller that does not fit.
+            InputError: no tone, a tone or the end of its span outside (0, rate / 2), spans that overlap, no gain at a
+                tone, an unstable plant, a controller that does not fit.
         """
         who = "AdaptiveFeedforward"
         inner = inner_loop(who, plant, self.around)

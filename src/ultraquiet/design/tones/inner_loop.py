@@ -73,7 +73,10 @@ def checked_tones(who: str, tones_hz: tuple[float, ...], rate_hz: float) -> Floa
     """Return tones in Hz, all different, above zero and below half the rate."""
     tones = real_array(who, "tones_hz", np.atleast_1d(np.asarray(tones_hz)), 1)
     if not tones.size:
-        raise InputError(f"{who}: 'tones_hz' must name at least one tone, got {tones_hz!r}.")
+        raise InputError(
+            f"{who}: 'tones_hz' names no tone to work against; give their frequencies in Hz, which a spectrum of the "
+            f"readings shows, or take a method for a band."
+        )
     for tone in tones:
         if not 0 < tone < rate_hz / 2:
             raise InputError(

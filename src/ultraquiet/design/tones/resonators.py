@@ -35,7 +35,7 @@ class Resonators(StatedRobustness):
     G is the plant that the bank meets: (I - G K0)^-1 G round a controller.
 
     Args:
-        tones_hz: the tones, Hz.
+        tones_hz: the tones, Hz; a law against tones must be told at least one.
         settling_s: time to within two per cent, per tone.
         depth_db: how deep the notch in S is, which keeps the resonators stable by themselves: rho = 1 - a / depth.
         peak_db: how far the bank may amplify elsewhere, dB; it is made slower until it does not.
@@ -52,7 +52,7 @@ class Resonators(StatedRobustness):
     doi:10.1109/9.317127. The condition of small gain: Davison 1976, doi:10.1109/TAC.1976.1101137.
     """
 
-    tones_hz: tuple[float, ...] = (25.0,)
+    tones_hz: tuple[float, ...] = ()
     settling_s: float = 0.5
     depth_db: float = 60.0
     peak_db: float = 3.0
@@ -80,8 +80,8 @@ class Resonators(StatedRobustness):
         eigenvalue of G Ghat^-1, which must be above zero for a slow bank to be stable.
 
         Raises:
-            InputError: a tone outside (0, rate / 2) or at which the plant has no gain, an unstable plant, a controller
-                that does not fit.
+            InputError: no tone, one outside (0, rate / 2) or at which the plant has no gain, an unstable plant, a
+                controller that does not fit.
         """
         inner = inner_loop("Resonators", plant, self.around)
         rate = inner.seen.rate_hz

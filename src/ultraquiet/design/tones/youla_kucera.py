@@ -100,10 +100,10 @@ class YoulaKucera(StatedRobustness):
     Args:
         basis: `tones`, two filters per tone of `tones_hz`; `laguerre`, filters of one pole; or `fir`, delays of the
             innovations, which only suits tones that are not far below the rate.
-        tones_hz: middle of each pair of filters, Hz; the tone may be anywhere near.
+        tones_hz: middle of each pair of filters, Hz; the tone may be anywhere near. The basis `tones` needs one.
         zeta: half the relative width of the filters.
         order: number of Laguerre filters or delays.
-        pole_hz: corner frequency of the Laguerre filters, Hz.
+        pole_hz: corner frequency of the Laguerre filters, Hz; the geometric mean of `tones_hz` when absent.
         memory_s: how fast the past is forgotten.
         leak: weight on theta, over the mean power of the regressors.
         central: `lqg`, or `none`: the plant's own stability, K = 0.
@@ -122,10 +122,10 @@ class YoulaKucera(StatedRobustness):
     """
 
     basis: str = "tones"
-    tones_hz: tuple[float, ...] = (25.0,)
+    tones_hz: tuple[float, ...] = ()
     zeta: float = 0.2
     order: int = 4
-    pole_hz: float = 25.0
+    pole_hz: float | None = None
     memory_s: float = 0.2
     leak: float = 0.1
     central: str = "lqg"
@@ -139,9 +139,11 @@ class YoulaKucera(StatedRobustness):
         super().__post_init__()
         one_of("YoulaKucera", "basis", self.basis, ("tones", "laguerre", "fir"))
         one_of("YoulaKucera", "central", self.central, ("lqg", "none"))
-        for name in ("memory_s", "leak", "pole_hz", "control_weight", "sensor_noise"):
+        for name in ("memory_s", "leak", "control_weight", "sensor_noise"):
             positive("YoulaKucera", name, getattr(self, name))
         between("YoulaKucera", "zeta", self.zeta, 1e-3, 0.9)
+        if self.pole_hz is not None:
+            positive("YoulaKucera", "pole_hz", self.pole_hz)
         for name in ("order", "update_every"):
             whole("YoulaKucera", name, getattr(self, name), 1)
 
@@ -153,7 +155,8 @@ class YoulaKucera(StatedRobustness):
         `details` holds the number of `parameters` and the `regressor_states`; `law.central` is the observer form.
 
         Raises:
-            InputError: a tone outside (0, rate / 2), an unstable plant without a law around it, one that does not fit.
+            InputError: no tone for the basis `tones`, no corner and no tone for `laguerre`, one outside
+                (0, rate / 2), an unstable plant without a law around it, one that does not fit.
         """
         who = "YoulaKucera"
         lqg = self.central == "lqg"
@@ -187,8 +190,16 @@ class YoulaKucera(StatedRobustness):
         """Return A `(m, m)` and b `(m,)` of the filters psi, whose states are their outputs."""
         if self.basis == "tones":
             return _resonances(checked_tones("YoulaKucera", self.tones_hz, rate_hz), self.zeta, rate_hz)
-        below = between("YoulaKucera", "pole_hz", self.pole_hz, 0.0, rate_hz / 2, "Hz")
-        return _laguerre(self.order, 0.0 if self.basis == "fir" else float(np.exp(-2 * np.pi * below / rate_hz)))
+        if self.basis == "fir":
+            return _laguerre(self.order, 0.0)
+        return _laguerre(self.order, float(np.exp(-2 * np.pi * self._corner_hz(rate_hz) / rate_hz)))
+
+    def _corner_hz(self, rate_hz: float) -> float:
+        if self.pole_hz is not None:
+            return between("YoulaKucera", "pole_hz", self.pole_hz, 0.0, rate_hz / 2, "Hz")
+        if not np.size(self.tones_hz):
+            raise InputError("YoulaKucera: the basis 'laguerre' needs 'pole_hz' or the 'tones_hz' to take it from.")
+        return float(np.exp(np.mean(np.log(checked_tones("YoulaKucera", self.tones_hz, rate_hz)))))
 
 
 class YoulaLaw(AdaptiveLaw):

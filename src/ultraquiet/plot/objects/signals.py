@@ -16,9 +16,10 @@ HIGHEST = ("stop_hz", "frequency_hz")
 
 @draws(Signal)
 def signal_figure(signal: Signal) -> Figure:
-    """The signal at eight times its highest frequency over some periods of its lowest, seed 0."""
-    highest = max((float(getattr(signal, name)) for name in HIGHEST if hasattr(signal, name)), default=100.0)
-    rate_hz = OVERSAMPLED * highest
+    """The signal at eight times its highest frequency (one that names none: at 1 Hz) over some periods, seed 0."""
+    named = [getattr(signal, name, None) for name in HIGHEST]
+    # one that names no frequency follows the rate: any rate shows it
+    rate_hz = max((OVERSAMPLED * float(f) for f in named if f is not None), default=1.0)
     samples = max(FEWEST, int(getattr(signal, "period_samples", 0) or 0))
     values = signal.generate(samples=samples, rate_hz=rate_hz, seed=0)
     power = np.abs(np.fft.rfft(values) / samples) ** 2
