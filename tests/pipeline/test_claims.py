@@ -21,7 +21,7 @@ def test_a_place_is_found_or_not(place, value):
 def test_figures_stand_with_their_labels_and_what_is_not_there_is_said():
     ours = {"tone": "loops/calm/tones/2.5/reduction_db", "other": "loops/wild", "word": "ok"}
     claim = Claim(where="Fig. 1", printed="13 dB", ours=ours, unit="dB")
-    assert _ours(claim, FOUND) == f"tone: 12.35 dB; other: {MISSING}; word: True"
+    assert _ours(claim, FOUND) == f"tone: 12.3 dB; other: {MISSING}; word: True"
     assert _ours(Claim(where="Fig. 2", printed="a curve"), FOUND) == "-"
 
 

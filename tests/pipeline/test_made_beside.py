@@ -78,7 +78,7 @@ def said(folder):
 
 def test_every_stage_is_the_one_the_walk_looks_for(folder, said):
     study = uq.pipeline.study.reload_study(folder)
-    assert [word for word in said if word in study.controllers] == by_need(study) == ["asked", "calm", "none"]
+    assert [word for word in said if word in study.controllers] == by_need(study) == ["calm", "asked", "none"]
     plant, cache = uq.files.load(folder / "models" / "plant.h5"), Cache(folder)
     assert not (folder / "stages" / "design-none.json").exists()  # who asks for it is told why
     laws = {}
