@@ -229,9 +229,21 @@ def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[f
     of_loop, of_plant = response_at(S), response_at(G)
 
     def sizes(lines: FloatArray) -> FloatArray:
-        directions, gains, _ = np.linalg.svd(np.moveaxis(of_plant(lines), 2, 0), full_matrices=False)
-        reached = directions * (gains > REACHED * gains[:, :1])[:, None, :]
+        reached = reached_directions(of_plant(lines))
         return np.linalg.norm(np.moveaxis(of_loop(lines), 2, 0) @ reached, 2, axis=(1, 2))
 
     largest, at = refined(sizes, f, sizes(f))
     return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
+
+
+def reached_directions(response: ComplexArray) -> ComplexArray:
+    """Return an orthonormal basis of the range of G(f), columns of zeros where its rank is less.
+
+    Args:
+        response: G, `(ny, nu, lines)`.
+
+    Returns:
+        `(lines, ny, min(ny, nu))`.
+    """
+    directions, gains, _ = np.linalg.svd(np.moveaxis(response, 2, 0), full_matrices=False)
+    return directions * (gains > REACHED * gains[:, :1])[:, None, :]
