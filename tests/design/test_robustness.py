@@ -118,3 +118,11 @@ def test_actuators_that_reach_nothing_are_said_to():
     G = StateSpace([[0.5]], [[0.0]], [[1.0]], [[0.0]], RATE)
     law = StateSpace([[0.5]], [[1.0]], [[0.1]], [[0.0]], RATE)
     assert "no actuator reaches any sensor" in analyse_loop(G, law, (1.0, 100.0)).status.sentence
+
+
+def test_a_plant_without_damping_has_directions_at_its_own_frequency_too():
+    plant = StateSpace([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[0.0, 1.0]], [[0.0]])
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-1.0]])
+    found = analyse_loop(plant, law, (0.01, 1.0))
+    assert found.status.ok
+    assert "The actuators reach" not in found.status.sentence
