@@ -1,12 +1,16 @@
 """The verdict on a design: ok needs a stated disk margin at both ends, less is fragile and says where."""
 
+import re
+
 import numpy as np
 import pytest
+from ordinary_plants import ordinary
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import methods
 from ultraquiet.analyse import disk_margin, disk_ranges
-from ultraquiet.design import Lqg
+from ultraquiet.design import BandAttenuation, Lqg, MixedSensitivity
+from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.values import StateSpace
 
 RATE = 2000.0
@@ -75,3 +79,50 @@ def test_a_law_that_is_unstable_by_itself_is_said_to_be():
     own = "unstable by itself" in result.status.sentence
     assert own == (not result.controller.is_stable())
     assert own
+
+
+def largest_over(plant, law, band_hz):
+    """Return the largest singular value of S U over the band in dB, and what of each sensor G does not reach."""
+    f = np.unique(np.concatenate([np.geomspace(*band_hz, 4000), np.linspace(*band_hz, 4000)]))
+    G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, law))
+    S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
+    U = np.linalg.qr(G)[0] if G.shape[1] > G.shape[2] else np.eye(G.shape[1])
+    return 20 * np.log10(np.linalg.norm(S @ U, 2, axis=(1, 2)).max()), 1 - (np.abs(U) ** 2).sum(axis=2)
+
+
+@pytest.mark.parametrize("design", [Lqg, MixedSensitivity, BandAttenuation])
+def test_a_verdict_says_what_becomes_of_the_worst_direction_and_what_is_out_of_reach(seed, design):
+    plant = ordinary(np.random.default_rng(seed), (4, 3), modes=4)
+    result = design().design(plant)
+    band_hz = result.details["band_hz"]
+    louder_db, _ = largest_over(plant, result.controller, band_hz)
+    assert louder_db > 3, "a plant on which the worst direction gets quieter tests nothing"
+    said = re.search(r"worst direction of S gets louder by ([\d.]+) dB, at ([\d.]+) Hz", result.status.sentence)
+    assert said, result.status.sentence
+    print(f"{design.__name__}: said {said[1]} dB, {louder_db:.2f} dB on a grid")
+    assert float(said[1]) == pytest.approx(louder_db, abs=0.2)
+    assert "The actuators reach 3 of 4 directions of the sensors" in result.status.sentence
+    lines = np.geomspace(*band_hz, 60)
+    out_of_reach = np.mean([largest_over(plant, result.controller, (f, f))[1][0] for f in lines], axis=0)
+    assert f"most of it sensor {plant.sensors[int(np.argmax(out_of_reach))].name!r}" in result.status.sentence
+    assert f"{said[0]}" in analyse_loop(plant, result.controller, band_hz).status.sentence
+
+
+def test_actuators_that_reach_all_directions_leave_none_out(seed):
+    result = Lqg().design(ordinary(np.random.default_rng(seed), (2, 3), modes=4))
+    assert "worst direction of S" in result.status.sentence
+    assert "directions of the sensors" not in result.status.sentence
+
+
+def test_actuators_that_reach_nothing_are_said_to():
+    G = StateSpace([[0.5]], [[0.0]], [[1.0]], [[0.0]], RATE)
+    law = StateSpace([[0.5]], [[1.0]], [[0.1]], [[0.0]], RATE)
+    assert "no actuator reaches any sensor" in analyse_loop(G, law, (1.0, 100.0)).status.sentence
+
+
+def test_a_plant_without_damping_has_directions_at_its_own_frequency_too():
+    plant = StateSpace([[0.0, 1.0], [-1.0, 0.0]], [[0.0], [1.0]], [[0.0, 1.0]], [[0.0]])
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-1.0]])
+    found = analyse_loop(plant, law, (0.01, 1.0))
+    assert found.status.ok
+    assert "The actuators reach" not in found.status.sentence

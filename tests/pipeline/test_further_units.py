@@ -1,5 +1,6 @@
 """Further units of a bench: recorded with the study's signals, identified likewise, given to designs that take them."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +12,10 @@ from ultraquiet.pipeline import identification as module
 from ultraquiet.pipeline import packaged_study
 from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.typed import to_plain
+from ultraquiet.pipeline.further_units import further_plants
+from ultraquiet.pipeline.store.identity import identity
+from ultraquiet.pipeline.walk import bench_key_of, bench_of, bench_table
 from ultraquiet.values import StateSpace
 
 
@@ -37,6 +42,24 @@ def test_the_same_signals_go_to_the_other_unit_and_its_model_has_a_name_of_its_o
     for name, record in seen.items():
         np.testing.assert_array_equal(record.inputs, records[name].inputs)
         assert not np.array_equal(record.outputs, records[name].outputs)
+
+
+def test_a_unit_made_by_itself_has_the_key_of_the_walk(tmp_path):
+    """The walk's bench was written to its records' key and read again; here it is described afresh."""
+    study, keys = packaged_study("suite"), []
+    study = study.model_copy(update={"plant": study.plant.model_copy(update={"units": ["flight"]})})
+
+    class Noted:
+        def stage(self, name, folder, key, facts, compute):
+            keys.append(key)
+            return Outcome(SimpleNamespace(), {"plant-flight": one()})
+
+    further_plants(study, {}, tmp_path, Noted())
+    described = identity(bench_of(study, tmp_path), bench_table(study), tmp_path)
+    written = json.loads(json.dumps(to_plain(described)))
+    assert keys[0][-2:] == [bench_key_of(study, written), "flight"]
+    blended = study.model_copy(update={"blending": "a table"})
+    assert bench_key_of(blended, written) == bench_key_of(blended, described) == [written, "a table"]
 
 
 @pytest.mark.parametrize(("method", "given"), [(PeakBounded(), 2), (Lqg(), 1)])

@@ -18,6 +18,8 @@ POINTS = 3000  # of the default grid; crossings are interpolated between its poi
 DECADES = 5.0  # the default grid's span below its upper end
 RINGING = 0.01  # relative damping below which a pole gets lines of its own: the grid's step is 0.4 %
 REACHED = 1e-6  # of the strongest direction's gain: a weaker one is rounding
+BOUNDARY = 1e-9  # poles this near the stability boundary are on it, relative to their modulus
+PULLED = 5e-3  # of the slowest frequency of the poles: as far inside they are moved, a damping ratio for a resonance
 BAND_LINES = 400  # over a band that is asked for, besides those of the poles
 _NEAR = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
 BESIDE = np.concatenate([-_NEAR, _NEAR])  # of those lines, in widths of the pole
@@ -226,12 +228,42 @@ def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[f
         return -np.inf, np.nan
     f = np.concatenate([default_grid(S), default_grid(plant), np.geomspace(low, high, BAND_LINES)])
     f = np.unique(f[(f >= low) & (f <= high)])
-    of_loop, of_plant = response_at(S), response_at(G)
+    of_loop, of_plant = response_at(S), response_at(pulled_in(G))
 
     def sizes(lines: FloatArray) -> FloatArray:
-        directions, gains, _ = np.linalg.svd(np.moveaxis(of_plant(lines), 2, 0), full_matrices=False)
-        reached = directions * (gains > REACHED * gains[:, :1])[:, None, :]
+        reached = reached_directions(of_plant(lines))
         return np.linalg.norm(np.moveaxis(of_loop(lines), 2, 0) @ reached, 2, axis=(1, 2))
 
     largest, at = refined(sizes, f, sizes(f))
     return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
+
+
+def reached_directions(response: ComplexArray) -> ComplexArray:
+    """Return an orthonormal basis of the range of G(f), columns of zeros where its rank is less.
+
+    Args:
+        response: G, `(ny, nu, lines)`.
+
+    Returns:
+        `(lines, ny, min(ny, nu))`.
+    """
+    directions, gains, _ = np.linalg.svd(np.moveaxis(response, 2, 0), full_matrices=False)
+    return directions * (gains > REACHED * gains[:, :1])[:, None, :]
+
+
+def pulled_in(plant: StateSpace) -> StateSpace:
+    """Return the plant as it is, or with its poles moved inside where one lies on the stability boundary."""
+    poles = plant.poles()
+    if plant.rate_hz is None:
+        scale = np.abs(poles)
+        on = np.abs(poles.real) <= BOUNDARY * np.maximum(scale, scale.max(initial=0.0) * BOUNDARY)
+        inside = scale[scale > BOUNDARY * scale.max(initial=0.0)]
+        slowest = float(inside.min(initial=np.inf))
+        move = PULLED * (slowest if np.isfinite(slowest) else 1.0)
+        A = plant.A - move * np.eye(plant.states)
+    else:
+        on = np.abs(np.abs(poles) - 1) <= BOUNDARY
+        turns = np.abs(np.angle(poles[on]))
+        turns = turns[turns > np.sqrt(BOUNDARY)]
+        A = plant.A * (1 - PULLED * min(float(turns.min(initial=1.0)), 1.0))
+    return StateSpace(A, plant.B, plant.C, plant.D, plant.rate_hz) if np.any(on) else plant

@@ -30,8 +30,8 @@ def design(
     from ultraquiet.cli.loop.facts import band_sentence, margins_facts
     from ultraquiet.cli.loop.loaded import loaded_plant
     from ultraquiet.cli.output.screen import screen
-    from ultraquiet.design.loop_analysis import attenuation_over
     from ultraquiet.design.robustness import described
+    from ultraquiet.design.worst_direction import design_band, worst_direction
     from ultraquiet.values import StatusWord
 
     target = out or beside("design", plant, f"{method}.h5")
@@ -45,9 +45,13 @@ def design(
         error = InputError if result.status.word is StatusWord.REFUSED else NumericalError
         raise error(f"design: {result.status.sentence}")
     files.save(law, target, overwrite=force)
-    attenuation_db, at_hz, band = attenuation_over(system, law, getattr(settings, "band_hz", None))
+    worst = worst_direction(system, law, design_band(settings, result.details))
     show = screen()
-    show.say(result.status, *described(system, result.margins), band_sentence(attenuation_db, at_hz, band))
+    show.say(
+        result.status,
+        *described(system, result.margins),
+        band_sentence(worst.attenuation_db, worst.f_hz, worst.band_hz),
+    )
     show.say(f"{law.states} states", f"controller: {target}")
     ends = {end: found for end, found in result.margins.items() if hasattr(found, "disk_all")}
     show.result(
@@ -57,9 +61,9 @@ def design(
             "states": law.states,
             "margins": margins_facts(system, ends),
             "peak_sensitivity_db": result.peak_sensitivity_db,
-            "band_hz": band,
-            "attenuation_db": attenuation_db,
-            "attenuation_hz": at_hz,
+            "band_hz": worst.band_hz,
+            "attenuation_db": worst.attenuation_db,
+            "attenuation_hz": worst.f_hz,
         }
     )
     finish(result.status)

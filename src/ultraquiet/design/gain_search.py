@@ -80,16 +80,14 @@ def from_plant(
     }
     law = even.law(found.controller)
     result = judged(plant, law, settings, found.gamma, found.achieved, found.residuals, details)
-    return result if quieter >= LITTLE_DB or not result.status.ok else _idle(result, even.band_hz, quieter)
+    return result if quieter >= LITTLE_DB or not result.status.ok else _idle(result)
 
 
-def _idle(result: DesignResult, band_hz: tuple[float, float], quieter: float) -> DesignResult:
+def _idle(result: DesignResult) -> DesignResult:
     """Return a loop that keeps its margin and makes nothing quiet, with a word that says so."""
-    low, high = band_hz
-    turned = f"falls by {quieter:.1f}" if quieter >= 0 else f"rises by {-quieter:.1f}"
     said = (
-        f"With that margin nothing gets quiet: the RMS of S G over {low:.4g}-{high:.4g} Hz {turned} dB. Give "
-        f"'band_hz', or weights, for what is to be quiet. {result.status.sentence}"
+        "With that margin nothing gets quiet: give 'band_hz', or weights, for what is to be quiet. "
+        f"{result.status.sentence}"
     )
     return replace(result, status=Status(StatusWord.SHORT, said))
 

@@ -5,18 +5,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between
+from ultraquiet._base.constraints import between
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
-from ultraquiet.analyse.margins import band_attenuation, even_sensitivity
+from ultraquiet.analyse.margins import even_sensitivity
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.design.robustness import DISK_MARGIN, WIDEST, both_ends, fragility, stated, weaker_end
-from ultraquiet.values.channel import Channel, ratio
+from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_of_scaled
+from ultraquiet.values.channel import ratio
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
-
-WHO = "analyse"
-ALIKE = 1e-6  # share of the largest: directions and growths that differ by less are told as the first of them
 
 
 @dataclass(frozen=True)
@@ -76,20 +74,6 @@ class LoopAnalysis:
         return self.gang.stable
 
 
-@dataclass(frozen=True, eq=False)
-class _Scales:
-    """What one unit of each channel is multiplied by before gains in several directions are compared."""
-
-    inputs: FloatArray
-    outputs: FloatArray
-    even: bool
-
-    @property
-    def command(self) -> float:
-        """What a command per reading of the scaled plant is in the channels' units, where they share them."""
-        return 1.0 if self.even else float(self.inputs[0] * self.outputs[0])
-
-
 def analyse_loop(
     plant: StateSpace,
     controller: StateSpace,
@@ -123,39 +107,32 @@ def analyse_loop(
     asked = between(WHO, "disk_margin", disk_margin, 0.0, WIDEST)
     own = even_plant(plant, band_hz, WHO)
     band = own.band_hz if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
-    scales = _scales(plant, own.inputs, own.outputs)
-    G, K = _scaled(plant, controller, scales)
+    scales = scales_of(plant, own.inputs, own.outputs)
+    G, K = scales.scaled(plant, controller)
     margins = both_ends(plant, controller)
     gang = gang_of_six(G, K)
-    attenuation_db, attenuation_hz = band_attenuation(G, K, band)
+    worst = worst_of_scaled(G, K, band, plant.sensors)
     members = {"S": gang.So, "T": gang.To, "KS": gang.KSo}
     wide = gang.peaks()
     peaks = {
         name: _peak(wide[key], plant, scales, name) for name, key in zip(members, ("So", "To", "KSo"), strict=True)
     }
     status = _verdict(plant, margins, peaks["S"], gang.stable, asked)
+    if gang.stable:
+        status = Status(status.word, f"{status.sentence} {worst.sentences}")
     slowest = _slowest(even_sensitivity(plant, controller, "output"))
     return LoopAnalysis(
-        status, slowest, margins, peaks, band, attenuation_db, attenuation_hz, scales.even, gang, scales.command
+        status,
+        slowest,
+        margins,
+        peaks,
+        band,
+        worst.attenuation_db,
+        worst.f_hz,
+        scales.even,
+        gang,
+        scales.command,
     )
-
-
-def attenuation_over(
-    plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float] | None = None
-) -> tuple[float, float, tuple[float, float]]:
-    """Return `band_attenuation` in the scales of `analyse_loop`, its frequency, and the band: the plant's when absent.
-
-    Args:
-        plant: G.
-        controller: K, its sign inside.
-        band_hz: (low, high) in Hz.
-
-    Raises:
-        InputError: as `analyse_loop`.
-    """
-    own = even_plant(plant, band_hz, WHO)
-    band = own.band_hz if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
-    return *band_attenuation(*_scaled(plant, controller, _scales(plant, own.inputs, own.outputs)), band), band
 
 
 def _verdict(
@@ -170,39 +147,14 @@ def _verdict(
     return Status(StatusWord.FRAGILE, fragility(plant, margins, asked))
 
 
-def _scales(plant: StateSpace, inputs: FloatArray, outputs: FloatArray) -> _Scales:
-    """Return one scale for all channels of an end where they share a unit, else the plant's own."""
-    mixed = any(len({c.unit for c in wires}) > 1 for wires in (plant.actuators, plant.sensors))
-    if mixed:
-        return _Scales(inputs, outputs, True)
-    # powers of two cost no digit, and units decades away from one would
-    common = [np.full(s.shape, np.exp2(np.round(np.median(np.log2(s))))) for s in (inputs, outputs)]
-    return _Scales(common[0], common[1], False)
-
-
-def _scaled(plant: StateSpace, law: StateSpace, s: _Scales) -> tuple[StateSpace, StateSpace]:
-    y, u = s.outputs[:, None], s.inputs
-    G = StateSpace(plant.A, plant.B * u, plant.C * y, plant.D * y * u, plant.rate_hz)
-    K = StateSpace(law.A, law.B / s.outputs, law.C / u[:, None], law.D / u[:, None] / s.outputs, law.rate_hz)
-    return G, K
-
-
-def _peak(found: Peak, plant: StateSpace, s: _Scales, name: str) -> MemberPeak:
+def _peak(found: Peak, plant: StateSpace, s: Scales, name: str) -> MemberPeak:
     receivers = plant.actuators if name == "KS" else plant.sensors
     common = not s.even and name == "KS"
     gain = found.gain * (s.command if common else 1.0)
     db = 20 * float(np.log10(gain)) if gain > 0 else -np.inf
     unit = ratio(receivers[0].unit, plant.sensors[0].unit) if common else ""
-    into, out_of = _strongest(found.inputs, plant.sensors), _strongest(found.outputs, receivers)
+    into, out_of = strongest(found.inputs, plant.sensors), strongest(found.outputs, receivers)
     return MemberPeak(float(gain), db, found.f_hz, into, out_of, unit)
-
-
-def _strongest(direction: np.ndarray, wires: tuple[Channel, ...]) -> str:
-    """Return the channel that a direction has most of, the first of those alike; empty for no direction."""
-    if not direction.size:
-        return ""
-    size = np.abs(direction)
-    return wires[int(np.flatnonzero(size >= (1 - ALIKE) * size.max())[0])].name
 
 
 def _slowest(S: StateSpace) -> SlowestMode | None:

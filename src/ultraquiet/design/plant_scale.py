@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, rising_band
-from ultraquiet.analyse.margins import default_grid
+from ultraquiet.analyse.margins import default_grid, pulled_in
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.design.weights.filters import below_nyquist
 from ultraquiet.linalg.even import evened
@@ -15,8 +15,6 @@ from ultraquiet.values.state_space import StateSpace
 WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
 ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
 LINES = 200  # over a given band, besides those of the poles
-BOUNDARY = 1e-9  # poles this near the stability boundary are on it, relative to their modulus
-PULLED = 5e-3  # of the slowest frequency of the poles: as far inside they are moved, a damping ratio for a resonance
 SWEEPS = 60  # of rows and columns in turn; a matrix of positive powers converges geometrically
 
 
@@ -87,7 +85,7 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
 
     Sinkhorn 1964, doi:10.1214/aoms/1177703591 (rows and columns in turn).
     """
-    seen = _pulled_in(plant)
+    seen = pulled_in(plant)
     f = default_grid(seen)
     f = f[(f > 0) & (f <= below_nyquist(np.inf, plant.rate_hz))]
     if band_hz is not None:
@@ -112,24 +110,6 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
     even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
     from_rest = band_hz is None and bool(inside[0])
     return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines, from_rest)
-
-
-def _pulled_in(plant: StateSpace) -> StateSpace:
-    """Return the plant as it is, or with its poles moved inside where one lies on the stability boundary."""
-    poles = plant.poles()
-    if plant.rate_hz is None:
-        scale = np.abs(poles)
-        on = np.abs(poles.real) <= BOUNDARY * np.maximum(scale, scale.max(initial=0.0) * BOUNDARY)
-        inside = scale[scale > BOUNDARY * scale.max(initial=0.0)]
-        slowest = float(inside.min(initial=np.inf))
-        move = PULLED * (slowest if np.isfinite(slowest) else 1.0)
-        A = plant.A - move * np.eye(plant.states)
-    else:
-        on = np.abs(np.abs(poles) - 1) <= BOUNDARY
-        turns = np.abs(np.angle(poles[on]))
-        turns = turns[turns > np.sqrt(BOUNDARY)]
-        A = plant.A * (1 - PULLED * min(float(turns.min(initial=1.0)), 1.0))
-    return StateSpace(A, plant.B, plant.C, plant.D, plant.rate_hz) if np.any(on) else plant
 
 
 def _widths(f: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
 from ultraquiet.design.robustness import StatedRobustness, both_ends, fragility, stated, weaker_end
+from ultraquiet.design.worst_direction import design_band, worst_direction
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -28,14 +29,20 @@ def judged(
     """Close the loop, take its poles, peak sensitivity and margins, and word the verdict.
 
     It is `ok` where the loop is stable and its disk margin, all channels at once, is at least the one that the settings
-    ask for at both ends of the plant; `fragile` where it is stable with less.
+    ask for at both ends of the plant; `fragile` where it is stable with less. Either says what becomes of the worst
+    direction over the design's own band, and which directions of the sensors the actuators do not reach: on most plants
+    with sharp modes a loop that makes the readings quieter is louder in some direction between the modes.
     """
     poles = feedback(plant, controller).poles()
     peak_db, peak_hz = peak_sensitivity(plant, controller)
     stable = is_stable(poles, plant.rate_hz)
     margins = both_ends(plant, controller)
     peak = f"it amplifies by at most {peak_db:.1f} dB, at {peak_hz:.0f} Hz"
-    verdict = _verdict(plant, controller, settings.disk_margin, margins, peak) if stable else _unstable()
+    verdict = _unstable()
+    if stable:
+        verdict = _verdict(plant, controller, settings.disk_margin, margins, peak)
+        worst = worst_direction(plant, controller, design_band(settings, details))
+        verdict = Status(verdict.word, " ".join([verdict.sentence, *_fallen(details), worst.sentences]))
     return DesignResult(
         status=verdict,
         controller=_stamped(controller, plant, settings),
@@ -63,6 +70,15 @@ def _verdict(
     if margins[weaker_end(margins)].disk_all >= asked:
         return Status(StatusWord.OK, f"The loop is stable; {peak}; {stated(margins)}; {law}")
     return Status(StatusWord.FRAGILE, f"{fragility(plant, margins, asked)} The loop {peak[3:]}; {law}")
+
+
+def _fallen(details: Mapping[str, Any]) -> list[str]:
+    """Return one sentence on the RMS of S G where the design measured it, none elsewhere."""
+    if "attenuation_rms_db" not in details:
+        return []
+    (low, high), quieter = details["band_hz"], details["attenuation_rms_db"]
+    turned = f"falls by {quieter:.1f} dB" if quieter >= 0 else f"rises by {-quieter:.1f} dB"
+    return [f"The RMS of S G over {low:.4g}-{high:.4g} Hz {turned}."]
 
 
 def _stamped(controller: StateSpace, plant: StateSpace, settings: Any) -> StateSpace:

@@ -1,6 +1,5 @@
 """Models of a bench's further units, made by themselves: as the stages of a study make them."""
 
-import json
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -8,14 +7,13 @@ from pathlib import Path
 from ultraquiet._base.errors import InputError
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.models import PlantFacts
-from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.making.designs import plant_key
 from ultraquiet.pipeline.preflight import as_unit
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.study import Study
 from ultraquiet.pipeline.tables.blending import blended
-from ultraquiet.pipeline.walk import bench_of, bench_table
+from ultraquiet.pipeline.walk import bench_key_of, bench_of, bench_table
 from ultraquiet.values import Record, StateSpace
 
 
@@ -37,8 +35,7 @@ def further_plants(
     if own is None:
         raise InputError("plant: 'units' are those of a bench, and the study has none.")
     bench = own if study.blending is None else blended(own, study.blending, folder)
-    described = json.loads(json.dumps(to_plain(identity(own, bench_table(study), folder))))
-    bench_key = described if study.blending is None else [described, study.blending]
+    bench_key = bench_key_of(study, identity(own, bench_table(study), folder))
     hashes = {name: record.hash for name, record in records.items()}
     found: dict[str, StateSpace] = {}
     for unit in study.plant.units:

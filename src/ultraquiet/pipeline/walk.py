@@ -1,5 +1,6 @@
 """The walk: a study from its bench to its report, each stage reused when nothing it depends on has changed."""
 
+import json
 import shutil
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
@@ -20,6 +21,7 @@ from ultraquiet.identify.record_checks import in_and_out
 from ultraquiet.pipeline import preflight, study
 from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.mission import CampaignFacts
+from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.mission.campaign import How
 from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
@@ -168,11 +170,10 @@ def prepared(
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if settings.blending is not None:
             bench, records = _in_modes(own, settings.blending, records, beside, say)
-            bench_key = [bench_key, settings.blending]
         if bench is not None and not preflight.reacts(bench):
             say("the bench plays back its records: no loop is closed on it")
             bench = None
-        yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key)
+        yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key_of(settings, bench_key))
 
 
 def _in_modes(
@@ -193,6 +194,12 @@ def bench_table(settings: study.Study) -> dict[str, Any]:
     if settings.bench.object is not None:
         table["object"], _, table["callable"] = settings.bench.object.rpartition(":")
     return table
+
+
+def bench_key_of(settings: study.Study, described: Any) -> Any:
+    """Return what defines the bench for the stages that measure on it: what it is, and how its channels are blended."""
+    plain = json.loads(json.dumps(to_plain(described)))
+    return plain if settings.blending is None else [plain, settings.blending]
 
 
 def _write_study(settings: study.Study, folder: Path, beside: Path | None) -> None:

@@ -1,0 +1,160 @@
+"""What a loop does to the direction that it attenuates least, and which directions its actuators do not reach."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.analyse.margins import band_attenuation, pulled_in, reached_directions
+from ultraquiet.analyse.peaks import response_at
+from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.values.channel import Channel
+from ultraquiet.values.state_space import StateSpace
+
+WHO = "analyse"
+ALIKE = 1e-6  # share of the largest: directions and growths that differ by less are told as the first of them
+LINES = 60  # of the band, over which the directions out of reach are averaged
+LITTLE_DB = 0.05  # what a reader sees as none
+
+
+@dataclass(frozen=True, eq=False)
+class Scales:
+    """What one unit of each channel is multiplied by before gains in several directions are compared."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    even: bool
+
+    @property
+    def command(self) -> float:
+        """What a command per reading of the scaled plant is in the channels' units, where they share them."""
+        return 1.0 if self.even else float(self.inputs[0] * self.outputs[0])
+
+    def scaled(self, plant: StateSpace, law: StateSpace) -> tuple[StateSpace, StateSpace]:
+        """Return plant and law between channels of these units."""
+        y, u = self.outputs[:, None], self.inputs
+        G = StateSpace(plant.A, plant.B * u, plant.C * y, plant.D * y * u, plant.rate_hz)
+        K = StateSpace(law.A, law.B / self.outputs, law.C / u[:, None], law.D / u[:, None] / self.outputs, law.rate_hz)
+        return G, K
+
+
+@dataclass(frozen=True)
+class WorstDirection:
+    """The direction that a loop attenuates least over a band, of those that the actuators reach.
+
+    Attributes:
+        attenuation_db, f_hz: as `analyse.band_attenuation`; negative where it gets louder.
+        band_hz: the band.
+        reached: how many directions of the sensors the actuators reach, on most lines of the band.
+        sensors: how many directions there are.
+        least_reached: the sensor that has most of the other directions; empty where there are none.
+    """
+
+    attenuation_db: float
+    f_hz: float
+    band_hz: tuple[float, float]
+    reached: int
+    sensors: int
+    least_reached: str
+
+    @property
+    def sentences(self) -> str:
+        """The same in words."""
+        low, high = self.band_hz
+        band = f"{low:.4g}-{high:.4g} Hz"
+        if not self.reached:
+            return f"Over {band} no actuator reaches any sensor: no law does anything there."
+        does = "quieter" if self.attenuation_db > 0 else "louder"
+        if not np.isfinite(self.attenuation_db):
+            return f"Over {band} nothing is known of the worst direction of S: the loop hangs on rounding errors."
+        size = f"{does} by {abs(self.attenuation_db):.1f} dB, at {self.f_hz:.4g} Hz"
+        if abs(self.attenuation_db) < LITTLE_DB:
+            size = "neither quieter nor louder"
+        said = f"Over {band} the worst direction of S gets {size}."
+        return f"{said} {self._out_of_reach}" if self.least_reached else said
+
+    @property
+    def _out_of_reach(self) -> str:
+        """Say which directions no law can quieten."""
+        left = self.sensors - self.reached
+        rest = "the other, most of it" if left == 1 else f"the other {left}, most of them"
+        return (
+            f"The actuators reach {self.reached} of {self.sensors} directions of the sensors; in {rest} sensor "
+            f"{self.least_reached!r}, no law makes anything quieter."
+        )
+
+
+def scales_of(plant: StateSpace, inputs: FloatArray, outputs: FloatArray) -> Scales:
+    """Return one scale for all channels of an end where they share a unit, else the plant's own."""
+    mixed = any(len({c.unit for c in wires}) > 1 for wires in (plant.actuators, plant.sensors))
+    if mixed:
+        return Scales(inputs, outputs, True)
+    # powers of two cost no digit, and units decades away from one would
+    common = [np.full(s.shape, np.exp2(np.round(np.median(np.log2(s))))) for s in (inputs, outputs)]
+    return Scales(common[0], common[1], False)
+
+
+def worst_direction(
+    plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float] | None = None
+) -> WorstDirection:
+    """Return `band_attenuation` in the scales of `analyse_loop`, and what of the sensors is out of reach.
+
+    The directions that the inputs do not reach are those orthogonal to the range of G(f); with U of G = U s V' they
+    have the share 1 - sum |U_i|^2 of sensor i, in the mean over the band.
+
+    Args:
+        plant: G.
+        controller: K, its sign inside.
+        band_hz: (low, high) in Hz; the plant's own when absent.
+
+    Raises:
+        InputError: as `analyse_loop`.
+
+    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0], [0.1]], [[0.0], [0.0]], 100.0, ["coil"], ["near", "far"])
+    >>> law = StateSpace([[0.0]], [[0.0, 0.0]], [[0.0]], [[-0.5, 0.0]], rate_hz=100.0)
+    >>> worst_direction(G, law, (1.0, 5.0)).sentences.split("; ")[1]
+    "in the other, most of it sensor 'far', no law makes anything quieter."
+
+    Skogestad and Postlethwaite 2005, section 3.3 (directions), 6.3 (plants with more outputs than inputs).
+    """
+    own = even_plant(plant, band_hz, WHO)
+    band = own.band_hz if band_hz is None else (float(band_hz[0]), float(band_hz[1]))
+    G, K = scales_of(plant, own.inputs, own.outputs).scaled(plant, controller)
+    return worst_of_scaled(G, K, band, plant.sensors)
+
+
+def worst_of_scaled(
+    G: StateSpace, K: StateSpace, band_hz: tuple[float, float], sensors: tuple[Channel, ...]
+) -> WorstDirection:
+    """Return the same for plant and law in scales in which directions are compared, with the sensors by name."""
+    attenuation_db, at_hz = band_attenuation(G, K, band_hz)
+    reached, least = _reach(G, band_hz, sensors)
+    return WorstDirection(attenuation_db, at_hz, band_hz, reached, len(sensors), least)
+
+
+def design_band(settings: Any, details: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the band that a design is for: its setting, its specification's, or that it took; None where none is."""
+    given = getattr(settings, "band_hz", None)
+    asked = getattr(details.get("specification"), "band_hz", None)
+    return given or asked or details.get("band_hz")
+
+
+def _reach(plant: StateSpace, band_hz: tuple[float, float], sensors: tuple[Channel, ...]) -> tuple[int, str]:
+    """Return how many directions the inputs reach, and the sensor with the largest share of the others."""
+    U = reached_directions(response_at(pulled_in(plant))(np.geomspace(*band_hz, LINES)))
+    power = np.abs(U) ** 2
+    reached = int(np.median(power.sum(axis=(1, 2)).round()))
+    if reached == len(sensors):
+        return reached, ""
+    share = 1 - power.sum(axis=2).mean(axis=0)
+    return reached, strongest(share, sensors)
+
+
+def strongest(direction: np.ndarray, wires: tuple[Channel, ...]) -> str:
+    """Return the channel that a direction has most of, the first of those alike; empty for no direction."""
+    if not direction.size:
+        return ""
+    size = np.abs(direction)
+    return wires[int(np.flatnonzero(size >= (1 - ALIKE) * size.max())[0])].name
