@@ -7,9 +7,15 @@ from ordinary_plants import ordinary, with_units
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import band_attenuation, hinf_norm, peak_sensitivity
 from ultraquiet.design import PeakBounded
+from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, Placement
 from ultraquiet.design.fixed_structure.damped_pairs import DampedPairs, Resonances
+from ultraquiet.design.fixed_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.biquads import Biquads, in_series
+from ultraquiet.design.peak_bounded.demands import Demands
+from ultraquiet.design.peak_bounded.loops.certificate import LoopCertificate
+from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
+from ultraquiet.design.peak_bounded.start import FLOOR
 from ultraquiet.design.peak_bounded.step import Linearised, step
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import sensitivity, series
@@ -42,6 +48,25 @@ def test_bounds_hold_between_the_lines_too_and_the_figures_are_those_of_the_loop
     control = hinf_norm(series(sensitivity(plant, found.controller), found.controller))[0]
     assert figures.plants[0].control_gain == pytest.approx(control, rel=1e-4)
     assert found.controller.is_stable()
+
+
+def test_every_place_at_which_a_bound_is_exceeded_is_told_and_not_the_worst_alone(found):
+    """A law searched for at 6 dB, judged at 3: it is louder on either side of its band."""
+    plant, bound_db = resonant(), PEAK_DB / 2
+    f = np.geomspace(0.5, 999.0, 40_000)
+    level = -20 * np.log10(np.abs(1 - (plant @ found.controller).frequency_response(f)[0, 0]))
+    tops = f[1:-1][(level[1:-1] > bound_db + 0.05) & (level[1:-1] >= level[:-2]) & (level[1:-1] >= level[2:])]
+    one, theta = in_series(plane_of(plant).to_plane(found.controller), FLOOR)
+    structure = ControllerStructure((one,), (Placement(0, np.eye(1), np.eye(1)),))
+    demands = Demands((30.0, 55.0), lambda f: np.full(f.shape, bound_db), lambda f: np.full(f.shape, 300.0))
+    lines = Scenario(plant, plane_of(plant), np.geomspace(1.0, 900.0, 40), demands.band_hz)
+    places = LoopCertificate(lines, demands).exceeded_hz(structure, theta, 0.01)
+    print(f"exceeded at {np.round(places, 1)} Hz, tops at {np.round(tops, 1)} Hz")
+    assert tops.size >= 2
+    for top in tops:
+        assert np.abs(places / top - 1).min() < 0.01
+    quiet = Demands(demands.band_hz, lambda f: np.full(f.shape, 2 * PEAK_DB), demands.control_db)
+    assert LoopCertificate(lines, quiet).exceeded_hz(structure, theta, 0.01).size == 0
 
 
 def test_the_same_seed_gives_the_same_law_and_other_units_the_same_loop(found):

@@ -24,7 +24,7 @@ DECADES = 2.0  # below the band; above it the grid goes to Nyquist, or as far
 LOOKS = 8  # steps from each start before the best goes on
 POLISH = 3  # on a line that shows an excess: the first step or two take it away
 # Of looks between the lines, and what counts as a bound exceeded there: on a plant given, and on one drawn.
-ROUNDS, HIDDEN_DB, HIDDEN_DRAWN_DB = 3, 0.01, 0.1
+ROUNDS, HIDDEN_DB, HIDDEN_DRAWN_DB = 6, 0.01, 0.1
 FAN = np.array([0.995, 1.0, 1.005])  # lines around such a place
 
 NEARLY_DB, QUIET_DB = 0.1, 3.0  # a start that keeps its bounds so nearly and attenuates by so much is good enough
@@ -131,12 +131,11 @@ class SearchFromStarts:
         return best, [*given, *working]
 
     def _hidden(self, law: ControllerStructure, theta: FloatArray, certificates: Sequence[LoopCertificate]) -> bool:
-        """Return whether a bound is exceeded between the lines of a plant; those lines are taken in."""
+        """Return whether bounds are exceeded between the lines of a plant; all those lines are taken in."""
         found = False
         for k, certificate in enumerate(certificates):
-            excess, at_hz = certificate.excess(law, theta)
-            if np.isfinite(at_hz) and excess > (HIDDEN_DB if k < len(self.plants) else HIDDEN_DRAWN_DB):
-                found = certificate.scenario.add(self.plane.of_hz(at_hz * FAN)) or found
+            at_hz = certificate.exceeded_hz(law, theta, HIDDEN_DB if k < len(self.plants) else HIDDEN_DRAWN_DB)
+            found = certificate.scenario.add(self.plane.of_hz((at_hz[:, None] * FAN).ravel())) or found
         return found
 
     def _scenarios(self, plants: Sequence[StateSpace]) -> list[Scenario]:

@@ -69,16 +69,35 @@ class LoopCertificate:
         grid = self._closed(law, theta)
         return (np.inf, float("nan")) if grid is None else self._excess(law, theta, grid)
 
-    def _excess(self, law: ControllerStructure, theta: FloatArray, grid: Grid) -> tuple[float, float]:
-        demands, every = self.demands, np.arange(grid[0].size)
+    def exceeded_hz(self, law: ControllerStructure, theta: FloatArray, least_db: float) -> FloatArray:
+        """Return every place, Hz, where a bound is exceeded by more than `least_db`; none where the loop is unstable.
 
-        def bounded(each: LoopParts, lines: FloatArray) -> FloatArray:
+        The tops on the fine grid, and the greatest of all as it is between its lines: whoever mends the greatest alone
+        finds the next one in its stead.
+        """
+        grid = self._closed(law, theta)
+        if grid is None:
+            return np.zeros(0)
+        f, loop = grid
+        places = [_tops(f, 20 * np.log10(np.maximum(part(loop, f), LEAST)), least_db) for part in self._bounded()]
+        greatest, at_hz = self._excess(law, theta, grid)
+        return np.unique(np.concatenate([*places, [at_hz] if greatest > least_db else []]))
+
+    def _excess(self, law: ControllerStructure, theta: FloatArray, grid: Grid) -> tuple[float, float]:
+        every = np.arange(grid[0].size)
+        return max(self._largest(law, theta, grid, part, every) for part in self._bounded())
+
+    def _bounded(self) -> tuple[Part, Part]:
+        """Return sigma(S) and sigma(K S) over their bounds."""
+        demands = self.demands
+
+        def amplified(each: LoopParts, lines: FloatArray) -> FloatArray:
             return _sizes(each.S) / _gain(demands.sensitivity_db(lines))
 
         def driven(each: LoopParts, lines: FloatArray) -> FloatArray:
             return _sizes(each.control) / _gain(demands.control_db(lines))
 
-        return max(self._largest(law, theta, grid, part, every) for part in (bounded, driven))
+        return amplified, driven
 
     def _largest(
         self, law: ControllerStructure, theta: FloatArray, grid: Grid, part: Part, at: np.ndarray
@@ -112,6 +131,12 @@ class LoopCertificate:
         w = np.concatenate([self._w, own])
         order = np.argsort(w, kind="stable")
         return w[order], np.concatenate([self._G, self.scenario.response(self.scenario.plane.hz(own))])[order]
+
+
+def _tops(f_hz: FloatArray, level_db: FloatArray, least_db: float) -> FloatArray:
+    """Return where levels have a local maximum above one of them."""
+    padded = np.concatenate([[-np.inf], level_db, [-np.inf]])
+    return f_hz[(level_db > least_db) & (level_db >= padded[:-2]) & (level_db >= padded[2:])]
 
 
 def _sizes(M: ComplexArray) -> FloatArray:
