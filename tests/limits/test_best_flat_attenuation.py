@@ -186,3 +186,18 @@ def test_a_demand_exceeded_between_points_is_looked_at_and_said(heave, grids, mo
     if not grids:
         assert limit.status.word == "short"
         assert limit.violation > search.EXCEEDED
+
+
+def test_a_circle_that_tells_nothing_is_followed_by_the_next(monkeypatch):
+    """0: no level found out of reach; nan: too coarse to tell. Neither ends the search for a bound."""
+
+    def bound_db(*levels):
+        told = iter([*levels, *[levels[-1]] * len(search.CIRCLES)])
+        monkeypatch.setattr(search.certificate, "lowest_level", lambda *_: next(told))
+        return best_flat_attenuation(LAG, (20.0, 100.0), 6.0, control_gain=10.0, basis=30).bound_db
+
+    found = bound_db(0.0, np.nan, 0.1), bound_db(np.nan, 0.0), bound_db(np.nan)
+    print(f"bounds {found} dB")
+    assert found[0] == pytest.approx(20.0)
+    assert np.isposinf(found[1])
+    assert np.isnan(found[2])

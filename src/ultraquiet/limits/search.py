@@ -16,8 +16,9 @@ from ultraquiet.limits.programme import ConeSolution, Demand, solve, solve_on
 from ultraquiet.linalg.zeros import invariant_zeros
 from ultraquiet.values.status import Status, StatusWord
 
-# Points from 0 to pi for the certificate, and over how many a jump is smoothed; the next where one is too coarse.
-CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30))
+# Points from 0 to pi for the certificate, and over how many a jump is smoothed; the next where one is too coarse or
+# tells nothing: a demand that binds over a narrow stretch, as a control gain far below the band does, is smeared away.
+CIRCLES = ((1 << 14, 16), (1 << 15, 16), (1 << 15, 40), (1 << 16, 30), (1 << 14, 8), (1 << 16, 8))
 USED_UP = 0.99  # share of a demand from which on it binds
 FINER = 4
 QUADRATURE = 1 << 13
@@ -131,12 +132,16 @@ class LimitSearch:
         solution: ConeSolution,
         lines: Callable[[FloatArray], AffineLoops],
     ) -> float:
-        """Return the attenuation in dB that no Q reaches on `lines`; nan where no circle was fine enough."""
+        """Return the attenuation in dB that no Q reaches on `lines`; nan where no circle was fine enough.
+
+        Infinite where those that were told of no level out of reach.
+        """
         grid_angles = self.circle.angles(self.f_hz)
         merged = [[0, 1], *([k] for k in range(2, len(demands)))]  # the band's demand and the peak's are one, of S
         multipliers = [sum((solution.multipliers[k] for k in ks), np.zeros(grid_angles.size)) for ks in merged]
         active = [np.any([solution.active[k] for k in ks], axis=0) for ks in merged]
         edges = self.circle.angles(np.array(self.band_hz))
+        told = float("nan")
         for count, smoothed in CIRCLES:
             angles = np.linspace(0, np.pi, count + 1)
             share = certificate.ramp(angles, edges[0], edges[1], smoothed)
@@ -146,9 +151,10 @@ class LimitSearch:
             discs = [certificate.Merged(d.a, d.b, d.limit ** (1 - s), s) for d, s in zip(wanted, levels, strict=True)]
             weights = certificate.weights_at(angles, smoothed, grid_angles, multipliers, active)
             level = certificate.lowest_level(discs, weights, solution.level)
-            if np.isfinite(level):
-                return attenuation(level) if level else np.inf
-        return float("nan")
+            if level > 0:
+                return attenuation(level)
+            told = np.inf if level == 0 else told
+        return told
 
     def _judged(
         self, wishes: Wishes, solution: ConeSolution, weights: FloatArray, bound_db: float, half_db: float
