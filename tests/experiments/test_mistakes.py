@@ -116,7 +116,7 @@ limit_v = 5.0
 [[commands]]
 do = "excite"
 name = "C"
-signal = { method = "step" }
+signal = { method = "step", level_v = 10.0 }
 """
     )
     with pytest.raises(experiments.ListError) as caught:
