@@ -96,8 +96,12 @@ def test_the_quiet_law_is_tuned_in_place_on_ten_drawn_benches(seed):
     )
     general = packaged_study("suite").controllers["quiet"].design.make("design")
     law = general.design([ground.model, flight.model]).controller
-    # what a record leaves open of its own unit, in place of what tolerances do
-    own = replace(general, draws=0, gain_spread=0.03, mode_spread=0.01, peak_db=5.2)
+    # what a record leaves open of its own unit, in place of what tolerances do; the mounts' modes, whose loop hangs on
+    # how loud they are, are spared as the study spares them
+    f_hz, levels_db = general.peak_db
+    own = replace(
+        general, draws=0, gain_spread=0.03, mode_spread=0.01, peak_db=(f_hz, [min(each, 5.2) for each in levels_db])
+    )
     short = []
     for k in range(10):
         unit = ("ground", "flight")[k % 2]
@@ -108,7 +112,7 @@ def test_the_quiet_law_is_tuned_in_place_on_ten_drawn_benches(seed):
         quiet, peak = read.worst_in_band_db(*IN_PLACE_HZ), read.peak_amplification_db()
         print(f"{k}, {unit}: {quiet:.2f} dB at {peak:.2f} dB of peak; {made.seconds}", flush=True)
         short += [] if made.status.ok and quiet >= 21.0 and peak <= 6.0 else [k]
-    assert not short
+    assert not short, short
 
 
 def of_one_strut(law):
