@@ -1,6 +1,7 @@
 """Studies by hand in a browser, from a dropped file to proved C."""
 
 import os
+import re
 import signal
 import time
 from pathlib import Path
@@ -56,6 +57,9 @@ def walked(seen, name: str, method: str, order: str, law: str) -> None:
     seen.click("design")
     seen.made("laws", "quiet")
     seen.drawn("loop-chart")
+    limit = seen.page.get_by_test_id("limit").filter(has_text=re.compile("controller exceeds|No bound was"))
+    limit.wait_for(timeout=120_000)
+    print(limit.inner_text())
     seen.go("deploy")
     seen.click("deploy")
     seen.made("codes", "quiet")
