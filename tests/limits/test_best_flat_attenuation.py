@@ -107,6 +107,8 @@ def test_continuous_plant_and_its_delay():
     limit = best_flat_attenuation(lag, (5.0, 50.0), 6.0, control_gain=20.0, delay_s=0.002, basis=60)
     print(limit.status)
     assert limit.status.ok
+    assert "optimum after" in limit.status.sentence
+    assert "Solved" not in limit.status.sentence, "the solver's own word"
     assert limit.attenuation_db <= limit.bound_db < limit.attenuation_db + 1.5
 
 

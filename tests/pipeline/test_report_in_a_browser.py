@@ -255,22 +255,62 @@ def test_without_scripts_the_stills_stand_in_for_the_charts(browser, report):
     page.close()
 
 
-def test_printed_pages_begin_with_no_orphan(opened, tmp_path):
-    """No title stands last on its page, and no caption first on one."""
-    if shutil.which("gs") is None:
-        pytest.skip("no Ghostscript to read the pages")
+# Chromium writes where the target of each link lands, so a link to a block makes the PDF say on which page it is.
+MARK = """() => {
+  const blocks = {};
+  const mark = (e, block, part) => {
+    e.id = `at-${block}-${part}`;
+    const link = document.createElement("a");
+    link.href = "#" + e.id; link.hidden = true;
+    document.body.append(link);
+  };
+  const end = e => e.appendChild(document.createElement("span"));
+  const add = (name, parts) => {
+    const block = Object.keys(blocks).length;
+    blocks[block] = name;
+    parts.forEach((e, k) => mark(e, block, k));
+  };
+  document.querySelectorAll("figure").forEach(f => {
+    const [title, caption] = [f.querySelector("strong"), f.querySelector("figcaption")];
+    add("figure: " + title.innerText, [title, f.querySelector("img"), caption, end(caption)]);
+  });
+  document.querySelectorAll("table").forEach(t => {
+    const rows = [...t.rows];
+    add("table: " + t.caption.innerText, [t.caption, ...(t.classList.contains("short") ? rows : rows.slice(0, 2))]);
+  });
+  document.querySelectorAll("h2").forEach(h => add("title: " + h.innerText, [h, h.nextElementSibling]));
+  document.querySelectorAll("section > p").forEach(p => add("text: " + p.innerText.slice(0, 40), [p, end(p)]));
+  add("answer", [...document.querySelectorAll(".headline, .front figure img, .front dl")]);
+  return blocks;
+}"""
+
+
+def printed_places(pdf):
+    """Return {block: [(page, height) of its parts]} of the marks that the PDF keeps as named destinations."""
+    places = {}
+    for block, part, page, height in re.findall(rb"/at-(\d+)-(\d+) \[(\d+) 0 R /XYZ \S+ (\S+) ", pdf):
+        places.setdefault(block.decode(), {})[int(part)] = int(page), float(height)
+    return {block: [parts[k] for k in sorted(parts)] for block, parts in places.items()}
+
+
+def test_a_printed_page_splits_no_block(opened, report, tmp_path):
+    """Title, picture and caption stand on one page, and so do short tables, a long one's head, a title and its text."""
     page = opened()
-    titles = page.locator("h2").all_inner_texts()
-    page.pdf(path=tmp_path / "report.pdf", format="A4")
-    words = ["gs", "-q", "-sDEVICE=txtwrite", "-o", str(tmp_path / "page-%03d.txt"), str(tmp_path / "report.pdf")]
-    subprocess.run(words, check=True, timeout=120)
-    pages = [p.read_text(errors="replace") for p in sorted(tmp_path.glob("page-*.txt"))]
-    print(f"{len(pages)} pages")
-    assert 3 <= len(pages) <= 60
-    for text in pages:
-        lines = [line.strip() for line in text.splitlines() if line.strip()]
-        assert lines, "an empty page"
-        assert lines[-1] not in titles, f"'{lines[-1]}' stands alone at the foot of a page"
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    blocks = page.evaluate(MARK)
+    pdf = page.pdf(path=tmp_path / "report.pdf", format="A4")
+    places = printed_places(pdf)
+    assert places.keys() == blocks.keys(), "every block lands somewhere"
+    split = [blocks[k] for k, parts in places.items() if len({number for number, _ in parts}) > 1]
+    pages = len(re.findall(rb"/Type /Page\b", pdf))
+    kinds = {kind: sum(b.startswith(kind) for b in blocks.values()) for kind in ("figure", "table", "title", "text")}
+    print(f"{pages} pages, {kinds}, split: {split}")
+    assert kinds["figure"] >= 8
+    assert not split
+    if shutil.which("pdftoppm"):
+        folder = SHOTS / f"{report.parent.name}-{report.parent.parent.name}"
+        folder.mkdir(parents=True, exist_ok=True)
+        subprocess.run(["pdftoppm", "-r", "60", "-png", tmp_path / "report.pdf", folder / "printed"], check=True)
 
 
 def test_waiting_is_not_what_makes_it_quick(opened):

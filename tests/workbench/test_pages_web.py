@@ -1,6 +1,7 @@
 """Studies by hand in a browser, from a dropped file to proved C."""
 
 import os
+import re
 import signal
 import time
 from pathlib import Path
@@ -56,6 +57,9 @@ def walked(seen, name: str, method: str, order: str, law: str) -> None:
     seen.click("design")
     seen.made("laws", "quiet")
     seen.drawn("loop-chart")
+    limit = seen.page.get_by_test_id("limit").filter(has_text=re.compile("controller exceeds|No bound was"))
+    limit.wait_for(timeout=120_000)
+    print(limit.inner_text())
     seen.go("deploy")
     seen.click("deploy")
     seen.made("codes", "quiet")
@@ -235,6 +239,18 @@ def test_36_panels_and_a_dragged_weight_keep_up(finished):
         assert np.median(moved) <= 150
 
 
+SCROLLED = """async () => {
+  for (let y = 0; y < document.documentElement.scrollHeight; y += innerHeight / 2) {
+    scrollTo(0, y);
+    await new Promise((done) => setTimeout(done, 150));
+  }
+  scrollTo(0, 0);
+}"""
+BLANK = """() => [...document.querySelectorAll("[data-testid$='-chart'][data-drawn]")]
+  .filter((e) => e.offsetParent && e.offsetHeight > 100 && !e.querySelector("canvas, svg"))
+  .map((e) => e.dataset.testid)"""
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)], ids=["1280", "1920"])
 def test_every_page_fits_its_window(finished, size, scheme):
@@ -246,6 +262,9 @@ def test_every_page_fits_its_window(finished, size, scheme):
             if page not in ("bench", "deploy", "report"):
                 seen.find("main", "canvas")
             seen.page.wait_for_timeout(1500)
+            seen.page.evaluate(SCROLLED)  # a figure is drawn when it comes into view
+            blank = seen.page.evaluate(BLANK)
+            assert blank == [], f"{page} leaves figures blank"
             seen.page.screenshot(path=pictures / f"{page}-{size[0]}-{scheme}.png", full_page=True)
             wide = seen.page.evaluate("document.documentElement.scrollWidth")
             assert wide <= size[0], f"{page} is {wide} wide"

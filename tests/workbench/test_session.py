@@ -156,3 +156,15 @@ def test_poles_are_looked_at_one_order_after_the_other(session):
     last = found["rows"][found["rows"][:, 0] == found["orders"][-1]]
     assert found["orders"].tolist() == list(range(2, int(found["orders"][-1]) + 1, 2))
     assert np.abs(last[:, 1] / 8.0 - 1).min() < 0.02
+
+
+def test_a_law_is_looked_at_beside_its_limit(session):
+    """What the Design page says below its laws: the law's own attenuation, and more that no law exceeds."""
+    session.do({**IDENTIFY, "method": METHOD})
+    session.do({"op": "design", "name": "lqg", "model": "arx4", "method": {"method": "lqg"}, "reduce": None})
+    law = session.make("laws", "lqg")
+    found = looks.seen(session.folder, looks.limit(session.folder, session.state, "lqg")["view"])
+    print(f"{found['attenuation_db']:.2f} dB of {found['limit_db']:.2f} dB: {found['words']}")
+    assert found["attenuation_db"] == pytest.approx(law.facts["attenuation_db"], abs=0.1)
+    assert found["limit_db"] > found["attenuation_db"]
+    assert f"{found['limit_db']:.1f} dB" in str(found["words"])

@@ -15,6 +15,15 @@ GROSSLY, THINNED = 1.01, 4  # beyond this share every fourth point does, peak or
 ROUNDS = 10
 SLACK = 0.9  # of its limit: a demand that stays below is left out until it is broken
 SOLVED = ("Solved", "AlmostSolved")
+# The solver's words for how it ended, in ours.
+FOUND = {
+    "Solved": "the optimum",
+    "AlmostSolved": "nearly the optimum",
+    "MaxIterations": "the search gave up at its most iterations",
+    "MaxTime": "the search gave up at its longest time",
+    "NumericalError": "the search gave up on numbers too far apart",
+    "InsufficientProgress": "the search gave up, for it came no nearer",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +61,11 @@ class ConeSolution:
     def ok(self) -> bool:
         """Whether the solver found an optimum."""
         return self.status in SOLVED
+
+    @property
+    def found(self) -> str:
+        """What the solver found, in words."""
+        return FOUND.get(self.status, f"the search gave up ({self.status})")
 
 
 def solve(

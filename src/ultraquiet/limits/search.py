@@ -192,8 +192,8 @@ class LimitSearch:
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
             f"A controller attenuates {low:.4g}-{high:.4g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
-            f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; solver: {solution.status}, "
-            f"{solution.rounds} grids, {self.basis.size} functions{less}."
+            f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; {solution.found} "
+            f"after {solution.rounds} grids among controllers of {self.basis.size} functions{less}."
         )
 
     def _why(
@@ -201,7 +201,7 @@ class LimitSearch:
     ) -> str:
         """Name the demands without which there is a solution."""
         if solution.status not in INFEASIBLE:
-            return f"{WHO}: the solver gave up ({solution.status}); ask for less basis or a milder demand."
+            return f"{WHO}: {solution.found}; ask for less basis or a milder demand."
         guilty = [
             demand.name
             for k, demand in enumerate(demands)

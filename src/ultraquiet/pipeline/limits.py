@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet import limits
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import in_threads
 from ultraquiet.analyse import singular_values
 from ultraquiet.limits.directions import moved
@@ -41,7 +42,7 @@ def bounded(
     bands = settings.bands_hz or [band_hz]
     price = settings.peak_db, settings.control_gain or _inverting(plant, band_hz)
     jobs: dict[Hashable, Callable[[], Any]] = {band: partial(_of_band, plant, band, *price) for band in bands}
-    jobs |= {name: partial(_of_design, plant, law, band_hz) for name, law in laws.items()}
+    jobs |= {name: partial(beside_its_limit, plant, law, band_hz) for name, law in laws.items()}
     found = in_threads("limits", lambda name: jobs[name](), list(jobs))
     designs = {name: found[name] for name in laws}
     return Outcome(LimitFacts(bands=tuple(found[band] for band in bands), designs=designs))
@@ -75,10 +76,12 @@ def _of_band(plant: StateSpace, band_hz: Band, peak_db: float, control_gain: flo
 def _out_of_reach(plant: StateSpace) -> str:
     """Return what no limit speaks of: directions that a plant with more outputs than inputs cannot move."""
     ny, nu = plant.D.shape
-    return f" {nu} inputs move {nu} of {ny} directions at a time; in the others nothing is reached." * (ny > nu)
+    moved_by = f"{counted(nu, 'input')} {'moves' if nu == 1 else 'move'}"
+    return f" {moved_by} {nu} of {ny} directions at a time; in the others nothing is reached." * (ny > nu)
 
 
-def _of_design(plant: StateSpace, law: StateSpace, band_hz: Band) -> DesignLimit | NoDistance:
+def beside_its_limit(plant: StateSpace, law: StateSpace, band_hz: Band) -> DesignLimit | NoDistance:
+    """Return a law beside what any could do at its peak and gain over a band (Hz); without one, why in `status`."""
     try:
         distance = limits.distance(plant, law, band_hz, basis=BASIS)
         if distance.status.word is StatusWord.NOT_CERTIFIED:

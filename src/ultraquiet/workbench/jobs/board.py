@@ -8,6 +8,7 @@ from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.jobs.lane import Lane, WorkItem
 
 SHOWN = 50
+LONG = ("limit",)  # looks of many seconds: a process of their own, so that no other waits for them
 
 
 class Jobs:
@@ -22,7 +23,7 @@ class Jobs:
         self.version = 0
         self.recent: deque[WorkItem] = deque(maxlen=SHOWN)
         self.looked: deque[WorkItem] = deque(maxlen=SHOWN)
-        self._lanes = {name: Lane(session.folder, self._told) for name in ("make", "look", "bench")}
+        self._lanes = {name: Lane(session.folder, self._told) for name in ("make", "look", "long", "bench")}
 
     def warm(self) -> None:
         """Start the processes before there is work."""
@@ -43,7 +44,7 @@ class Jobs:
 
     def look(self, task: str, title: str, then: Callable[[WorkItem], object] | None = None, **words: Any) -> WorkItem:
         """Compute something to look at; nothing is kept of it."""
-        return self.submit(WorkItem(task, title, {}, words, then), "look")
+        return self.submit(WorkItem(task, title, {}, words, then), "long" if task in LONG else "look")
 
     def on_bench(
         self, task: str, title: str, then: Callable[[WorkItem], object] | None = None, **words: Any
@@ -54,7 +55,7 @@ class Jobs:
     def submit(self, job: WorkItem, lane: str = "make") -> WorkItem:
         """Take a job with the boards as they stand."""
         job.state = dict(self.session.state)
-        (self.looked if lane == "look" else self.recent).append(job)
+        (self.looked if lane in ("look", "long") else self.recent).append(job)
         return self._lanes[lane].submit(job)
 
     def cancel(self, job: WorkItem | None = None) -> None:

@@ -13,6 +13,8 @@ from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.tables import Method
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
+from ultraquiet.pipeline.facts.limits import DesignLimit
+from ultraquiet.pipeline.limits import beside_its_limit
 from ultraquiet.validate import compare, response_band
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.items import FOLDER, key_of
@@ -149,6 +151,19 @@ def modes(folder: Path, state: dict[str, Any], data: str) -> dict[str, Any]:
         return {"rows": np.array(rows).reshape(-1, 3), "orders": np.array(list(roots)), "rate_hz": record.rate_hz}
 
     return _kept(folder, ["modes", key_of(state, "data", data)], compute)
+
+
+def limit(folder: Path, state: dict[str, Any], law: str) -> dict[str, Any]:
+    """Look at a law beside what any could do over its band at its price; without a bound the limit is NaN."""
+
+    def compute() -> dict[str, Any]:
+        made = work.make(folder, state, "laws", law)
+        plant: StateSpace = work.make(folder, state, "models", made.recipe["model"]).value()
+        found = beside_its_limit(plant, made.value(), tuple(made.facts["band_hz"]))
+        figures = (found.attenuation_db, found.limit_db) if isinstance(found, DesignLimit) else (np.nan, np.nan)
+        return {"attenuation_db": figures[0], "limit_db": figures[1], "words": np.array(found.status)}
+
+    return _kept(folder, ["limit", key_of(state, "laws", law)], compute)
 
 
 def orders(folder: Path, state: dict[str, Any], data: str, method: dict[str, Any], tried: list[int]) -> dict[str, Any]:

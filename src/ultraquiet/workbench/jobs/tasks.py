@@ -34,6 +34,7 @@ TASKS: dict[str, Callable[..., Any]] = {
     "confidence": looks.confidence,
     "orders": looks.orders,
     "modes": looks.modes,
+    "limit": looks.limit,
     "describe": bench_work.described,
     "measure": bench_work.measured,
     "live": bench_work.live,

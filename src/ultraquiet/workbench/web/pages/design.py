@@ -9,12 +9,13 @@ from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.plot.pages.loops import margin_bars
 from ultraquiet.workbench.engine.live import LiveLoop, Notched, Responses, live_loop, responses, weight_bound
 from ultraquiet.workbench.figures.loops import Sizes, loop_grid, sizes_of
+from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, choice, field, heading, words
 from ultraquiet.workbench.web.law_table import LawTable, asked_of, disk_asked
 from ultraquiet.workbench.web.method_form import MethodForm
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
-from ultraquiet.workbench.web.view import View
+from ultraquiet.workbench.web.view import Looker, View
 
 MOVED = "by hand"
 THROTTLE_S = 0.05
@@ -33,11 +34,14 @@ class _Design:
         self._still: dict[str, tuple[LiveLoop, Sizes]] = {}
         self._names: dict[str, list[str]] = {}
         self._touched = False
+        self._looker, self._limit_of = Looker(view), ""
+        self._asked: WorkItem | None = None
+        self._looker.failed(self._tell_limit)
         with columns.main:
             self.table = LawTable(view)
             self.chart = ChartElement(view.frames, "loop-chart")
             self.margins = ChartElement(view.frames, "margins-chart")
-            self._limit = words("", "caption")
+            self._limit = words("", "caption").props('data-testid="limit"')
         with columns.side:
             self._settings()
             self._hands()
@@ -128,7 +132,8 @@ class _Design:
         if self.model.options != models:
             self.model.set_options(models, value=self.view.session.state["model"])
         laws = self.view.ready("laws")
-        asked = ([item.key for item in laws], self.view.scale, str(self.view.session.state["tables"]))
+        chosen = self.view.session.state["law"]
+        asked = ([item.key for item in laws], chosen, self.view.scale, str(self.view.session.state["tables"]))
         if asked == self._drawn:
             return
         self._drawn = asked
@@ -144,6 +149,27 @@ class _Design:
             facts = self.view.session.item("models", laws[0].recipe["model"]).facts
             self._names = {"input": [c[0] for c in facts["actuators"]], "output": [c[0] for c in facts["sensors"]]}
         self._draw()
+        self._ask_limit({item.name: item.key for item in laws})
+
+    def _ask_limit(self, keys: dict[str, str]) -> None:
+        """Ask how far the chosen law is from what any could do; its own process finds it out."""
+        name = self._chosen()
+        if name is None or keys[name] == self._limit_of:
+            return
+        self._limit_of = keys[name]
+        self._tell_limit("the limit at its price is being found out ...")
+        if self._asked is not None and not self._asked.over:
+            self.view.jobs.cancel(self._asked)
+        self._asked = self._looker.ask(
+            "limit", f"limit of {name}", lambda _, found: self._tell_limit(str(found["words"])), law=name
+        )
+
+    def _tell_limit(self, sentence: str) -> None:
+        self._limit.text = f"{self._chosen()} beside its limit: {sentence}"
+
+    def _chosen(self) -> str | None:
+        chosen = self.view.session.state["law"]
+        return chosen if chosen in self._known else next(iter(self._known), None)
 
     def _draw(self) -> None:
         if not self._known:
@@ -168,8 +194,9 @@ class _Design:
         at = self._slid()
         if not at["gain"] and not at["depth"]:
             return None
-        chosen = self.view.session.state["law"]
-        name = chosen if chosen in self._known else next(iter(self._known))
+        name = self._chosen()
+        if name is None:
+            return None
         known = self._known[name][1]
         hand = Notched(at["gain"], [(10 ** at["notch"], 0.3, at["depth"])] if at["depth"] else [])
         return live_loop(known.G, known.K, known.f_hz, hand)
