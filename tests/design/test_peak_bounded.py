@@ -92,8 +92,18 @@ def test_any_shape_gives_a_stable_law_within_its_bounds(seed, shape):
     assert figures.structure == "full"
     peak, _ = peak_sensitivity(plant, result.controller)
     assert np.isfinite(peak)
-    short = max(p.excess_db for p in figures.plants) > 0.02
-    assert (result.status.word == "short") == (short and result.status.word not in ("fragile", "unstable"))
+    exceeded = max(p.excess_db for p in figures.plants) > 0.02
+    idle = figures.attenuation_db < 0.5 and "nothing gets quiet" in result.status.sentence
+    assert (result.status.word == "short") == ((exceeded or idle) and result.status.word not in ("fragile", "unstable"))
+
+
+@pytest.mark.parametrize(("peak_db", "word"), [(0.02, "short"), (6.0, "ok")])
+def test_a_law_that_makes_nothing_quieter_is_short(peak_db, word):
+    plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
+    result = PeakBounded(band_hz=(10.0, 100.0), peak_db=peak_db, states=2, draws=0, steps=10).design(plant)
+    print(result.details["attenuation_db"], result.status)
+    assert result.status.word == word
+    assert ("nothing gets quiet" in result.status.sentence) == (word == "short")
 
 
 def test_a_second_plant_counts_and_a_shape_bounds_the_control():

@@ -65,6 +65,27 @@ def test_what_one_record_cannot_tell_is_not_known(rng):
     assert check.growth_std_per_s > abs(loop.growth_per_s)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("apart", [3e-5, 6e-5])
+def test_growth_that_reaches_the_limits_within_the_record_is_known(rng, apart):
+    """Three records, whose readings are noisy and whose last one ends at the limits of the commands."""
+    loop = drawn_loop(rng, 1 + apart, noise=0.03)
+    check = uq.simulate.check_stability(loop.bench, loop.law)
+    print(f"{check.status}; true {loop.growth_per_s:.4g} at {loop.f_hz:.4g} Hz")
+    assert check.status.word == "unstable"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.003, 0.03])
+def test_further_records_throw_no_slow_pair_into_its_limits(rng, noise):
+    """A pair that needs two minutes to decay: bursts of other phases reach it otherwise than the first."""
+    for _ in range(4):
+        loop = drawn_loop(rng, 1 - 8e-6, noise=noise)
+        check = uq.simulate.check_stability(loop.bench, loop.law)
+        print(f"{check.status}; true {loop.growth_per_s:.4g} at {loop.f_hz:.4g} Hz")
+        assert check.status.word == "ok"
+
+
 def test_refusals(slow_growth_law):
     bench = uq.bench.Hexapod()
     with pytest.raises(InputError, match="holds 35 samples; it takes 128"):

@@ -20,6 +20,7 @@ REFINEMENTS = 4
 DEAD = 1e-3
 # Two modes are one when they are nearer than this share of a line of the whole record, and their growths agree.
 RESOLVED, CERTAIN = 10.0, 4.0
+BETTER = 9.0  # what five more records are together whose bursts are at the modes in doubt alone, four times as loud
 # An error may be as smooth as the modes themselves: a random walk of what noise feeds them, or a mode left out.
 # A deviation is this share of the largest that an error of the size seen could make, whatever its shape.
 ALIGNED = 0.5
@@ -55,8 +56,8 @@ class Mode:
 
     @property
     def may_be_told(self) -> bool:
-        """Whether a few more records could decide between growth and decay."""
-        return abs(self.growth_per_s) > CERTAIN / 4 * self.growth_std
+        """Whether a few more records could decide between growth and decay: so many times better than one."""
+        return abs(self.growth_per_s) > CERTAIN / BETTER * self.growth_std
 
 
 @dataclass(frozen=True)

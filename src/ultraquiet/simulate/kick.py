@@ -125,9 +125,14 @@ def with_tones(bench: Bench, law: StateSpace | Controller, burst: Burst, modes_h
     """Return the burst with tones, raised by themselves to what the ranges allow; then both parts are halved."""
     if not modes_hz:
         return replace(burst, modes_hz=())
-    alone = _raised(bench, law, replace(burst, modes_hz=modes_hz, random_share=0.0, tone_share=1.0))
+    alone = tones_alone(bench, law, burst, modes_hz)
     share = float(alone.levels[0] / burst.levels[0]) if burst.levels[0] else 1.0
     return replace(burst, modes_hz=modes_hz, random_share=0.5, tone_share=0.5 * share)
+
+
+def tones_alone(bench: Bench, law: StateSpace | Controller, burst: Burst, modes_hz: tuple[float, ...]) -> Burst:
+    """Return tones in place of the burst, as loud as the ranges allow."""
+    return _raised(bench, law, replace(burst, modes_hz=modes_hz, random_share=0.0, tone_share=1.0))
 
 
 def _raised(bench: Bench, law: StateSpace | Controller, burst: Burst) -> Burst:

@@ -1,5 +1,6 @@
 """Whether a loop on a bench is stable, judged by how its own modes grow or decay."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import Mode, ringing
-from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, with_tones
+from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import StateSpace, Status, StatusWord
 from ultraquiet.values.controller import Controller
@@ -23,10 +24,12 @@ ABOVE_NOISE, QUIETEST = 100.0, 1e-3
 # Shares of a free response that a command stands at its limit: a loop that ran away does so for more than the first;
 # one that does for more than the second is no longer the linear loop whose modes could be judged.
 LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
-# A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed.
-LOWERED_TO, LOWERED = 0.03, 2
-# Records of the greatest length that are judged together before nothing is known.
-REPEATS = 4
+# A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed:
+# little by little, for a burst far below what the limits allow leaves a slow mode among the noise.
+LOWERED_TO, LOWERED = 0.3, 6
+# Records of the greatest length that are judged together before nothing is known; all but the first have bursts at the
+# modes in doubt alone, so many times as loud as a first one may be: these modes hardly grow within the record.
+REPEATS, LOUDER = 6, 2.0
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
 SLOW, MOST_TONES = 10.0, 12
 # Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
@@ -142,30 +145,47 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
         short = replace(burst, length=_burst_length(samples))  # its free response matters little for the level
         burst = replace(with_tones(bench, law, short, tones), samples=samples)
         seen = _heard(bench, law, burst)
+        if seen.limited and before is not None and before.word is StatusWord.UNSTABLE:
+            return before  # it was seen to grow, and now it grew as far as the limits
         for _ in range(LOWERED):  # a loop that is stable may yet be thrown into its limits by a burst, and stay there
             if not seen.limited:
                 break
             burst = replace(burst, levels=LOWERED_TO * burst.levels)
             seen = _heard(bench, law, burst)
         if seen.limited and before is not None:
-            return before if before.word is StatusWord.UNSTABLE else replace(seen, mode=before.mode)
+            return replace(seen, mode=before.mode)
         enough = seen.word is StatusWord.OK and samples > first
         enough |= seen.word is StatusWord.UNSTABLE and not seen.slow
         if enough:
             return seen
         if samples >= longest:
-            return _repeated(bench, law, burst, seen)
-        tones = tuple(dict.fromkeys((*seen.doubtful_hz, *tones)))[:MOST_TONES]
+            return _repeated(bench, law, replace(burst, samples=first), seen)
+        tones = _apart((*seen.doubtful_hz, *tones), bench.rate_hz / burst.length)
         before, samples, burst = seen, min(longest, LONGER * samples), replace(burst, samples=first)
 
 
 def _repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
-    """Return what several records say together, where one alone leaves a doubt that more may end."""
+    """Return what several records say together, where one alone leaves a doubt that more may end.
+
+    Each has a burst of its own, all of it at the modes in doubt, as loud as the limits allow that one: tones of other
+    phases reach a mode otherwise. A record that commands spent at their limits says nothing of modes.
+    """
+    samples = seen.record.response.shape[1]
     for more in range(1, REPEATS):
         if seen.word is not None or not any(mode.may_be_told for mode in seen.modes if not mode.decays):
             break
-        record = seen.record.beside(kicked(bench, law, replace(burst, seed=burst.seed + more)))
-        seen = _judged(bench, record)
+        tones = _apart(seen.doubtful_hz, bench.rate_hz / burst.length)
+        other = tones_alone(bench, law, replace(burst, seed=burst.seed + more), tones)
+        other = replace(other, levels=LOUDER * other.levels, samples=samples)
+        found = kicked(bench, law, other)
+        for _ in range(LOWERED):
+            if found.limited <= CLIPPED_SHARE:
+                break
+            other = replace(other, levels=LOWERED_TO * other.levels)
+            found = kicked(bench, law, other)
+        if found.limited > CLIPPED_SHARE:
+            break
+        seen = _judged(bench, seen.record.beside(found))
     return seen
 
 
@@ -196,10 +216,14 @@ def _slow_poles_hz(law: StateSpace | Controller, samples: float, rate_hz: float)
     poles = linear.poles()
     poles = poles[np.argsort(-np.abs(poles), kind="stable")]
     slow = poles[np.log(np.maximum(np.abs(poles), np.finfo(float).tiny)) * samples > -SLOW]
-    width = rate_hz / _burst_length(LONGER * int(samples))
+    return _apart(np.abs(np.angle(slow)) * rate_hz / (2 * np.pi), rate_hz / _burst_length(LONGER * int(samples)))
+
+
+def _apart(f_hz: Iterable[float], width_hz: float) -> tuple[float, ...]:
+    """Return the first frequencies that lie apart: one tone as wide as its burst is short serves all nearer ones."""
     found: list[float] = []
-    for f in np.abs(np.angle(slow)) * rate_hz / (2 * np.pi):
-        if len(found) < MOST_TONES and all(abs(f - other) > width / 2 for other in found):
+    for f in f_hz:
+        if len(found) < MOST_TONES and all(abs(f - other) > width_hz / 2 for other in found):
             found.append(float(f))
     return tuple(found)
 
@@ -218,7 +242,7 @@ def _judged(bench: Bench, record: FreeResponse) -> _Seen:
     said = "" if slowest is None else _told(slowest)
     seen = _Seen(None, slowest, said, record, modes, doubtful)
     growing = next((mode for mode in modes if mode.grows), None)
-    grown = _grown(record.noise)
+    grown = _grown(record.noise, len(bench.sensors) + len(bench.actuators))
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
     if record.limited > LIMITED_SHARE:
         sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
@@ -258,9 +282,13 @@ def _told(mode: Mode) -> str:
     return f"A mode at {mode.f_hz:.4g} Hz {verb} by {abs(mode.growth_per_s):.3g} +- {mode.growth_std:.1g} a second."
 
 
-def _grown(noise: FloatArray) -> float:
+def _grown(noise: FloatArray, channels: int) -> float:
+    """Return by how much the noise of a channel grew, the records that stand beside one another taken together."""
+    power = noise.reshape(-1, channels, noise.shape[1]) ** 2
     quarter = noise.shape[1] // 4
-    early, late = _rms(noise[:, quarter : 2 * quarter]), _rms(noise[:, -quarter:])
+    early, late = (
+        np.sqrt(np.mean(part, axis=(0, 2))) for part in (power[..., quarter : 2 * quarter], power[..., -quarter:])
+    )
     heard = late > 0
     return float(np.max(late[heard] / np.maximum(early[heard], np.finfo(float).tiny), initial=0.0))
 

@@ -131,7 +131,7 @@ class PeakBounded(StatedRobustness):
 
         `details["figures"]` holds what was reached on each (`SearchFigures`), `details["attenuation_db"]` and
         `details["tones_db"]` the least of it. The status is `fragile` where a plant keeps less than `disk_margin`, and
-        `short` where a bound could not be met.
+        `short` where a bound could not be met or nothing got quieter.
 
         Raises:
             InputError: no plants, shapes or rates that differ, a scalar structure for a plant that is not square.
@@ -155,7 +155,7 @@ class PeakBounded(StatedRobustness):
         details = {"figures": reached, "attenuation_db": reached.attenuation_db, "tones_db": tones}
         level = 10 ** (-reached.attenuation_db / 20)
         result = judged(plants[0], units.own(law), self, level, level, {}, details)
-        return among(result, plants, reached, self.disk_margin)
+        return among(result, plants, reached, self.disk_margin, units.band_hz)
 
     def _drawn(self, plant: StateSpace, rng: np.random.Generator, units: SearchUnits) -> list[StateSpace]:
         return perturbed(plant, self.draws, self.gain_spread, self.mode_spread, rng, units.band_hz)

@@ -8,12 +8,15 @@ import numpy as np
 from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.peak_bounded.demands import Demands
+from ultraquiet.design.peak_bounded.units import SearchUnits
+from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import both_ends, fragility, weaker_end
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
+LITTLE_DB = 0.5  # of attenuation in the band: less is as good as no law
 ROUNDING_DB = 0.02  # a bound exceeded by less is met
 
 
@@ -78,8 +81,17 @@ def _tones(plant: StateSpace, law: StateSpace, demands: Demands) -> dict[str, fl
     return out
 
 
-def among(result: DesignResult, plants: Sequence[StateSpace], found: SearchFigures, asked: float) -> DesignResult:
-    """Return a verdict on the first of several plants as one on all of them, the worst word with its plant's number."""
+def among(
+    result: DesignResult,
+    plants: Sequence[StateSpace],
+    found: SearchFigures,
+    asked: float,
+    band_hz: tuple[float, float],
+) -> DesignResult:
+    """Return a verdict on the first of several plants as one on all of them, the worst word with its plant's number.
+
+    A law without tones that makes nothing quieter, neither S in its worst direction nor S G in the mean, is `short`.
+    """
     law = result.controller
     assert law is not None
     for k, plant in enumerate(plants[1:], 2):
@@ -96,4 +108,29 @@ def among(result: DesignResult, plants: Sequence[StateSpace], found: SearchFigur
     if result.status.ok and over > ROUNDING_DB:
         said = f"A bound is exceeded by {over:.2g} dB, the best that was found. {result.status.sentence}"
         return replace(result, status=Status(StatusWord.SHORT, said))
+    if result.status.ok and not any(each.tones_db for each in found.plants):
+        return _unless_idle(result, plants, found.attenuation_db, band_hz)
     return result
+
+
+def _unless_idle(
+    result: DesignResult, plants: Sequence[StateSpace], attenuation_db: float, band_hz: tuple[float, float]
+) -> DesignResult:
+    """Return a verdict as it is, or `short` where the law makes no plant quieter: no law meets bounds too."""
+    law = result.controller
+    assert law is not None
+    quieter = max(_rms_reduction_db(plant, law, band_hz) for plant in plants)
+    if attenuation_db >= LITTLE_DB or quieter >= LITTLE_DB:
+        return result
+    low, high = band_hz
+    said = (
+        f"Within these bounds nothing gets quiet: over {low:.4g}-{high:.4g} Hz the worst direction of S falls by "
+        f"{attenuation_db:.2f} dB and the RMS of S G by {quieter:.2f} dB. Give a 'band_hz' that is to be quiet, or "
+        f"allow more 'peak_db'. {result.status.sentence}"
+    )
+    return replace(result, status=Status(StatusWord.SHORT, said))
+
+
+def _rms_reduction_db(plant: StateSpace, law: StateSpace, band_hz: tuple[float, float]) -> float:
+    even = even_plant(plant, band_hz)
+    return even.rms_reduction_db(SearchUnits(even.inputs, even.outputs, band_hz).taken(law))
