@@ -15,10 +15,10 @@ from ultraquiet.files import LongRecord
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
-from ultraquiet.identify.subspace import evidence, fit, hankel, order_selection
+from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
-from ultraquiet.identify.subspace.start import GAIN, ROUNDS, SubspaceStart
+from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Horizon, SubspaceStart
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status, StatusWord
@@ -97,7 +97,12 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
     system = fit.system(modes)
     system = replace(system, K=fit.noise_gain(system, best.innovations(early), early))
     provenance = Provenance(settings.name, asdict(settings), parents=(record.hash,), versions=versions())
-    details = {"horizon": best.rows, "order": len(system.A), "singular_values": best.values, "samples": data.samples}
+    details = {
+        "horizon": best.horizon.rows,
+        "order": len(system.A),
+        "singular_values": best.horizon.values,
+        "samples": data.samples,
+    }
     return _judged(system, data, (steps, converged), provenance, details)
 
 
@@ -118,7 +123,8 @@ def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Itera
     for rows in horizons:
         factor = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
         bank_at = partial(_bank, settings, data, f"subspace: least squares at horizon {rows}")
-        yield SubspaceStart.of(settings, factor, rows, order, bank_at)
+        start = SubspaceStart.of(Horizon.of(factor, settings.weight), order, bank_at)
+        yield start.pruned() if settings.order is None else start
 
 
 def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> FilterBank:
@@ -137,7 +143,7 @@ def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStar
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
     modes = alternate(bank, directions, ROUNDS, GAIN)
-    better = order_selection.cost(bank, modes) < order_selection.cost(best.bank, best.modes)
+    better = modal_least_squares.cost(bank, modes) < modal_least_squares.cost(best.bank, best.modes)
     return (modes if better else best.modes), steps, converged
 
 
