@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet.files import LongRecord, LongWriter
 from ultraquiet.identify.subspace.fit import Scaled
 from ultraquiet.identify.subspace.unexcited import silent_bands, topped_up
 
@@ -52,6 +53,23 @@ def test_a_model_of_too_many_states_invents_nothing_where_nothing_was_asked(seed
     print(f"unit {unit:g}: {np.median(inside):.2%} off inside, {size:.2f} times the plant beyond")
     assert np.median(inside) < 0.02
     assert size < 1.0  # no worse than to say nothing; left to the others' needs it is tens and hundreds of times
+
+
+def test_a_record_on_disk_has_the_same_silent_bands(seed, tmp_path):
+    """Of one stretch: the plant beyond the band is not exceeded (unheard, it is a hundred times and more)."""
+    plant = flexible()
+    record = recorded(plant, 3000, 0.03, seed)
+    path = tmp_path / "record.h5"
+    with LongWriter(path, record.rate_hz, record.actuators, record.sensors) as file:
+        file.append(record.inputs, record.outputs)
+    beyond_hz = np.linspace(1.1 * STOP_HZ, 990.0, 60)
+    for where, each in (("memory", record), ("disk", LongRecord(path))):
+        model = uq.identify.Subspace(order=20, horizon=20).identify(each).state_space()
+        inside = np.median(off(model, plant, np.geomspace(10.0, 0.98 * STOP_HZ, 60)))
+        beyond = float(np.sqrt(np.mean(off(model, plant, beyond_hz) ** 2)))
+        print(f"{where}: {inside:.2%} off inside, {beyond:.2f} times the plant beyond")
+        assert inside < 0.02
+        assert beyond < 1.0
 
 
 def test_without_noise_the_plant_is_found_as_before():

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from table_of_accelerometers import CONTROL_HZ, delayed, drawn_bench, drawn_table, matrices
 
 import ultraquiet as uq
+from table_of_accelerometers import CONTROL_HZ, delayed, drawn_bench, drawn_table, matrices
 from ultraquiet.pipeline.tables.blending import BlendingTable, blended, in_modes
 from ultraquiet.values import Decimation
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydantic import ValidationError
+
 from table_of_accelerometers import (
     CONTROL_HZ,
     DRIVEN,
@@ -17,7 +18,6 @@ from table_of_accelerometers import (
     drawn_table,
     matrices,
 )
-
 from ultraquiet import analyse, experiments
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Decimated, Wrapped

@@ -23,7 +23,7 @@ from ultraquiet.identify.subspace import (
 from ultraquiet.identify.subspace.disk.long_record import identify_long_subspace
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
-from ultraquiet.identify.subspace.start import SubspaceStart
+from ultraquiet.identify.subspace.start import Horizon, SubspaceStart
 from ultraquiet.values import Record
 
 RETURNS = 4  # to the search with modes that its end had missed
@@ -91,23 +91,31 @@ class Subspace(SubspaceSettings):
         data = fit.Scaled.of(record)
         heard = unexcited.topped_up(data, unexcited.silent_bands(data.u))
         order = order_selection.chosen(self, record) if self.order is None else self.order
-        starts = (self._start(heard, rows, order) for rows in self.horizons(record, order))
-        start = self._replenished(heard, min(starts, key=lambda start: start.loss))
+        matrices = (hankel.factor(heard.centred_u, heard.y, rows) for rows in self.horizons(record, order))
+        horizons = [Horizon.of(factor, self.weight) for factor in matrices]
+        start = self._started(heard, horizons, order)
+        wide = [horizon for horizon in horizons if horizon.most >= start.states]
+        if self.order is None and start.states != order and wide:
+            # Modes left out or put in are not where a search for that many would have them.
+            start = min(start, self._started(heard, wide, start.states), key=lambda start: start.loss)
         return self._finished(record, data, heard, start)
 
-    def _start(self, data: fit.Scaled, rows: int, order: int) -> SubspaceStart:
-        """Return the modes found with `rows` block rows."""
+    def _started(self, data: fit.Scaled, horizons: list[Horizon], order: int) -> SubspaceStart:
+        """Return the best modes over all horizons, faint ones replaced by those that they miss."""
 
         def bank_at(poles: ComplexArray) -> FilterBank:
             return FilterBank(poles, data.u, data.y, self.feedthrough, self.offset)
 
-        return SubspaceStart.of(self, hankel.factor(data.centred_u, data.y, rows), rows, order, bank_at)
+        starts = [SubspaceStart.of(horizon, order, bank_at) for horizon in horizons]
+        if self.order is None:
+            starts = [start.pruned() for start in starts]
+        return self._replenished(data, min(starts, key=lambda start: start.loss))
 
     def _replenished(self, data: fit.Scaled, start: SubspaceStart) -> SubspaceStart:
         if self.refine:
             return start
         bank, modes = missing_modes.replenished(start.bank, start.modes, self._sought(data))
-        return replace(start, bank=bank, modes=modes)
+        return replace(start, bank=bank, modes=modes, loss=modal_least_squares.cost(bank, modes))
 
     def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
         return missing_modes.Sought(data, self.feedthrough, self.offset, self.order is None)
@@ -125,7 +133,7 @@ class Subspace(SubspaceSettings):
             trial = fit.refined_simulation(fit.system(other), data, self.options())
             other_bank, other = sought.fitted(trial[0])
             steps += trial[1]
-            if not order_selection.cost(other_bank, other) < order_selection.cost(bank, modes):
+            if not modal_least_squares.cost(other_bank, other) < modal_least_squares.cost(bank, modes):
                 break
             found, bank, modes = trial, other_bank, other
         return found[0], steps, found[2]
@@ -142,6 +150,6 @@ class Subspace(SubspaceSettings):
             steps += more
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         search = evidence.SearchSummary(steps, converged, self.focus == "prediction" and self.refine)
-        details = {"horizon": start.rows, "order": len(system.A), "singular_values": start.values}
+        details = {"horizon": start.horizon.rows, "order": len(system.A), "singular_values": start.horizon.values}
         result = evidence.judged(system, record, data, search, provenance, details)
         return result if search.predicts else missing_modes.told(result, system, data, record.rate_hz)

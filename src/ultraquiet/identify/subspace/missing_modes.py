@@ -11,7 +11,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify.result import Result
-from ultraquiet.identify.subspace import fit, modal_least_squares, order_selection
+from ultraquiet.identify.subspace import fit, modal_least_squares
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes
 from ultraquiet.values import Status, StatusWord
 
@@ -60,7 +60,7 @@ def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterB
         pairs_first = np.argsort(poles.imag == 0.0, kind="stable")
         other = sought.bank(poles[pairs_first])
         trial = modal_least_squares.alternate(other, c[:, pairs_first], ROUNDS, GAIN)
-        if not order_selection.cost(other, trial) < order_selection.cost(bank, modes):
+        if not modal_least_squares.cost(other, trial) < modal_least_squares.cost(bank, modes):
             break
         bank, modes = other, trial
     return modal_least_squares.pruned(bank, modes) if sought.may_grow else (bank, modes)

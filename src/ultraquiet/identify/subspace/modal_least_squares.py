@@ -138,6 +138,13 @@ class FilterBank:
         return np.maximum(out, 0.0) / self.n
 
 
+def cost(bank: FilterBank, modes: Modes) -> float:
+    """Return n sum_i log(mean squared error of output i) + log n (states) (inputs + outputs): Schwarz's criterion."""
+    states = int(np.sum(np.where(modes.poles.imag == 0.0, 1, 2)))
+    misfit = bank.n * float(np.sum(np.log(np.maximum(bank.loss(modes), np.finfo(float).tiny))))
+    return misfit + float(np.log(bank.n)) * states * (bank.nu + bank.ny)
+
+
 def carried(bank: FilterBank, modes: Modes) -> FloatArray:
     """Return by how many error variances the squares of all outputs would rise without each mode, `(m,)`.
 

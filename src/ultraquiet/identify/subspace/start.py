@@ -1,13 +1,12 @@
 """The model each horizon's subspace gives, of which the best is finished."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.identify.subspace import fit, hankel, modal_least_squares, order_selection
-from ultraquiet.identify.subspace.settings import SubspaceSettings
+from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
 
 ROUNDS = 60  # of alternating least squares
 TRIAL_ROUNDS = 6  # of it by which horizons are compared
@@ -15,35 +14,55 @@ GAIN = 1e-5  # share of the error by which a round must lower it for another to 
 
 
 @dataclass(frozen=True, eq=False)
-class SubspaceStart:
-    """What one horizon gave: its loss (see `order_selection.cost`), modes, and where they came from."""
+class Horizon:
+    """What the Hankel matrix of `rows` block rows holds, for every order."""
 
-    loss: float
     rows: int
-    modes: modal_least_squares.Modes
     factor: hankel.Factor
     basis: FloatArray
     values: FloatArray
+
+    @classmethod
+    def of(cls, factor: hankel.Factor, weight: str) -> "Horizon":
+        """Return the directions of a factor."""
+        return cls(factor.rows, factor, *hankel.directions(factor, weight))
+
+    @property
+    def most(self) -> int:
+        """The highest order that it can tell."""
+        return min((self.rows - 1) * self.factor.ny, len(self.values) - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceStart:
+    """What one horizon gave: its loss (see `modal_least_squares.cost`), modes, and where they came from."""
+
+    loss: float
+    horizon: Horizon
+    modes: modal_least_squares.Modes
     order: int
     bank: modal_least_squares.FilterBank
 
     @classmethod
     def of(
-        cls,
-        settings: SubspaceSettings,
-        factor: hankel.Factor,
-        rows: int,
-        order: int,
-        bank_at: Callable[[ComplexArray], modal_least_squares.FilterBank],
+        cls, horizon: Horizon, order: int, bank_at: Callable[[ComplexArray], modal_least_squares.FilterBank]
     ) -> "SubspaceStart":
-        """Return the modes of the Hankel matrix of `rows` block rows, fitted to the bank of filters at their poles."""
-        basis, values = hankel.directions(factor, settings.weight)
-        poles, directions, _ = fit.modes_of(*hankel.transition(basis, values, order, factor.ny))
+        """Return the modes of the first `order` directions, fitted to the bank of filters at their poles."""
+        transition = hankel.transition(horizon.basis, horizon.values, order, horizon.factor.ny)
+        poles, directions, _ = fit.modes_of(*transition)
         bank = bank_at(poles)
         modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
-        if settings.order is None:
-            bank, modes = modal_least_squares.pruned(bank, modes)
-        return cls(order_selection.cost(bank, modes), rows, modes, factor, basis, values, order, bank)
+        return cls(modal_least_squares.cost(bank, modes), horizon, modes, order, bank)
+
+    @property
+    def states(self) -> int:
+        """Number of states of the modes, which may have become others than the order they came from."""
+        return int(np.sum(np.where(self.modes.poles.imag == 0.0, 1, 2)))
+
+    def pruned(self) -> "SubspaceStart":
+        """Return the start without the modes that the record cannot tell from noise."""
+        bank, modes = modal_least_squares.pruned(self.bank, self.modes)
+        return replace(self, loss=modal_least_squares.cost(bank, modes), bank=bank, modes=modes)
 
     def settled(self) -> modal_least_squares.Modes:
         """Return the modes after the last rounds of least squares, their poles where they were."""
@@ -51,7 +70,7 @@ class SubspaceStart:
 
     def innovations(self, data: fit.Scaled) -> FloatArray:
         """Return the one-step errors of the Kalman filter that the state sequence gives; simulated ones without it."""
-        sequence = hankel.realised(self.factor, self.basis, self.values, self.order)
+        sequence = hankel.realised(self.horizon.factor, self.horizon.basis, self.horizon.values, self.order)
         at_rest = np.zeros(self.order), np.zeros(len(data.y))
         kalman = fit.System(sequence.A, sequence.B, sequence.C, sequence.D, sequence.K, *at_rest)
         if kalman.predicts():

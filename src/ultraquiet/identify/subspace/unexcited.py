@@ -24,7 +24,11 @@ def silent_bands(u: FloatArray) -> list[tuple[int, int]]:
     >>> silent_bands(u)
     [(201, 501)]
     """
-    power = _power(u)
+    return bands_of(power(u))
+
+
+def bands_of(power: FloatArray) -> list[tuple[int, int]]:
+    """Return the silent bands of inputs of some power at each line, `(nu, lines)`."""
     quiet = np.all(power <= SILENT * power.mean(axis=1, keepdims=True), axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2) if b - a >= WIDE * quiet.size]
@@ -42,21 +46,24 @@ def topped_up(data: Scaled, bands: list[tuple[int, int]]) -> Scaled:
     """
     if not bands:
         return data
+    own = np.abs(np.fft.rfft(data.centred_u, axis=1)) ** 2
+    return replace(data, u=data.u + noise(own, power(data.y), bands, data.samples))
+
+
+def noise(own: FloatArray, heard: FloatArray, bands: list[tuple[int, int]], n: int) -> FloatArray:
+    """Return n samples of noise for inputs of power `own`, outputs of power `heard` at the lines; see `topped_up`."""
     silent = np.concatenate([np.arange(a, b) for a, b in bands])
-    heard = _power(data.y)
     excited = np.setdiff1d(np.arange(heard.shape[1]), silent)
     rho = float(np.median(heard[:, silent].mean(axis=1) / heard[:, excited].mean(axis=1)))
-    n = data.samples
-    own = np.abs(np.fft.rfft(data.centred_u, axis=1))[:, excited]
-    size = np.sqrt(min(rho, 1.0) * np.mean(own**2, axis=1))
+    size = np.sqrt(min(rho, 1.0) * np.mean(own[:, excited], axis=1))
     turns = np.random.default_rng(0).random((len(own), silent.size))
     added = np.zeros((len(own), heard.shape[1]), dtype=np.complex128)
     added[:, silent] = size[:, None] * np.exp(2j * np.pi * turns)
     added[:, 0] = 0.0
-    return replace(data, u=data.u + np.fft.irfft(added, n, axis=1))
+    return np.fft.irfft(added, n, axis=1)
 
 
-def _power(x: FloatArray) -> FloatArray:
+def power(x: FloatArray) -> FloatArray:
     """Return the power of signals at each line, `(channels, lines)`; a window keeps what ends abruptly to itself."""
     centred = x - x.mean(axis=1, keepdims=True)
     return np.abs(np.fft.rfft(centred * np.hanning(x.shape[1]), axis=1)) ** 2

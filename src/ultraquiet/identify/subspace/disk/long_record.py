@@ -15,10 +15,10 @@ from ultraquiet.files import LongRecord
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
-from ultraquiet.identify.subspace import evidence, fit, hankel, order_selection
+from ultraquiet.identify.subspace import evidence, fit, hankel, modal_least_squares, order_selection, unexcited
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes, alternate
 from ultraquiet.identify.subspace.settings import SubspaceSettings
-from ultraquiet.identify.subspace.start import GAIN, ROUNDS, SubspaceStart
+from ultraquiet.identify.subspace.start import GAIN, ROUNDS, Horizon, SubspaceStart
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import Record, Status, StatusWord
@@ -35,6 +35,7 @@ class ScaledStream:
 
     record: LongRecord
     statistics: LongRecordStatistics
+    added: FloatArray | None = None  # to the inputs, over and over: see `unexcited.topped_up`
 
     @property
     def samples(self) -> int:
@@ -47,6 +48,31 @@ class ScaledStream:
             for u, y in self.record.blocks():
                 yield self._scaled(u, y)
                 progress.advance(u.shape[1])
+
+    def heard(self, title: str) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield the blocks, inputs topped up where they are silent throughout the record."""
+        at = 0
+        for u, y in self.blocks(title):
+            turn = np.arange(at, at + u.shape[1])
+            at += u.shape[1]
+            yield u if self.added is None else u + self.added[:, turn % self.added.shape[1]], y
+
+    def topped_up(self) -> "ScaledStream":
+        """Return the stream with what its silent bands ask for, from the mean power over stretches of the whole.
+
+        The noise repeats after a stretch: its lines are those that were looked at, and none is the inputs'.
+        """
+        size = min(PIECE_SAMPLES, self.samples)
+        powers = []
+        with task("subspace: silent bands", self.samples) as progress:
+            for start in sorted({*range(0, self.samples - size + 1, size), self.samples - size}):
+                part = self.scaled(self.record.part(start, start + size))
+                own = np.abs(np.fft.rfft(part.centred_u, axis=1)) ** 2
+                powers.append((unexcited.power(part.u), own, unexcited.power(part.y)))
+                progress.advance(size)
+        asked, own, heard = (np.mean(np.stack(each), axis=0) for each in zip(*powers, strict=True))
+        bands = unexcited.bands_of(asked)
+        return replace(self, added=unexcited.noise(own, heard, bands, size)) if bands else self
 
     def first(self, samples: int) -> fit.Scaled:
         """Return the beginning of the record in memory."""
@@ -70,10 +96,11 @@ class ScaledStream:
 def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Result:
     """Return the state-space model of all channels of a record of any length.
 
-    One pass for the sizes, one for the products of all lags (they hold the Hankel matrix of every horizon), one for
-    each horizon's least squares in modal coordinates, one for the evidence. The model is that of `Subspace.identify`
-    on the record in memory, but for the noise gain, which is fitted to the first `NOISE_SAMPLES`. With `refine`, the
-    search moves the poles on the most excited `REFINED_SAMPLES`; all else is then fitted to the whole record again.
+    One pass for the sizes, one for bands without excitation (`unexcited`), one for the products of all lags (they hold
+    the Hankel matrix of every horizon), one for each horizon's least squares in modal coordinates, one for the
+    evidence. The model is that of `Subspace.identify` on the record in memory, but for the noise gain, which is
+    fitted to the first `NOISE_SAMPLES`. With `refine`, the search moves the poles on the most excited
+    `REFINED_SAMPLES`; all else is then fitted to the whole record again.
 
     Raises:
         InputError: as `Subspace.identify`; a search for the one-step error (`focus="prediction"`).
@@ -90,14 +117,19 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
     usable("Subspace", piece, settings.order or 1, 0)
     evidence.independent("Subspace", piece)
     order = order_selection.chosen(settings, piece) if settings.order is None else settings.order
-    data = ScaledStream(record, statistics)
+    data = ScaledStream(record, statistics).topped_up()
     best = min(_starts(settings, data, order), key=lambda s: s.loss)
     modes, steps, converged = _finished(settings, data, best)
     early = data.first(NOISE_SAMPLES)
     system = fit.system(modes)
     system = replace(system, K=fit.noise_gain(system, best.innovations(early), early))
     provenance = Provenance(settings.name, asdict(settings), parents=(record.hash,), versions=versions())
-    details = {"horizon": best.rows, "order": len(system.A), "singular_values": best.values, "samples": data.samples}
+    details = {
+        "horizon": best.horizon.rows,
+        "order": len(system.A),
+        "singular_values": best.horizon.values,
+        "samples": data.samples,
+    }
     return _judged(system, data, (steps, converged), provenance, details)
 
 
@@ -112,20 +144,21 @@ def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Itera
     nu, ny = len(data.record.actuators), len(data.record.sensors)
     horizons = settings.horizons(data.record, order)
     sums = Lagged(nu + ny, 2 * max(horizons))
-    for u, y in data.blocks("subspace: products at all lags"):
+    for u, y in data.heard("subspace: products at all lags"):
         sums.add(np.vstack([u - data.input_level, y]))
     products = sums.products()
     for rows in horizons:
         factor = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
         bank_at = partial(_bank, settings, data, f"subspace: least squares at horizon {rows}")
-        yield SubspaceStart.of(settings, factor, rows, order, bank_at)
+        start = SubspaceStart.of(Horizon.of(factor, settings.weight), order, bank_at)
+        yield start.pruned() if settings.order is None else start
 
 
 def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> FilterBank:
     from ultraquiet.identify.subspace.disk.long_record_bank import StreamedBank
 
     shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
-    return StreamedBank(poles, data.blocks(title), shape, settings.feedthrough, settings.offset)
+    return StreamedBank(poles, data.heard(title), shape, settings.feedthrough, settings.offset)
 
 
 def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> tuple[Modes, int, bool]:
@@ -133,11 +166,12 @@ def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStar
     if not settings.refine:
         return best.settled(), 0, True
     piece = data.scaled(_most_excited(data.record, data.statistics, REFINED_SAMPLES))
+    piece = unexcited.topped_up(piece, unexcited.silent_bands(piece.u)) if data.added is not None else piece
     refined, steps, converged = fit.refined_simulation(fit.system(best.modes), piece, settings.options())
     poles, directions, _ = fit.modes_of(refined.A, refined.C)
     bank = _bank(settings, data, "subspace: least squares at the refined poles", poles)
     modes = alternate(bank, directions, ROUNDS, GAIN)
-    better = order_selection.cost(bank, modes) < order_selection.cost(best.bank, best.modes)
+    better = modal_least_squares.cost(bank, modes) < modal_least_squares.cost(best.bank, best.modes)
     return (modes if better else best.modes), steps, converged
 
 
