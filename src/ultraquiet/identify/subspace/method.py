@@ -42,8 +42,8 @@ class Subspace(SubspaceSettings):
     answers as little as the rest allows (`unexcited`).
 
     Args:
-        order: number of states; None tries orders on a held-out part of the record, and leaves out of the best the
-            modes that cannot be told from noise.
+        order: number of states; "auto" or None tries orders on a held-out part of the record, and leaves out of the
+            best the modes that cannot be told from noise.
         horizon: block rows; the longest decay and the slowest mode must show within it. None tries several and keeps
             the one whose model simulates best.
         weight: of the projection: "moesp", "n4sid" or "cva".
@@ -85,12 +85,12 @@ class Subspace(SubspaceSettings):
         """
         if isinstance(record, LongRecord):
             return identify_long_subspace(self, record)
-        self.horizons(record, self.order or 1)
-        usable("Subspace", record, self.order or 1, 0)
+        self.horizons(record, self.given_order or 1)
+        usable("Subspace", record, self.given_order or 1, 0)
         evidence.independent("Subspace", record)
         data = fit.Scaled.of(record)
         heard = unexcited.topped_up(data, unexcited.silent_bands(data.u))
-        order = order_selection.chosen(self, record) if self.order is None else self.order
+        order = order_selection.chosen(self, record) if self.given_order is None else self.given_order
         starts = (self._start(heard, rows, order) for rows in self.horizons(record, order))
         start = self._replenished(heard, min(starts, key=lambda start: start.loss))
         return self._finished(record, data, heard, start)
@@ -110,7 +110,7 @@ class Subspace(SubspaceSettings):
         return replace(start, bank=bank, modes=modes)
 
     def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
-        return missing_modes.Sought(data, self.feedthrough, self.offset, self.order is None)
+        return missing_modes.Sought(data, self.feedthrough, self.offset, self.given_order is None)
 
     def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> tuple[fit.System, int, bool]:
         """Return the system of least simulated error, modes that it misses put in and sought with the others."""

@@ -41,7 +41,7 @@ class SubspaceStart:
         poles, directions, _ = fit.modes_of(*hankel.transition(basis, values, order, factor.ny))
         bank = bank_at(poles)
         modes = modal_least_squares.alternate(bank, directions, TRIAL_ROUNDS, GAIN)
-        if settings.order is None:
+        if settings.given_order is None:
             bank, modes = modal_least_squares.pruned(bank, modes)
         return cls(order_selection.cost(bank, modes), rows, modes, factor, basis, values, order, bank)
 

@@ -86,10 +86,10 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
         )
     statistics = survey(record)
     piece = _most_excited(record, statistics, PIECE_SAMPLES)
-    settings.horizons(piece, settings.order or 1)
-    usable("Subspace", piece, settings.order or 1, 0)
+    settings.horizons(piece, settings.given_order or 1)
+    usable("Subspace", piece, settings.given_order or 1, 0)
     evidence.independent("Subspace", piece)
-    order = order_selection.chosen(settings, piece) if settings.order is None else settings.order
+    order = order_selection.chosen(settings, piece) if settings.given_order is None else settings.given_order
     data = ScaledStream(record, statistics)
     best = min(_starts(settings, data, order), key=lambda s: s.loss)
     modes, steps, converged = _finished(settings, data, best)
