@@ -1,5 +1,6 @@
 """Natural mistakes at the command line and in study files: named, with what would do, and nothing is touched."""
 
+import shlex
 import shutil
 from pathlib import Path
 
@@ -182,6 +183,19 @@ COMMANDS = {
     "run absent.toml": ("absent.toml", "no such file"),
     "run notes.txt": ("notes.txt", "line 1"),
     "run study.toml --out mine.h5": ("mine.h5", "--out"),
+    "run files.toml --out ''": ("'--out'", "given nothing"),
+    "run files.toml --out=": ("'--out'", "given nothing"),
+    "run ''": ("argument 1", "given nothing"),
+    "run .": ("'.'", "is a directory"),
+    "report ''": ("argument 1", "given nothing"),
+    "identify '' --method arx": ("argument 1", "given nothing"),
+    f"{IDENTIFY} --out ''": ("'--out'", "given nothing"),
+    f"{IDENTIFY} --order ''": ("'--order'", "given nothing"),
+    "design plant.h5 --out ''": ("'--out'", "given nothing"),
+    "design plant.h5 --method lqg --set band_hz=[nan,10]": ("band_hz", "NaN"),
+    "design plant.h5 --method lqg --set control_hz=-5": ("control_hz", "below zero"),
+    "deploy law.h5 --out ''": ("'--out'", "given nothing"),
+    "convert record.h5 ''": ("argument 2", "given nothing"),
 }  # fmt: skip
 
 UNITS = '["ground", "flight"]\n'
@@ -243,7 +257,7 @@ def graded(run, folder, words, named):
 
 @pytest.mark.parametrize("words", COMMANDS)
 def test_a_mistake_at_the_command_line(run, folder, words):
-    graded(run, folder, words.split(), COMMANDS[words])
+    graded(run, folder, shlex.split(words), COMMANDS[words])
 
 
 @pytest.mark.parametrize("mistake", STUDIES)
@@ -258,6 +272,7 @@ def test_a_mistake_in_a_study_file(run, folder, monkeypatch, mistake):
     graded(run, folder, ("run", "study.toml"), named)
 
 
+LQG, END = 'method = "lqg"', "limits = 5.0"
 # What is written in a study of files, likewise.
 FILES = {
     "a file that is none": ("run.csv", "rum.csv", ("rum.csv", "no such file")),
@@ -272,6 +287,35 @@ FILES = {
     "a column that is none": ('["run.csv"]', '["run.csv"]\ninputs = ["w"]\noutputs = ["y"]', ("'w'", "u (600)")),
     "a rate that the clock contradicts": ('["run.csv"]', '["run.csv"]\nrate_hz = 500.0', ("500 Hz", "1000 Hz", "away")),
     "in and out": ('["run.csv"]', '["run.csv"]\ninputs = ["u"]\noutputs = ["u"]', ("'u'", "name every column once")),
+    "a band of NaN": (LQG, f"{LQG}\nband_hz = [nan, 50.0]", ("line 10", "'band_hz'", "NaN")),
+    "a band of a design that falls": (LQG, f"{LQG}\nband_hz = [50.0, 10.0]", ("line 10", "'band_hz'", "rising")),
+    "a band of one number": (LQG, f"{LQG}\nband_hz = [50.0]", ("line 10", "'band_hz[1]' is missing")),
+    "a band from below zero": (LQG, f"{LQG}\nband_hz = [-5.0, 50.0]", ("line 10", "'band_hz'", "below zero")),
+    "a band without end": (LQG, f"{LQG}\nband_hz = [5.0, inf]", ("line 10", "'band_hz'", "finite")),
+    "a band beyond Nyquist": (LQG, f"{LQG}\nband_hz = [5.0, 600.0]", ("line 10", "600 Hz", "500 Hz")),
+    "a band of words": (LQG, f'{LQG}\nband_hz = "low"', ("line 10", "'band_hz'")),
+    "a corner below zero": (LQG, f"{LQG}\nintegral_hz = -1.0", ("line 10", "'integral_hz'", "below zero")),
+    "a corner of NaN": (LQG, f"{LQG}\nintegral_hz = nan", ("line 10", "'integral_hz'", "NaN")),
+    "a tone of a design beyond Nyquist": (LQG, 'method = "resonators"\ntones_hz = [5, 700.0]', ("700 Hz", "500 Hz")),
+    "a tone of a design that is NaN": (LQG, 'method = "resonators"\ntones_hz = [nan]', ("line 10", "tones_hz")),
+    "a weight of NaN": (LQG, f"{LQG}\ncontrol_weight = nan", ("line 10", "control_weight")),
+    "the bands of the limits beyond Nyquist": (END, f"{END}\n[limits]\nbands_hz = [[5, 600]]", ("line 13", "500 Hz")),
+    "a limit of the price without end": (END, f"{END}\n[limits]\npeak_db = inf", ("line 13", "'peak_db'", "finite")),
+    "limits without end": (END, "limits = inf", ("line 11", "'limits'", "finite")),
+    "a loop beyond Nyquist": (END, f"{END}\n[closed_loop]\nband_hz = [5, 600]", ("line 13", "600 Hz", "500 Hz")),
+    "a tone without end": (END, f"{END}\n[closed_loop]\ntones_hz = [inf]", ("line 13", "'tones_hz[0]'", "finite")),
+    "a validation beyond Nyquist": (END, f"{END}\n[validate]\nband_hz = [5, 600]", ("line 13", "600 Hz", "500 Hz")),
+    "a requirement of NaN": (END, f'{END}\n[requirements]\nlaw = "quiet"\ndisk_margin = nan', ("line 14", "disk")),
+    "a rate of NaN": ('["run.csv"]', '["run.csv"]\nrate_hz = nan', ("line 5", "'rate_hz'")),
+    "a rate without end": ('["run.csv"]', '["run.csv"]\nrate_hz = inf', ("line 5", "'rate_hz'", "finite")),
+    "a file without a name": ('["run.csv"]', '[""]', ("line 4", "files", "name")),
+    "a file that is a folder": ('["run.csv"]', '["."]', ("a folder", "name a file")),
+    "no files": ('["run.csv"]', "[]", ("line 4", "'files'", "1")),
+    "the same file twice": ('["run.csv"]', '["run.csv", "run.csv"]', ("'run'", "rename")),
+    "a title that is a number": ('title = "mine"', "title = 5", ("line 2", "'title'", "string")),
+    "a control rate of nothing": (END, f"{END}\n[blending]\ncontrol_rate_hz = 0", ("line 13", "control_rate_hz")),
+    "a blending of NaN": (END, f"{END}\n[blending]\nsensors = [[nan]]", ("line 13", "sensors")),
+    "a blending whose file is none": (END, f'{END}\n[blending]\nsensors = "no.csv"', ("no.csv",)),
     "inputs alone": ('["run.csv"]', '["run.csv"]\ninputs = ["u"]', ("inputs", "outputs", "missing")),
 }  # fmt: skip
 

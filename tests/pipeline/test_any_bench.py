@@ -139,6 +139,26 @@ def test_a_table_of_another_program_becomes_verified_code(table, run):
     for one in (summary, again):
         one["deployment"]["quiet"].pop("seconds", None)
     assert again == summary
+    by_hand(table, summary)
+
+
+def by_hand(table, summary):
+    """The same walk by the functions of the package alone: the same law, and code that does what it does."""
+    channels = ["f1", "f2", "f3"], ["v1", "v2", "v3", "v4"]
+    record = uq.files.read_record(table / "run.csv", 2000.0, *channels)
+    plant = uq.identify.Subspace(order=8).identify(record).state_space()
+    law = uq.design.Lqg().design(plant).controller
+    stored = uq.files.load(table / "by-command" / "controllers" / "quiet.h5")
+    print("law by Python", law.hash, "by the command line", stored.hash)
+    for name in "ABCD":
+        assert np.array_equal(getattr(law, name), getattr(stored, name)), name
+    largest = np.abs(record.inputs).max(axis=1)
+    limits = np.column_stack([-largest, largest])
+    code = uq.deploy.generate(law, table / "by-hand", "float32", limits_v=limits, plant=plant)
+    verified = code.verify(steps=2000, fuzz_steps=0)
+    print(verified.status)
+    assert verified.status.ok
+    assert code.tables["bit_exact"] is summary["deployment"]["quiet"]["bit_exact"] is True
 
 
 def test_without_a_bench_nothing_that_one_measures_is_asked(table):

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, fields
 from functools import cache
+from math import inf, isnan
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
@@ -19,9 +20,9 @@ _CONTAINERS = (tuple, list, dict, Sequence, Mapping, Union, UnionType)
 
 
 class Strict(BaseModel):
-    """A table whose unknown keys are mistakes."""
+    """A table whose unknown keys are mistakes, and whose numbers are finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Method(BaseModel):
@@ -96,7 +97,10 @@ def settings_object(
     if any(_needed(field) and key not in values for key, field in known.items()):
         return None
     method = _built(kind, values, known, place, mistakes)
-    return None if misfits else method
+    unfit = {} if method is None else {key: words for key in values if (words := _no_number(key, values[key]))}
+    for key, words in unfit.items():
+        mistakes.add((*place, key), f"{who}: {words}")
+    return None if misfits or unfit else method
 
 
 def _needed(field: "Field[Any]") -> bool:
@@ -145,6 +149,27 @@ def _misfits(kind: type[Any], settings: Mapping[str, Any]) -> dict[str, str]:
             loc = (key, *(step for step in refusal["loc"] if isinstance(step, int)))
             misfits[key] = sentence({**refusal, "loc": loc}, None)
     return misfits
+
+
+def _no_number(key: str, value: Any) -> str:
+    """Return what is wrong with numbers that a method took: NaN anywhere, a frequency below zero, a falling band.
+
+    Many methods meet theirs only where they are at work, hours after the bench was driven.
+    """
+    several = isinstance(value, tuple)
+    shown = list(cast("tuple[Any, ...]", value)) if several else value
+    numbers = [float(v) for v in (shown if several else [value]) if isinstance(v, int | float)]
+    if any(isnan(v) for v in numbers):
+        return f"'{key}' must not hold NaN, got {shown}."
+    if not key.endswith("_hz") or not numbers:
+        return ""
+    if min(numbers) < 0:
+        return f"'{key}' must not be below zero Hz, got {shown}."
+    if max(numbers) == inf:
+        return f"'{key}' must be finite, got {shown}."
+    if key.split("_")[-2:] == ["band", "hz"] and (len(numbers) != 2 or not 0 < numbers[0] < numbers[1]):
+        return f"'{key}' must be two rising frequencies above zero, got {shown}."
+    return ""
 
 
 @cache

@@ -13,7 +13,7 @@ from ultraquiet.cli.deploy import command as deploy
 from ultraquiet.cli.exits.codes import EPILOG, ExitCode, exit_code
 from ultraquiet.cli.experiment import command as experiment
 from ultraquiet.cli.loop import analyse, campaign, simulate
-from ultraquiet.cli.output.options import with_options
+from ultraquiet.cli.output.options import NoEmptyWords, with_options
 from ultraquiet.cli.spectra import command as spectra
 from ultraquiet.cli.workbench import command as workbench
 
@@ -47,7 +47,7 @@ app = typer.Typer(
     rich_markup_mode=None,  # square brackets are words here, not markup
 )
 for _name, _command in COMMANDS.items():
-    app.command(_name, epilog=EPILOG)(with_options(_command))
+    app.command(_name, epilog=EPILOG, cls=NoEmptyWords)(with_options(_command))
 
 
 def _version(asked: bool) -> None:

@@ -1,6 +1,6 @@
 """What a study asks of its bench and of its experiment list, checked before anything moves."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -22,10 +22,17 @@ SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of
 AMPLITUDE_SHARE = 0.1  # of the smallest range of an actuator
 
 
-def check(study: Study, bench: Any, names: Sequence[str], plan: ExperimentList | None = None) -> None:
+def check(
+    study: Study,
+    bench: Any,
+    names: Sequence[str],
+    plan: ExperimentList | None = None,
+    rate_hz: float | None = None,
+) -> None:
     """Refuse units and tones that the bench does not have, and records that neither experiment nor files leave.
 
-    With the list that is to be run a period is held against that of its signals.
+    With the list that is to be run a period is held against that of its signals; with the rate of the records, the
+    bench's own when absent, so are all bands and tones.
 
     Raises:
         StudyError: every mistake, in one message.
@@ -38,6 +45,10 @@ def check(study: Study, bench: Any, names: Sequence[str], plan: ExperimentList |
         _payload(study, bench, mistakes)
         _campaign(study, bench, mistakes)
     _records(study, names, mistakes)
+    if bench is not None:
+        _below_nyquist(study, bench.rate_hz, "the bench's", mistakes)
+    elif rate_hz is not None:
+        _below_nyquist(study, rate_hz, "the records'", mistakes)
     if plan is not None:
         _period(study, plan, mistakes)
     mistakes.refuse(StudyError, "study")
@@ -124,16 +135,11 @@ def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
             as_unit(bench, unit)
         except UltraquietError as error:
             mistakes.add(("closed_loop", "units", k), f"closed_loop.units: {error}")
-    for k, f in enumerate(study.closed_loop.tones_hz):
-        if f >= bench.rate_hz / 2:
-            fault = f"{f:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
-            mistakes.add(("closed_loop", "tones_hz", k), f"closed_loop.tones_hz: {fault}")
-
     _levels(study.closed_loop, bench, mistakes)
 
 
 def _levels(asked: ClosedLoop, bench: Any, mistakes: Mistakes) -> None:
-    """Note tones that the actuators cannot send, and a band beyond what the bench samples."""
+    """Note tones that the actuators cannot send."""
     for c in bench.actuators:
         most = min(c.high, -c.low)
         if asked.amplitude is not None and asked.amplitude > most:
@@ -142,9 +148,39 @@ def _levels(asked: ClosedLoop, bench: Any, mistakes: Mistakes) -> None:
             )
             mistakes.add(("closed_loop", "amplitude"), f"closed_loop.amplitude: {fault}")
             break
-    if asked.band_hz is not None and asked.band_hz[1] >= bench.rate_hz / 2:
-        fault = f"{asked.band_hz[1]:g} Hz is not below half the bench's rate, {bench.rate_hz / 2:g} Hz."
-        mistakes.add(("closed_loop", "band_hz"), f"closed_loop.band_hz: {fault}")
+
+
+def unheard(study: Study) -> list[str]:
+    """Return the settings of `[closed_loop]` that only a bench could act on, of a study that closes no loop on one."""
+    keys = ("units", "tones_hz", "amplitude", "duration_s")
+    return [key for key in keys if key in study.closed_loop.model_fields_set]
+
+
+def _below_nyquist(study: Study, rate_hz: float, whose: str, mistakes: Mistakes) -> None:
+    """Note bands and tones, of tables and of designs, that end beyond half the rate."""
+    for place, values in _frequencies(study):
+        for k, f_hz in enumerate(values):
+            if f_hz >= rate_hz / 2:
+                name = ".".join(map(str, place))
+                fault = f"{f_hz:g} Hz is not below half {whose} rate, {rate_hz / 2:g} Hz."
+                mistakes.add((*place, k), f"{name}: {fault}")
+
+
+def _frequencies(study: Study) -> Iterator[tuple[Place, Sequence[float]]]:
+    """Yield the place of every band and of all tones of a study, with their frequencies in Hz."""
+    tables = ("closed_loop", "validate_models", "requirements", "payload", "paper")
+    for name in tables:
+        for key in ("band_hz", "tones_hz"):
+            place = ({"validate_models": "validate"}.get(name, name), key)
+            yield place, getattr(getattr(study, name), key, None) or ()
+    for k, band_hz in enumerate(study.limits.bands_hz):
+        yield ("limits", "bands_hz", k), band_hz
+    for name, design in study.controllers.items():
+        for family in ("design", "reduce"):
+            method = getattr(design, family)
+            for key, value in {} if method is None else method.settings.items():
+                if key.endswith(("band_hz", "tones_hz", "notches_hz")) and isinstance(value, tuple):
+                    yield ("controllers", name, family, key), [f for f in value if isinstance(f, int | float)]
 
 
 def _period(study: Study, plan: ExperimentList, mistakes: Mistakes) -> None:

@@ -17,7 +17,7 @@ from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
 from ultraquiet.pipeline.tables.files import with_all_records
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
-from ultraquiet.pipeline.tables.numbers import Band, Order, Positive
+from ultraquiet.pipeline.tables.numbers import Band, FileName, Order, Positive
 from ultraquiet.pipeline.tables.paper import Paper, with_paper
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
@@ -65,7 +65,7 @@ class Experiment(Strict):
     A file is sought beside the study. Only the hexapod has a list of its own.
     """
 
-    list: str | None = None
+    list: FileName | None = None
 
 
 class RecordsTable(Strict):
@@ -74,11 +74,11 @@ class RecordsTable(Strict):
     Each becomes a record by the name of its file; all of them hold the same channels.
     """
 
-    files: list[str] = Field(min_length=1)
+    files: list[FileName] = Field(min_length=1)
     rate_hz: Positive | None = None
     inputs: str | list[str] | None = None
     outputs: str | list[str] | None = None
-    mapping: str | None = None
+    mapping: FileName | None = None
 
 
 class IdentifyTable(Strict):

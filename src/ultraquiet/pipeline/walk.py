@@ -147,12 +147,15 @@ def prepared(
 ) -> Generator[Stages]:
     """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
     own = bench_of(settings, beside)
-    bench = own if own is None or settings.blending is None else blended(own, settings.blending, beside)
-    describe = partial(identity, own, bench_table(settings), beside)
     read = {} if settings.records is None else _read(settings.records, beside)
+    bench = own
+    if settings.blending is not None:  # matrices that do not fit are refused here, also those of files
+        whole = blended(Replay(tuple(read.values())) if own is None else own, settings.blending, beside)
+        bench = None if own is None else whole
+    describe = partial(identity, own, bench_table(settings), beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     names = list(read) if listed is None else [m.name for m in listed.measurements]
-    preflight.check(settings, bench, names, listed)
+    preflight.check(settings, bench, names, listed, _rate_of(settings, read))
     with locked(folder, say) as lock, _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)
@@ -173,7 +176,16 @@ def prepared(
         if bench is not None and not preflight.reacts(bench):
             say("the bench plays back its records: no loop is closed on it")
             bench = None
+        left = preflight.unheard(settings) if bench is None else []
+        if left:
+            say(f"closed_loop: without a bench no loop is closed and no tone is sent; unused: {', '.join(left)}")
         yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key_of(settings, bench_key))
+
+
+def _rate_of(settings: study.Study, read: Mapping[str, Record]) -> float | None:
+    """Return the rate at which laws of a study of files run, None where a bench has one."""
+    asked = None if settings.blending is None else settings.blending.control_rate_hz
+    return asked or next((record.rate_hz for record in read.values()), None)
 
 
 def _in_modes(

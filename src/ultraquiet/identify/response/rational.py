@@ -13,6 +13,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
+from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.identify.subspace.evidence import RESIDUAL_LAGS, free_of_inputs
 from ultraquiet.linalg import pole_residue, portmanteau, vector_fitting
 from ultraquiet.linalg.innovation import unknown_past
@@ -70,7 +71,7 @@ class ResponseFit:
 
 @register("identify", "rational")
 @dataclass(frozen=True)
-class Rational:
+class Rational(SearchedOrder):
     """Fit G(z) = z^(1 - delay) sum_k R_k / (z - p_k) to a frequency response, relative to its size.
 
     The error at a line is divided by the RMS gain g(f) of the response there and by sqrt(floor^2 + (sigma/g)^2), sigma
@@ -82,7 +83,7 @@ class Rational:
     and directions of what stays being fitted once more, together: a mode then costs two states.
 
     Args:
-        order: number of common poles; chosen on held-out lines when None.
+        order: number of common poles; chosen on held-out lines when "auto" or None.
         delay: samples before the first response, at least one.
         iterations: relocations of the poles.
         floor: relative error below which precision is not worth having.
@@ -103,7 +104,7 @@ class Rational:
     References: see `ultraquiet.linalg.vector_fitting` and `ultraquiet.linalg.modes.rank_one`.
     """
 
-    order: int | None = None
+    order: int | Auto | None = None
     delay: int = 1
     iterations: int = 8
     floor: float = 0.01
@@ -112,19 +113,20 @@ class Rational:
     zeros_at_dc: int = 0
 
     def __post_init__(self) -> None:
-        if self.order is not None:
-            whole("Rational", "order", self.order, 1)
+        self.settle_order()
+        if self.given_order is not None:
+            whole("Rational", "order", self.given_order, 1)
         whole("Rational", "delay", self.delay, 1)
         whole("Rational", "iterations", self.iterations, 1)
         if self.most_lines is not None:
             whole("Rational", "most_lines", self.most_lines, 8)
-        whole("Rational", "zeros_at_dc", self.zeros_at_dc, 0, min(8, (self.order or ORDERS[-1]) - 1))
+        whole("Rational", "zeros_at_dc", self.zeros_at_dc, 0, min(8, (self.given_order or ORDERS[-1]) - 1))
         between("Rational", "floor", self.floor, 1e-6, 1.0)
         between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
 
     def identify(self, record: Record) -> Result:
         """Estimate the H1 response of a record and fit it; fit periodic ones by `identify_response` instead."""
-        usable("Rational", record, (self.order or max(ORDERS)) * (len(record.actuators) + 1), 64)
+        usable("Rational", record, (self.given_order or max(ORDERS)) * (len(record.actuators) + 1), 64)
         fitted = self.identify_response(frf(record), record.rate_hz)
         simulated = fitted.model.simulate(record.inputs)
         simulated = simulated + unknown_past(fitted.model.A, fitted.model.C, record.outputs - simulated)
@@ -190,11 +192,11 @@ def _by_order(
     """Return fits with residues of full rank and their errors at the lines held out."""
     fits: dict[int, vector_fitting.PoleResidueFit] = {}
     errors: dict[int, float] = {}
-    orders = ORDERS + HIGHER_ORDERS if method.order is None else (method.order,)
+    orders = ORDERS + HIGHER_ORDERS if method.given_order is None else (method.given_order,)
     orders = tuple(n for n in orders if n * LINES_PER_POLE <= fitted.z.size)
     with task("rational fit", sum(n <= ORDERS[-1] for n in orders) or 1) as progress:
         for n in orders:
-            if n in HIGHER_ORDERS and method.order is None and not _falling(errors, WORTH * method.floor):
+            if n in HIGHER_ORDERS and method.given_order is None and not _falling(errors, WORTH * method.floor):
                 break
             start = _starting_poles(n, f, rate_hz)
             fits[n] = _fitted(method, fitted, start)
@@ -230,11 +232,11 @@ def _checked(
     keep = (size > 0) & (f > 0) & (f < rate_hz / 2) & (noise_share < HIDDEN**2)
     most = method.most_lines or int(np.clip(GAINS // (G.shape[0] * G.shape[1]), *LINES))
     keep[keep] = _thin(f[keep], most)
-    needed = 8 * (method.order or ORDERS[0])
+    needed = 8 * (method.given_order or ORDERS[0])
     if np.count_nonzero(keep) < needed:
         raise InputError(
             f"Rational: {np.count_nonzero(keep)} usable lines are too few, "
-            f"order {method.order or ORDERS[0]} needs {needed}."
+            f"order {method.given_order or ORDERS[0]} needs {needed}."
         )
     weight = 1.0 / (np.where(size > 0, size, 1.0) * np.sqrt(method.floor**2 + noise_share))
     # The error then reads as a share of the response where noise does not matter.

@@ -15,6 +15,7 @@ from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response
 from ultraquiet.identify.response.model import WeightedFit
 from ultraquiet.identify.result import SIGNIFICANCE, Result
+from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.linalg import portmanteau
 from ultraquiet.linalg.innovation import unknown_past
 from ultraquiet.linalg.prediction import fit_percent
@@ -54,7 +55,7 @@ class _OrderFit(NamedTuple):
 
 @register("identify", "weighted-rational")
 @dataclass(frozen=True)
-class WeightedRational:
+class WeightedRational(SearchedOrder):
     """Fit G = exp(-s tau) (D + sum_k N_k / den_k), common poles, by maximum likelihood.
 
     sum over channels and lines of |G - measured|^2 / variance is minimised by Levenberg-Marquardt over the poles, with
@@ -62,7 +63,7 @@ class WeightedRational:
     step. The estimate reaches the Cramer-Rao bound; its covariance gives bands.
 
     Args:
-        order: number of poles; chosen by `criterion` when None.
+        order: number of poles; chosen by `criterion` when "auto" or None.
         highest_order: the largest one tried then.
         delay_s: dead time: seconds in continuous time, whole samples beside the model's own one in discrete time; None
             estimates it, up to four periods of the highest line.
@@ -88,7 +89,7 @@ class WeightedRational:
     Reference: R. Pintelon, J. Schoukens, System Identification (2012), chapters 9 and 11, doi:10.1002/9781118287422.
     """
 
-    order: int | None = None
+    order: int | Auto | None = None
     highest_order: int = 20
     delay_s: float | None = 0.0
     feedthrough: bool = False
@@ -99,8 +100,9 @@ class WeightedRational:
     period_samples: int | None = None
 
     def __post_init__(self) -> None:
-        if self.order is not None:
-            whole(WHO, "order", self.order, 1, HIGHEST_ORDER)
+        self.settle_order()
+        if self.given_order is not None:
+            whole(WHO, "order", self.given_order, 1, HIGHEST_ORDER)
         whole(WHO, "highest_order", self.highest_order, 1, HIGHEST_ORDER)
         if self.delay_s is not None:
             between(WHO, "delay_s", self.delay_s, 0.0, 1e6, "s")
@@ -117,8 +119,8 @@ class WeightedRational:
         Raises:
             InputError: as `identify_response`; too few samples, a constant input or output.
         """
-        usable(WHO, record, (self.order or 2) * (len(record.actuators) + 1), 64)
-        exciting(WHO, record, 2 * (self.order or 2))
+        usable(WHO, record, (self.given_order or 2) * (len(record.actuators) + 1), 64)
+        exciting(WHO, record, 2 * (self.given_order or 2))
         if self.period_samples is not None:
             data = from_periods(record, self.period_samples, self.floor, self.weigh)
         else:
@@ -141,7 +143,7 @@ class WeightedRational:
     @single_threaded
     def _fit(self, data: Data) -> WeightedFit:
         most = data.samples.f_rad.size // LINES_PER_POLE
-        highest = min(self.highest_order, most) if self.order is None else self.order
+        highest = min(self.highest_order, most) if self.given_order is None else self.given_order
         if highest > most or most < 1:
             raise InputError(
                 f"{WHO}: order {highest} takes {LINES_PER_POLE * highest} lines, there are "
@@ -159,11 +161,11 @@ class WeightedRational:
         # Pairs of poles come first, a single one beside the best number of pairs.
         evens = [*range(2, highest + 1, 2)] or [highest]
         with task("weighted rational fit", len(evens) + 2) as progress:
-            for n in evens if self.order is None else [self.order]:
+            for n in evens if self.given_order is None else [self.given_order]:
                 if _exhausted(scores):
                     break
                 try_order(n)
-            if self.order is None:
+            if self.given_order is None:
                 best = min(scores, key=lambda n: scores[n])
                 for n in (best - 1, best + 1):
                     if 1 <= n <= highest and n not in fits:
@@ -253,7 +255,7 @@ def _finished(method: WeightedRational, data: Data, fit: _OrderFit, scores: dict
     cost = fit.point.cost / max(freedom, 1)
     p = _whiteness(fit.point, fit.parameters / data.rows)
     delay = fit.held_delay_s + (float(fit.point.theta[-1]) if fit.shape.delay else 0.0)
-    at_limit = method.order is None and fit.shape.order >= max(scores) and len(scores) > 1
+    at_limit = method.given_order is None and fit.shape.order >= max(scores) and len(scores) > 1
     return WeightedFit(
         model=_model(method, data, fit),
         status=_verdict(fit, cost, p, at_limit),

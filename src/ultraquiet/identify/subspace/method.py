@@ -42,8 +42,8 @@ class Subspace(SubspaceSettings):
     answers as little as the rest allows (`unexcited`).
 
     Args:
-        order: number of states; None tries orders on a held-out part of the record, and leaves out of the best the
-            modes that cannot be told from noise.
+        order: number of states; "auto" or None tries orders on a held-out part of the record, and leaves out of the
+            best the modes that cannot be told from noise.
         horizon: block rows; the longest decay and the slowest mode must show within it. None tries several and keeps
             the one whose model simulates best.
         weight: of the projection: "moesp", "n4sid" or "cva".
@@ -85,17 +85,17 @@ class Subspace(SubspaceSettings):
         """
         if isinstance(record, LongRecord):
             return identify_long_subspace(self, record)
-        self.horizons(record, self.order or 1)
-        usable("Subspace", record, self.order or 1, 0)
+        self.horizons(record, self.given_order or 1)
+        usable("Subspace", record, self.given_order or 1, 0)
         evidence.independent("Subspace", record)
         data = fit.Scaled.of(record)
         heard = unexcited.topped_up(data, unexcited.silent_bands(data.u))
-        order = order_selection.chosen(self, record) if self.order is None else self.order
+        order = order_selection.chosen(self, record) if self.given_order is None else self.given_order
         matrices = (hankel.factor(heard.centred_u, heard.y, rows) for rows in self.horizons(record, order))
         horizons = [Horizon.of(factor, self.weight) for factor in matrices]
         start = self._started(heard, horizons, order)
         wide = [horizon for horizon in horizons if horizon.most >= start.states]
-        if self.order is None and start.states != order and wide:
+        if self.given_order is None and start.states != order and wide:
             # Modes left out or put in are not where a search for that many would have them.
             start = min(start, self._started(heard, wide, start.states), key=lambda start: start.loss)
         return self._finished(record, data, heard, start)
@@ -107,7 +107,7 @@ class Subspace(SubspaceSettings):
             return FilterBank(poles, data.u, data.y, self.feedthrough, self.offset)
 
         starts = [SubspaceStart.of(horizon, order, bank_at) for horizon in horizons]
-        if self.order is None:
+        if self.given_order is None:
             starts = [start.pruned() for start in starts]
         return self._replenished(data, min(starts, key=lambda start: start.loss))
 
@@ -118,7 +118,7 @@ class Subspace(SubspaceSettings):
         return replace(start, bank=bank, modes=modes, loss=modal_least_squares.cost(bank, modes))
 
     def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
-        return missing_modes.Sought(data, self.feedthrough, self.offset, self.order is None)
+        return missing_modes.Sought(data, self.feedthrough, self.offset, self.given_order is None)
 
     def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> tuple[fit.System, int, bool]:
         """Return the system of least simulated error, modes that it misses put in and sought with the others."""

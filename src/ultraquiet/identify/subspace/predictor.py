@@ -11,6 +11,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import Result
+from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.identify.subspace import evidence, fit
 from ultraquiet.linalg.polynomial_roots import mirrored_inside
 from ultraquiet.values import Record
@@ -23,7 +24,7 @@ HIGHEST = 200  # states among which an order is chosen
 
 @register("identify", "predictor-subspace")
 @dataclass(frozen=True)
-class PredictorSubspace:
+class PredictorSubspace(SearchedOrder):
     """x+ = A x + B u + K e, y = C x + D u + e from records in open or closed loop: the optimised predictor form.
 
     A long autoregression with inputs y(t) = sum_{j=1}^{p} Theta_j [u; y](t - j) + e(t) is consistent whatever makes the
@@ -32,7 +33,7 @@ class PredictorSubspace:
     state, two regressions on it the model. All of it is read off one Gram matrix of the record's shifts.
 
     Args:
-        order: number of states; None takes the order of least BIC of the regression on the states.
+        order: number of states; "auto" or None takes the order of least BIC of the regression on the states.
         horizon: samples of past p; it must span the predictor's memory, which is shorter than the plant's. None takes
             that of least AIC of the autoregression.
         feedthrough: whether D is estimated. In a closed loop this asks for a controller that does not answer within the
@@ -60,7 +61,7 @@ class PredictorSubspace:
 
     name: ClassVar[str] = "predictor-subspace"
 
-    order: int | None = None
+    order: int | Auto | None = None
     horizon: int | None = None
     feedthrough: bool = False
     offset: bool = True
@@ -70,8 +71,9 @@ class PredictorSubspace:
     max_iterations: int = 50
 
     def __post_init__(self) -> None:
-        if self.order is not None:
-            whole("PredictorSubspace", "order", self.order, 1, 500)
+        self.settle_order()
+        if self.given_order is not None:
+            whole("PredictorSubspace", "order", self.given_order, 1, 500)
         if self.horizon is not None:
             whole("PredictorSubspace", "horizon", self.horizon, 1, 1000)
         whole("PredictorSubspace", "max_iterations", self.max_iterations, 1)
@@ -86,13 +88,13 @@ class PredictorSubspace:
         longest = self._longest(record)
         # Every state brings a column of B and a row of C at least.
         wires = len(record.actuators) + len(record.sensors)
-        usable("PredictorSubspace", record, (self.order or 2) * wires // len(record.sensors), longest)
+        usable("PredictorSubspace", record, (self.given_order or 2) * wires // len(record.sensors), longest)
         evidence.independent("PredictorSubspace", record)
         data = fit.Scaled.of(record)
         regression = Regression.of(data, longest, self.feedthrough)
-        past = self.horizon or regression.memory(1 + (self.order or 1) // len(record.sensors))
+        past = self.horizon or regression.memory(1 + (self.given_order or 1) // len(record.sensors))
         states = regression.states(past)
-        order = min(self.order or states.order(), len(states.values))
+        order = min(self.given_order or states.order(), len(states.values))
         start = states.model(order)
         if self.stable:
             start = _mirrored_inside(start)
@@ -110,7 +112,7 @@ class PredictorSubspace:
     def _longest(self, record: Record) -> int:
         width = len(record.actuators) + len(record.sensors)
         most = record.samples // (SAMPLES_PER_COLUMN * width) - 1
-        least = self.horizon or 1 + (self.order or 1) // len(record.sensors)
+        least = self.horizon or 1 + (self.given_order or 1) // len(record.sensors)
         if most < least:
             needed = (least + 1) * SAMPLES_PER_COLUMN * width
             raise InputError(

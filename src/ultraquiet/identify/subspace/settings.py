@@ -6,6 +6,7 @@ from typing import ClassVar
 from ultraquiet._base.constraints import one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import LongRecord
+from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.identify.subspace import fit, hankel
 from ultraquiet.values import Record
 
@@ -15,12 +16,12 @@ FOCUSES = ("simulation", "prediction")
 
 
 @dataclass(frozen=True)
-class SubspaceSettings:
+class SubspaceSettings(SearchedOrder):
     """What the user sets, checked, and what follows from it alone; `Subspace` says what each setting means."""
 
     name: ClassVar[str]
 
-    order: int | None = 30
+    order: int | Auto | None = 30
     horizon: int | None = None
     weight: str = "moesp"
     feedthrough: bool = True
@@ -31,9 +32,10 @@ class SubspaceSettings:
     max_iterations: int = 50
 
     def __post_init__(self) -> None:
+        self.settle_order()
         who = "Subspace"
-        if self.order is not None:
-            whole(who, "order", self.order, 1, 500)
+        if self.given_order is not None:
+            whole(who, "order", self.given_order, 1, 500)
         if self.horizon is not None:
             whole(who, "horizon", self.horizon, 2, 1000)
         one_of(who, "weight", self.weight, hankel.WEIGHTS)

@@ -1,4 +1,4 @@
-"""Numbers that several tables of a study file hold, each with what it must be."""
+"""Numbers and names that several tables of a study file hold, each with what it must be."""
 
 from typing import Annotated
 
@@ -11,6 +11,13 @@ def _rising(band_hz: tuple[float, float]) -> tuple[float, float]:
     return band_hz
 
 
+def _named(name: str) -> str:
+    if not name.strip():
+        raise ValueError("the name of a file is missing")
+    return name
+
+
 Positive = Annotated[float, Field(gt=0)]
 Band = Annotated[tuple[Positive, Positive], AfterValidator(_rising)]
 Order = Annotated[int, Field(ge=1, le=20)]
+FileName = Annotated[str, AfterValidator(_named)]

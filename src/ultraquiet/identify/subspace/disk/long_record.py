@@ -113,10 +113,10 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
         )
     statistics = survey(record)
     piece = _most_excited(record, statistics, PIECE_SAMPLES)
-    settings.horizons(piece, settings.order or 1)
-    usable("Subspace", piece, settings.order or 1, 0)
+    settings.horizons(piece, settings.given_order or 1)
+    usable("Subspace", piece, settings.given_order or 1, 0)
     evidence.independent("Subspace", piece)
-    order = order_selection.chosen(settings, piece) if settings.order is None else settings.order
+    order = order_selection.chosen(settings, piece) if settings.given_order is None else settings.given_order
     data = ScaledStream(record, statistics).topped_up()
     best = min(_starts(settings, data, order), key=lambda s: s.loss)
     modes, steps, converged = _finished(settings, data, best)
@@ -151,7 +151,7 @@ def _starts(settings: SubspaceSettings, data: ScaledStream, order: int) -> Itera
         factor = hankel.factored(hankel_gram(products, sums, 2 * rows), nu, ny, rows, data.samples)
         bank_at = partial(_bank, settings, data, f"subspace: least squares at horizon {rows}")
         start = SubspaceStart.of(Horizon.of(factor, settings.weight), order, bank_at)
-        yield start.pruned() if settings.order is None else start
+        yield start.pruned() if settings.given_order is None else start
 
 
 def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: ComplexArray) -> FilterBank:
