@@ -54,14 +54,18 @@ class LoopCertificate:
         grid = self._closed(law, theta)
         if grid is None:
             return UNSTABLE
-        demands, every = self.demands, np.arange(grid[0].size)
+        f, loop = grid
         excess, at_hz = self._excess(law, theta, grid)
 
         def quiet(each: LoopParts, lines: FloatArray) -> FloatArray:
             return _sizes(each.S @ self.scenario.directions(each.G))
 
-        level = self._largest(law, theta, grid, quiet, np.flatnonzero(demands.inside(grid[0])))[0]
-        peak = self._largest(law, theta, grid, lambda each, _: _sizes(each.S), every)[0]
+        def amplified(each: LoopParts, lines: FloatArray) -> FloatArray:
+            return _sizes(each.S)
+
+        inside = np.flatnonzero(self.demands.inside(f))
+        level = self._largest(law, theta, quiet, f[inside], quiet(loop.at(inside), f[inside]))[0]
+        peak = self._largest(law, theta, amplified, f, amplified(loop, f))[0]
         return Certified(-level, peak, excess, at_hz)
 
     def excess(self, law: ControllerStructure, theta: FloatArray) -> tuple[float, float]:
@@ -79,13 +83,14 @@ class LoopCertificate:
         if grid is None:
             return np.zeros(0)
         f, loop = grid
-        places = [_tops(f, 20 * np.log10(np.maximum(part(loop, f), LEAST)), least_db) for part in self._bounded()]
-        greatest, at_hz = self._excess(law, theta, grid)
+        shares = [(part, part(loop, f)) for part in self._bounded()]
+        places = [_tops(f, 20 * np.log10(np.maximum(sizes, LEAST)), least_db) for _, sizes in shares]
+        greatest, at_hz = max(self._largest(law, theta, part, f, sizes) for part, sizes in shares)
         return np.unique(np.concatenate([*places, [at_hz] if greatest > least_db else []]))
 
     def _excess(self, law: ControllerStructure, theta: FloatArray, grid: Grid) -> tuple[float, float]:
-        every = np.arange(grid[0].size)
-        return max(self._largest(law, theta, grid, part, every) for part in self._bounded())
+        f, loop = grid
+        return max(self._largest(law, theta, part, f, part(loop, f)) for part in self._bounded())
 
     def _bounded(self) -> tuple[Part, Part]:
         """Return sigma(S) and sigma(K S) over their bounds."""
@@ -100,15 +105,14 @@ class LoopCertificate:
         return amplified, driven
 
     def _largest(
-        self, law: ControllerStructure, theta: FloatArray, grid: Grid, part: Part, at: np.ndarray
+        self, law: ControllerStructure, theta: FloatArray, part: Part, f: FloatArray, sizes: FloatArray
     ) -> tuple[float, float]:
-        """Return the largest value of a part of the loop at some lines of the grid and between them, dB, and where."""
-        f, here = grid[0][at], grid[1].at(at)
+        """Return the largest value of a part of the loop, of these sizes at lines f, there and between; dB, where."""
 
         def between(lines: FloatArray) -> FloatArray:
             return part(self._loop(law, theta, self.scenario.response(lines), self.scenario.plane.of_hz(lines)), lines)
 
-        size, at_hz = refined(between, f, part(here, f), rounds=ROUNDS)
+        size, at_hz = refined(between, f, sizes, rounds=ROUNDS)
         return 20 * float(np.log10(max(size, LEAST))), at_hz
 
     def _closed(self, law: ControllerStructure, theta: FloatArray) -> Grid | None:
