@@ -42,6 +42,15 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}{'s' * (number != 1)}"
 
 
+def rounded(value: float, digits: int = 1) -> str:
+    """Return a number with so many decimals, never as a zero below zero.
+
+    >>> rounded(-0.04), rounded(2.347, 2)
+    ('0.0', '2.35')
+    """
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
 def word(shown: object) -> str:
     """Return the word of an object's status, empty where it carries none."""
     return str(getattr(getattr(shown, "status", None), "word", ""))

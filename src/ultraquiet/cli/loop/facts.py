@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.analyse.disk import ENDS
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -91,7 +92,7 @@ def slowest_sentence(slowest: "SlowestMode | None") -> str:
 
 def decibels(value: float) -> str:
     """Return decibels for a reader."""
-    return f"{round(value, 2) + 0.0:.2f} dB" if np.isfinite(value) else "any"
+    return f"{rounded(value, 2)} dB" if np.isfinite(value) else "any"
 
 
 def degrees(value: float) -> str:

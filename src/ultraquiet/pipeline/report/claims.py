@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.summary import summarise
@@ -56,6 +57,6 @@ def _said(value: Any, unit: str) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value)
     if unit == "dB":
-        return f"{round(value, 1) + 0.0:.1f} dB"
+        return f"{rounded(value)} dB"
     digits = f"{value:.4g}" if abs(value) < 1000 or isinstance(value, float) else str(value)
     return f"{digits} {unit}".rstrip()

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Section, Table
@@ -88,4 +89,4 @@ def _lower_end(bands: Sequence[BandLimit | RefusedBand]) -> list[str]:
 def _number(value: float | None) -> str:
     if value is None or not np.isfinite(value):
         return "-"
-    return f"{value:.0f}" if abs(value) >= 100 else f"{round(value, 1) + 0.0:.1f}"
+    return f"{value:.0f}" if abs(value) >= 100 else rounded(value)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.deploy.figures import figure_text, figure_words
 from ultraquiet.pipeline.facts.limits import DesignLimit
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
@@ -306,4 +307,4 @@ def _of_code(facts: CodeFacts | NoCode, column: str) -> str:
 def _number(value: float, digits: int = 4) -> str:
     if not np.isfinite(value):
         return "-"
-    return f"{round(value, 1) + 0.0:.1f}" if digits == 1 else f"{value:.{digits}g}"  # no -0.0
+    return rounded(value) if digits == 1 else f"{value:.{digits}g}"

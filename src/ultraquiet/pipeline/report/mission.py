@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
     CampaignCurves,
@@ -42,13 +43,9 @@ def payload(result: StudyResult) -> Section:
 def _row(loop: PayloadLoop | NoPayload, tones: list[str]) -> list[str]:
     if isinstance(loop, NoPayload):
         return ["-"] * (3 + len(tones))
-    each = [_tenths(loop.tones_db[f]) if f in loop.tones_db else "-" for f in tones]
-    force = "-" if loop.force is None else _tenths(loop.force.reduction_db)
-    return [_tenths(loop.reduction_db), f"{_tenths(loop.worst_db)} at {loop.worst_hz:.3g} Hz", *each, force]
-
-
-def _tenths(db: float) -> str:
-    return f"{round(db, 1) + 0.0:.1f}"  # no -0.0
+    each = [rounded(loop.tones_db[f]) if f in loop.tones_db else "-" for f in tones]
+    force = "-" if loop.force is None else rounded(loop.force.reduction_db)
+    return [rounded(loop.reduction_db), f"{rounded(loop.worst_db)} at {loop.worst_hz:.3g} Hz", *each, force]
 
 
 def _sentences(result: StudyResult) -> Iterator[str]:
