@@ -13,6 +13,7 @@ from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
+LITTLE_DB = 0.5  # of attenuation in the band: less is as good as no law
 STABLE_WORDS = (StatusWord.OK, StatusWord.FRAGILE)  # of a loop that is stable with the design model
 
 

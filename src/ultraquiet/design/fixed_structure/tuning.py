@@ -11,14 +11,13 @@ from ultraquiet.design.fixed_structure.controller_structure import ControllerStr
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
 from ultraquiet.design.fixed_structure.problem import TuningProblem
 from ultraquiet.design.fixed_structure.specification import Specification
-from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
+from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 STEPS = 60
 ROUNDS = 5
-LITTLE_DB = 0.5  # of attenuation in the band: less is as good as no law
 LEAST_DB = 0.02  # by which a peak that was missed is asked to be lower
 WISHES = ("attenuation_db", "tone_")  # requirements that a law turned down only misses by more
 QUIETER = 0.7  # a start that is unstable with the plant is turned down by this factor, again and again

@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.units import SearchUnits
 from ultraquiet.design.plant_scale import even_plant
-from ultraquiet.design.result import STABLE_WORDS, DesignResult
+from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import both_ends, fragility, weaker_end
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-LITTLE_DB = 0.5  # of attenuation in the band: less is as good as no law
 ROUNDING_DB = 0.02  # a bound exceeded by less is met
 
 
@@ -125,8 +125,8 @@ def _unless_idle(
     low, high = band_hz
     said = (
         f"Within these bounds nothing gets quiet: over {low:.4g}-{high:.4g} Hz the worst direction of S falls by "
-        f"{attenuation_db:.2f} dB and the RMS of S G by {quieter:.2f} dB. Give a 'band_hz' that is to be quiet, or "
-        f"allow more 'peak_db'. {result.status.sentence}"
+        f"{rounded(attenuation_db, 2)} dB and the RMS of S G by {rounded(quieter, 2)} dB. Give a 'band_hz' "
+        f"that is to be quiet, or allow more 'peak_db'. {result.status.sentence}"
     )
     return replace(result, status=Status(StatusWord.SHORT, said))
 
