@@ -10,10 +10,10 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import FixedStructure, LeadLag, Specification, common_mode, four_block, synthesize_structured
-from ultraquiet.design.fixed_structure.controller_structure import decentralised, one_element, repeated
-from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
-from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.design.fixed_structure.tuning import posed
+from ultraquiet.design.law_structure.controller_structure import decentralised, one_element, repeated
+from ultraquiet.design.law_structure.elements import Dense, StablePairs
+from ultraquiet.design.law_structure.sections import SectionCascade
 from ultraquiet.linalg import balance, discretize
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, gain, lft, series

@@ -7,9 +7,9 @@ from ordinary_plants import ordinary, with_units
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import band_attenuation, hinf_norm, peak_sensitivity
 from ultraquiet.design import PeakBounded
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, Placement
-from ultraquiet.design.fixed_structure.damped_pairs import DampedPairs, Resonances
-from ultraquiet.design.fixed_structure.plane import plane_of
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure, Placement
+from ultraquiet.design.law_structure.damped_pairs import DampedPairs, Resonances
+from ultraquiet.design.law_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.biquads import Biquads, in_series
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.certificate import LoopCertificate

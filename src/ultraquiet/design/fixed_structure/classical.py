@@ -10,11 +10,11 @@ from ultraquiet._base.constraints import FloatArray, positive, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, decentralised, repeated
-from ultraquiet.design.fixed_structure.plane import Plane, plane_of
-from ultraquiet.design.fixed_structure.sections import SectionCascade
 from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.fixed_structure.tuning import InitialLaw, posed, tuned, worded
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure, decentralised, repeated
+from ultraquiet.design.law_structure.plane import Plane, plane_of
+from ultraquiet.design.law_structure.sections import SectionCascade
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, REPEATED, structure_word

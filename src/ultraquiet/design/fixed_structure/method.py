@@ -10,14 +10,14 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.design.fixed_structure.controller_structure import decentralised, one_element, repeated
-from ultraquiet.design.fixed_structure.elements import Element, StablePairs, from_system
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
-from ultraquiet.design.fixed_structure.plane import Plane, plane_of
 from ultraquiet.design.fixed_structure.specification import Specification, specified
 from ultraquiet.design.fixed_structure.tuning import ROUNDS, STEPS, InitialLaw, calmed, even_gain, posed, tuned
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, common_mode
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.law_structure.controller_structure import decentralised, one_element, repeated
+from ultraquiet.design.law_structure.elements import Element, StablePairs, from_system
+from ultraquiet.design.law_structure.plane import Plane, plane_of
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, structure_word

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
-from ultraquiet.design.fixed_structure.plane import AT_REST, SAME, plane_of
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure
+from ultraquiet.design.law_structure.plane import AT_REST, SAME, plane_of
 from ultraquiet.linalg.modal_response import residues
 from ultraquiet.values.state_space import StateSpace
 

@@ -8,12 +8,12 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, one_element
-from ultraquiet.design.fixed_structure.elements import Dense, StablePairs
 from ultraquiet.design.fixed_structure.minimax import bfgs, lowest
 from ultraquiet.design.fixed_structure.problem import Requirement, TuningProblem
 from ultraquiet.design.hinf.problem.units import even_problem
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure, one_element
+from ultraquiet.design.law_structure.elements import Dense, StablePairs
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged

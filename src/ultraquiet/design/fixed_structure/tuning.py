@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
 from ultraquiet.design.fixed_structure.problem import TuningProblem
 from ultraquiet.design.fixed_structure.specification import Specification
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure
 from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace

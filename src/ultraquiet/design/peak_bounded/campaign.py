@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.progress import Task, task
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
-from ultraquiet.design.fixed_structure.plane import plane_of
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure
+from ultraquiet.design.law_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.certificate import Certified, LoopCertificate
 from ultraquiet.design.peak_bounded.loops.levels import LoopLevels, Standing

@@ -11,9 +11,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.peaks import response_at
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
-from ultraquiet.design.fixed_structure.plane import plane_of
 from ultraquiet.design.hinf.band_attenuation import common_mode
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure
+from ultraquiet.design.law_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.campaign import SearchFromStarts
 from ultraquiet.design.peak_bounded.demands import Demands, table
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed

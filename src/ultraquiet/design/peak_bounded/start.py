@@ -7,12 +7,12 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure, Placement
-from ultraquiet.design.fixed_structure.damped_pairs import DampedPairs, Resonances, damped
-from ultraquiet.design.fixed_structure.elements import Element, from_system
-from ultraquiet.design.fixed_structure.plane import Plane, plane_of
 from ultraquiet.design.h2.lqg import Lqg
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, common_mode
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure, Placement
+from ultraquiet.design.law_structure.damped_pairs import DampedPairs, Resonances, damped
+from ultraquiet.design.law_structure.elements import Element, from_system
+from ultraquiet.design.law_structure.plane import Plane, plane_of
 from ultraquiet.design.peak_bounded.biquads import Biquads, in_series
 from ultraquiet.design.result import DesignMethod
 from ultraquiet.linalg import balance

@@ -7,7 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.peaks import refined
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.largest import LEAST
 from ultraquiet.design.peak_bounded.loops.parts import LoopParts

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.fixed_structure.controller_structure import ControllerStructure
+from ultraquiet.design.law_structure.controller_structure import ControllerStructure
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.loops.largest import largest_within, upper_db
 from ultraquiet.design.peak_bounded.loops.parts import LoopParts

@@ -5,7 +5,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.margins import REACHED
 from ultraquiet.analyse.peaks import response_at
-from ultraquiet.design.fixed_structure.plane import Plane
+from ultraquiet.design.law_structure.plane import Plane
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.fixed_structure.plane import Plane, plane_of
+from ultraquiet.design.law_structure.plane import Plane, plane_of
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.even import UNEVEN, evened
 from ultraquiet.values.interconnect import series

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.fixed_structure.elements import START_ZETA, StablePairs
+from ultraquiet.design.law_structure.elements import START_ZETA, StablePairs
 from ultraquiet.linalg.ordered import Matrices
 
 LEAST_SHARE = 0.05  # of the largest of its kind: a smaller number moves by as much

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.fixed_structure.elements import Element
+from ultraquiet.design.law_structure.elements import Element
 from ultraquiet.linalg.ordered import Matrices
 
 

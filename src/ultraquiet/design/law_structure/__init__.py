@@ -1,0 +1,1 @@
+"""Forms a law can be given, and the plane in which such laws are searched."""
