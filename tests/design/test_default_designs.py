@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from ordinary_plants import closed_loop_radius, ordinary, with_units
 
-from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import disk_ranges
 from ultraquiet.design import BandAttenuation, FixedStructure, Lqg, MixedSensitivity, PeakBounded
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.values import StateSpace
 
 DESIGNS = [Lqg, MixedSensitivity, BandAttenuation]
+SEARCHES = [PeakBounded, FixedStructure]
 SIDES = ("input", "output")
 DB, DEGREES = 1.0, 5.0  # what a channel of ordinary care may be off by
-QUIETER_DB = 10.0
+QUIETER_DB, SEARCHED_DB = 10.0, 5.0
 LITTLE_DB = 0.5  # less is as good as no law
 PLANTS, SEARCHED, DRAWS = 200, 20, 5
 SHARE_OK, SHARE_QUIETER = 0.9, 0.8
@@ -55,15 +55,25 @@ def upset_within_the_disk(rng, plant, law, alpha=0.2, draws=DRAWS):
 
 
 @pytest.mark.parametrize(
-    ("design", "shape"), [(Lqg, (1, 1)), (Lqg, (3, 5)), (MixedSensitivity, (4, 3)), (BandAttenuation, (2, 3))]
+    ("design", "shape"),
+    [
+        (Lqg, (1, 1)),
+        (Lqg, (3, 5)),
+        (MixedSensitivity, (4, 3)),
+        (BandAttenuation, (2, 3)),
+        (PeakBounded, (1, 1)),
+        (PeakBounded, (3, 5)),
+        (FixedStructure, (4, 3)),
+    ],
 )
 def test_a_default_is_ok_and_quiet_and_stands_what_ok_promises(seed, design, shape):
+    """The searches ask for less where every direction has to stay below a peak."""
     rng = np.random.default_rng(seed)
     plant = ordinary(rng, shape, modes=4)
     result = design().design(plant)
     assert result.status.ok, result.status
     assert min(result.margins[side].disk_all for side in SIDES) >= 0.2
-    assert result.details["attenuation_rms_db"] > QUIETER_DB
+    assert result.details["attenuation_rms_db"] > (SEARCHED_DB if design in SEARCHES else QUIETER_DB)
     assert not upset_by_one_channel(plant, result.controller)
     assert not upset_within_the_disk(rng, plant, result.controller, draws=20)
 
@@ -164,19 +174,14 @@ def test_defaults_on_two_hundred_plants(seed, design):
 
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
-@pytest.mark.parametrize("design", [PeakBounded, FixedStructure])
+@pytest.mark.parametrize("design", SEARCHES)
 def test_defaults_that_search_on_twenty_plants(design):
     """Never ok without standing its promise; the words are counted, and how quiet the laws are."""
     rng, rows, broken = np.random.default_rng(1), [], []
     for k in range(SEARCHED):
         plant = ordinary(rng)
         began = time.process_time()
-        try:
-            result = design().design(plant)
-        except InputError as error:
-            print(f"plant {k}, {plant.D.shape}: {error}", flush=True)
-            rows.append(("refused", np.nan))
-            continue
+        result = design().design(plant)
         even, law, word = even_plant(plant), result.controller, str(result.status.word)
         quieter = np.nan if law is None else even.rms_reduction_db(_of_even(even, law))
         rows.append((word, quieter))
@@ -195,8 +200,7 @@ def test_defaults_that_search_on_twenty_plants(design):
     assert not broken, broken[:10]
     idle = [f"plant {k}: {db:.2f} dB" for k, (word, db) in enumerate(rows) if word == "ok" and db < LITTLE_DB]
     assert not idle, idle
-    taken = [word for word in words if word != "refused"]
-    assert words.count("ok") >= SHARE_OK * len(taken)
+    assert words.count("ok") >= SHARE_OK * SEARCHED
 
 
 def _of_even(even, law):

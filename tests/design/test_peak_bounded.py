@@ -17,6 +17,7 @@ from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.start import FLOOR
 from ultraquiet.design.peak_bounded.step import Linearised, step
+from ultraquiet.linalg import discretize
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import sensitivity, series
 
@@ -239,6 +240,27 @@ def test_a_section_at_the_floor_of_its_damping_is_at_the_floor_and_may_leave_it(
 def test_settings_that_cannot_be_are_refused(settings, sentence):
     with pytest.raises(InputError, match=sentence):
         PeakBounded(**settings)
+
+
+def test_a_plant_with_more_inputs_keeps_the_margin_that_is_asked_at_its_input():
+    """No bound on S at the output holds commands that turn into one another."""
+    plant = ordinary(np.random.default_rng(1), (1, 4), modes=3)
+    for asked in (0.2, 0.6):
+        result = PeakBounded(draws=0, states=8, disk_margin=asked).design(plant)
+        print(f"asked {asked}: {result.status}")
+        assert result.status.ok, result.status
+        assert result.margins["input"].disk_all >= asked
+
+
+@pytest.mark.parametrize("rate_hz", [None, 1000.0])
+def test_a_mode_without_damping_beside_an_integrator(rate_hz):
+    A = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 30.0], [0.0, -30.0, 0.0]])
+    G = StateSpace(A, [[1.0], [0.0], [5.0]], [[1.0, 0.0, 1.0]], [[0.0]])
+    if rate_hz is not None:
+        G = StateSpace(*discretize.zero_order_hold(G.A, G.B, G.C, G.D, 1 / rate_hz), rate_hz=rate_hz)
+    result = PeakBounded(draws=0, states=4).design(G)
+    assert result.status.ok, result.status
+    assert result.details["attenuation_rms_db"] > 20
 
 
 def test_plants_that_do_not_go_together_are_refused():

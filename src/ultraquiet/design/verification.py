@@ -105,6 +105,13 @@ def _setting(value: Any) -> Any:
     return value if value is None or isinstance(value, int | float | str | bool | tuple) else plain(value)
 
 
+def signed(result: DesignResult, plant: StateSpace, settings: Any) -> DesignResult:
+    """Return what another design found in the name of the settings that asked for it."""
+    law = result.controller
+    stamped = None if law is None else _stamped(law, plant, settings)
+    return replace(result, controller=stamped, provenance=_provenance(plant, settings))
+
+
 def from_synthesis(
     plant: StateSpace,
     synthesised: DesignResult,

@@ -18,9 +18,11 @@ from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.law_structure.controller_structure import decentralised, one_element, repeated
 from ultraquiet.design.law_structure.elements import Element, StablePairs, from_system
 from ultraquiet.design.law_structure.plane import Plane, plane_of
+from ultraquiet.design.peak_bounded.method import PeakBounded
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, structure_word
+from ultraquiet.design.verification import signed
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.door import takes_systems
@@ -40,12 +42,16 @@ class FixedStructure(StatedRobustness):
 
     min over theta of max over f of sigma(S) / s(f), subject to sigma(S) <= peak, sigma(K S) <= limit, ...
 
+    Without a specification there is no band to be quiet: the largest singular value of S G, the plant's own response,
+    is lowered, by the search of `PeakBounded` and with the peak of a specification's default.
+
     Args:
-        states: of the law of one channel (of the whole law when `full`).
+        states: of the law of one channel (of the whole law when `full`); without a specification an odd number is taken
+            one lower, for that search moves pairs.
         structure: `repeated` one scalar law used on every channel, `decentralised` a law for each, `full` one law for
-            all; `alike` and `apart` are older words for the first two.
-        specification: what is asked, also as a table of its settings. Absent, the attenuation in the default's band is
-            a wish and no demand.
+            all; `alike` and `apart` are older words for the first two. Absent, `repeated`, and without a specification
+            the one that suits the plant: `full` where channels do not move alike, or are not as many at both ends.
+        specification: what is asked, also as a table of its settings.
         starts: how hard to search: laws of up to twice as many states more are cut down step by step and tuned on each,
             and as many points around the best are tried on the whole plant.
         seed: of the random starts.
@@ -60,7 +66,7 @@ class FixedStructure(StatedRobustness):
     """
 
     states: int = 8
-    structure: str = REPEATED
+    structure: str | None = None
     specification: Specification | Mapping[str, Any] | None = None
     starts: int = 1
     seed: int = 0
@@ -68,7 +74,8 @@ class FixedStructure(StatedRobustness):
     def __post_init__(self) -> None:
         super().__post_init__()
         who = "FixedStructure"
-        object.__setattr__(self, "structure", structure_word(who, self.structure, STRUCTURES))
+        if self.structure is not None:
+            object.__setattr__(self, "structure", structure_word(who, self.structure, STRUCTURES))
         whole(who, "states", self.states, 0)
         whole(who, "starts", self.starts, 1)
         object.__setattr__(self, "specification", specified(self.specification))
@@ -79,18 +86,33 @@ class FixedStructure(StatedRobustness):
         """Return the controller u = K y; its status is `short` when the specification is not met by the best law found.
 
         `details["score"]` says how each requirement stands, `details["full_order"]` how the H-infinity law does that
-        the search began with, `gamma` and `achieved` are the greatest requirement over its bound.
+        the search began with, `gamma` and `achieved` are the greatest requirement over its bound. Without a
+        specification `details["attenuation_rms_db"]` says by how much the RMS of S G fell.
 
         Raises:
-            InputError: a plant that is not square, frequencies above Nyquist.
+            InputError: a plant that is not square for a law that needs one, frequencies above Nyquist.
         """
-        wanted = self.specification if isinstance(self.specification, Specification) else Specification()
+        wanted = self.specification
+        if not isinstance(wanted, Specification):
+            return self._unasked(plant)
         wanted.fits("FixedStructure", plant)
         wanted = wanted.on(plant)
         heard = wanted.gains(plant)
         unit = float(np.exp2(np.round(np.log2(heard.max())))) if heard.size else 1.0
         begun = replace(self._begin(*even_gain(plant, wanted, unit)), unit=unit)
-        return tuned(plant, begun, wanted, self, self.starts, self.seed, demanded=self.specification is not None)
+        return tuned(plant, begun, wanted, self, self.starts, self.seed, demanded=True)
+
+    def _unasked(self, plant: StateSpace) -> DesignResult:
+        """Return the law that lowers the plant's own response."""
+        search = PeakBounded(
+            states=self.states - self.states % 2,
+            structure=self.structure,
+            peak_db=Specification.peak_db,
+            draws=0,
+            seed=self.seed,
+            disk_margin=self.disk_margin,
+        )
+        return signed(search.design(plant), plant, self)
 
     def _begin(self, plant: StateSpace, wanted: Specification) -> InitialLaw:
         """Return the structure and the reduced H-infinity design in it."""
@@ -103,9 +125,9 @@ class FixedStructure(StatedRobustness):
         # the search is a hundred times quicker on the function that all channels share
         first = _first_on_part(part, full, self.states, wanted, self.starts, self.seed)
         element = first.structure.elements[0]
-        if self.structure == REPEATED:
-            return InitialLaw(repeated(element, n), first.theta, full)
-        return InitialLaw(decentralised((element,) * n, n), np.tile(first.theta, n), full)
+        if self.structure == DECENTRALISED:
+            return InitialLaw(decentralised((element,) * n, n), np.tile(first.theta, n), full)
+        return InitialLaw(repeated(element, n), first.theta, full)
 
 
 def _of_full_order(weighted: BandAttenuation, part: StateSpace) -> StateSpace | None:

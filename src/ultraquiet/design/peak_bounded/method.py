@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -10,6 +11,7 @@ from ultraquiet._base.constraints import FloatArray, between, positive, real_arr
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.margins import pulled_in
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.law_structure.controller_structure import ControllerStructure
@@ -17,10 +19,11 @@ from ultraquiet.design.law_structure.plane import plane_of
 from ultraquiet.design.peak_bounded.campaign import SearchFromStarts
 from ultraquiet.design.peak_bounded.demands import Demands, table
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
-from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures
+from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db
 from ultraquiet.design.peak_bounded.roof import roof
-from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts
+from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts, unasked_starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
+from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, SYMMETRIC, structure_word
@@ -45,10 +48,12 @@ class PeakBounded(StatedRobustness):
     """The law that makes a band quietest while nothing is amplified, and no command driven, beyond stated bounds.
 
     max A subject to sigma(S) <= -A in the band, sigma(S) <= peak elsewhere, sigma(K S) <= limit, sigma(T) <= shape, in
-    every direction of every plant, by steps on all singular values near the greatest at once.
+    every direction of every plant, by steps on all singular values near the greatest at once. No direction of S can be
+    small everywhere that a structure rings: without a band it is S G whose greatest singular value is lowered.
 
     Args:
-        band_hz: the band to be quiet, Hz; the first plant's own when absent.
+        band_hz: the band to be quiet, Hz. Absent, the response S G is what is lowered, over the first plant's own band
+            (`even_plant`).
         peak_db: largest amplification in dB anywhere, or a shape (frequencies in Hz, dB).
         states: of each part of the law, even; of the whole law where it is `full`.
         structure: `repeated` one scalar law on every channel; `decentralised` one for each; `symmetric` one along each
@@ -67,8 +72,8 @@ class PeakBounded(StatedRobustness):
         draws: plants drawn within that spread round each one given, on which all bounds are to hold too; 0 for none.
             Those that decide join the search; the others are looked at.
         start: a design, its table with a `method`, or a law, to begin with; a scalar one for the scalar structures.
-            `BandAttenuation` of each of the first three plants when absent, for what all channels share where the
-            structure is scalar.
+            `BandAttenuation` of each of the first three plants when absent, and `Lqg` where no band is given, for what
+            all channels share where the structure is scalar.
         steps: of the search on the plants given, and half as many whenever plants drawn join it, at most.
         seed: of the draws.
 
@@ -110,7 +115,7 @@ class PeakBounded(StatedRobustness):
             object.__setattr__(self, "structure", structure_word(WHO, self.structure, STRUCTURES))
         if self.structure == SYMMETRIC and (self.coordinates is None or self.blocks is None):
             raise InputError(f"{WHO}: the structure 'symmetric' needs 'coordinates' and 'blocks'.")
-        if whole(WHO, "states", self.states, 2) % 2:
+        if whole(WHO, "states", self.states, 0) % 2:
             raise InputError(f"{WHO}: 'states' must be even, got {self.states}.")
         if self.band_hz is not None:
             rising_band(WHO, self.band_hz)
@@ -145,7 +150,7 @@ class PeakBounded(StatedRobustness):
         scaled = [units.scaled(each) for each in plants]
         rng = np.random.default_rng(self.seed)
         near = [p for g in scaled for p in self._drawn(g, rng, units)]
-        demands, top = self._demands(scaled, units)
+        demands, top = self._demands(scaled, units, structure)
         campaign = SearchFromStarts(demands, scaled, near, self.steps, top[0])
         law = campaign.best(self._begin(scaled, units, structure))
         if law is None:
@@ -153,6 +158,9 @@ class PeakBounded(StatedRobustness):
         reached = self._figures(law, campaign, units, structure, top)
         tones = {tone: min(f.tones_db[f"{tone:g}"] for f in reached.plants) for tone in self.tones_hz}
         details = {"figures": reached, "attenuation_db": reached.attenuation_db, "tones_db": tones}
+        if self.band_hz is None:
+            quieter = rms_reduction_db(plants[0], units.own(law), units.band_hz)
+            details |= {"band_hz": units.band_hz, "attenuation_rms_db": quieter}
         level = 10 ** (-reached.attenuation_db / 20)
         result = judged(plants[0], units.own(law), self, level, level, {}, details)
         return among(result, plants, reached, self.disk_margin, units.band_hz)
@@ -211,7 +219,10 @@ class PeakBounded(StatedRobustness):
         if start is None:
             limit = _inverting(first, units.band_hz)
             # a law begun with one unit's model inverts modes that another may not have, and keeps them
-            own = [law for g in plants[:BEGUN] for law in starts(g, units.band_hz, limit, scalar)]
+            begin = partial(starts, band_hz=units.band_hz, limit=limit, scalar=scalar)
+            if self.band_hz is None:
+                begin = partial(unasked_starts, disk_margin=self.disk_margin, scalar=scalar)
+            own = [law for g in plants[:BEGUN] for law in begin(g)]
             little = [hardly(first, units.band_hz, self.states, scalar)] if first.is_stable() else []
             return [*own, *little]
         if not isinstance(start, StateSpace):
@@ -227,7 +238,9 @@ class PeakBounded(StatedRobustness):
             return [StateSpace(start.A, start.B, start.C / units.control, start.D / units.control, start.rate_hz)]
         return [units.taken(start)]
 
-    def _demands(self, plants: Sequence[StateSpace], units: SearchUnits) -> tuple[Demands, tuple[float, float]]:
+    def _demands(
+        self, plants: Sequence[StateSpace], units: SearchUnits, structure: str
+    ) -> tuple[Demands, tuple[float, float]]:
         """Return the demands in the units of the search, and the roof: where it begins, and its gain."""
         peak = table(WHO, "peak_db", self.peak_db, logarithmic=False)
         scale_db = 20 * np.log10(units.control) if units.common else 0.0
@@ -247,7 +260,18 @@ class PeakBounded(StatedRobustness):
 
         T = self.complementary_db
         shape = None if T is None else table(WHO, "complementary_db", T, logarithmic=False)
-        return Demands(units.band_hz, peak, control, shape, tuple(self.tones_hz), self.tone_db), (begins, gain)
+        demands = Demands(
+            band_hz=units.band_hz,
+            sensitivity_db=peak,
+            control_db=control,
+            complementary_db=shape,
+            tones_hz=tuple(self.tones_hz),
+            tone_db=self.tone_db,
+            response_db=_largest_db(plants[0]) if self.band_hz is None else None,
+            disk_margin=self.disk_margin,
+            one_loop=structure == REPEATED,
+        )
+        return demands, (begins, gain)
 
 
 def _checked(plant: Plants) -> list[StateSpace]:
@@ -280,6 +304,11 @@ def _inverting(plant: StateSpace, band_hz: tuple[float, float]) -> float:
     gains = principal_gains(response_at(plant)(np.geomspace(*band_hz, 60)))
     heard = gains[gains > HEARD * gains[0]]
     return INVERSIONS / float(heard.min()) if heard.size else 1.0
+
+
+def _largest_db(plant: StateSpace) -> float:
+    """Return the largest gain of a plant in its own band."""
+    return 20 * float(np.log10(principal_gains(response_at(pulled_in(plant))(even_plant(plant).f_hz))[0].max()))
 
 
 def _coordinates(

@@ -119,18 +119,19 @@ def _unless_idle(
     """Return a verdict as it is, or `short` where the law makes no plant quieter: no law meets bounds too."""
     law = result.controller
     assert law is not None
-    quieter = max(_rms_reduction_db(plant, law, band_hz) for plant in plants)
+    quieter = max(rms_reduction_db(plant, law, band_hz) for plant in plants)
     if attenuation_db >= LITTLE_DB or quieter >= LITTLE_DB:
         return result
     low, high = band_hz
     said = (
         f"Within these bounds nothing gets quiet: over {low:.4g}-{high:.4g} Hz the worst direction of S falls by "
-        f"{rounded(attenuation_db, 2)} dB and the RMS of S G by {rounded(quieter, 2)} dB. Give a 'band_hz' "
-        f"that is to be quiet, or allow more 'peak_db'. {result.status.sentence}"
+        f"{rounded(attenuation_db, 2)} dB and the RMS of S G by {rounded(quieter, 2)} dB. Name the "
+        f"band that is to be quiet, or allow more amplification. {result.status.sentence}"
     )
     return replace(result, status=Status(StatusWord.SHORT, said))
 
 
-def _rms_reduction_db(plant: StateSpace, law: StateSpace, band_hz: tuple[float, float]) -> float:
+def rms_reduction_db(plant: StateSpace, law: StateSpace, band_hz: tuple[float, float]) -> float:
+    """Return by how many dB a law lowers the RMS of S G over a band, in the units in which its channels are even."""
     even = even_plant(plant, band_hz)
     return even.rms_reduction_db(SearchUnits(even.inputs, even.outputs, band_hz).taken(law))

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet.design.h2.lqg import Lqg
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, common_mode
+from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
 from ultraquiet.design.law_structure.controller_structure import ControllerStructure, Placement
 from ultraquiet.design.law_structure.damped_pairs import DampedPairs, Resonances, damped
 from ultraquiet.design.law_structure.elements import Element, from_system
@@ -85,7 +86,7 @@ def _element(plane: Plane, law: StateSpace, states: int) -> tuple[Biquads | Damp
         left, right, _ = balance.balancing(P, Q, states)
         M = balance.truncate(M, left, right)
     M = _evenly(M, states)
-    if law.D.shape == (1, 1):
+    if law.D.shape == (1, 1) and states:
         return in_series(M, FLOOR)
     pairs = from_system(M)
     return None if pairs is None else damped(*pairs, FLOOR)
@@ -135,6 +136,14 @@ def starts(plant: StateSpace, band_hz: tuple[float, float], limit: float, scalar
         if any(law is not None for law in found):
             return [law for law in found if law is not None]
     tries: list[DesignMethod] = [BandAttenuation(band_hz=(low, high), order=2), Lqg(band_hz=(low, high))]
+    made = [_made(lambda each=each: each.design(part).controller) for each in tries]
+    return [law for law in made if law is not None]
+
+
+def unasked_starts(plant: StateSpace, disk_margin: float, scalar: bool) -> list[StateSpace]:
+    """Return stable laws to begin with where no band is asked for: designs that make a plant's own response small."""
+    part = common_mode(plant) if scalar else plant
+    tries: list[DesignMethod] = [Lqg(disk_margin=disk_margin), MixedSensitivity(disk_margin=disk_margin)]
     made = [_made(lambda each=each: each.design(part).controller) for each in tries]
     return [law for law in made if law is not None]
 

@@ -38,7 +38,7 @@ class LoopCertificate:
 
     Args:
         scenario: the plant.
-        demands: whose bounds count, those on S and on K S.
+        demands: whose bounds count, those on S, on K S and on the margins at both ends.
     """
 
     def __init__(self, scenario: Scenario, demands: Demands) -> None:
@@ -83,17 +83,17 @@ class LoopCertificate:
         if grid is None:
             return np.zeros(0)
         f, loop = grid
-        shares = [(part, part(loop, f)) for part in self._bounded()]
+        shares = [(part, part(loop, f)) for part in self._bounded(f)]
         places = [_tops(f, 20 * np.log10(np.maximum(sizes, LEAST)), least_db) for _, sizes in shares]
         greatest, at_hz = max(self._largest(law, theta, part, f, sizes) for part, sizes in shares)
         return np.unique(np.concatenate([*places, [at_hz] if greatest > least_db else []]))
 
     def _excess(self, law: ControllerStructure, theta: FloatArray, grid: Grid) -> tuple[float, float]:
         f, loop = grid
-        return max(self._largest(law, theta, part, f, part(loop, f)) for part in self._bounded())
+        return max(self._largest(law, theta, part, f, part(loop, f)) for part in self._bounded(f))
 
-    def _bounded(self) -> tuple[Part, Part]:
-        """Return sigma(S) and sigma(K S) over their bounds."""
+    def _bounded(self, f: FloatArray) -> list[Part]:
+        """Return sigma(S), sigma(K S) and, at the ends where it is bounded, sigma(S - I/2) over their bounds."""
         demands = self.demands
 
         def amplified(each: LoopParts, lines: FloatArray) -> FloatArray:
@@ -102,7 +102,10 @@ class LoopCertificate:
         def driven(each: LoopParts, lines: FloatArray) -> FloatArray:
             return _sizes(each.control) / _gain(demands.control_db(lines))
 
-        return amplified, driven
+        def off(end: str) -> Part:
+            return lambda each, lines: _sizes(each.half_off(end)) * demands.disk_margin
+
+        return [amplified, driven, *(off(end) for end in demands.margin_ends(f))]
 
     def _largest(
         self, law: ControllerStructure, theta: FloatArray, part: Part, f: FloatArray, sizes: FloatArray

@@ -15,6 +15,9 @@ from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 from ultraquiet.design.peak_bounded.step import DB, LEAST, Linearised
 
 TIGHT_DB = 0.03  # bounds are put so much tighter than meant, for what stands between the lines
+ENOUGH_DB = (
+    60.0  # a response so far below the plant's largest is not lowered further, as that of an integrator might be
+)
 WIDER = 6.0  # gains that are linearised as complex numbers enter from so many times further below their bounds
 
 
@@ -26,15 +29,17 @@ class DemandFamily:
         loop: of which M is a part.
         lines: of the loop, one for each M.
         M: `(lines, rows, columns)`.
+        right: of dM = left dK right, at the same lines; left is S G, or (I - K G)^-1 where M are commands.
         bound_db: for each line.
         sought: the greatest level is to be lowered.
         linear: in the law's parameters, as K S is where the loop's gain is small.
-        commands: M are commands K S and not readings.
+        commands: M are commands and not readings.
     """
 
     loop: LoopParts
     lines: np.ndarray
     M: ComplexArray
+    right: ComplexArray
     bound_db: FloatArray
     sought: bool = False
     linear: bool = False
@@ -42,11 +47,9 @@ class DemandFamily:
 
     def sides(self, line: np.ndarray) -> tuple[ComplexArray, ComplexArray]:
         """Return left and right of dM = left dK right at some of its lines."""
-        at = self.lines[line]
-        G, K, S = self.loop.at(at)
-        if self.commands:
-            return np.eye(G.shape[2]) + K @ S @ G, S
-        return S @ G, S if self.linear else self.M[line]
+        G, K, S = self.loop.at(self.lines[line])
+        left = np.eye(G.shape[2]) + K @ S @ G if self.commands else S @ G
+        return left, self.right[line]
 
 
 class Pick(NamedTuple):
@@ -86,7 +89,7 @@ class LoopLevels:
                     level, excess = (max(level, top), excess) if family.sought else (level, max(excess, top))
         except np.linalg.LinAlgError:
             return Standing(np.inf, np.inf)
-        return Standing(level, excess)
+        return Standing(level if self.demands.response_db is None else max(level, -ENOUGH_DB), excess)
 
     def linearised(self, theta: FloatArray, width_db: float, most: int) -> tuple[Linearised, list[Pick]]:
         """Return every singular value within `width_db` of the greatest of its kind, or of its bound, with its slope.
@@ -160,19 +163,24 @@ class LoopLevels:
         G, _, S = loop
         band = np.flatnonzero(demands.inside(f))
         every = np.arange(f.size)
-        quiet: ComplexArray = S[band] @ scenario.reached[band]
+        reached = scenario.reached if demands.response_db is None else G
+        quiet: ComplexArray = S[band] @ reached[band]
         out = [
-            DemandFamily(loop, band, quiet, np.zeros(band.size), sought=True),
-            DemandFamily(loop, every, S, demands.sensitivity_db(f) - TIGHT_DB),
-            DemandFamily(loop, every, loop.control, demands.control_db(f) - TIGHT_DB, linear=True, commands=True),
+            DemandFamily(loop, band, quiet, quiet, np.full(band.size, demands.response_db or 0.0), sought=True),
+            DemandFamily(loop, every, S, S, demands.sensitivity_db(f) - TIGHT_DB),
+            DemandFamily(loop, every, loop.control, S, demands.control_db(f) - TIGHT_DB, linear=True, commands=True),
         ]
+        for end in demands.margin_ends(f):
+            inner = end == "input"
+            bound_db = np.full(f.size, demands.margin_db - TIGHT_DB)
+            out.append(DemandFamily(loop, every, loop.half_off(end), S @ G if inner else S, bound_db, commands=inner))
         if demands.complementary_db is not None:
-            out.append(DemandFamily(loop, every, S - np.eye(outputs), demands.complementary_db(f), linear=True))
+            out.append(DemandFamily(loop, every, S - np.eye(outputs), S, demands.complementary_db(f), linear=True))
         if demands.tones_hz:
             w = scenario.plane.of_hz(np.array(demands.tones_hz))
             at = np.array([int(np.argmin(np.abs(scenario.w - each))) for each in w])
-            reached: ComplexArray = S[at] @ np.linalg.svd(G[at], full_matrices=False)[0].astype(np.complex128)
-            out.append(DemandFamily(loop, at, reached, np.full(at.size, -demands.tone_db)))
+            tones: ComplexArray = S[at] @ np.linalg.svd(G[at], full_matrices=False)[0].astype(np.complex128)
+            out.append(DemandFamily(loop, at, tones, tones, np.full(at.size, -demands.tone_db)))
         return out
 
 

@@ -24,6 +24,12 @@ class LoopParts(NamedTuple):
         """K S."""
         return self.K @ self.S
 
+    def half_off(self, end: str) -> ComplexArray:
+        """Return S - I/2 at an end of the plant, `(I - G K)^-1` at its output and `(I - K G)^-1` at its input."""
+        if end == "output":
+            return self.S - np.eye(self.S.shape[1]) / 2
+        return self.control @ self.G + np.eye(self.K.shape[1]) / 2
+
     def at(self, lines: np.ndarray) -> "LoopParts":
         """Return some of the lines."""
         return LoopParts(*(part[lines] for part in self))

@@ -12,7 +12,14 @@ from ultraquiet.values.state_space import StateSpace
 SHARP = 0.2  # poles of less damping get lines of their own
 FAN = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])  # of those lines, in half widths of the pole
 NEAR = 0.25  # of a half width: a line as near as this shows the mode already
+# A pole of less damping has no response at its own frequency, and nearer than so much of it the loop's is rounding.
+ON_AXIS, BESIDE = 1e-9, 1e-3
 NEAREST = 1e-7  # lines closer than this, relatively, are one
+
+
+def _about(poles: ComplexArray, fan: FloatArray) -> FloatArray:
+    """Return lines about poles, so many half widths away."""
+    return (poles.imag[:, None] + np.abs(poles.real)[:, None] * fan).ravel()
 
 
 class Scenario:
@@ -35,7 +42,8 @@ class Scenario:
         own = self._modes(
             np.linalg.eigvals(self.loop[0]).astype(np.complex128) if plant.states else np.zeros(0, complex)
         )
-        fan = (own.imag[:, None] + np.abs(own.real)[:, None] * fan).ravel()
+        undamped = np.abs(own.real) <= ON_AXIS * np.abs(own)
+        fan = np.concatenate([_about(own[~undamped], fan), _about(own[undamped] * (1 + 1j * BESIDE), fan[fan != 0])])
         self.w = np.zeros(0)
         self.f_hz = np.zeros(0)
         self.G = np.zeros((0, *plant.D.shape), dtype=np.complex128)
