@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import ultraquiet as uq
 from ultraquiet.design import BandAttenuation, Decoupled, FixedStructure, LeadLag, Skyhook, Specification
 
-WANTED = Specification(attenuation_db=12.0, peak_db=8.0)
+WANTED = Specification(band_hz=(10.0, 100.0), attenuation_db=12.0, peak_db=8.0)
 SECTIONS = {
     "low_pass_hz": 3.0,
     "high_pass_hz": 1.0,
@@ -20,8 +20,8 @@ METHODS = {
     "decoupled, threefold": Decoupled(transform="threefold"),
     "fixed structure, 8 states a strut": FixedStructure(states=8, specification=WANTED),
     "fixed structure, 12 states a strut": FixedStructure(states=12, specification=WANTED),
-    "lead-lag and notches, 9 states a strut, tuned": LeadLag(tune=True, **SECTIONS),
-    "skyhook, tuned": Skyhook(low_pass_hz=250.0, tune=True),
+    "lead-lag and notches, 9 states a strut, tuned": LeadLag(tune=True, specification=WANTED, **SECTIONS),
+    "skyhook, tuned": Skyhook(low_pass_hz=250.0, tune=True, specification=WANTED),
 }
 TARGETS = {"fixed structure, 8 states a strut", "fixed structure, 12 states a strut"}
 

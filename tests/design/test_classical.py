@@ -54,8 +54,9 @@ def test_gain_of_each_channel_of_its_own():
 
 @pytest.mark.slow
 def test_tuning_serves_the_specification(heave):
-    wanted = Specification(attenuation_db=4.0)
-    first = Skyhook(low_pass_hz=250.0).design(heave).details["score"]
+    wanted = Specification(band_hz=(10.0, 100.0), attenuation_db=4.0)
+    as_it_stands = Specification(band_hz=(10.0, 100.0))
+    first = Skyhook(low_pass_hz=250.0, specification=as_it_stands).design(heave).details["score"]
     result = Skyhook(low_pass_hz=250.0, tune=True, specification=wanted).design(heave)
     score = result.details["score"]
     print(f"skyhook on the heave: {first.measured} as it stands, {score.measured} tuned, {result.details['values']}")

@@ -25,6 +25,7 @@ from ultraquiet.values.state_space import StateSpace
 
 # Gains tried when none is given: this many a decade over these decades about 1 / |G|, of both signs.
 A_DECADE, DECADES = 8, (-3.0, 2.0)
+FAINT = 1e-8  # of the largest gain: no loop is closed about less
 LOOKS = 4  # the grid is refined at what was found and the gain sought again
 ALLOWED = 0.98  # of what is hard
 
@@ -149,9 +150,9 @@ def _best_gain(
 ) -> FloatArray:
     """Return the parameters with the common gain that attenuates most among those that meet what is hard."""
     problem = posed(plant, structure, wanted)
-    # where the plant falls off before the band begins, as integrators do, the gain that reaches it is as much higher
-    heard, inside = _gains_heard(plant, wanted), wanted.gains(plant)
-    top = DECADES[1] + (np.log10(heard.max() / inside.max()) if inside.size else 0.0)
+    # where the plant falls off, as integrators do, the gain that closes a loop there is as much higher
+    heard = _gains_heard(plant, wanted)
+    top = DECADES[1] + (np.log10(heard.max() / max(heard.min(), FAINT * heard.max())) if heard.size else 0.0)
     scale = np.geomspace(10 ** DECADES[0], 10**top, round(A_DECADE * (top - DECADES[0])) + 1)
     first = np.cumsum([0] + [e.size for e in structure.elements[:-1]])
     best = theta

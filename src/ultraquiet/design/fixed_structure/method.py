@@ -11,7 +11,7 @@ from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
-from ultraquiet.design.fixed_structure.specification import Specification, specified
+from ultraquiet.design.fixed_structure.specification import Specification, band_of, specified
 from ultraquiet.design.fixed_structure.tuning import ROUNDS, STEPS, InitialLaw, calmed, even_gain, posed, tuned
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, common_mode
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
@@ -214,7 +214,7 @@ def _drawn(
     states: int, plane: Plane, shape: tuple[int, int], wanted: Specification, rng: np.random.Generator
 ) -> tuple[Element, FloatArray]:
     element = StablePairs(states, shape[1], shape[0], np.ones(states))
-    high = wanted.band_hz[1]
+    low, high = band_of(wanted)
     top = BEYOND * high if plane.rate_hz is None else min(BEYOND * high, HIGHEST * plane.rate_hz)
-    low, high = (float(w) for w in plane.of_hz(np.array([min(wanted.band_hz[0], top) / BEYOND, top])))
+    low, high = (float(w) for w in plane.of_hz(np.array([min(low, top) / BEYOND, top])))
     return element, element.start(rng, low, high)

@@ -12,6 +12,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.fixed_structure.problem import Requirement
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, worst_attenuation_db
+from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import feedback, gain, lft, sensitivity
@@ -57,7 +58,7 @@ class Specification:
     """What a loop u = K y round a plant is to do. S = (I - G K)^-1.
 
     Args:
-        band_hz: band to be quiet, Hz.
+        band_hz: band to be quiet, Hz; the plant's own when absent (`even_plant`).
         attenuation_db: by how much in the worst direction, -20 log10 of the largest singular value of S there.
         peak_db: largest amplification of S anywhere.
         control_limit: largest singular value of K S, volts at the actuators a volt at the sensors; absent, 130 times
@@ -75,7 +76,7 @@ class Specification:
     The bounds are on gains, so every one is an H-infinity requirement: Skogestad and Postlethwaite 2005, section 2.8.
     """
 
-    band_hz: tuple[float, float] = (10.0, 100.0)
+    band_hz: tuple[float, float] | None = None
     attenuation_db: float = 12.0
     peak_db: float = 8.0
     control_limit: float | None = None
@@ -87,7 +88,8 @@ class Specification:
 
     def __post_init__(self) -> None:
         who = "Specification"
-        rising_band(who, self.band_hz)
+        if self.band_hz is not None:
+            rising_band(who, self.band_hz)
         for name in ("attenuation_db", "peak_db", "roll_off_db", "tone_db"):
             positive(who, name, getattr(self, name))
         if self.control_limit is not None:
@@ -104,23 +106,24 @@ class Specification:
         ny, nu = plant.D.shape
         if ny != nu:
             raise InputError(f"{who}: the plant must be square, got {ny} outputs and {nu} inputs.")
-        asked = [*self.band_hz, *self.tones_hz, *([] if self.roll_off_hz is None else [self.roll_off_hz])]
-        if plant.rate_hz is not None and max(asked) >= plant.rate_hz / 2:
+        asked = [*(self.band_hz or ()), *self.tones_hz, *([] if self.roll_off_hz is None else [self.roll_off_hz])]
+        if plant.rate_hz is not None and max(asked, default=0.0) >= plant.rate_hz / 2:
             raise InputError(
                 f"{who}: the specification asks for {max(asked):g} Hz, at or above Nyquist, {plant.rate_hz / 2:g} Hz; "
                 "ask below it or sample faster."
             )
 
     def on(self, plant: StateSpace) -> "Specification":
-        """Return the specification with the control limit in the plant's own units where none is given."""
-        if self.control_limit is not None:
-            return self
-        heard = self.gains(plant)
-        return replace(self, control_limit=INVERTING / float(heard.min()) if heard.size else 1.0)
+        """Return the specification with the plant's own band and a control limit in its units where none is given."""
+        wanted = self if self.band_hz is not None else replace(self, band_hz=even_plant(plant).band_hz)
+        if wanted.control_limit is not None:
+            return wanted
+        heard = wanted.gains(plant)
+        return replace(wanted, control_limit=INVERTING / float(heard.min()) if heard.size else 1.0)
 
     def gains(self, plant: StateSpace) -> FloatArray:
         """Return the plant's largest gain over the band, where it has one."""
-        f = np.geomspace(*self.band_hz, POINTS)
+        f = np.geomspace(*band_of(self), POINTS)
         largest = principal_gains(plant.frequency_response(f))[0]
         return largest[np.isfinite(largest) & (largest > 0)]
 
@@ -133,7 +136,7 @@ class Specification:
             InputError: sizes or rates that do not fit, frequencies above Nyquist.
         """
         self.fits("Specification", plant)
-        limit = self.on(plant).control_limit
+        band_hz, limit = band_of(self.on(plant)), self.on(plant).control_limit
         stable = feedback(plant, controller).is_stable()
         S = sensitivity(plant, controller)
         n = plant.D.shape[0]
@@ -141,7 +144,7 @@ class Specification:
             output_shaping(plant, gain(np.zeros((0, n)), plant.rate_hz), gain(np.eye(n), plant.rate_hz)), controller
         )
         measured = {
-            "attenuation_db": worst_attenuation_db(plant, controller, self.band_hz),
+            "attenuation_db": worst_attenuation_db(plant, controller, band_hz),
             "peak_db": peak_sensitivity(plant, controller)[0],
             "control_gain": hinf_norm(KS)[0],
         }
@@ -185,13 +188,13 @@ class Specification:
 
     def grid_hz(self) -> FloatArray:
         """Return frequencies at which the bounds must be looked at: the band with its ends, the tones."""
-        low, high = self.band_hz
         ends = [] if self.roll_off_hz is None else [self.roll_off_hz]
+        low, high = band_of(self)
         return np.array([*np.geomspace(low, high, 60), low, high, *self.tones_hz, *ends])
 
     def weighted(self, plant: StateSpace, order: int = 8) -> BandAttenuation:
         """Return the same wish for a plant as rational weights for an H-infinity design, W1 S, W2 K S, W3 T."""
-        low, high = self.band_hz
+        low, high = band_of(self)
         peak = 10 ** (self.peak_db / 20)
         return BandAttenuation(
             band_hz=(low / OUTSIDE, high * OUTSIDE),
@@ -207,7 +210,7 @@ class Specification:
         return lambda f_hz: np.full(f_hz.shape, TIGHT * bound)
 
     def _quiet(self, f_hz: FloatArray) -> FloatArray:
-        low, high = self.band_hz
+        low, high = band_of(self)
         inside = (f_hz >= low * (1 - 1e-9)) & (f_hz <= high * (1 + 1e-9))
         bound = np.where(inside, 10 ** (-self.attenuation_db / 20), np.inf)
         for tone in self.tones_hz:
@@ -223,6 +226,12 @@ class Specification:
         top = 100 * self.roll_off_hz if S.rate_hz is None else S.rate_hz / 2
         T = np.moveaxis(S.frequency_response(np.geomspace(self.roll_off_hz, top, 400)), 2, 0) - np.eye(S.D.shape[0])
         return -20 * float(np.log10(max(np.linalg.norm(T, 2, axis=(1, 2)).max(), 1e-300)))
+
+
+def band_of(wanted: Specification) -> tuple[float, float]:
+    """Return the band of a specification that has one, as `on` gives it."""
+    assert wanted.band_hz is not None
+    return wanted.band_hz
 
 
 def _given(limit: float | None) -> float:

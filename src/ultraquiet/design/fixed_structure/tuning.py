@@ -9,8 +9,9 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.design.fixed_structure.minimax import balanced, lowest
 from ultraquiet.design.fixed_structure.problem import TuningProblem
-from ultraquiet.design.fixed_structure.specification import Specification
+from ultraquiet.design.fixed_structure.specification import Score, Specification, band_of
 from ultraquiet.design.law_structure.controller_structure import ControllerStructure
+from ultraquiet.design.peak_bounded.outcome import rms_reduction_db
 from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.verification import judged
 from ultraquiet.values.state_space import StateSpace
@@ -64,7 +65,14 @@ def tuned(
     }
     result = judged(given, controller, settings, float(levels.max()), _achieved(asked, score), {}, details)
     # what is only wished cannot fail, but a law that makes nothing quieter is none
-    return worded(result, score, demanded or score.measured["attenuation_db"] < LITTLE_DB)
+    return worded(result, score, demanded or _idle(given, controller, asked, score))
+
+
+def _idle(plant: StateSpace, law: StateSpace, asked: Specification, score: Score) -> bool:
+    """Return whether a law makes nothing quieter, neither S in its worst direction nor S G in the mean."""
+    if score.measured["attenuation_db"] >= LITTLE_DB:
+        return False
+    return not score.stable or rms_reduction_db(plant, law, band_of(asked)) < LITTLE_DB
 
 
 def of_gain(G: StateSpace, factor: float) -> StateSpace:
