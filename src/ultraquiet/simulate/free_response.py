@@ -12,9 +12,10 @@ VISIBLE = 3.0
 # Smallest share of the largest amplitude that double precision lets one see.
 ROUNDING = 1e-12
 MOST_MODES, MOST_BANDS = 40, 24
-# A line of the noise stands out when its power is so many times the median of so many lines to either side; it is a
-# tone when one of constant size has this share of its power: a mode that noise rings has less unless it is slow.
-STANDS_OUT, BROAD, COHERENT = 30.0, 16, 0.45
+# A line of the noise stands out when its power is so many times the median of so many lines to either side, which white
+# noise never reaches; it is a tone when one of constant size has this share of its power: a mode that noise rings has
+# less unless it is slow. How far a slow one stands out says nothing of it: others that noise rings stand around it.
+STANDS_OUT, BROAD, COHERENT = 8.0, 16, 0.45
 REFINEMENTS = 4
 # A mode that shrinks by this from frame to frame is none that rings.
 DEAD = 1e-3
@@ -112,24 +113,38 @@ def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
             if all(abs(mode.f_hz - other.f_hz) > OTHER * spacing for other in modes):
                 modes.append(mode)
     apart = rate_hz / (RESOLVED * frames.samples)
-    return Ringing(tuple(_each_once(modes, apart)), _tones(frames, level, frames.power(scaled, 0), hum))
+    settled = frames.power(scaled, _settled(frames.count))
+    return Ringing(tuple(_each_once(modes, apart)), _tones(frames, level, settled, hum))
 
 
 def _tones(frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray) -> tuple[float, ...]:
-    """Return the frequencies at which the noise holds a tone that the response does not."""
+    """Return the frequencies at which the noise holds a tone that the response does not, the clearest first."""
     padded = np.pad(hum, BROAD, mode="reflect") if hum.size > BROAD else hum
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, padded.size - hum.size + 1), axis=1)
     found = np.flatnonzero((hum > STANDS_OUT * around) & (heard < VISIBLE**2 * hum))
-    loudest = found[np.argsort(-hum[found] / around[found])][:MOST_BANDS]
-    return tuple(frames.line_hz(line) for line in loudest if _coherent(frames.band(noise, line)) > COHERENT)
+    tones: list[float] = []
+    for line in found[np.argsort(-hum[found] / around[found])][:MOST_BANDS]:
+        share, f_hz = _coherent(frames, noise, int(line))
+        # a tone between two lines stands in both
+        if share > COHERENT and all(abs(f_hz - other) > OTHER * frames.line_hz(1) for other in tones):
+            tones.append(f_hz)
+    return tuple(tones)
 
 
-def _coherent(b: ComplexArray) -> float:
-    """Return the share of a band's power that one tone of constant size has, whatever its frequency."""
-    late = b[:, b.shape[1] // 4 :]
+def _coherent(frames: Frames, noise: FloatArray, line: int) -> tuple[float, float]:
+    """Return the largest share of a band's power that one tone of constant size has, and its frequency in Hz."""
+    b = frames.band(noise, line)
+    late = b[:, _settled(b.shape[1]) :]
     steps = late.shape[1]
-    lines = np.sum(np.abs(np.fft.fft(late, 4 * steps, axis=1)) ** 2, axis=0)
-    return float(lines.max() / (steps * np.sum(np.abs(late) ** 2)))
+    powers = np.sum(np.abs(np.fft.fft(late, 4 * steps, axis=1)) ** 2, axis=0)
+    most = int(np.argmax(powers))
+    share = float(powers[most] / (steps * np.sum(np.abs(late) ** 2)))
+    return share, _hz(frames, line, np.exp(2j * np.pi * most / powers.size))
+
+
+def _settled(frames: int) -> int:
+    """Return the frame from which on a tone is looked for: what dies before has no part in it."""
+    return frames // 4
 
 
 def _each_once(modes: list[Mode], apart_hz: float) -> list[Mode]:
@@ -181,6 +196,13 @@ def _band_modes(
 def _turned(frames: Frames, line: int, z: complex) -> float:
     """Return by how much a mode turns from frame to frame against the middle of its band; a line is a quarter turn."""
     return float(np.angle(z * np.exp(-2j * np.pi * line * FOLD / frames.length * frames.hop)))
+
+
+def _hz(frames: Frames, line: int, z: complex) -> float:
+    """Return the frequency of a mode near the middle of a band, folded into 0..Nyquist."""
+    f_hz = frames.line_hz(line) + _turned(frames, line, z) * frames.rate_hz / (2 * np.pi * frames.hop)
+    folded = abs((float(f_hz) + frames.rate_hz / 2) % frames.rate_hz - frames.rate_hz / 2)
+    return 0.0 if folded < REAL * frames.rate_hz else folded
 
 
 def _realised(b: ComplexArray, e: ComplexArray, floor: float) -> ComplexArray:
@@ -260,11 +282,7 @@ def _mode(
     hidden = np.sqrt(power) + floor
     rate = float(np.log(np.abs(z)))
     seen = size * max(np.exp(rate * (steps - 1)), np.exp(rate * (steps // 2))) / hidden
-    f_hz = frames.line_hz(line) + _turned(frames, line, z) * frames.rate_hz / (2 * np.pi * frames.hop)
     if seen < VISIBLE:
         return None
     per_s = frames.rate_hz / frames.hop
-    folded = abs((float(f_hz) + frames.rate_hz / 2) % frames.rate_hz - frames.rate_hz / 2)
-    if folded < REAL * frames.rate_hz:
-        folded = 0.0
-    return Mode(rate * per_s, float(deviation * per_s), folded, float(seen))
+    return Mode(rate * per_s, float(deviation * per_s), _hz(frames, line, z), float(seen))

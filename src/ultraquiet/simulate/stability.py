@@ -29,7 +29,7 @@ LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
 LOWERED_TO, LOWERED = 0.3, 6
 # Records of the greatest length that are judged together before nothing is known; all but the first have bursts at the
 # modes in doubt alone, so many times as loud as a first one may be: these modes hardly grow within the record.
-REPEATS, LOUDER = 6, 2.0
+REPEATS, LOUDER = 10, 2.0
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
 SLOW, MOST_TONES = 10.0, 12
 # Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
@@ -73,6 +73,7 @@ class _Seen:
     record: FreeResponse
     modes: tuple[Mode, ...]
     doubtful_hz: tuple[float, ...]
+    unheard: bool = False
     slow: bool = False
     limited: bool = False
 
@@ -144,14 +145,11 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
     while True:
         short = replace(burst, length=_burst_length(samples))  # its free response matters little for the level
         burst = replace(with_tones(bench, law, short, tones), samples=samples)
-        seen = _heard(bench, law, burst)
-        if seen.limited and before is not None and before.word is StatusWord.UNSTABLE:
+        found = kicked(bench, law, burst)
+        if found.limited > LIMITED_SHARE and before is not None and before.word is StatusWord.UNSTABLE:
             return before  # it was seen to grow, and now it grew as far as the limits
-        for _ in range(LOWERED):  # a loop that is stable may yet be thrown into its limits by a burst, and stay there
-            if not seen.limited:
-                break
-            burst = replace(burst, levels=LOWERED_TO * burst.levels)
-            seen = _heard(bench, law, burst)
+        burst, found = _within_limits(bench, law, burst, found)
+        seen = _heard(bench, law, burst, found)
         if seen.limited and before is not None:
             return replace(seen, mode=before.mode)
         enough = seen.word is StatusWord.OK and samples > first
@@ -159,9 +157,24 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
         if enough:
             return seen
         if samples >= longest:
-            return _repeated(bench, law, replace(burst, samples=first), seen)
+            # a shorter record that noise did not drive to the limits tells more, repeated, than one that it did
+            clipped = before is not None and seen.record.limited > CLIPPED_SHARE
+            told = before if clipped and before is not None else seen
+            return _repeated(bench, law, replace(burst, samples=first), told)
         tones = _apart((*seen.doubtful_hz, *tones), bench.rate_hz / burst.length)
         before, samples, burst = seen, min(longest, LONGER * samples), replace(burst, samples=first)
+
+
+def _within_limits(
+    bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse
+) -> tuple[Burst, FreeResponse]:
+    """Lower a burst until what it leaves is no longer clipped: a loop that is stable may stay at limits after one."""
+    for _ in range(LOWERED):
+        if found.limited <= CLIPPED_SHARE:
+            break
+        burst = replace(burst, levels=LOWERED_TO * burst.levels)
+        found = kicked(bench, law, burst)
+    return burst, found
 
 
 def _repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
@@ -172,30 +185,27 @@ def _repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _S
     """
     samples = seen.record.response.shape[1]
     for more in range(1, REPEATS):
-        if seen.word is not None or not any(mode.may_be_told for mode in seen.modes if not mode.decays):
+        # the first says more than its share of all: the burst before it was not at the modes in doubt alone
+        worth = more == 1 or seen.unheard or any(mode.may_be_told for mode in seen.modes if not mode.decays)
+        if seen.word is not None or not seen.doubtful_hz or not worth:
             break
         tones = _apart(seen.doubtful_hz, bench.rate_hz / burst.length)
         other = tones_alone(bench, law, replace(burst, seed=burst.seed + more), tones)
         other = replace(other, levels=LOUDER * other.levels, samples=samples)
-        found = kicked(bench, law, other)
-        for _ in range(LOWERED):
-            if found.limited <= CLIPPED_SHARE:
-                break
-            other = replace(other, levels=LOWERED_TO * other.levels)
-            found = kicked(bench, law, other)
+        other, found = _within_limits(bench, law, other, kicked(bench, law, other))
         if found.limited > CLIPPED_SHARE:
             break
         seen = _judged(bench, seen.record.beside(found))
     return seen
 
 
-def _heard(bench: Bench, law: StateSpace | Controller, burst: Burst) -> _Seen:
-    """Judge a loud burst, and what still rings after it once more from near the noise."""
-    seen = _judged(bench, kicked(bench, law, burst))
+def _heard(bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse) -> _Seen:
+    """Judge what was found after a loud burst, and what still rings after it once more from near the noise."""
+    seen = _judged(bench, found)
     if seen.word is StatusWord.OK and seen.modes:
         share = max(QUIETEST, min(1.0, ABOVE_NOISE / max(mode.seen for mode in seen.modes)))
         quiet = replace(burst, levels=share * burst.levels, modes_hz=tuple(mode.f_hz for mode in seen.modes))
-        softly = _judged(bench, kicked(bench, law, quiet))
+        softly = _judged(bench, _within_limits(bench, law, quiet, kicked(bench, law, quiet))[1])
         return softly if softly.word is not StatusWord.OK else seen
     return seen
 
@@ -240,7 +250,7 @@ def _judged(bench: Bench, record: FreeResponse) -> _Seen:
     slowest = modes[0] if modes else _slowest_before(record, rate)
     doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *heard.tones_hz)
     said = "" if slowest is None else _told(slowest)
-    seen = _Seen(None, slowest, said, record, modes, doubtful)
+    seen = _Seen(None, slowest, said, record, modes, doubtful, unheard=bool(heard.tones_hz))
     growing = next((mode for mode in modes if mode.grows), None)
     grown = _grown(record.noise, len(bench.sensors) + len(bench.actuators))
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
