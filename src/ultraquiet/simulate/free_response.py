@@ -12,10 +12,12 @@ VISIBLE = 3.0
 # Smallest share of the largest amplitude that double precision lets one see.
 ROUNDING = 1e-12
 MOST_MODES, MOST_BANDS = 40, 24
+LARGEST = 1e12  # of ratios of powers
 # A line of the noise stands out when its power is so many times the median of so many lines to either side, which white
 # noise never reaches; it is a tone when one of constant size has this share of its power: a mode that noise rings has
 # less unless it is slow. How far a slow one stands out says nothing of it: others that noise rings stand around it.
 STANDS_OUT, BROAD, COHERENT = 8.0, 16, 0.45
+RISES = 3.0  # the noise above its surroundings, or the response above the noise: a line where a mode may hide
 REFINEMENTS = 4
 # A mode that shrinks by this from frame to frame is none that rings.
 DEAD = 1e-3
@@ -66,11 +68,13 @@ class Ringing:
     """What is heard of a free response: `modes` visible in the second half of the record, slowest first.
 
     `tones_hz`: where the noise holds a tone that the response does not: a mode that the burst did not reach, or a tone
-    from elsewhere.
+    from elsewhere. `hidden_hz`: where the noise rises above its surroundings, or the response a little above the
+    noise, the tones among them: what becomes of a mode there nobody knows yet.
     """
 
     modes: tuple[Mode, ...]
     tones_hz: tuple[float, ...]
+    hidden_hz: tuple[float, ...] = ()
 
 
 def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
@@ -114,21 +118,30 @@ def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
                 modes.append(mode)
     apart = rate_hz / (RESOLVED * frames.samples)
     settled = frames.power(scaled, _settled(frames.count))
-    return Ringing(tuple(_each_once(modes, apart)), _tones(frames, level, settled, hum))
+    return Ringing(tuple(_each_once(modes, apart)), *_unheard(frames, level, settled, hum))
 
 
-def _tones(frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray) -> tuple[float, ...]:
-    """Return the frequencies at which the noise holds a tone that the response does not, the clearest first."""
+def _unheard(
+    frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return where the noise holds a tone that the response does not, and where it may hide one, Hz, clearest first."""
     padded = np.pad(hum, BROAD, mode="reflect") if hum.size > BROAD else hum
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, padded.size - hum.size + 1), axis=1)
-    found = np.flatnonzero((hum > STANDS_OUT * around) & (heard < VISIBLE**2 * hum))
+    noisy = np.flatnonzero((hum > 0) & (heard < VISIBLE**2 * hum))
+    rises = np.zeros(hum.size)
+    rises[noisy] = np.maximum(hum[noisy] / np.maximum(around[noisy], hum[noisy] / LARGEST), heard[noisy] / hum[noisy])
+    found = noisy[rises[noisy] > RISES]
     tones: list[float] = []
-    for line in found[np.argsort(-hum[found] / around[found])][:MOST_BANDS]:
+    hidden: list[float] = []
+    for line in found[np.argsort(-rises[found], kind="stable")][:MOST_BANDS]:
         share, f_hz = _coherent(frames, noise, int(line))
         # a tone between two lines stands in both
-        if share > COHERENT and all(abs(f_hz - other) > OTHER * frames.line_hz(1) for other in tones):
+        if any(abs(f_hz - other) <= OTHER * frames.line_hz(1) for other in hidden):
+            continue
+        hidden.append(f_hz)
+        if share > COHERENT and hum[line] > STANDS_OUT * around[line]:
             tones.append(f_hz)
-    return tuple(tones)
+    return tuple(tones), tuple(hidden)
 
 
 def _coherent(frames: Frames, noise: FloatArray, line: int) -> tuple[float, float]:

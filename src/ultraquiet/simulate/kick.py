@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import Channel, Record, StateSpace
-from ultraquiet.values.channel import at_limits
+from ultraquiet.values.channel import at_limits, stands_at_limits
 from ultraquiet.values.controller import Controller
 
 USED_RANGE = 0.3  # share of every channel's range that a burst may use
@@ -19,6 +19,7 @@ BEGIN, LEAST_COLOUR = 1e-3, 1e-3
 LOUD = 1e4
 RAISES, RAISED_BY, NEAR = 8, 30.0, 1.5
 COLOURS_PER_OCTAVE = 3
+AT_FIRST = 8  # samples in which noise has driven commands and the loop has not grown yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +87,31 @@ class FreeResponse:
         """Largest share of the last quarter that a command stood at its limit."""
         late = self.response.shape[1] // 4
         return max(float(at_limits(run.inputs[:, -late:], run.actuators).max()) / late for run in self.runs)
+
+    @property
+    def rise(self) -> float:
+        """By how much commands grew from the first samples until one stands at its limit, over the root of the time."""
+        rises = [0.0]
+        for run in self.runs:
+            first = np.flatnonzero(stands_at_limits(run.inputs, run.actuators).any(axis=0))
+            begun = np.sqrt(np.mean(run.inputs[:, :AT_FIRST] ** 2, axis=1))
+            if first.size and first[0] > AT_FIRST:
+                there = np.abs(run.inputs[:, first[0]])
+                heard = begun > 0
+                rises += list(there[heard] / begun[heard] / np.sqrt(first[0] / AT_FIRST))
+        return float(max(rises))
+
+    @property
+    def before_limits(self) -> int:
+        """How many samples pass before a command first stands at its limit, in either run."""
+        samples = self.response.shape[1]
+        plus, minus = (stands_at_limits(run.inputs[:, -samples:], run.actuators) for run in self.runs)
+        first = np.flatnonzero((plus | minus).any(axis=0))
+        return int(first[0]) if first.size else self.response.shape[1]
+
+    def until(self, samples: int) -> "FreeResponse":
+        """Return its first samples; `runs` stay as they are."""
+        return FreeResponse(self.response[:, :samples], self.noise[:, :samples], self.runs)
 
     def beside(self, other: "FreeResponse") -> "FreeResponse":
         """Return both as one: further channels that ring with the same modes."""

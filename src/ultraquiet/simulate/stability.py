@@ -24,6 +24,8 @@ ABOVE_NOISE, QUIETEST = 100.0, 1e-3
 # Shares of a free response that a command stands at its limit: a loop that ran away does so for more than the first;
 # one that does for more than the second is no longer the linear loop whose modes could be judged.
 LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
+# Noise that a stable loop heaps up grows as the root of the samples: so many times that within few is growth.
+HEAPED = 10.0
 # A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed:
 # little by little, for a burst far below what the limits allow leaves a slow mode among the noise.
 LOWERED_TO, LOWERED = 0.3, 6
@@ -74,6 +76,7 @@ class _Seen:
     modes: tuple[Mode, ...]
     doubtful_hz: tuple[float, ...]
     unheard: bool = False
+    hidden_hz: tuple[float, ...] = ()
     slow: bool = False
     limited: bool = False
 
@@ -149,9 +152,11 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
         if found.limited > LIMITED_SHARE and before is not None and before.word is StatusWord.UNSTABLE:
             return before  # it was seen to grow, and now it grew as far as the limits
         burst, found = _within_limits(bench, law, burst, found)
+        if found.limited > LIMITED_SHARE:
+            return _at_limits(bench, law, burst, found, before)
         seen = _heard(bench, law, burst, found)
-        if seen.limited and before is not None:
-            return replace(seen, mode=before.mode)
+        if seen.word is StatusWord.OK:
+            seen = _assured(bench, law, replace(burst, samples=first), seen)
         enough = seen.word is StatusWord.OK and samples > first
         enough |= seen.word is StatusWord.UNSTABLE and not seen.slow
         if enough:
@@ -175,6 +180,35 @@ def _within_limits(
         burst = replace(burst, levels=LOWERED_TO * burst.levels)
         found = kicked(bench, law, burst)
     return burst, found
+
+
+def _at_limits(
+    bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse, before: _Seen | None
+) -> _Seen:
+    """Judge a loop whose commands stand at their limits however weak the burst, as noise alone may drive a stable one.
+
+    It is unstable where noise alone does not drive it there, where it was seen to grow before it first touched its
+    limits, and where noise grew to them faster than what a stable loop heaps up.
+    """
+    seen = _judged(bench, found)
+    alone = kicked(bench, law, replace(burst, levels=0.0 * burst.levels))
+    free = found.before_limits
+    early = _judged(bench, found.until(free)) if free >= SHORTEST_SAMPLES else None
+    grew = early is not None and early.word is StatusWord.UNSTABLE
+    if grew and early is not None:
+        seen = replace(early, record=found, limited=True)
+    word = StatusWord.UNSTABLE if grew or alone.limited <= CLIPPED_SHARE or alone.rise > HEAPED else None
+    return replace(seen, word=word, mode=seen.mode if before is None else before.mode)
+
+
+def _assured(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
+    """Return what is seen after tones where noise may hide a mode: silence alone settles nothing."""
+    if not seen.hidden_hz:
+        return seen
+    tones = tones_alone(bench, law, burst, _apart(seen.hidden_hz, bench.rate_hz / burst.length))
+    other = replace(tones, samples=seen.record.response.shape[1])
+    again = _judged(bench, _within_limits(bench, law, other, kicked(bench, law, other))[1])
+    return seen if again.word is StatusWord.OK or again.limited else again
 
 
 def _repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
@@ -250,7 +284,7 @@ def _judged(bench: Bench, record: FreeResponse) -> _Seen:
     slowest = modes[0] if modes else _slowest_before(record, rate)
     doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *heard.tones_hz)
     said = "" if slowest is None else _told(slowest)
-    seen = _Seen(None, slowest, said, record, modes, doubtful, unheard=bool(heard.tones_hz))
+    seen = _Seen(None, slowest, said, record, modes, doubtful, unheard=bool(heard.tones_hz), hidden_hz=heard.hidden_hz)
     growing = next((mode for mode in modes if mode.grows), None)
     grown = _grown(record.noise, len(bench.sensors) + len(bench.actuators))
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)

@@ -50,8 +50,13 @@ def ratio(unit: str, per: str) -> str:
 
 def at_limits(samples: FloatArray, wires: Sequence[Channel]) -> NDArray[np.int64]:
     """Return for each channel how many samples of `(channel, sample)` stand at or beyond its limits."""
+    return np.count_nonzero(stands_at_limits(samples, wires), axis=1)
+
+
+def stands_at_limits(samples: FloatArray, wires: Sequence[Channel]) -> NDArray[np.bool_]:
+    """Return which samples of `(channel, sample)` stand at or beyond their channel's limits."""
     low, high = (np.array([getattr(c, end) for c in wires])[:, None] for end in ("low", "high"))
-    return np.count_nonzero((samples <= low) | (samples >= high), axis=1)
+    return np.asarray((samples <= low) | (samples >= high))
 
 
 def channels(who: str, wires: Sequence[Channel | str] | None, count: int, prefix: str) -> tuple[Channel, ...]:
