@@ -21,7 +21,7 @@ METHODS = {
     "fixed structure, 8 states a strut": FixedStructure(states=8, specification=WANTED),
     "fixed structure, 12 states a strut": FixedStructure(states=12, specification=WANTED),
     "lead-lag and notches, 9 states a strut, tuned": LeadLag(tune=True, specification=WANTED, **SECTIONS),
-    "skyhook, tuned": Skyhook(low_pass_hz=250.0, tune=True, specification=WANTED),
+    "skyhook, tuned": Skyhook(geophone_hz=12.0, geophone_zeta=0.65, low_pass_hz=250.0, tune=True, specification=WANTED),
 }
 TARGETS = {"fixed structure, 8 states a strut", "fixed structure, 12 states a strut"}
 

@@ -10,6 +10,8 @@ from ultraquiet.testing import problems
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback
 
+GEOPHONE = {"geophone_hz": 12.0, "geophone_zeta": 0.65}
+
 
 @pytest.fixture(scope="module")
 def heave():
@@ -33,7 +35,7 @@ def test_lead_lag_and_notch_are_the_printed_formulas(heave):
 
 
 def test_skyhook_moves_the_corner_of_the_geophone(heave):
-    law = Skyhook(gain=-1e-3, actuator="force", corrected_hz=4.0).design(heave).controller
+    law = Skyhook(gain=-1e-3, actuator="force", **GEOPHONE, corrected_hz=4.0).design(heave).controller
     f = np.geomspace(0.5, 100, 30)
     rate = heave.rate_hz
 
@@ -52,12 +54,24 @@ def test_gain_of_each_channel_of_its_own():
     np.testing.assert_allclose(K.D, [[-0.01, 0.0], [0.0, -0.02]])
 
 
+def test_a_corner_is_moved_where_there_is_one():
+    plant = problems.damped_plant(0)
+    plain = Skyhook(gain=-0.01, actuator="force").design(plant).controller
+    assert plain.states == 0
+    with pytest.raises(InputError, match="geophone"):
+        Skyhook(corrected_hz=4.0)
+
+
 @pytest.mark.slow
 def test_tuning_serves_the_specification(heave):
     wanted = Specification(band_hz=(10.0, 100.0), attenuation_db=4.0)
     as_it_stands = Specification(band_hz=(10.0, 100.0))
-    first = Skyhook(low_pass_hz=250.0, specification=as_it_stands).design(heave).details["score"]
-    result = Skyhook(low_pass_hz=250.0, tune=True, specification=wanted).design(heave)
+    first = (
+        Skyhook(low_pass_hz=250.0, **GEOPHONE, corrected_hz=5.0, specification=as_it_stands)
+        .design(heave)
+        .details["score"]
+    )
+    result = Skyhook(low_pass_hz=250.0, **GEOPHONE, corrected_hz=5.0, tune=True, specification=wanted).design(heave)
     score = result.details["score"]
     print(f"skyhook on the heave: {first.measured} as it stands, {score.measured} tuned, {result.details['values']}")
     assert result.status.ok, result.status

@@ -1,6 +1,6 @@
 """What every reduction returns, and the projection they share."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -18,6 +18,7 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status
 
 METHODS = ("truncation", "perturbation")
+FAITHFUL = 0.01  # of the largest Hankel value: what the error of a reduction without a number of states may come to
 Weights = Mapping[str, StateSpace] | StateSpace | None
 
 
@@ -97,6 +98,23 @@ def joined(reduced: Matrices, kept: tuple[FloatArray, FloatArray, FloatArray]) -
         return reduced
     whole = np.asarray(block_diag(a, kept[0])) if a.shape[0] else kept[0]
     return whole, np.vstack([b, kept[1]]), np.hstack([c, kept[2]]), d
+
+
+def counted(states: int | None, kept: int, part: int, hankel: Callable[[], FloatArray]) -> int:
+    """Return how many states of a part are to stay.
+
+    Args:
+        states: asked for in all; None for the fewest that leave out no more than `FAITHFUL` of the largest Hankel
+            value, as twice the sum of those left out, the usual bound on the error.
+        kept: of another part, which stays anyway.
+        part: states there are.
+        hankel: gives their Hankel values, largest first.
+    """
+    if states is not None:
+        return max(0, min(states - kept, part))
+    values = hankel()[:part]
+    left_out = 2 * np.cumsum(values[::-1])[::-1]
+    return int(np.count_nonzero(left_out > FAITHFUL * values.max(initial=0.0)))
 
 
 def project(

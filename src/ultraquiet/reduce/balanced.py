@@ -9,7 +9,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
-from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
+from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, counted, joined, project, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
@@ -23,7 +23,7 @@ class Balanced:
     ||G - Gr|| <= 2 (s_r+1 + ... + s_n), s the Hankel values of the stable part.
 
     Args:
-        states: states to keep, the unstable ones included.
+        states: states to keep, the unstable ones included; the fewest that leave out a hundredth when absent.
         method: `truncation` (exact at infinite frequency when continuous) or `perturbation` (exact at 0 Hz).
         slowest_hz: what decays slower than exp(-2 pi slowest_hz t) is kept as it is, like the unstable part.
 
@@ -35,12 +35,13 @@ class Balanced:
     Moore 1981, doi:10.1109/TAC.1981.1102568; the bound: Glover 1984, doi:10.1080/00207178408933239.
     """
 
-    states: int = 36
+    states: int | None = None
     method: str = "truncation"
     slowest_hz: float = 0.0
 
     def __post_init__(self) -> None:
-        whole("Balanced", "states", self.states, 0)
+        if self.states is not None:
+            whole("Balanced", "states", self.states, 0)
         one_of("Balanced", "method", self.method, METHODS)
         between("Balanced", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
@@ -59,7 +60,7 @@ class Balanced:
         discrete = controller.rate_hz is not None
         stable, kept, _ = split(controller, self.slowest_hz)
         P, Q = balance.gramians(*stable[:3], discrete)
-        keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
+        keep = counted(self.states, kept[0].shape[0], stable[0].shape[0], lambda: balance.balancing(P, Q, 0)[2])
         reduced, hankel = project(stable, P, Q, keep, discrete, self.method)
         bound = 2 * float(np.sum(hankel[keep:]))
         provenance = Provenance("Balanced", asdict(self), parents=(controller.hash,), versions=versions())

@@ -13,7 +13,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.equations import continuous_riccati, discrete_riccati, lyapunov, stein
 from ultraquiet.linalg.ordered import Matrices
-from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, project, renamed
+from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, counted, project, renamed
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
@@ -31,7 +31,7 @@ class CoprimeFactors:
     stays stable.
 
     Args:
-        states: states to keep.
+        states: states to keep; the fewest that leave out a hundredth of the factors when absent.
         method: `truncation`, or `perturbation` (exact at 0 Hz).
 
     >>> K = StateSpace([[0.5, 0.0], [0.0, -9.0]], [[1.0], [1.0]], [[-2.0, 0.01]], [[0.0]])
@@ -42,11 +42,12 @@ class CoprimeFactors:
     McFarlane and Glover 1990, chapter 5; Vidyasagar 1988, doi:10.1109/9.1260 .
     """
 
-    states: int = 36
+    states: int | None = None
     method: str = "truncation"
 
     def __post_init__(self) -> None:
-        whole("CoprimeFactors", "states", self.states, 0)
+        if self.states is not None:
+            whole("CoprimeFactors", "states", self.states, 0)
         one_of("CoprimeFactors", "method", self.method, METHODS)
 
     @takes_systems
@@ -63,13 +64,12 @@ class CoprimeFactors:
         discrete = controller.rate_hz is not None
         factors = normalised_left(controller)
         P, Q = balance.gramians(*factors[:3], discrete)
-        (a, b, c, d), hankel = project(factors, P, Q, self.states, discrete, self.method)
+        keep = counted(self.states, 0, controller.states, lambda: balance.balancing(P, Q, 0)[2])
+        (a, b, c, d), hankel = project(factors, P, Q, keep, discrete, self.method)
         provenance = Provenance("CoprimeFactors", asdict(self), parents=(controller.hash,), versions=versions())
         small = renamed(quotient((a, b, c, d), controller.D.shape[1]), controller, provenance)
         P_loop = None if plant is None else judging_plant(plant, weights)
-        result = certified(
-            controller, small, hankel, P=P_loop, details={"gap_bound": 2 * float(np.sum(hankel[self.states :]))}
-        )
+        result = certified(controller, small, hankel, P=P_loop, details={"gap_bound": 2 * float(np.sum(hankel[keep:]))})
         return kept_promise(result, controller, plant)
 
 

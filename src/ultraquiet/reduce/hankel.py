@@ -1,6 +1,7 @@
 """Optimal Hankel-norm approximation."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete
 from ultraquiet.linalg.ordered import Array, Matrices
-from ultraquiet.reduce._abstract import ReductionResult, Weights, joined, renamed, split
+from ultraquiet.reduce._abstract import ReductionResult, Weights, counted, joined, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
@@ -28,7 +29,8 @@ class HankelNorm:
     ||G - Gr||_H = s_r+1, and ||G - Gr|| <= s_r+1 + 2 (s_r+2 + ... + s_n) in the H-infinity norm.
 
     Args:
-        states: states to keep, the unstable ones included; those are kept as they are.
+        states: states to keep, the unstable ones included; those are kept as they are. The fewest that leave out a
+            hundredth when absent.
         slowest_hz: what decays slower than exp(-2 pi slowest_hz t) is kept as it is, like the unstable part.
 
     The error is as large at all frequencies, high ones included: the direct term moves. Where the law must fall at high
@@ -42,11 +44,12 @@ class HankelNorm:
     Glover 1984, doi:10.1080/00207178408933239; discrete systems go through the bilinear map, which keeps Hankel norms.
     """
 
-    states: int = 36
+    states: int | None = None
     slowest_hz: float = 0.0
 
     def __post_init__(self) -> None:
-        whole("HankelNorm", "states", self.states, 0)
+        if self.states is not None:
+            whole("HankelNorm", "states", self.states, 0)
         between("HankelNorm", "slowest_hz", self.slowest_hz, 0.0, np.finfo(float).max, "Hz")
 
     @takes_systems
@@ -60,13 +63,14 @@ class HankelNorm:
         """
         if plant is not None:
             fits("HankelNorm", controller, plant)
-        if self.states >= controller.states:
+        if self.states is not None and self.states >= controller.states:
             # nothing is to be left out, be it round-off: the system is returned as it came
             P_loop = None if plant is None else judging_plant(plant, weights)
             hankel = _balanced_values(controller, self.slowest_hz)
             return certified(controller, controller, hankel, P=P_loop, details={"bound": 0.0})
         stable, kept, _ = split(controller, self.slowest_hz)
-        keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
+        values = partial(_balanced_values, controller, self.slowest_hz)
+        keep = counted(self.states, kept[0].shape[0], stable[0].shape[0], values)
         discrete = controller.rate_hz is not None
         continuous = bilinear_to_continuous(*stable) if discrete else stable
         reduced, hankel, bound = hankel_approximation(continuous, keep)

@@ -11,8 +11,9 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
-from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, joined, project, renamed, split
+from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, counted, joined, project, renamed, split
 from ultraquiet.reduce.certificate import certified, fits, judging_plant, kept_promise
 from ultraquiet.reduce.weighting import input_gramian, output_gramian, static
 from ultraquiet.values.door import takes_systems
@@ -32,7 +33,7 @@ class FrequencyWeighted:
     alone (`stability`). An unstable part is kept whole.
 
     Args:
-        states: states to keep, the unstable ones included.
+        states: states to keep, the unstable ones included; the fewest that leave out a hundredth when absent.
         method: `truncation`, or `perturbation` (exact at 0 Hz).
         loop: what the loop's weights stand for, `performance` or `stability`.
         combination: of the Gramian's blocks, 0 is Enns, 1 is Lin and Chiu; between them Varga and Anderson.
@@ -48,7 +49,7 @@ class FrequencyWeighted:
     Enns 1984; Lin and Chiu 1992; Varga and Anderson 2003, doi:10.1016/S0005-1098(03)00030-X.
     """
 
-    states: int = 36
+    states: int | None = None
     method: str = "truncation"
     loop: str = "performance"
     combination: float = 0.0
@@ -57,7 +58,8 @@ class FrequencyWeighted:
 
     def __post_init__(self) -> None:
         who = "FrequencyWeighted"
-        whole(who, "states", self.states, 0)
+        if self.states is not None:
+            whole(who, "states", self.states, 0)
         one_of(who, "method", self.method, METHODS)
         one_of(who, "loop", self.loop, LOOPS)
         between(who, "combination", self.combination, 0.0, 1.0)
@@ -85,7 +87,7 @@ class FrequencyWeighted:
         stable, kept, _ = split(controller, self.slowest_hz)
         P = input_gramian(stable, _matrices(W), discrete, self.combination, guard=self.guard)
         Q = output_gramian(stable, _matrices(V), discrete, self.combination, guard=self.guard)
-        keep = max(0, min(self.states - kept[0].shape[0], stable[0].shape[0]))
+        keep = counted(self.states, kept[0].shape[0], stable[0].shape[0], lambda: balance.balancing(P, Q, 0)[2])
         reduced, hankel = project(stable, P, Q, keep, discrete, self.method)
         provenance = Provenance("FrequencyWeighted", asdict(self), parents=(controller.hash,), versions=versions())
         small = renamed(joined(reduced, kept), controller, provenance)

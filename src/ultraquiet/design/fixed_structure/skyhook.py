@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from ultraquiet._base.constraints import one_of
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet.design.fixed_structure.classical import ClassicalMethod
 
@@ -16,10 +17,10 @@ class Skyhook(ClassicalMethod):
 
     Args:
         gain, high_pass_hz, low_pass_hz, tune, structure, specification, starts, seed: as in `LeadLag`.
-        geophone_hz, geophone_zeta: corner and damping of the sensor; above its corner it measures velocity.
-        corrected_hz, corrected_zeta: corner and damping wanted. An octave lower is honest: below, the
-            sensor's noise grows with 40 dB a decade.
-
+        geophone_hz, geophone_zeta: corner and damping of the sensor; above its corner it measures velocity. Without a
+            corner the readings are velocities as they are, and nothing is corrected.
+        corrected_hz, corrected_zeta: corner and damping wanted, an octave lower when absent: below, the sensor's noise
+            grows with 40 dB a decade.
         actuator: `displacement` (a piezo stack: the command is the integral of the velocity) or `force`.
         leak_hz: below this corner the integral of `displacement` leaks.
 
@@ -31,19 +32,24 @@ class Skyhook(ClassicalMethod):
     Karnopp, Crosby and Harwood 1974, doi:10.1115/1.3438373.
     """
 
-    geophone_hz: float = 12.0
-    geophone_zeta: float = 0.65
-    corrected_hz: float = 5.0
+    geophone_hz: float | None = None
+    geophone_zeta: float = 0.7
+    corrected_hz: float | None = None
     corrected_zeta: float = 0.7
     actuator: str = "displacement"
     leak_hz: float = 2.0
 
     def __post_init__(self) -> None:
         one_of("Skyhook", "actuator", self.actuator, ("displacement", "force"))
+        if self.corrected_hz is not None and self.geophone_hz is None:
+            raise InputError("Skyhook: 'corrected_hz' moves a geophone's corner; give that as 'geophone_hz'.")
         super().__post_init__()
 
     def sections(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
-        """Return the correction of the geophone."""
-        values = (self.geophone_hz, self.geophone_zeta, self.corrected_hz, self.corrected_zeta)
-        correction = ("biquad", values, (True, False, True, False))
-        return [correction, ("low-pass", (self.leak_hz,), (True,))] if self.actuator == "displacement" else [correction]
+        """Return the correction of the geophone and the integral of the command, where they are wanted."""
+        found: list[tuple[str, tuple[float, ...], tuple[bool, ...]]] = []
+        if self.geophone_hz is not None:
+            wanted_hz = self.geophone_hz / 2 if self.corrected_hz is None else self.corrected_hz
+            values = (self.geophone_hz, self.geophone_zeta, wanted_hz, self.corrected_zeta)
+            found.append(("biquad", values, (True, False, True, False)))
+        return [*found, ("low-pass", (self.leak_hz,), (True,))] if self.actuator == "displacement" else found

@@ -45,7 +45,8 @@ class AdaptiveFeedforward(StatedRobustness):
         settling_s: time of the amplitudes to within two per cent.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
         find_s: how long the bank listens.
-        limit_v: largest command of the law per actuator, volts. Amplitudes that would exceed it are shrunk together.
+        limit_v: largest command of the law per actuator, in its unit; the actuator's own when absent. Amplitudes that
+            would exceed it are shrunk together.
         depth_db, peak_db, weakest, around: as those of `Resonators`.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
@@ -61,7 +62,7 @@ class AdaptiveFeedforward(StatedRobustness):
     settling_s: float = 0.3
     track_hz: float = 1.0
     find_s: float = 0.5
-    limit_v: float | tuple[float, ...] = 10.0
+    limit_v: float | tuple[float, ...] | None = None
     depth_db: float = 60.0
     peak_db: float = 3.0
     weakest: float = 0.01
@@ -92,7 +93,7 @@ class AdaptiveFeedforward(StatedRobustness):
         assert rate is not None
         tones = checked_tones(who, self.tones_hz, rate)
         edges = self._edges(tones, rate)
-        limit = limits_v(who, self.limit_v, plant.D.shape[1])
+        limit = limits_v(who, self.limit_v, plant.actuators)
         slowed = self._slowed(inner, tones)
         if slowed is None:
             return refused(f"{who}: no bank keeps below {self.peak_db:g} dB of amplification over the whole span.")

@@ -1,5 +1,6 @@
 """What every adaptive law shares: a linear law inside, limits, and a watch that brings it to rest when it does harm."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.tones.inner_loop import Inner
 from ultraquiet.linalg import balance
+from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -35,7 +37,7 @@ class AdaptiveLaw:
         who: opens the sentences.
         inner: K0 and the plant that v meets.
         law: the linear law that this one is while its parameters stand still.
-        limit_v: largest |v|, volts, `(nu,)`.
+        limit_v: largest |v|, in the actuators' units, `(nu,)`.
     """
 
     def __init__(self, who: str, inner: Inner, law: StateSpace, limit_v: FloatArray) -> None:
@@ -162,11 +164,14 @@ def contiguous(system: StateSpace) -> Matrices:
     return A, B, C, D
 
 
-def limits_v(who: str, limit_v: float | tuple[float, ...], nu: int) -> FloatArray:
-    """Return one limit per actuator, volts."""
+def limits_v(who: str, limit_v: float | tuple[float, ...] | None, actuators: Sequence[Channel]) -> FloatArray:
+    """Return one limit per actuator, in its unit: as given, else its own, which may be none."""
+    nu = len(actuators)
+    if limit_v is None:
+        return np.array([min(abs(c.low), abs(c.high)) for c in actuators], dtype=np.float64)
     limits = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
     if limits.size not in (1, nu) or not np.all(limits > 0):
-        raise InputError(f"{who}: 'limit_v' must be one voltage above zero, or {nu}, got {limit_v!r}.")
+        raise InputError(f"{who}: 'limit_v' must be one number above zero, or {nu}, got {limit_v!r}.")
     return np.ascontiguousarray(np.broadcast_to(limits, (nu,)), dtype=np.float64)
 
 

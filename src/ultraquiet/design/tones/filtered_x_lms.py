@@ -46,7 +46,7 @@ class FilteredXLms(StatedRobustness):
         taps: length of each filter, samples.
         step: share of the error that goes in each sample, below 2.
         leak: share of the weights forgotten per second.
-        limit_v: largest command per actuator, volts.
+        limit_v: largest command per actuator, in its unit; the actuator's own when absent.
         around: K0, a `StateSpace` or the name of a design method.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0], [0.0]], [[0.0], [0.0]], rate_hz=1000.0)
@@ -64,7 +64,7 @@ class FilteredXLms(StatedRobustness):
     taps: int = 256
     step: float = 0.02
     leak: float = 0.01
-    limit_v: float | tuple[float, ...] = 10.0
+    limit_v: float | tuple[float, ...] | None = None
     around: Around = None
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ class FilteredXLms(StatedRobustness):
         inner = inner_loop(who, plant, self.around)
         ny, nu = plant.D.shape
         references, errors, drives = self._channels(ny, nu)
-        limit = limits_v(who, self.limit_v, nu)
+        limit = limits_v(who, self.limit_v, plant.actuators)
         rows = [*errors, *references]
         G = inner.seen
         assert G.rate_hz is not None

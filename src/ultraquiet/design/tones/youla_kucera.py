@@ -109,8 +109,8 @@ class YoulaKucera(StatedRobustness):
         central: `lqg`, or `none`: the plant's own stability, K = 0.
         control_weight, sensor_noise: of `central_law`.
         update_every: samples between two steps of theta.
-        limit_v: largest |v| per actuator, volts. A law that is brought to rest takes its state feedback along: a plant
-            that is unstable by itself should get its stabiliser as `around`.
+        limit_v: largest |v| per actuator, in its unit; the actuator's own when absent. A law that is brought to rest
+            takes its state feedback along: a plant that is unstable by itself should get its stabiliser as `around`.
         around: K0, a `StateSpace` or the name of a design method; Q then works on the loop that it closes.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
@@ -132,7 +132,7 @@ class YoulaKucera(StatedRobustness):
     control_weight: float = 10.0
     sensor_noise: float = 10.0
     update_every: int = 8
-    limit_v: float | tuple[float, ...] = 10.0
+    limit_v: float | tuple[float, ...] | None = None
     around: Around = None
 
     def __post_init__(self) -> None:
@@ -163,7 +163,7 @@ class YoulaKucera(StatedRobustness):
         inner = inner_loop(who, plant, self.around, stable=not lqg)
         rate = inner.seen.rate_hz
         assert rate is not None
-        limit = limits_v(who, self.limit_v, plant.D.shape[1])
+        limit = limits_v(who, self.limit_v, plant.actuators)
         filters = self.filters(rate)
         ny, nu = plant.D.shape
         try:
