@@ -10,10 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet.identify.subspace import fit, hankel, unexcited
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import Horizon, SubspaceStart
+from ultraquiet.identify.subspace.unexcited import tones_in
 from ultraquiet.values import Record
 
 HELD_OUT = 3  # one sample in so many, at the end of the record, judges
@@ -72,7 +74,11 @@ def chosen(settings: SubspaceSettings, record: Record) -> int:
 
     As well is: by no more than one standard error of the difference worse, or 1 %, in geometric mean over the outputs.
     Each state is simulated through from the start, so that no initial state is fitted to the part that judges. A trial
-    is a model as the whole record will be given, the best over the horizons that the order allows.
+    is a model as the whole record will be given, the best over the horizons that the order allows. No order is tried
+    that the inputs do not excite, as so many tones excite half as many modes.
+
+    Raises:
+        InputError: inputs of one tone.
 
     Reference: Breiman et al. 1984, Classification and Regression Trees, section 3.4.3 (one standard error).
     """
@@ -84,7 +90,13 @@ def chosen(settings: SubspaceSettings, record: Record) -> int:
             errors[order] = trials.error(order)
         return errors[order]
 
-    highest = min(HIGHEST, max(horizon.most for horizon in trials.horizons), record.samples // 20)
+    tones = tones_in(record.inputs)
+    if tones < 2:
+        raise InputError(
+            "Subspace: the inputs hold hardly more than one tone, which any model of two states can follow; excite "
+            "more frequencies, or give 'order' a number."
+        )
+    highest = min(HIGHEST, tones - 1, max(horizon.most for horizon in trials.horizons), record.samples // 20)
     best = _searched(lambda order: error(order).size, highest)
     gaps = {gap(horizon.values) for horizon in trials.horizons}
     for n in sorted({*gaps, *range(best - 4, best + 5)}):

@@ -21,7 +21,7 @@ class SubspaceSettings(SearchedOrder):
 
     name: ClassVar[str]
 
-    order: int | Auto | None = 30
+    order: int | Auto | None = None
     horizon: int | None = None
     weight: str = "moesp"
     feedthrough: bool = True

@@ -13,6 +13,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet.identify.subspace.fit import Scaled
 
 SILENT = 1e-6  # of an input's mean power a line, below which a line is silent
+LOUD = 2e-3  # of the loudest line, what counts as a tone: the window's side lobes lie below
 WIDE = 0.01  # share of all lines that a silent band holds at least: the gaps of a multisine are none
 
 
@@ -25,6 +26,18 @@ def silent_bands(u: FloatArray) -> list[tuple[int, int]]:
     [(201, 501)]
     """
     return bands_of(power(u))
+
+
+def tones_in(u: FloatArray) -> int:
+    """Return about how many tones inputs `(nu, n)` hold, each of which tells two parameters of an output.
+
+    >>> t = np.arange(1000)
+    >>> tones_in(np.sin(0.02 * np.pi * t)[None]), tones_in(np.random.default_rng(0).standard_normal((1, 1000))) > 20
+    (1, True)
+    """
+    lines = np.pad(power(u), ((0, 0), (1, 1)))
+    tops = (lines[:, 1:-1] > lines[:, :-2]) & (lines[:, 1:-1] >= lines[:, 2:])
+    return int(np.count_nonzero(np.any(tops & (lines[:, 1:-1] > LOUD * lines.max(axis=1, keepdims=True)), axis=0)))
 
 
 def bands_of(power: FloatArray) -> list[tuple[int, int]]:
