@@ -45,7 +45,7 @@ class AdaptiveFeedforward(StatedRobustness):
         settling_s: time of the amplitudes to within two per cent.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
         find_s: how long the bank listens.
-        limit_v: largest command of the law per actuator, in its unit; the actuator's own when absent. Amplitudes that
+        limit_v: largest command of the law per actuator, in its unit; its own when absent, 10 without one. Amplitudes that
             would exceed it are shrunk together.
         depth_db, peak_db, weakest, around: as those of `Resonators`.
 

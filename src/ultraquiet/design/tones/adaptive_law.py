@@ -15,6 +15,7 @@ from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
+UNSAID = 10.0  # the largest command of an actuator whose limits nothing states
 BELIEVED_V = 1e6  # no reading is larger
 RAMP_S = 0.1  # from the last good command to zero
 PATIENCE_S = 1.0  # at a limit, before the law is doubted
@@ -165,10 +166,14 @@ def contiguous(system: StateSpace) -> Matrices:
 
 
 def limits_v(who: str, limit_v: float | tuple[float, ...] | None, actuators: Sequence[Channel]) -> FloatArray:
-    """Return one limit per actuator, in its unit: as given, else its own, which may be none."""
+    """Return one limit per actuator, in its unit: as given, else its own, else `UNSAID`.
+
+    None at all would leave the watch blind: it is at a limit that a law which does harm is told.
+    """
     nu = len(actuators)
     if limit_v is None:
-        return np.array([min(abs(c.low), abs(c.high)) for c in actuators], dtype=np.float64)
+        own = np.array([min(abs(c.low), abs(c.high)) for c in actuators], dtype=np.float64)
+        return np.where(np.isfinite(own), own, UNSAID)
     limits = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
     if limits.size not in (1, nu) or not np.all(limits > 0):
         raise InputError(f"{who}: 'limit_v' must be one number above zero, or {nu}, got {limit_v!r}.")

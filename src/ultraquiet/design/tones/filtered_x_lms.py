@@ -46,7 +46,7 @@ class FilteredXLms(StatedRobustness):
         taps: length of each filter, samples.
         step: share of the error that goes in each sample, below 2.
         leak: share of the weights forgotten per second.
-        limit_v: largest command per actuator, in its unit; the actuator's own when absent.
+        limit_v: largest command per actuator, in its unit; its own when absent, 10 without one.
         around: K0, a `StateSpace` or the name of a design method.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0], [0.0]], [[0.0], [0.0]], rate_hz=1000.0)

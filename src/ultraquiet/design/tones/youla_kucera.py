@@ -109,7 +109,7 @@ class YoulaKucera(StatedRobustness):
         central: `lqg`, or `none`: the plant's own stability, K = 0.
         control_weight, sensor_noise: of `central_law`.
         update_every: samples between two steps of theta.
-        limit_v: largest |v| per actuator, in its unit; the actuator's own when absent. A law that is brought to rest
+        limit_v: largest |v| per actuator, in its unit; its own when absent, 10 without one. A law that is brought to rest
             takes its state feedback along: a plant that is unstable by itself should get its stabiliser as `around`.
         around: K0, a `StateSpace` or the name of a design method; Q then works on the loop that it closes.
 
