@@ -12,7 +12,7 @@ from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
-from ultraquiet.design.mu.scalings import Scaling, constant, fitted, scaled
+from ultraquiet.design.mu.scalings import Scaling, constant, fitted, fitted_of_every_order, scaled
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
@@ -210,16 +210,32 @@ class MuSynthesis(StatedRobustness):
             trial, reason = self._step(P, shape, scaling, f)
             if trial is not None:
                 steps.append(trial)
-            if trial is None or trial.peak[0] >= best.peak[0]:
-                if push == 0:
-                    return steps, reason or "mu rises with the scalings that fit it"
+            if trial is not None and trial.peak[0] < best.peak[0]:
+                idle = idle + 1 if trial.peak[0] > best.peak[0] * (1 - SETTLED) else 0
+                best, push = trial, min(2 * push, LARGEST_PUSH) or LEAST_PUSH
+                reason = "mu stands still"
+                stands = idle >= PATIENCE
+            else:
+                reason, stands = reason or "mu rises with the scalings that fit it", push == 0
                 push = push / 4 if push > LEAST_PUSH else 0.0
-                continue
-            idle = idle + 1 if trial.peak[0] > best.peak[0] * (1 - SETTLED) else 0
-            best, push = trial, min(2 * push, LARGEST_PUSH) or LEAST_PUSH
-            if idle >= PATIENCE:
-                return steps, "mu stands still"
+            if stands:
+                every = self._of_every_order(P, shape, best, f)
+                steps += every
+                other = min(every, key=lambda s: s.peak[0], default=best)
+                if other.peak[0] > best.peak[0] * (1 - SETTLED):
+                    return steps, reason
+                best, push, idle = other, PUSH, 0
         return steps, f"all {self.iterations} iterations were made"
+
+    def _of_every_order(self, P: StateSpace, shape: tuple[int, ...], best: _Step, f: FloatArray) -> list[_Step]:
+        """Return a step from where the iteration stands with scalings of each order.
+
+        Which order serves best is told by the fit to one loop, and that is a close thing; where it led nowhere another
+        one may go on.
+        """
+        scalings = fitted_of_every_order(best.loop.frequency_response(f), best.bounds, self.scaling_order, P.rate_hz)
+        trials = [self._step(P, shape, scaling, f)[0] for scaling in scalings]
+        return [trial for trial in trials if trial is not None]
 
     def _started(self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray) -> tuple[list[_Step], str]:
         """Return the plain H-infinity step, and steps with constant scalings while these lower mu.

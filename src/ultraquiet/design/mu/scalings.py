@@ -60,6 +60,12 @@ def fitted(
     return _of_order(M, further, bounds, weight, chosen.order, rate_hz)
 
 
+def fitted_of_every_order(M: ComplexArray, bounds: MuBounds, highest: int, rate_hz: float | None) -> list[Scaling]:
+    """Return the scaling that fits the bound's best with filters of each order from one to `highest`; see `fitted`."""
+    weight = np.maximum(bounds.upper / bounds.upper.max(), LOOSE)
+    return [_of_order(M, bounds.levels, bounds, weight, order, rate_hz) for order in range(1, highest + 1)]
+
+
 def scaled(P: StateSpace, scaling: Scaling, measurements: int, controls: int) -> StateSpace:
     """Return D P D^-1, measurements and controls left as they are."""
     sides = []
