@@ -78,7 +78,6 @@ class _Seen:
     unheard: bool = False
     hidden_hz: tuple[float, ...] = ()
     slow: bool = False
-    limited: bool = False
 
 
 def check_stability(
@@ -190,15 +189,13 @@ def _at_limits(
     It is unstable where noise alone does not drive it there, where it was seen to grow before it first touched its
     limits, and where noise grew to them faster than what a stable loop heaps up.
     """
-    seen = _judged(bench, found)
-    alone = kicked(bench, law, replace(burst, levels=0.0 * burst.levels))
     free = found.before_limits
-    early = _judged(bench, found.until(free)) if free >= SHORTEST_SAMPLES else None
-    grew = early is not None and early.word is StatusWord.UNSTABLE
-    if grew and early is not None:
-        seen = replace(early, record=found, limited=True)
-    word = StatusWord.UNSTABLE if grew or alone.limited <= CLIPPED_SHARE or alone.rise > HEAPED else None
-    return replace(seen, word=word, mode=seen.mode if before is None else before.mode)
+    seen = _judged(bench, found.until(free)) if free >= SHORTEST_SAMPLES else None
+    if seen is None or seen.word is not StatusWord.UNSTABLE:
+        alone = kicked(bench, law, replace(burst, levels=0.0 * burst.levels))
+        by_itself = alone.limited <= CLIPPED_SHARE or alone.rise > HEAPED
+        seen = replace(_judged(bench, found), word=StatusWord.UNSTABLE if by_itself else None)
+    return replace(seen, record=found, mode=seen.mode if before is None else before.mode)
 
 
 def _assured(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
@@ -208,7 +205,7 @@ def _assured(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Se
     tones = tones_alone(bench, law, burst, _apart(seen.hidden_hz, bench.rate_hz / burst.length))
     other = replace(tones, samples=seen.record.response.shape[1])
     again = _judged(bench, _within_limits(bench, law, other, kicked(bench, law, other))[1])
-    return seen if again.word is StatusWord.OK or again.limited else again
+    return seen if again.word is StatusWord.OK or again.record.limited > LIMITED_SHARE else again
 
 
 def _repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: _Seen) -> _Seen:
@@ -290,7 +287,7 @@ def _judged(bench: Bench, record: FreeResponse) -> _Seen:
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
     if record.limited > LIMITED_SHARE:
         sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
-        seen = replace(seen, word=StatusWord.UNSTABLE, sentence=sentence, limited=True)
+        seen = replace(seen, word=StatusWord.UNSTABLE, sentence=sentence)
     elif record.limited > CLIPPED_SHARE:
         sentence = f"Noise alone drove a command to its limit for {record.limited:.1%} of the last quarter."
         seen = replace(seen, sentence=sentence)

@@ -228,13 +228,13 @@ class MuSynthesis(StatedRobustness):
         return steps, f"all {self.iterations} iterations were made"
 
     def _of_every_order(self, P: StateSpace, shape: tuple[int, ...], best: _Step, f: FloatArray) -> list[_Step]:
-        """Return a step from where the iteration stands with scalings of each order.
+        """Return a step from where the iteration stands with scalings of each order above zero.
 
         Which order serves best is told by the fit to one loop, and that is a close thing; where it led nowhere another
         one may go on.
         """
         scalings = fitted_of_every_order(best.loop.frequency_response(f), best.bounds, self.scaling_order, P.rate_hz)
-        trials = [self._step(P, shape, scaling, f)[0] for scaling in scalings]
+        trials = [self._step(P, shape, scaling, f)[0] for scaling in scalings[1:]]
         return [trial for trial in trials if trial is not None]
 
     def _started(self, P: StateSpace, shape: tuple[int, ...], blocks: Blocks, f: FloatArray) -> tuple[list[_Step], str]:

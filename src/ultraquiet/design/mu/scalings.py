@@ -49,21 +49,19 @@ def fitted(
         push: how much further than to the bound's scaling to go from the one used, as a share of the way; near their
             end, iterations without it creep.
     """
-    weight = np.maximum(bounds.upper / bounds.upper.max(), LOOSE)
-    tried = [_of_order(M, bounds.levels, bounds, weight, order, rate_hz) for order in range(highest + 1)]
+    tried = fitted_of_every_order(M, bounds, highest, rate_hz)
     best = min(s.excess for s in tried)
     chosen = next(s for s in tried if s.excess <= WORTH * best)
     if push == 0:
         return chosen
     before = np.array([np.abs(s.frequency_response(bounds.f_hz)[0, 0]) for s in used.left])
     further = bounds.levels * (bounds.levels / before) ** push
-    return _of_order(M, further, bounds, weight, chosen.order, rate_hz)
+    return _of_order(M, further, bounds, chosen.order, rate_hz)
 
 
 def fitted_of_every_order(M: ComplexArray, bounds: MuBounds, highest: int, rate_hz: float | None) -> list[Scaling]:
-    """Return the scaling that fits the bound's best with filters of each order from one to `highest`; see `fitted`."""
-    weight = np.maximum(bounds.upper / bounds.upper.max(), LOOSE)
-    return [_of_order(M, bounds.levels, bounds, weight, order, rate_hz) for order in range(1, highest + 1)]
+    """Return the scaling that fits the bound's best with filters of each order up to `highest`, constants first."""
+    return [_of_order(M, bounds.levels, bounds, order, rate_hz) for order in range(highest + 1)]
 
 
 def scaled(P: StateSpace, scaling: Scaling, measurements: int, controls: int) -> StateSpace:
@@ -79,10 +77,10 @@ def _of_order(
     M: ComplexArray,
     levels: FloatArray,
     bounds: MuBounds,
-    weight: FloatArray,
     order: int,
     rate_hz: float | None,
 ) -> Scaling:
+    weight = np.maximum(bounds.upper / bounds.upper.max(), LOOSE)
     blocks = tuple((b.outputs, b.inputs) for b in bounds.blocks)
     left, right = [], []
     for level in levels:

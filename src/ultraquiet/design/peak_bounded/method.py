@@ -72,8 +72,8 @@ class PeakBounded(StatedRobustness):
         draws: plants drawn within that spread round each one given, on which all bounds are to hold too; 0 for none.
             Those that decide join the search; the others are looked at.
         start: a design, its table with a `method`, or a law, to begin with; a scalar one for the scalar structures.
-            `BandAttenuation` of each of the first three plants when absent, and `Lqg` where no band is given, for what
-            all channels share where the structure is scalar.
+            `BandAttenuation` of each of the first three plants when absent, `Lqg` and `MixedSensitivity` where no band
+            is given either, for what all channels share where the structure is scalar.
         steps: of the search on the plants given, and half as many whenever plants drawn join it, at most.
         seed: of the draws.
 

@@ -136,14 +136,18 @@ def starts(plant: StateSpace, band_hz: tuple[float, float], limit: float, scalar
         if any(law is not None for law in found):
             return [law for law in found if law is not None]
     tries: list[DesignMethod] = [BandAttenuation(band_hz=(low, high), order=2), Lqg(band_hz=(low, high))]
-    made = [_made(lambda each=each: each.design(part).controller) for each in tries]
-    return [law for law in made if law is not None]
+    return _designed(tries, part)
 
 
 def unasked_starts(plant: StateSpace, disk_margin: float, scalar: bool) -> list[StateSpace]:
     """Return stable laws to begin with where no band is asked for: designs that make a plant's own response small."""
     part = common_mode(plant) if scalar else plant
     tries: list[DesignMethod] = [Lqg(disk_margin=disk_margin), MixedSensitivity(disk_margin=disk_margin)]
+    return _designed(tries, part)
+
+
+def _designed(tries: list[DesignMethod], part: StateSpace) -> list[StateSpace]:
+    """Return the laws of those designs that give a stable one."""
     made = [_made(lambda each=each: each.design(part).controller) for each in tries]
     return [law for law in made if law is not None]
 

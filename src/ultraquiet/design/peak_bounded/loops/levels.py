@@ -15,9 +15,8 @@ from ultraquiet.design.peak_bounded.loops.scenario import Scenario
 from ultraquiet.design.peak_bounded.step import DB, LEAST, Linearised
 
 TIGHT_DB = 0.03  # bounds are put so much tighter than meant, for what stands between the lines
-ENOUGH_DB = (
-    60.0  # a response so far below the plant's largest is not lowered further, as that of an integrator might be
-)
+# A response so far below the plant's largest is not lowered further, as that of an integrator might be for ever.
+ENOUGH_DB = 60.0
 WIDER = 6.0  # gains that are linearised as complex numbers enter from so many times further below their bounds
 
 
@@ -47,9 +46,8 @@ class DemandFamily:
 
     def sides(self, line: np.ndarray) -> tuple[ComplexArray, ComplexArray]:
         """Return left and right of dM = left dK right at some of its lines."""
-        G, K, S = self.loop.at(self.lines[line])
-        left = np.eye(G.shape[2]) + K @ S @ G if self.commands else S @ G
-        return left, self.right[line]
+        loop = self.loop.at(self.lines[line])
+        return loop.at_input if self.commands else loop.S @ loop.G, self.right[line]
 
 
 class Pick(NamedTuple):

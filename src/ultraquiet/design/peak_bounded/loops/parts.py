@@ -24,11 +24,15 @@ class LoopParts(NamedTuple):
         """K S."""
         return self.K @ self.S
 
+    @property
+    def at_input(self) -> ComplexArray:
+        """(I - K G)^-1."""
+        return np.eye(self.K.shape[1]) + self.control @ self.G
+
     def half_off(self, end: str) -> ComplexArray:
         """Return S - I/2 at an end of the plant, `(I - G K)^-1` at its output and `(I - K G)^-1` at its input."""
-        if end == "output":
-            return self.S - np.eye(self.S.shape[1]) / 2
-        return self.control @ self.G + np.eye(self.K.shape[1]) / 2
+        S = self.S if end == "output" else self.at_input
+        return S - np.eye(S.shape[1]) / 2
 
     def at(self, lines: np.ndarray) -> "LoopParts":
         """Return some of the lines."""
