@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse import hinf_norm, mu_bounds
@@ -14,11 +15,12 @@ from ultraquiet.values.interconnect import append, gain, lft, sensitivity, serie
 
 # Skogestad and Postlethwaite 2005, section 8.12.4: a distillation column, minutes as the unit of time, w_I =
 # (s + 0.2) / (0.5 s + 1), w_P = (s / 2 + 0.05) / s, the integrator moved to 1e-6. The book's D-K iteration ends at
-# 1.019 and quotes 0.974 as the optimum that Lundstroem found.
+# 1.019 and quotes 0.974, the least that Lundstroem found; nobody proved it the least there is, and on processors where
+# rounding turns the iteration another way it ends at 0.952, which `mu_by_hand` confirms.
 COLUMN = StateSpace(-np.eye(2) / 75, np.eye(2) / 75, [[0.878, -0.864], [1.082, -1.096]], np.zeros((2, 2)))
 W_INPUT = StateSpace([[-2.0]], [[1.0]], [[-3.6]], [[2.0]])
 W_PERFORMANCE = StateSpace([[-1e-6]], [[1.0]], [[0.05]], [[0.5]])
-OPTIMUM, BOOK = 0.974, 1.019
+BEST_KNOWN, BOOK = 0.974, 1.019
 SETTINGS = {"on_inputs": W_INPUT, "performance": W_PERFORMANCE, "control_limit": None, "margin": 1.005}
 
 
@@ -28,18 +30,41 @@ def column_loop(controller):
     return lft(P, controller), (1, 1, 2)
 
 
+def mu_by_hand(controller, w):
+    """Return mu at w, rad/min, from the formula: least largest singular value over scalings of the two errors.
+
+    N = [w_I K S G, w_I K S; w_P S G, w_P S] with S = (I - G K)^-1. For three full blocks the bound is mu itself.
+    """
+    s, eye = 1j * w, np.eye(2)
+    G = np.array([[0.878, -0.864], [1.082, -1.096]]) / (75 * s + 1)
+    K = controller.C @ np.linalg.solve(s * np.eye(controller.A.shape[0]) - controller.A, controller.B) + controller.D
+    S = np.linalg.inv(eye - G @ K)
+    w_I, w_P = (s + 0.2) / (0.5 * s + 1), (s / 2 + 0.05) / (s + 1e-6)
+    N = np.block([[w_I * K @ S @ G, w_I * K @ S], [w_P * S @ G, w_P * S]])
+
+    def scaled(logs):
+        d = np.exp([*logs, 0, 0])
+        return np.linalg.norm(d[:, None] * N / d, 2)
+
+    starts = ([-4.0, -4.0], [0.0, 0.0], [-8.0, -8.0])
+    accuracy = {"xatol": 1e-8, "fatol": 1e-10, "maxiter": 4000}
+    return min(minimize(scaled, start, method="Nelder-Mead", options=accuracy).fun for start in starts)
+
+
 def judged(result):
     """Print and check the promises of a result on the column; return mu's peak on a grid of the test's own."""
     loop, blocks = column_loop(result.controller)
     bounds = mu_bounds(loop, blocks, np.geomspace(1e-6, 10, 400))
     first, *_, last = result.details["mu"]
     print(f"{result.status}\nmu by iteration {np.round(result.details['mu'], 3)}; on the test's grid", end=" ")
-    print(f"{bounds.upper.max():.4f}, lower bound {bounds.lower.max():.4f}; optimum {OPTIMUM}, book's D-K {BOOK}")
+    print(f"{bounds.upper.max():.4f}, lower bound {bounds.lower.max():.4f}; best known {BEST_KNOWN}, book's D-K {BOOK}")
     assert result.status.ok
     assert loop.is_stable()
     assert result.details["mu_peak"] == pytest.approx(min(result.details["mu"]), rel=1e-3)
     assert bounds.upper.max() <= result.details["mu_peak"] * (1 + 1e-3)
-    assert bounds.upper.max() >= OPTIMUM - 5e-4
+    peak = result.details["mu_peak"]
+    lines = 2 * np.pi * np.append(np.geomspace(1e-6, 10, 30), result.details["mu_peak_hz"])
+    assert max(mu_by_hand(result.controller, w) for w in lines) == pytest.approx(peak, rel=1e-4)
     assert abs(result.gamma / result.achieved - 1) < 1e-3
     assert last > 0
     return bounds.upper.max(), first
