@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from ultraquiet.values import Record as Record
     from ultraquiet.values import StateSpace as StateSpace
 
+    __version__: str
+
 __all__ = [
     "Channel",
     "FrequencyResponse",
@@ -71,6 +73,8 @@ _VALUES = (
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("ultraquiet")
     if name not in __all__:
         raise AttributeError(f"module 'ultraquiet' has no attribute {name!r}")
     if name in _VALUES:

@@ -100,9 +100,15 @@ def test_help_keeps_its_brackets_and_every_option(run, name):
 
 def test_version_and_completion(run):
     code, out, _ = run("--version")
-    assert (code, out) == (0, f"ultraquiet {uq.__version__}\n" if hasattr(uq, "__version__") else out)
+    assert (code, out) == (0, f"ultraquiet {uq.__version__}\n")
     assert re.fullmatch(r"ultraquiet \d+\.\d+\.\d+\S*\n", out)
     assert "--install-completion" in run("-h")[1]
+
+
+def test_python_runs_the_package():
+    words = [sys.executable, "-m", "ultraquiet", "--version"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"ultraquiet {uq.__version__}\n", "")
 
 
 PROGRAM = "import sys; sys.argv[0] = 'ultraquiet'; from ultraquiet.cli import main; main()"
