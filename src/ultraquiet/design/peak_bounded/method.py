@@ -23,6 +23,7 @@ from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures
 from ultraquiet.design.peak_bounded.roof import roof
 from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts, unasked_starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
+from ultraquiet.design.peak_bounded.washout import behind, heard_through, require_room
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
@@ -64,6 +65,8 @@ class PeakBounded(StatedRobustness):
         control_limit: largest K S in command per reading, or a shape (frequencies in Hz, gains); absent, 60 times what
             inverting the weakest direction in the band takes.
         complementary_db: shape for T = G K S, in dB; none when absent.
+        washout_hz: corner of a first-order high-pass that every reading passes first, below the band: an offset of a
+            reading then moves no command, however large K S is near 0 Hz. None when absent.
         tones_hz, tone_db: where S is to be lower still, by resonators inside the law, and how low, in dB.
         tone_zeta: damping of the resonators.
         gain_spread: by what share a channel may be off, in gain or in phase: what tolerances of sensors, actuators,
@@ -99,6 +102,7 @@ class PeakBounded(StatedRobustness):
     blocks: tuple[int, ...] | None = None
     control_limit: Any = None
     complementary_db: Any = None
+    washout_hz: float | None = None
     tones_hz: tuple[float, ...] = ()
     tone_db: float = 40.0
     tone_zeta: float = 0.002
@@ -121,8 +125,9 @@ class PeakBounded(StatedRobustness):
             rising_band(WHO, self.band_hz)
         for name in ("gain_spread", "mode_spread"):
             between(WHO, name, getattr(self, name), 0.0, 0.5)
-        for name in ("tone_db", "tone_zeta"):
-            positive(WHO, name, getattr(self, name))
+        for name in ("tone_db", "tone_zeta", "washout_hz"):
+            if getattr(self, name) is not None:
+                positive(WHO, name, getattr(self, name))
         whole(WHO, "draws", self.draws, 0)
         whole(WHO, "steps", self.steps, 1)
         table(WHO, "peak_db", self.peak_db, logarithmic=False)
@@ -139,7 +144,8 @@ class PeakBounded(StatedRobustness):
         `short` where a bound could not be met or nothing got quieter.
 
         Raises:
-            InputError: no plants, shapes or rates that differ, a scalar structure for a plant that is not square.
+            InputError: no plants, shapes or rates that differ, a scalar structure for a plant that is not square, a
+                washout within the band or for a plant with a pole at 0 Hz.
         """
         plants = _checked(plant)
         structure = self.structure or _structure_for(plants[0], self.band_hz)
@@ -147,15 +153,19 @@ class PeakBounded(StatedRobustness):
             raise InputError(f"{WHO}: a '{structure}' law needs as many outputs as inputs, got {plants[0].D.shape}.")
         units = units_of(plants[0], self.band_hz, WHO, alike=structure in (REPEATED, SYMMETRIC))
         rising_band(WHO, units.band_hz, plants[0].rate_hz)
+        require_room(WHO, plants[0], self.washout_hz, units.band_hz[0])
         scaled = [units.scaled(each) for each in plants]
         rng = np.random.default_rng(self.seed)
         near = [p for g in scaled for p in self._drawn(g, rng, units)]
         demands, top = self._demands(scaled, units, structure)
-        campaign = SearchFromStarts(demands, scaled, near, self.steps, top[0])
+        # S and T of a law K W on G are those of K on W G, and K W S is nowhere larger than K S: every bound holds
+        heard, heard_near = ([heard_through(g, self.washout_hz) for g in some] for some in (scaled, near))
+        campaign = SearchFromStarts(demands, heard, heard_near, self.steps, top[0])
         law = campaign.best(self._begin(scaled, units, structure))
         if law is None:
             return refused(f"{WHO}: no start is stable with every plant; give another 'start', or less spread.")
-        reached = self._figures(law, campaign, units, structure, top)
+        law = behind(law, self.washout_hz)
+        reached = self._figures(law, scaled, campaign, units, structure, top)
         tones = {tone: min(f.tones_db[f"{tone:g}"] for f in reached.plants) for tone in self.tones_hz}
         details = {"figures": reached, "attenuation_db": reached.attenuation_db, "tones_db": tones}
         if self.band_hz is None:
@@ -169,13 +179,17 @@ class PeakBounded(StatedRobustness):
         return perturbed(plant, self.draws, self.gain_spread, self.mode_spread, rng, units.band_hz)
 
     def _figures(
-        self, law: StateSpace, campaign: SearchFromStarts, units: SearchUnits, structure: str, top: tuple[float, float]
+        self,
+        law: StateSpace,
+        plants: Sequence[StateSpace],
+        campaign: SearchFromStarts,
+        units: SearchUnits,
+        structure: str,
+        top: tuple[float, float],
     ) -> SearchFigures:
         control = units.control if units.common else 1.0
         over = campaign.excess_db
-        each = tuple(
-            figures(g, law, campaign.demands, control, db) for g, db in zip(campaign.plants, over, strict=True)
-        )
+        each = tuple(figures(g, law, campaign.demands, control, db) for g, db in zip(plants, over, strict=True))
         return SearchFigures(
             attenuation_db=min(f.attenuation_db for f in each),
             peak_db=max(f.peak_db for f in each),
