@@ -107,8 +107,19 @@ def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, 
 
 
 def sentence(refusal: Any, model: type[BaseModel] | None) -> str:
-    """Return what pydantic refused as a sentence; `model` is that of the table its path begins at."""
+    """Return what pydantic refused as a sentence, its table first; `model` is that of the table its path begins at."""
     path = _steps(refusal["loc"])
+    tables = _tables(path)
+    return f"{tables}: {_said(refusal, path, model)}" if tables else _said(refusal, path, model)
+
+
+def _tables(path: Place) -> str:
+    """Return the names of the tables that a path leads through to its key."""
+    ends = [k for k, step in enumerate(path) if isinstance(step, str)]
+    return _named(path[: ends[-1]], whole=True) if ends else ""
+
+
+def _said(refusal: Any, path: Place, model: type[BaseModel] | None) -> str:
     key, kind, value = _named(path), refusal["type"], refusal["input"]
     if kind == "missing":
         return f"'{key}' is missing."
@@ -134,14 +145,19 @@ def _of_length(refusal: Any) -> str:
     return ""
 
 
-def _named(path: Sequence[str | int]) -> str:
-    """Return the last key of a path, with the index of an element of a list."""
+def _named(path: Sequence[str | int], whole: bool = False) -> str:
+    """Return the last key of a path, or all of them, with the indices of elements of lists."""
+    named: list[str] = []
     index = ""
     for step in reversed(path):
         if isinstance(step, str):
-            return f"{step}{index}"
-        index = f"[{step}]{index}"
-    return index
+            named.insert(0, f"{step}{index}")
+            index = ""
+            if not whole:
+                break
+        else:
+            index = f"[{step}]{index}"
+    return ".".join(named) or index
 
 
 def _model_at(kind: Any, path: Sequence[str | int]) -> type[BaseModel] | None:
