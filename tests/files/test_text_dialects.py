@@ -53,7 +53,7 @@ def test_names_parted_by_tabs_over_columns_of_blanks(tmp_path, table):
 
 def test_a_named_column_without_numbers_stays(tmp_path, table):
     (tmp_path / "run.csv").write_text(text(table, names=[*NAMES, "spare"], spare=",").replace("spare,", "spare"))
-    with pytest.raises(InputError, match="'spare' of .* has 40 NaN"):
+    with pytest.raises(InputError, match=r"'spare' of .* has 40 NaN"):
         read_record(tmp_path / "run.csv", inputs=["left coil"], outputs=["spare"])
 
 

@@ -125,7 +125,8 @@ def _said(refusal: Any, path: Place, model: type[BaseModel] | None) -> str:
         return f"'{key}' is missing."
     if kind == "extra_forbidden":
         table = _model_at(model, path[:-1])
-        return f"there is no key '{key}' here{known_are(key, table.model_fields if table else ())}."
+        known = [field.alias or name for name, field in table.model_fields.items()] if table else []
+        return f"there is no key '{key}' here{known_are(key, known)}."
     if kind == "model_type":
         return f"'{key}' must be a table, got {value!r}."
     if kind == "value_error":
@@ -138,7 +139,8 @@ def _of_length(refusal: Any) -> str:
     """Return what is wrong with a value that should be a list, or one of fewer values."""
     kind, value = refusal["type"], refusal["input"]
     if kind in ("tuple_type", "list_type") and isinstance(value, int | float | str):
-        shown = f'["{value}"]' if isinstance(value, str) else f"[{value}]"
+        numbers = not isinstance(value, str) or ("," in value and re.fullmatch(r"[\d\s.,eE+-]+", value))
+        shown = f"[{value}]" if numbers else f'["{value}"]'
         return f"should be a list in brackets, as {shown} is"
     if kind == "too_long":
         return f"should hold at most {refusal['ctx']['max_length']} values, not {refusal['ctx']['actual_length']}"

@@ -131,7 +131,7 @@ def order_of(
     """
     if not records:
         raise InputError(f"{type(method).__name__}: no records were given; at least one is needed.")
-    fitted = [record.part(0, int(FITTED_SHARE * record.samples)) for record in records]
+    fitted = [record.part(0, max(1, int(FITTED_SHARE * record.samples))) for record in records]
     settings = [method] * len(records) if own is None else own
     longest = max(range(len(records)), key=lambda k: records[k].samples)
     tried = _carried(settings[longest], fitted[longest], sorted(orders))
