@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 
 
 def _two(band_hz: Any) -> Any:
-    if isinstance(band_hz, list | tuple) and len(cast("Sequence[Any]", band_hz)) != 2:
+    if isinstance(band_hz, list | tuple) and len(cast("Sequence[Any]", band_hz)) < 2:
         raise ValueError("a band is two rising frequencies in Hz, as [10.0, 100.0] is")
     return band_hz
 
