@@ -86,7 +86,7 @@ def test_recursion_says_that_five_was_not_asked_for(rng):
     found = uq.identify.RecursiveArx(start_samples=0).identify(recorded(rng, 1, 1, 600))
     assert "Order 5 was taken, none was asked for." in found.status.sentence
     with pytest.raises(InputError, match="'order' must be a whole number"):
-        uq.identify.RecursiveArx(order="auto")
+        methods("identify")["recursive-arx"](order="auto")
 
 
 def test_orders_that_a_record_cannot_carry_are_not_tried(rng):
