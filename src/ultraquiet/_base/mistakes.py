@@ -107,14 +107,26 @@ def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, 
 
 
 def sentence(refusal: Any, model: type[BaseModel] | None) -> str:
-    """Return what pydantic refused as a sentence; `model` is that of the table its path begins at."""
+    """Return what pydantic refused as a sentence, its table first; `model` is that of the table its path begins at."""
     path = _steps(refusal["loc"])
+    tables = _tables(path)
+    return f"{tables}: {_said(refusal, path, model)}" if tables else _said(refusal, path, model)
+
+
+def _tables(path: Place) -> str:
+    """Return the names of the tables that a path leads through to its key."""
+    ends = [k for k, step in enumerate(path) if isinstance(step, str)]
+    return _named(path[: ends[-1]], whole=True) if ends else ""
+
+
+def _said(refusal: Any, path: Place, model: type[BaseModel] | None) -> str:
     key, kind, value = _named(path), refusal["type"], refusal["input"]
     if kind == "missing":
         return f"'{key}' is missing."
     if kind == "extra_forbidden":
         table = _model_at(model, path[:-1])
-        return f"there is no key '{key}' here{known_are(key, table.model_fields if table else ())}."
+        known = [field.alias or name for name, field in table.model_fields.items()] if table else []
+        return f"there is no key '{key}' here{known_are(key, known)}."
     if kind == "model_type":
         return f"'{key}' must be a table, got {value!r}."
     if kind == "value_error":
@@ -127,21 +139,27 @@ def _of_length(refusal: Any) -> str:
     """Return what is wrong with a value that should be a list, or one of fewer values."""
     kind, value = refusal["type"], refusal["input"]
     if kind in ("tuple_type", "list_type") and isinstance(value, int | float | str):
-        shown = f'["{value}"]' if isinstance(value, str) else f"[{value}]"
+        numbers = not isinstance(value, str) or ("," in value and re.fullmatch(r"[\d\s.,eE+-]+", value))
+        shown = f"[{value}]" if numbers else f'["{value}"]'
         return f"should be a list in brackets, as {shown} is"
     if kind == "too_long":
         return f"should hold at most {refusal['ctx']['max_length']} values, not {refusal['ctx']['actual_length']}"
     return ""
 
 
-def _named(path: Sequence[str | int]) -> str:
-    """Return the last key of a path, with the index of an element of a list."""
+def _named(path: Sequence[str | int], whole: bool = False) -> str:
+    """Return the last key of a path, or all of them, with the indices of elements of lists."""
+    named: list[str] = []
     index = ""
     for step in reversed(path):
         if isinstance(step, str):
-            return f"{step}{index}"
-        index = f"[{step}]{index}"
-    return index
+            named.insert(0, f"{step}{index}")
+            index = ""
+            if not whole:
+                break
+        else:
+            index = f"[{step}]{index}"
+    return ".".join(named) or index
 
 
 def _model_at(kind: Any, path: Sequence[str | int]) -> type[BaseModel] | None:

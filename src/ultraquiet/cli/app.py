@@ -75,6 +75,12 @@ def main() -> None:
     except UltraquietError as error:
         print(f"ultraquiet: {error}", file=sys.stderr)
         sys.exit(exit_code(error))
+    except OSError as error:  # of the system and its disks, wherever it is met
+        from ultraquiet.files import reason
+
+        named = f"'{error.filename}' cannot be read or written" if error.filename else "the system refused"
+        print(f"ultraquiet: {named} ({reason(error)}).", file=sys.stderr)
+        sys.exit(ExitCode.REFUSED)
     except MemoryError as error:
         print(f"ultraquiet: this asks for more memory than there is; ask for less ({error}).", file=sys.stderr)
         sys.exit(ExitCode.REFUSED)

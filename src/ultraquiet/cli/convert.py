@@ -32,6 +32,7 @@ def convert(
     from ultraquiet import files
     from ultraquiet.cli.output.screen import screen
 
+    files.possible(target, "convert")
     if not target.parent.is_dir():
         raise StorageError(f"convert: there is no folder '{target.parent}' for '{target.name}'; make it first.")
     if response:

@@ -9,7 +9,7 @@ import typer
 from ultraquiet._base.constraints import between
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.exits.codes import finish
-from ultraquiet.cli.order import AUTO, found_order, of_order
+from ultraquiet.cli.order import found_order, of_order
 from ultraquiet.cli.output.targets import beside, require_free
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import completing
@@ -58,7 +58,7 @@ def identify(
     cut = data.samples - int(held_out_share * data.samples)
     show = screen()
     with bars():
-        settings = of_order(method, setting or (), order, data.part(0, cut))
+        settings = of_order(method, setting or (), order)
         result = settings.identify(data.part(0, cut))
     unseen_percent = np.full(len(data.sensors), np.nan)
     if held_out_share:
@@ -71,8 +71,6 @@ def identify(
         grid.add(channel.name, f"{seen:.2f} %", held_out, f"{loss:.4g} {squared(channel.unit)}".strip())
     show.table(grid)
     chosen = found_order(settings, result)
-    if order == AUTO:
-        show.say(f"order {chosen}, chosen on a part of the record that was kept back for it")
     show.say(result.status, f"model: {target}")
     names = [channel.name for channel in data.sensors]
     show.result(

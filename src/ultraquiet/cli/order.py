@@ -1,38 +1,30 @@
-"""`--order`: a number, or what a part of the record that is kept back prefers."""
+"""`--order`: a number, or what the record itself says."""
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import fields
+from typing import Any
 
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.registry import lookup
 from ultraquiet.cli.settings import method as make
-
-if TYPE_CHECKING:
-    from ultraquiet.values import Record
-
-AUTO = "auto"
+from ultraquiet.identify.searched_order import AUTO, SearchedOrder
 
 
-def of_order(name: str, assignments: Sequence[str], order: str | None, record: "Record") -> Any:
-    """Return the settings of a method with the order that was asked for; `auto` asks the record.
+def of_order(name: str, assignments: Sequence[str], order: str | None) -> Any:
+    """Return the settings of a method with the order that was asked for; `auto` leaves it to the record.
 
     Raises:
         InputError: neither a number nor `auto`; a method that has no order, or none to be chosen.
     """
     if order != AUTO:
         return make("identify", name, assignments, order=None if order is None else _number(order))
-    from ultraquiet.identify.polynomial.methods import PolynomialMethod
-    from ultraquiet.identify.polynomial.order_selection import chosen_order
-
-    settings = make("identify", name, assignments)
-    order_field = next((f for f in fields(settings) if f.name == "order"), None)
-    if isinstance(settings, PolynomialMethod):
-        return replace(settings, order=chosen_order(settings, record))
-    if order_field is not None and "None" in str(order_field.type):
-        return replace(settings, order=None)  # it looks for the order itself
-    what = "has no order" if order_field is None else "does not choose its order"
-    remedy = "leave --order away" if order_field is None else "give --order a number"
-    raise InputError(f"identify: '{name}' {what}; {remedy}.")
+    kind = lookup("identify", name)
+    if not issubclass(kind, SearchedOrder):
+        has_one = any(field.name == "order" for field in fields(kind))
+        what = "does not choose its order" if has_one else "has no order"
+        remedy = "give --order a number" if has_one else "leave --order away"
+        raise InputError(f"identify: '{name}' {what}; {remedy}.")
+    return make("identify", name, assignments, order=AUTO)
 
 
 def found_order(settings: Any, result: Any) -> int | None:

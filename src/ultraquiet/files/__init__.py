@@ -2,7 +2,7 @@
 
 from ultraquiet._base.shown import show
 from ultraquiet.files.archive import contents, is_archive, load_many
-from ultraquiet.files.atomic import reason, write_bytes
+from ultraquiet.files.atomic import possible, reason, write_bytes
 from ultraquiet.files.export import export_record
 from ultraquiet.files.log import LogWriter, log_header
 from ultraquiet.files.logged import Log, finalise, read_log
@@ -33,6 +33,7 @@ __all__ = [
     "load_mapping",
     "log_header",
     "parse_mapping",
+    "possible",
     "read_frf",
     "read_log",
     "read_record",

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import secrets
+import stat
 from pathlib import Path
 
 from ultraquiet._base.errors import StorageError
@@ -19,10 +20,11 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, overwrite: bool = Tru
         overwrite: False refuses a name that is taken, even one taken while the bytes were on their way.
 
     Raises:
-        StorageError: the disk is full, the folder is missing or closed, the name is taken; nothing has changed then.
+        StorageError: the disk is full, the folder is missing or closed, the name is taken or none that the system
+            knows, or what has it is no file; nothing has changed then.
     """
     # A link stays a link: its target is what gets replaced.
-    target = Path(os.path.realpath(path))
+    target = possible(path)
     if not overwrite and target.exists():
         raise name_taken(path)
     part = target.with_name(f".{target.name[:200]}.{secrets.token_hex(6)}.part")
@@ -41,6 +43,27 @@ def write_bytes(path: str | os.PathLike[str], data: bytes, overwrite: bool = Tru
         with contextlib.suppress(OSError):
             part.unlink()
     return Path(path)
+
+
+def possible(path: str | os.PathLike[str], who: str = "files") -> Path:
+    """Return where a file would be written, links followed.
+
+    Raises:
+        StorageError: the system takes no such name, or what has it is a folder, a device or a pipe: none of these is
+            replaced by a file.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            mode = target.stat().st_mode
+            if not stat.S_ISREG(mode):
+                kind = "a folder" if stat.S_ISDIR(mode) else "a device or a pipe"
+                raise StorageError(f"{who}: '{path}' is {kind}, no file; choose another name.")
+    except StorageError:
+        raise
+    except (OSError, ValueError) as error:
+        raise StorageError(f"{who}: '{path}' cannot be written ({reason(error)}); choose another name.") from error
+    return target
 
 
 def name_taken(path: str | os.PathLike[str]) -> StorageError:

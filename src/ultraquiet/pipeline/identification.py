@@ -105,8 +105,8 @@ def identified(
             values[stored.paper(name)], fits[name] = result.model, _paper_fit(result, seconds)
     preferred = PreferredModels(
         structure=best.name,
-        order=best.order,
-        by_channel=tuple(tuple(f"{m.name} {m.order}" for m in row) for row in methods),
+        order=best.whole_order,
+        by_channel=tuple(tuple(f"{m.name} {m.whole_order}" for m in row) for row in methods),
         verdicts={word: words.count(word) for word in dict.fromkeys(words)},
     )
     table = tuple(RankedModel(**row) for row in ranking.table())

@@ -15,11 +15,13 @@ from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
 from ultraquiet.pipeline.identification import grouped
 from ultraquiet.pipeline.study import Band, ClosedLoop, Study, StudyError
+from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
 
 ONLY = "bench"  # the name of the one unit of a bench that knows no units
 SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of the lowest
 AMPLITUDE_SHARE = 0.1  # of the smallest range of an actuator
+MOST_SAMPLES = 1e8  # of all channels of one run; 0.8 GB
 
 
 def check(
@@ -27,12 +29,13 @@ def check(
     bench: Any,
     names: Sequence[str],
     plan: ExperimentList | None = None,
-    rate_hz: float | None = None,
+    seen: Any = None,
 ) -> None:
     """Refuse units and tones that the bench does not have, and records that neither experiment nor files leave.
 
-    With the list that is to be run a period is held against that of its signals; with the rate of the records, the
-    bench's own when absent, so are all bands and tones.
+    With the list that is to be run a period is held against that of its signals. Bands, tones, lengths and what is said
+    channel by channel are held against `seen`, a bench or record of the channels and the rate that laws have; the bench
+    itself when absent.
 
     Raises:
         StudyError: every mistake, in one message.
@@ -45,10 +48,11 @@ def check(
         _payload(study, bench, mistakes)
         _campaign(study, bench, mistakes)
     _records(study, names, mistakes)
-    if bench is not None:
-        _below_nyquist(study, bench.rate_hz, "the bench's", mistakes)
-    elif rate_hz is not None:
-        _below_nyquist(study, rate_hz, "the records'", mistakes)
+    wired = bench if seen is None else seen
+    if wired is not None:
+        _below_nyquist(study, wired.rate_hz, "the records'" if bench is None else "the bench's", mistakes)
+        _channels(study, wired, mistakes)
+        _lengths(study, wired, mistakes)
     if plan is not None:
         _period(study, plan, mistakes)
     mistakes.refuse(StudyError, "study")
@@ -183,6 +187,29 @@ def _frequencies(study: Study) -> Iterator[tuple[Place, Sequence[float]]]:
                     yield ("controllers", name, family, key), [f for f in value if isinstance(f, int | float)]
 
 
+def _channels(study: Study, wired: Any, mistakes: Mistakes) -> None:
+    """Note what is said of channels that there are not."""
+    nu, ny = len(wired.actuators), len(wired.sensors)
+    limits = study.deploy.limits
+    if isinstance(limits, list) and len(limits) not in (1, nu):
+        fault = f"there are {nu} actuators and {len(limits)} limits; give one number, or one an actuator."
+        mistakes.add(("deploy", "limits"), f"deploy.limits: {fault}")
+    if study.paper is not None and study.paper.channel > min(nu, ny):
+        fault = f"there is no channel {study.paper.channel}: {nu} actuators and {ny} sensors, counted from one."
+        mistakes.add(("paper", "channel"), f"paper.channel: {fault}")
+
+
+def _lengths(study: Study, wired: Any, mistakes: Mistakes) -> None:
+    """Note runs whose samples no memory holds."""
+    longest_s = MOST_SAMPLES / (wired.rate_hz * (len(wired.actuators) + len(wired.sensors)))
+    for name in ("closed_loop", "payload", "commission"):
+        for key in ("duration_s", "seconds", "settle_s"):
+            asked = getattr(getattr(study, name), key, None)
+            if asked is not None and asked > longest_s:
+                fault = f"{asked:g} s are more than memory holds at {wired.rate_hz:g} Hz; ask for {longest_s:.3g} s."
+                mistakes.add((name, key), f"{name}.{key}: {fault}")
+
+
 def _period(study: Study, plan: ExperimentList, mistakes: Mistakes) -> None:
     """Note a period of the plant's records that is not the one of the signals they answer."""
     asked = study.plant.period_samples
@@ -202,9 +229,18 @@ def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:
     if study.payload is None:
         return
     try:
-        simulate.OpenPayload(bench, study.payload.setup(study.closed_loop.tones_hz))
+        heard = simulate.OpenPayload(bench, study.payload.setup(study.closed_loop.tones_hz)).bench
+        force = [] if study.payload.force is None else [study.payload.force]
+        sources = [place_of(name, heard.actuators, "payload", "actuator") for name in (study.payload.shaker, *force)]
     except UltraquietError as error:
-        mistakes.add(("payload",), f"payload: {error}")
+        mistakes.add(("payload",), f"payload: {str(error).removeprefix('payload: ')}")
+        return
+    level = study.payload.level
+    for c in (heard.actuators[k] for k in sources):
+        if level is not None and level > min(c.high, -c.low):
+            fault = f"{level:g} is beyond the range of '{c.name}', {c.low:g} to {c.high:g} {c.unit}; ask less."
+            mistakes.add(("payload", "level"), f"payload.level: {fault}")
+            return
 
 
 def _campaign(study: Study, bench: Any, mistakes: Mistakes) -> None:

@@ -17,7 +17,7 @@ from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
 from ultraquiet.pipeline.tables.files import with_all_records
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
-from ultraquiet.pipeline.tables.numbers import Band, FileName, Order, Positive
+from ultraquiet.pipeline.tables.numbers import LARGEST, Band, Decibels, FileName, Order, Positive, Seconds, Seed
 from ultraquiet.pipeline.tables.paper import Paper, with_paper
 
 QUICK_STRUCTURES, QUICK_ORDERS = ["arx", "box-jenkins"], [5, 8]
@@ -44,7 +44,7 @@ class Head(Strict):
     """`[study]`: the seed is where test signals and sensor noise start."""
 
     title: str
-    seed: Annotated[int, Field(ge=0)] = 0
+    seed: Seed = 0
 
 
 class BenchTable(Method):
@@ -102,7 +102,7 @@ class Plant(Method):
     """
 
     records: list[str] = Field(min_length=1)
-    period_samples: int | None = Field(default=None, ge=2)
+    period_samples: Annotated[int, Field(ge=2, le=LARGEST, strict=True)] | None = None
     units: list[str] = Field(default=[])
 
 
@@ -126,7 +126,7 @@ class ClosedLoop(Strict):
     units: list[str] = Field(default=[])
     tones_hz: list[Positive] = Field(default=[])
     amplitude: Positive | None = Field(default=None, validation_alias=AliasChoices("amplitude", "amplitude_v"))
-    duration_s: Positive | None = None
+    duration_s: Seconds | None = None
     band_hz: Band | None = None
 
 
@@ -142,7 +142,7 @@ class LimitsTable(Strict):
     `peak_db` is of |S|, every direction; `control_gain` of |K S|, in units of actuators per unit of sensors.
     """
 
-    peak_db: Positive = 6.0
+    peak_db: Annotated[float, Field(gt=0, le=300, strict=True)] = 6.0
     control_gain: Positive | None = None
     bands_hz: list[Band] = Field(default=[])
 
@@ -155,7 +155,7 @@ class Deploy(Strict):
     """
 
     precision: Literal["float32", "float64"] = "float32"
-    limits: Positive | list[Positive] | None = None
+    limits: Positive | Annotated[list[Positive], Field(min_length=1)] | None = None
 
 
 class Requirements(Strict):
@@ -167,11 +167,11 @@ class Requirements(Strict):
 
     law: str
     band_hz: Band | None = None
-    attenuation_db: float | None = None
-    peak_db: float | None = None
-    disk_margin: Positive | None = None
-    payload_db: float | None = None
-    tones_db: float | None = None
+    attenuation_db: Decibels | None = None
+    peak_db: Decibels | None = None
+    disk_margin: Annotated[float, Field(gt=0, le=2, strict=True)] | None = None
+    payload_db: Decibels | None = None
+    tones_db: Decibels | None = None
 
 
 class Study(Strict):
@@ -266,8 +266,8 @@ def parse(text: str, name: str = "study") -> Study:
       line 1: 'bench' is missing.
       line 1: 'controllers' is missing.
       line 1: 'plant' is missing.
-      line 3: 'seed' should be greater than or equal to 0, got -1.
-      line 5: there is no key 'precison' here; did you mean 'precision'? Known are precision, limits.
+      line 3: study: 'seed' should be greater than or equal to 0, got -1.
+      line 5: deploy: there is no key 'precison' here; did you mean 'precision'? Known are precision, limits.
     """
     content, places = read_toml(text, name, StudyError)
     content, places = with_paper(content, places)

@@ -32,7 +32,7 @@ from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.pipeline.store.recorded import Records
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.summary import Summary, summarise, to_json
-from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records
+from ultraquiet.pipeline.tables.blending import BlendingTable, blended, blended_records, in_modes, with_matrices
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.report import write
 from ultraquiet.values import Record
@@ -148,14 +148,17 @@ def prepared(
     """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
     own = bench_of(settings, beside)
     read = {} if settings.records is None else _read(settings.records, beside)
-    bench = own
+    bench, blending = own, None
+    seen = next(iter(read.values()), own)
     if settings.blending is not None:  # matrices that do not fit are refused here, also those of files
-        whole = blended(Replay(tuple(read.values())) if own is None else own, settings.blending, beside)
+        blending = with_matrices(settings.blending, beside)
+        player = Replay(tuple(read.values())) if own is None else own
+        whole, seen = blended(player, blending), in_modes(player, blending)
         bench = None if own is None else whole
     describe = partial(identity, own, bench_table(settings), beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     names = list(read) if listed is None else [m.name for m in listed.measurements]
-    preflight.check(settings, bench, names, listed, _rate_of(settings, read))
+    preflight.check(settings, bench, names, listed, seen)
     with locked(folder, say) as lock, _on_a_disk(folder):
         sweep(folder)
         _require_space(folder)
@@ -171,8 +174,8 @@ def prepared(
             _write_study(settings, folder, beside)
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
-        if settings.blending is not None:
-            bench, records = _in_modes(own, settings.blending, records, beside, say)
+        if blending is not None:
+            bench, records = _in_modes(own, blending, records, say)
         if bench is not None and not preflight.reacts(bench):
             say("the bench plays back its records: no loop is closed on it")
             bench = None
@@ -182,17 +185,11 @@ def prepared(
         yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key_of(settings, bench_key))
 
 
-def _rate_of(settings: study.Study, read: Mapping[str, Record]) -> float | None:
-    """Return the rate at which laws of a study of files run, None where a bench has one."""
-    asked = None if settings.blending is None else settings.blending.control_rate_hz
-    return asked or next((record.rate_hz for record in read.values()), None)
-
-
 def _in_modes(
-    own: Any, table: BlendingTable, records: Mapping[str, Record], beside: Path | None, say: Say
+    own: Any, table: BlendingTable, records: Mapping[str, Record], say: Say
 ) -> tuple[Any, Mapping[str, Record]]:
     """Return the bench, where there is one, and its records in modes; what was noticed of the channels is said."""
-    done = blended_records(Replay(tuple(records.values())) if own is None else own, table, records, beside)
+    done = blended_records(Replay(tuple(records.values())) if own is None else own, table, records)
     for sentence in done.sentences:
         say(sentence)
     return None if own is None else done.bench, done.records

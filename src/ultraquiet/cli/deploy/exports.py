@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.output.screen import screen
-from ultraquiet.cli.output.targets import require_free, require_free_folder
+from ultraquiet.cli.output.targets import is_folder, require_free, require_free_folder
 
 if TYPE_CHECKING:
     from ultraquiet.deploy import Deployment
@@ -52,7 +52,7 @@ def require_place(folder: Path, force: bool, option: str, *read: Path | None) ->
     """
     from ultraquiet.deploy.c_code.output_folder import require_ours
 
-    if folder.is_dir():
+    if is_folder("deploy", folder, option):
         require_ours(folder)
     require_free_folder("deploy", folder, force, option)
     for path in read:

@@ -11,13 +11,13 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.cli.loop.facts import decibels, seconds
 from ultraquiet.cli.loop.places import WHO, LoopPlace
 from ultraquiet.cli.output.text_table import TextTable
+from ultraquiet.pipeline.preflight import MOST_SAMPLES
 
 if TYPE_CHECKING:
     from ultraquiet.simulate import Attenuation, NoiseReduction, StepReduction
     from ultraquiet.values import StateSpace
 
 DEFAULT = "default"
-MOST_SAMPLES = 1e8  # of all channels; 0.8 GB
 PERIODS = 16.0  # of the lowest tone, or line of the band, in a run whose length nobody asked for
 
 

@@ -1,5 +1,6 @@
 """Figures into files: a name that is taken gets a number, nothing is written over."""
 
+import os
 from collections.abc import Sequence
 from itertools import count
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from ultraquiet._base.constraints import one_of
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet.cli.output.targets import is_folder, require_writable_place
 
 if TYPE_CHECKING:
     from ultraquiet.plot import Figure
@@ -22,8 +24,9 @@ def require_format(who: str, form: str) -> str:
 
 def require_folder(who: str, folder: Path) -> None:
     """Refuse a folder that is something else."""
-    if folder.exists() and not folder.is_dir():
+    if not is_folder(who, folder, "--out") and os.path.lexists(folder):
         raise StorageError(f"{who}: '{folder}' is a file, no folder for figures; choose another --out.")
+    require_writable_place(who, folder, "--out")
 
 
 def format_of_picture(who: str, path: Path) -> str:

@@ -1,5 +1,6 @@
 """Text columns (CSV, TSV, columns of numbers) in and out."""
 
+import codecs
 import csv
 import io
 import re
@@ -18,6 +19,13 @@ from ultraquiet.values import Channel, Record
 
 DELIMITERS = (";", "\t", ",")
 LEAST_NUMBER = 4  # bytes of numbers that a byte of text becomes at most: a digit and its delimiter
+UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+NO_TEXT = "is no text file in UTF-8; save it as text (CSV) in UTF-8"
+NO_NUMBERS = (
+    "holds no line of numbers; below the names every cell is a number or empty, and time is counted in seconds, not "
+    "told by dates"
+)
+DECIMAL_COMMAS = "where its commas are decimal commas, part the columns by semicolons or tabs"
 ROLES = {"u ": "input", "y ": "output"}  # how `write_text` marks its columns
 
 
@@ -25,15 +33,16 @@ def read_text(name: str, data: bytes) -> FileTable:
     """Return the columns of a text file; the line before the numbers names them, with units in brackets.
 
     Cells are parted by semicolons, tabs, commas or blanks; with semicolons or tabs a comma is a decimal comma. Units
-    may stand in a line of their own below the names. An empty cell counts as NaN. Lines that begin with `#` are
-    remarks, and the last of them before the numbers may be the header.
+    may stand in a line of their own below the names. An empty cell counts as NaN, and delimiters at the ends of lines
+    make no column. Lines that begin with `#` are remarks, and the last of them before the numbers may be the header.
     """
     try:
+        data = data.decode("utf-16").encode() if data[:2] in UTF16 else data
         before = _before(data)
     except UnicodeDecodeError:
-        raise InputError(f"read_record: '{name}' is no text file in UTF-8.") from None
+        raise InputError(f"read_record: '{name}' {NO_TEXT}.") from None
     if before is None:
-        raise InputError(f"read_record: '{name}' holds no line of numbers.")
+        raise InputError(f"read_record: '{name}' {NO_NUMBERS}.")
     *before, first = before
     start, delimiter = len(before), _delimiter(first)
     if len(_cells(first, delimiter)) > MOST_COLUMNS:
@@ -42,17 +51,39 @@ def read_text(name: str, data: bytes) -> FileTable:
     try:
         rows = _numbers(data, start, delimiter)
     except UnicodeDecodeError:
-        raise InputError(f"read_record: '{name}' is no text file in UTF-8.") from None
+        raise InputError(f"read_record: '{name}' {NO_TEXT}.") from None
     except ValueError as error:
-        raise InputError(f"read_record: '{name}', after line {start}: {_plainly(reason(error))}.") from None
+        refusal = _plainly(reason(error), _commas_are_decimal(before, first))
+        raise InputError(f"read_record: '{name}', after line {start}: {refusal}.") from None
+    if _commas_are_decimal(before, first):
+        raise InputError(f"read_record: '{name}' has more numbers a line than names; {DECIMAL_COMMAS}.")
+    rows = rows[:, : _named_columns(before, delimiter, rows)]
     header = _header(before, delimiter, rows.shape[1])
     columns = [Column(called, values, unit) for (called, unit), values in zip(header, rows.T, strict=True)]
     return FileTable(name, _with_roles(columns))
 
 
-def _plainly(refusal: str) -> str:
-    """Return what NumPy says of a table without its advice, which is on NumPy's own arguments."""
-    return refusal.partition("; use `usecols`")[0]
+def _plainly(refusal: str, decimal_commas: bool) -> str:
+    """Return what NumPy says of a table with advice on the file in place of NumPy's on its own arguments."""
+    said = refusal.partition("; use `usecols`")[0]
+    if decimal_commas:
+        return f"{said}; {DECIMAL_COMMAS}"
+    return f"{said}; write a number there, or leave the cell empty" if "could not convert" in said else said
+
+
+def _commas_are_decimal(before: Sequence[str], first: str) -> bool:
+    """Return whether a line of whole numbers between commas is longer than the names above it, at most twice."""
+    named = [line for line in before if line.strip()][-1:]
+    names = len(_cells(named[0].lstrip("# \t"), ",")) if named else 0
+    return "." not in first and _delimiter(first) == "," and 2 <= names < len(_cells(first, ",")) <= 2 * names
+
+
+def _named_columns(before: Sequence[str], delimiter: str | None, rows: FloatArray) -> int:
+    """Return how many columns there are without one at the end that has neither a name nor a number."""
+    last = next((line for line in reversed(before) if line.strip()), "")
+    names, count = _cells(last.lstrip("# \t"), delimiter), rows.shape[1]
+    nameless = len(names) < count or not names[count - 1]
+    return count - 1 if count > 1 and nameless and np.isnan(rows[:, -1]).all() else count
 
 
 def write_text(record: Record) -> bytes:
@@ -149,13 +180,22 @@ def _cells(line: str, delimiter: str | None) -> list[str]:
 
 def _header(before: Sequence[str], delimiter: str | None, count: int) -> list[tuple[str, str]]:
     """Return name and unit of each column, from the one or two lines above the numbers."""
-    rows = [_cells(line.lstrip("# \t"), delimiter) for line in before if line.strip()][-2:]
+    rows = [_named(line.lstrip("# \t"), delimiter, count) for line in before if line.strip()][-2:]
     names = rows[-1] if rows else []
     if len(rows) == 2 and len(rows[0]) == len(rows[1]) == count and all(rows[0]) and _are_units(rows):
         return [(name, unit.strip("[]()")) for name, unit in zip(*rows, strict=True)]
     if len(names) != count or not all(names):
         return [(f"column {k + 1}", "") for k in range(count)]
     return [split_unit(name) for name in names]
+
+
+def _named(line: str, delimiter: str | None, count: int) -> list[str]:
+    """Return the cells of a line of names, which may be parted otherwise than the numbers below it."""
+    cells = _cells(line, delimiter)
+    while len(cells) > count and not cells[-1]:
+        cells.pop()
+    ways = (cells, *(re.split(mark, line.strip()) for mark in (r"\t", r"\s{2,}")))
+    return next((way for way in ways if len(way) == count), cells)
 
 
 def _are_units(rows: Sequence[Sequence[str]]) -> bool:

@@ -97,7 +97,13 @@ def uff_bytes(sets: Sequence[dict[str, Any]]) -> bytes:
         # that it writes over another.
         for k, data_set in enumerate(sets):
             path = Path(folder) / f"{k}.uff"
-            pyuff.UFF(str(path)).write_sets(dict(data_set), mode="add")
+            try:
+                pyuff.UFF(str(path)).write_sets(dict(data_set), mode="add")
+            except Exception as error:  # pyuff makes one of no kind of what the disk refuses
+                raise StorageError(
+                    f"export_record: the file could not be prepared in '{folder}' ({error}); make room there, "
+                    "or set TMPDIR to a disk that has some."
+                ) from error
             parts.append(_sized(path.read_bytes(), data_set))
             path.unlink()
     return b"".join(parts)

@@ -14,6 +14,7 @@ from ultraquiet.identify.joint.search import Part
 from ultraquiet.identify.joint.ties import Ties, same
 from ultraquiet.identify.prediction_error.fit import Fit, Search
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
+from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns, excited, gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
@@ -70,7 +71,10 @@ def identify_joint(
     Reference: Ljung, System Identification, 2nd ed., section 14.3 (merging data sets).
     """
     ties = same("identify_joint", ties, share)
-    _alike(method, records)
+    _alike(method if method.given_order else method.at_order(1), records)
+    method, words = with_order(method, records)
+    for record in records:
+        method.check(record)
     ny, nu = len(records[0].sensors), len(records[0].actuators)
     parameterisation = method.parameterisation(nu)
     tied = Ties.of(ties, ny, nu)
@@ -86,7 +90,7 @@ def identify_joint(
     provenance = _provenance(method, records, ties)
     wires = records[0].actuators, records[0].sensors
     model = PolynomialMatrix([[fits[i].model] for i in range(ny)], *wires, provenance)
-    return gather(model, [fits[i] for i in range(ny)], provenance)
+    return told(gather(model, [fits[i] for i in range(ny)], provenance), method, words)
 
 
 def identify_tied_matrix(
@@ -96,6 +100,7 @@ def identify_tied_matrix(
     workers: int | None = None,
 ) -> MatrixResult:
     """Return what `identify_matrix` does when channels are tied, or an actuator has several records."""
+    method, words = with_order(method, *_asked(method, records))
     runs = _runs(method, records)
     ny, nu = len(runs[0][0].sensors), len(runs)
     tied = Ties.of(ties, ny, nu)
@@ -110,7 +115,13 @@ def identify_tied_matrix(
     fits = fit_parts(parts, how, runs[0][0].rate_hz, workers)
     provenance = _provenance(method, [r for column in runs for r in column], ties)
     grid = [[fits[i * nu + k] for k in range(nu)] for i in range(ny)]
-    return assemble(grid, [column[0] for column in runs], provenance)
+    return told(assemble(grid, [column[0] for column in runs], provenance), method, words)
+
+
+def _asked(method: PolynomialSettings, records: Sequence[Record | Sequence[Record]]) -> tuple[list[Record], list[int]]:
+    """Return the records that say an order which is left to them, and of each the actuator it excites."""
+    runs = [] if method.given_order else _runs(method.at_order(1), records)
+    return [record for column in runs for record in column], [k for k, column in enumerate(runs) for _ in column]
 
 
 def fit_alone(method: PolynomialSettings, data: ChannelData, rate_hz: float) -> Fit:

@@ -10,6 +10,7 @@ from ultraquiet.identify.joint.identify import identify_tied_matrix
 from ultraquiet.identify.joint.ties import same
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
+from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.result import MatrixResult, columns, whole
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
@@ -27,7 +28,8 @@ def identify_matrix(
     """Identify every channel of a transfer matrix from one record per actuator, as section 3.4 of the paper.
 
     Args:
-        method: settings of a polynomial structure, `BoxJenkins(order=5)` for instance.
+        method: settings of a polynomial structure, `BoxJenkins(order=5)` for instance; an order that is left to the
+            records is one for all channels.
         records: record k excites actuator k alone; each has all `nu` inputs (or only the excited one) and `ny` outputs.
             Several records of one actuator, as a list in place k, go into one fit.
         workers: threads; as many as processors when absent.
@@ -56,14 +58,15 @@ def identify_matrix(
         if start is not None:
             raise InputError("identify_matrix: start is for channels that share nothing, one record per actuator.")
         return identify_tied_matrix(method, records, ties, workers)
-    picked = columns(method, single)
+    settled, words = with_order(method, [] if method.given_order else columns(method.at_order(1), single))
+    picked = columns(settled, single)
     channels = [(i, k) for k in range(len(picked)) for i in range(len(picked[0].sensors))]
     first = starting_models(start, len(picked[0].sensors), len(picked), picked[0].rate_hz)
 
     def one(place: tuple[int, int]) -> Fit:
         i, k = place
-        return method.fit(ChannelData.of(picked[k], i, first[i][k]), picked[k].rate_hz)
+        return settled.fit(ChannelData.of(picked[k], i, first[i][k]), picked[k].rate_hz)
 
-    fits = in_threads(f"identify {method.name}", one, channels, workers)
+    fits = in_threads(f"identify {settled.name}", one, channels, workers)
     grid = [[fits[(i, k)] for k in range(len(picked))] for i in range(len(picked[0].sensors))]
-    return whole(method, grid, single)
+    return told(whole(settled, grid, single), settled, words)

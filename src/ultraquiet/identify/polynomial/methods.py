@@ -13,6 +13,7 @@ from ultraquiet.identify.joint.identify import fit_alone, identify_joint
 from ultraquiet.identify.prediction_error.fit import Fit, fit_channel
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
 from ultraquiet.identify.prediction_error.long_record import identify_long
+from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import each
 from ultraquiet.identify.prediction_error.result import gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
@@ -54,12 +55,13 @@ class PolynomialMethod(PolynomialSettings):
             return identify_long(self, record)
         if not isinstance(record, Record):
             return identify_joint(self, record)
-        self.check(record)
         first = starting_models(start, len(record.sensors), 1, record.rate_hz)
-        fits = [self.fit(ChannelData.of(record, i, row[0]), record.rate_hz) for i, row in enumerate(first)]
-        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        method, words = with_order(self, [record])
+        method.check(record)
+        fits = [method.fit(ChannelData.of(record, i, row[0]), record.rate_hz) for i, row in enumerate(first)]
+        provenance = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
         model = PolynomialMatrix([[f.model] for f in fits], record.actuators, record.sensors, provenance)
-        return gather(model, fits, provenance)
+        return told(gather(model, fits, provenance), method, words)
 
     def fit(self, data: ChannelData, rate_hz: float) -> Fit:
         """Return the model of one output."""
@@ -91,7 +93,7 @@ class Arx(PolynomialMethod):
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        return Structure(self.order, self._b(), 0, 0, 0, self._delay())
+        return Structure(self.whole_order, self._b(), 0, 0, 0, self._delay())
 
 
 @register("identify", "armax")
@@ -110,8 +112,8 @@ class Armax(PolynomialMethod):
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        c = self.order if self.c_order is None else self.c_order
-        return Structure(self.order, self._b(), c, 0, 0, self._delay())
+        c = self.whole_order if self.c_order is None else self.c_order
+        return Structure(self.whole_order, self._b(), c, 0, 0, self._delay())
 
 
 @register("identify", "output-error")
@@ -126,7 +128,7 @@ class OutputError(PolynomialMethod):
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        return Structure(0, self._b(), 0, 0, self.order, self._delay())
+        return Structure(0, self._b(), 0, 0, self.whole_order, self._delay())
 
 
 @register("identify", "box-jenkins")
@@ -161,5 +163,6 @@ class BoxJenkins(PolynomialMethod):
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
-        c, d, f = (self.order if k is None else max(each(k)) for k in (self.c_order, self.d_order, self.f_order))
+        given = (self.c_order, self.d_order, self.f_order)
+        c, d, f = (self.whole_order if k is None else max(each(k)) for k in given)
         return Structure(0, self._b(), c, d, f, self._delay())

@@ -14,15 +14,13 @@ from ultraquiet._base.threads import in_threads
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
+from ultraquiet.identify.prediction_error.order_choice import FITTED_SHARE, WORTH
 from ultraquiet.identify.prediction_error.result import MatrixResult, columns, whole
 from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record, StatusWord
 
 STRUCTURES = ("arx", "armax", "output-error", "box-jenkins")
 ORDERS = range(2, 8)
-FITTED_SHARE = 2 / 3  # of each record when no other records are held out
-# A larger model must lower the score by this share to be preferred: less is within what another record would change.
-WORTH = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +104,7 @@ class Sweep:
         return [
             {
                 "structure": c.method.name,
-                "order": c.method.order,
+                "order": c.method.whole_order,
                 "median_fit_percent": float(np.median(c.held_out_fit)),
                 "worst_fit_percent": float(np.min(c.held_out_fit)),
                 "median_loss": float(np.median(c.held_out_loss)),
@@ -175,61 +173,6 @@ def sweep(
     return _ranked(candidates, rank_by, tuple(records))
 
 
-def chosen_order(method: PolynomialMethod, record: Record, orders: Iterable[int] = ORDERS) -> int:
-    """Return the order that the last third of a record prefers, of models fitted to the first two.
-
-    The least order whose one-step loss, in geometric mean over the outputs, is within 2 % of the smallest: the rule of
-    `sweep`, here for any number of inputs that move together.
-
-    Args:
-        method: the structure, whose order is varied.
-        record: inputs and outputs; the part that judges is at its end.
-        orders: whole numbers.
-
-    Raises:
-        InputError: no orders, a record too short for the largest of them.
-
-    >>> import numpy as np, ultraquiet as uq
-    >>> from ultraquiet.identify.polynomial.methods import OutputError
-    >>> rng = np.random.default_rng(0)
-    >>> u = rng.standard_normal((2, 1500))
-    >>> lag = uq.StateSpace([[1.2, -0.6], [1.0, 0.0]], [[1.0, 0.3], [0.0, 0.0]], [[1.0, 0.4]], [[0.0, 0.0]], 100.0)
-    >>> y = lag.simulate(u) + 0.1 * rng.standard_normal((1, 1500))
-    >>> chosen_order(OutputError(), uq.Record(u, y, 100.0), orders=[1, 2, 3])
-    2
-    """
-    methods = [_at_order(method, n) for n in orders]
-    if not methods:
-        raise InputError("chosen_order: no orders were given.")
-    cut = int(FITTED_SHARE * record.samples)
-    fitted = record.part(0, cut)
-    for each in methods:
-        each.check(fitted)
-
-    def losses(i: int) -> list[float]:
-        data = ChannelData.of(fitted, i)
-        return [_loss_after(cut, record, i, each.fit(data, record.rate_hz)) for each in methods]
-
-    table = in_threads("compare orders", losses, list(range(len(record.sensors))), None)
-    scores = np.exp(np.mean(np.log([table[i] for i in range(len(record.sensors))]), axis=0))
-    near = [each.order for each, score in zip(methods, scores, strict=True) if score <= (1 + WORTH) * scores.min()]
-    return min(near)
-
-
-def _loss_after(cut: int, record: Record, i: int, fit: Fit) -> float:
-    """Return the variance of the one-step errors behind `cut`.
-
-    The model runs through the whole record: begun at the cut it would be judged by the state that it does not know.
-    """
-    m = fit.model
-    sensor = record.sensors[i]
-    y = record.outputs[i]
-    if sensor.low > -np.inf or sensor.high < np.inf:
-        simulated = prediction.simulate(record.inputs, y, m.b, [m.denominator(j) for j in range(len(m.b))])
-        y = prediction.repaired(y, simulated, sensor.low, sensor.high)
-    return float(np.var(prediction.innovations(record.inputs, y, m.a, m.b, m.f, m.c, m.d)[cut:]))
-
-
 def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
     if isinstance(structure, PolynomialMethod):
         return replace(structure, order=order)
@@ -294,7 +237,7 @@ def _smallest_worth(candidates: Sequence[Candidate], scores: Sequence[float]) ->
         for k, c in enumerate(candidates)
         if c.method.name == candidates[best].method.name and scores[k] <= (1.0 + WORTH) * scores[best]
     ]
-    return min(near, key=lambda k: candidates[k].method.order)
+    return min(near, key=lambda k: candidates[k].method.whole_order)
 
 
 def _score(candidate: Candidate, rank_by: str) -> float:

@@ -103,7 +103,10 @@ def finished(
     """Return a model with its evidence: residual tests, fit, covariance."""
     evidence = residual_tests(best.residual, data.u, structure)
     output = np.clip(simulated(data, model, search), data.low, data.high)
-    status = verdict(best.state, best.iterations, evidence)
+    fit_percent = prediction.fit_percent(data.recorded, output)
+    nu = data.u.shape[0]
+    free = structure.parameters(nu) + nu * max(structure.f, structure.a, structure.b) + 1  # its past and a constant too
+    status = explaining(verdict(best.state, best.iterations, evidence), fit_percent, data.recorded.size, free)
     if status.ok and not model.is_stable():
         # Only ARX and ARMAX can end here: their A is not divided by.
         status = Status(
@@ -112,7 +115,7 @@ def finished(
     return Fit(
         model,
         status,
-        prediction.fit_percent(data.recorded, output),
+        fit_percent,
         model.noise_variance,
         covariance(best.normal, best.loss, structure, data.gain),
         whiteness_p=evidence[0],
@@ -241,6 +244,25 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
         )
     return Status(
         StatusWord.OK, f"Converged; the residual is white (p = {white:.2g}) and free of the input (p = {free:.2g})."
+    )
+
+
+def explaining(status: Status, fit_percent: float, samples: int, parameters: int) -> Status:
+    """Return the verdict on a model, no longer ok where its inputs explain no more of the output than chance would.
+
+    Of an output that has nothing to do with the inputs p free numbers take the share R^2 of the power in n samples, and
+    n R^2 is chi-square of p degrees of freedom; poles are sought among n / 2 lines, so the largest of as many is what
+    chance gives (Bonferroni). A residual that is white and free of the inputs is then no praise.
+    """
+    from scipy.special import chdtrc
+
+    share = max(0.0, 1.0 - (1.0 - fit_percent / 100.0) ** 2)
+    if not status.ok or 0.5 * samples * chdtrc(parameters, samples * share) < SIGNIFICANCE:
+        return status
+    return Status(
+        StatusWord.POOR_FIT,
+        f"The inputs explain {share:.1%} of the output's power, no more than such a model does by chance: see that "
+        f"inputs and outputs are not swapped and belong to one run, or excite more strongly.",
     )
 
 

@@ -16,6 +16,7 @@ from ultraquiet.identify.prediction_error.in_memory import moved
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.levenberg_marquardt import CONVERGED, Ended, minimise
 from ultraquiet.identify.prediction_error.model_table import modelled, table_of
+from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.result import gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
@@ -231,11 +232,12 @@ def identify_long(method: PolynomialSettings, record: LongRecord) -> Result:
     seen = survey(record)
     size = min(START_SAMPLES, record.samples)
     pieces = [record.part(at, at + size) for at in seen.most_excited(size, START_PIECES)]
+    method, words = with_order(method, pieces[:1])
     method.check(pieces[0])
     fits = [_fit_output(method, record, i, seen, pieces) for i in range(len(record.sensors))]
     provenance = Provenance(method.name, asdict(method), parents=(record.hash,), versions=versions())
     model = PolynomialMatrix([[f.model] for f, _ in fits], record.actuators, record.sensors, provenance)
-    return _gathered(model, [f for f, _ in fits], [p for _, p in fits], seen, provenance)
+    return told(_gathered(model, [f for f, _ in fits], [p for _, p in fits], seen, provenance), method, words)
 
 
 def _fit_output(

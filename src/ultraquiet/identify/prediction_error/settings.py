@@ -5,14 +5,17 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
 from ultraquiet._base.constraints import one_of, whole
+from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error.fit import Fit, Search
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation, check_known, each, laid_out
 from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.identify.record_checks import exciting, usable
+from ultraquiet.identify.searched_order import AUTO, Auto, SearchedOrder, Unasked
 from ultraquiet.values import Record
 
 HIGHEST_ORDER = 30
+NOT_ASKED = Unasked(5)  # the paper's, section 3.2
 LONGEST_DELAY = 1000
 # Block rows of the starting subspaces. 40 alone finds the minimum of the 3.5 kHz reference truth in 98 of 100 records;
 # on records of the simulated hexapod no single one does in more than 3 of 4 channels, these six together in 79 of 84.
@@ -20,14 +23,15 @@ HORIZONS = (40, 20, 10, 30, 60, 80)
 
 
 @dataclass(frozen=True)
-class PolynomialSettings:
+class PolynomialSettings(SearchedOrder):
     """Settings all polynomial structures share; what fits by them stands above and is handed them.
 
     The coefficients minimise V = 1/n sum_t e(t)^2, e = (D/C)(A y - sum_j B_j / F_j u_j), by Levenberg-Marquardt on the
     filtered gradient. C, D and F keep their roots inside the unit circle at every accepted step.
 
     Args:
-        order: number of free coefficients of every polynomial.
+        order: number of free coefficients of every polynomial; "auto" or None takes the one that the last third of the
+            record prefers, see `order_choice`. 5 when absent, which the verdict then says.
         delay: samples from an input to its first effect (1: no direct feedthrough), one for all inputs or one for each.
         b_order: number of coefficients of B when it differs from `order`; likewise.
         horizons: block rows of the subspace models that the search starts from, the most trusted first. A longer one
@@ -47,7 +51,7 @@ class PolynomialSettings:
 
     name: ClassVar[str]
 
-    order: int = 5
+    order: int | Auto | None = NOT_ASKED
     delay: int | Sequence[int] = 1
     b_order: int | Sequence[int] | None = None
     horizons: tuple[int, ...] = HORIZONS
@@ -60,8 +64,8 @@ class PolynomialSettings:
     fixed: Mapping[str, Sequence[float]] | None = None
 
     def __post_init__(self) -> None:
+        self.settle_order(HIGHEST_ORDER)
         who = type(self).__name__
-        whole(who, "order", self.order, 1, HIGHEST_ORDER)
         for delay in each(self.delay):
             whole(who, "delay", delay, 0, LONGEST_DELAY)
         for name in ("b_order", "c_order", "d_order", "f_order"):
@@ -71,7 +75,27 @@ class PolynomialSettings:
             whole(who, "horizons", rows, 2)
         one_of(who, "initial", self.initial, ("estimate", "rest"))
         whole(who, "max_iterations", self.max_iterations, 1)
-        check_known(self)
+        if self.given_order is None:
+            self.at_order(1)  # whichever order the record prefers, the other settings are known now
+        else:
+            check_known(self)
+
+    @property
+    def whole_order(self) -> int:
+        """The order as a number.
+
+        Raises:
+            InputError: it is left to a record, and none has been asked yet.
+        """
+        if self.given_order is None:
+            raise InputError(
+                f"{type(self).__name__}: 'order' is '{AUTO}' and there is no record here to say it; give it a number."
+            )
+        return int(self.given_order)
+
+    def at_order(self, order: int) -> Self:
+        """Return the settings with another order."""
+        return replace(self, order=order)
 
     def structure(self) -> Structure:
         """Return the numbers of coefficients."""
@@ -110,7 +134,7 @@ class PolynomialSettings:
         return Search(self.horizons, self.initial == "estimate", self.offset, self.max_iterations, self.repair)
 
     def _b(self) -> int:
-        return self.order if self.b_order is None else max(each(self.b_order))
+        return self.whole_order if self.b_order is None else max(each(self.b_order))
 
     def _delay(self) -> int:
         return min(each(self.delay))

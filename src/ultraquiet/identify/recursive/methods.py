@@ -16,6 +16,8 @@ from ultraquiet.identify.polynomial.methods import Armax, Arx, BoxJenkins, Outpu
 from ultraquiet.identify.prediction_error import fit as one_fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
 from ultraquiet.identify.prediction_error.long_record import simulated_fit
+from ultraquiet.identify.prediction_error.order_choice import told, unasked
+from ultraquiet.identify.prediction_error.settings import HIGHEST_ORDER, NOT_ASKED
 from ultraquiet.identify.recursive.beginning import LONGEST, constant_at_output
 from ultraquiet.identify.recursive.estimator import Recursion
 from ultraquiet.identify.recursive.followed import Followed, blocks_of, starting_piece, with_evidence
@@ -64,7 +66,7 @@ class RecursiveMethod:
     name: ClassVar[str]
     batch_type: ClassVar[type[PolynomialMethod]]
 
-    order: int = 5
+    order: int = NOT_ASKED
     delay: int = 1
     memory_s: float | None = None
     forgetting: str = "exponential"
@@ -75,7 +77,8 @@ class RecursiveMethod:
 
     def __post_init__(self) -> None:
         who = type(self).__name__
-        self.batch()  # refuses orders and delays
+        whole(who, "order", self.order, 1, HIGHEST_ORDER)
+        self.batch()  # refuses delays, and orders of its own
         one_of(who, "forgetting", self.forgetting, FORGETTING)
         for name in ("memory_s", "reset_s"):
             if getattr(self, name) is not None:
@@ -98,7 +101,7 @@ class RecursiveMethod:
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         followed = [self._follow(record, i, piece) for i in range(len(record.sensors))]
         model = PolynomialMatrix([[f.model] for f in followed], record.actuators, record.sensors, provenance)
-        return Result(
+        found = Result(
             model=model,
             status=worst([f.status for f in followed]),
             fit_percent=np.array([f.fit_percent for f in followed]),
@@ -114,6 +117,7 @@ class RecursiveMethod:
                 "held_steps": tuple(f.steps_cut_short for f in followed),
             },
         )
+        return told(found, self.batch(), unasked(self.order))
 
     def recursion(
         self, rate_hz: float, input_size: ArrayLike, output_size: float, start: PolynomialModel | None = None

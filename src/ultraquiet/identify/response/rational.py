@@ -114,8 +114,6 @@ class Rational(SearchedOrder):
 
     def __post_init__(self) -> None:
         self.settle_order()
-        if self.given_order is not None:
-            whole("Rational", "order", self.given_order, 1)
         whole("Rational", "delay", self.delay, 1)
         whole("Rational", "iterations", self.iterations, 1)
         if self.most_lines is not None:

@@ -100,9 +100,7 @@ class WeightedRational(SearchedOrder):
     period_samples: int | None = None
 
     def __post_init__(self) -> None:
-        self.settle_order()
-        if self.given_order is not None:
-            whole(WHO, "order", self.given_order, 1, HIGHEST_ORDER)
+        self.settle_order(HIGHEST_ORDER)
         whole(WHO, "highest_order", self.highest_order, 1, HIGHEST_ORDER)
         if self.delay_s is not None:
             between(WHO, "delay_s", self.delay_s, 0.0, 1e6, "s")

@@ -71,9 +71,7 @@ class PredictorSubspace(SearchedOrder):
     max_iterations: int = 50
 
     def __post_init__(self) -> None:
-        self.settle_order()
-        if self.given_order is not None:
-            whole("PredictorSubspace", "order", self.given_order, 1, 500)
+        self.settle_order(500)
         if self.horizon is not None:
             whole("PredictorSubspace", "horizon", self.horizon, 1, 1000)
         whole("PredictorSubspace", "max_iterations", self.max_iterations, 1)

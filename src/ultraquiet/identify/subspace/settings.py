@@ -12,6 +12,7 @@ from ultraquiet.values import Record
 
 CANDIDATES = (10, 20, 40, 60, 90)  # block rows tried when no horizon is given; the lowest simulated error wins
 COLUMNS_PER_ROW = 2  # a Hankel matrix must be this much longer than high
+HIGHEST_ORDER = 500
 FOCUSES = ("simulation", "prediction")
 
 
@@ -32,10 +33,8 @@ class SubspaceSettings(SearchedOrder):
     max_iterations: int = 50
 
     def __post_init__(self) -> None:
-        self.settle_order()
+        self.settle_order(HIGHEST_ORDER)
         who = "Subspace"
-        if self.given_order is not None:
-            whole(who, "order", self.given_order, 1, 500)
         if self.horizon is not None:
             whole(who, "horizon", self.horizon, 2, 1000)
         one_of(who, "weight", self.weight, hankel.WEIGHTS)

@@ -14,9 +14,10 @@ from ultraquiet._base.tables import Strict
 from ultraquiet.bench import Bench, Blended, Decimated
 from ultraquiet.identify import Health, channel_health
 from ultraquiet.pipeline.tables.matrices import matrix_of
+from ultraquiet.pipeline.tables.numbers import Positive
 from ultraquiet.values import Blending, Channel, Decimation, Record, StatusWord
 
-Matrix = list[list[float]] | str
+Matrix = list[list[Annotated[float, Field(strict=True)]]] | str
 
 
 class BlendingTable(Strict):
@@ -40,9 +41,9 @@ class BlendingTable(Strict):
     unit: str | None = None
     actuator_names: list[str] | None = None
     actuator_unit: str | None = None
-    control_rate_hz: Annotated[float, Field(gt=0)] | None = None
-    averages: Annotated[int, Field(ge=0, le=8)] = 2
-    latency_samples: Annotated[int, Field(ge=1)] | None = None
+    control_rate_hz: Positive | None = None
+    averages: Annotated[int, Field(ge=0, le=8, strict=True)] = 2
+    latency_samples: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] | None = None
     dead: Literal["leave out", "refuse"] = "leave out"
 
 
@@ -63,6 +64,17 @@ class BlendedStudy:
     health: Health
     left_out: tuple[str, ...]
     sentences: tuple[str, ...]
+
+
+def with_matrices(table: BlendingTable, beside: Path | None) -> BlendingTable:
+    """Return the table with its matrices in place of the files that hold them: what is read once cannot change.
+
+    Raises:
+        InputError: as `matrix_of`.
+    """
+    named = {name: getattr(table, name) for name in ("sensors", "actuators")}
+    read = {name: matrix_of(name, v, beside).tolist() for name, v in named.items() if isinstance(v, str)}
+    return table.model_copy(update=read)
 
 
 def blended(bench: Bench, table: BlendingTable, beside: Path | None = None) -> Any:

@@ -1,13 +1,24 @@
 """`[payload]` of a study file: what its laws are for, measured where it is felt."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from ultraquiet._base.tables import Strict
-from ultraquiet.pipeline.tables.numbers import Band, Positive
+from ultraquiet.pipeline.tables.numbers import Band, Flag, Gain, Positive, Seconds, Seed
 from ultraquiet.simulate import PayloadSetup
+
+
+def _rising(gains: list[float]) -> list[float]:
+    if any(b <= a for a, b in pairwise(gains)):
+        raise ValueError("the gains must rise, each above the one before")
+    return gains
+
+
+PayloadSeconds = Annotated[float, Field(gt=0, le=600, strict=True)]
+Gains = Annotated[list[Gain], Field(min_length=1), AfterValidator(_rising)]
 
 
 class PayloadTable(Strict):
@@ -26,8 +37,8 @@ class PayloadTable(Strict):
     force: str | None = None
     tones_hz: list[Positive] | None = None
     level: Positive | None = None
-    seconds: Annotated[float, Field(gt=0, le=600)] = 8.0
-    settle_s: Annotated[float, Field(gt=0, le=600)] = 4.0
+    seconds: PayloadSeconds = 8.0
+    settle_s: PayloadSeconds = 4.0
 
     def setup(self, tones_hz: Sequence[float] = (), seed: int = 0) -> PayloadSetup:
         """Return how it is measured; `tones_hz` are those of the study's loop."""
@@ -58,12 +69,12 @@ class CampaignTable(Strict):
             study; one that begins with a law begins with the study's.
     """
 
-    benches: Annotated[int, Field(ge=1)] = 50
+    benches: Annotated[int, Field(ge=1, le=1_000_000, strict=True)] = 50
     on: Literal["truth", "bench"] = "truth"
     law: str | None = None
-    first_seed: Annotated[int, Field(ge=0)] = 0
-    keep: Annotated[int, Field(ge=1, le=100)] = 5
-    tune: bool = False
+    first_seed: Seed = 0
+    keep: Annotated[int, Field(ge=1, le=100, strict=True)] = 5
+    tune: Flag = False
 
 
 class CommissionTable(Strict):
@@ -74,7 +85,7 @@ class CommissionTable(Strict):
     """
 
     law: str | None = None
-    gains: list[Positive] = Field(default=[0.1, 0.3, 1.0], min_length=1)
-    margin: Annotated[float, Field(gt=0, le=2)] = 0.2
-    seconds: Positive = 4.0
-    settle_s: Positive = 2.0
+    gains: Gains = Field(default=[0.1, 0.3, 1.0])
+    margin: Annotated[float, Field(gt=0, le=2, strict=True)] = 0.2
+    seconds: Seconds = 4.0
+    settle_s: Seconds = 2.0

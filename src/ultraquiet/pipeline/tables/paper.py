@@ -39,7 +39,7 @@ class Paper(Strict):
     structure: str = "box-jenkins"
     order: Order = 5
     records: list[str] = Field(min_length=1)
-    channel: Annotated[int, Field(ge=1)] = 1
+    channel: Annotated[int, Field(ge=1, le=10_000, strict=True)] = 1
     simulated: list[str] = Field(default=[])
     band_hz: Band = (10.0, 250.0)
     says: list[str] = Field(default=[])

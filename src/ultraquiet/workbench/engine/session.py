@@ -1,6 +1,7 @@
 """A study by hand: a log of steps in a folder, boards that are their sum, undo, and what is stale."""
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from threading import RLock
@@ -33,7 +34,7 @@ class Session:
     """
 
     def __init__(self, folder: str | Path) -> None:
-        self.folder = Path(folder).resolve()
+        self.folder = Path(os.path.realpath(folder))  # a link to itself is refused below
         self._lock = RLock()
         self._watchers: list[Callable[[], object]] = []
         try:
