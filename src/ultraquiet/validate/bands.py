@@ -199,7 +199,7 @@ def channels(who: str, result: Identified) -> Iterator[tuple[PolynomialModel, Fl
     if not isinstance(result.model, PolynomialMatrix):
         raise InputError(
             f"{who}: this asks for the covariance of coefficients, which a {type(result.model).__name__} does not "
-            f"carry; take a polynomial method, or the spread over several records."
+            f"carry; take 'state_space_band', a polynomial method, or the spread over several records."
         )
     for i, row in enumerate(result.model.rows):
         for j, model in enumerate(row):
