@@ -73,3 +73,22 @@ def test_solvers_hold_blas_to_one_thread_and_let_go():
         before = threads()
         assert set(single_threaded(threads)()) == {1}
         assert threads() == before
+
+
+def test_blocks_of_one_blas_thread_may_overlap():
+    from threadpoolctl import threadpool_info, threadpool_limits
+
+    from ultraquiet._base.threads import one_blas_thread
+
+    def threads():
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        first, second = one_blas_thread(), one_blas_thread()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)  # the first to begin ends first, as in threads it may
+        assert set(threads()) == {1}
+        second.__exit__(None, None, None)
+        assert threads() == before

@@ -86,5 +86,5 @@ def test_refusals(rng):
         uq.validate.response_band(result, [1.0], level=1.0)
     with pytest.raises(InputError, match=r"'method' must be one of|'method' must be"):
         uq.validate.response_band(result, [1.0], method="guess")
-    with pytest.raises(InputError, match=r"does not carry"):
+    with pytest.raises(InputError, match=r"no band: .* take refine=True"):
         uq.validate.response_band(uq.identify.Subspace(order=2, horizon=10).identify(record), [1.0])

@@ -18,7 +18,7 @@ def real_array(who: str, name: str, value: ArrayLike, ndim: int) -> FloatArray:
         candidate = np.array(value)
         if np.iscomplexobj(candidate):
             raise TypeError("complex values")
-        array = candidate.astype(np.float64)
+        array = candidate.astype(np.float64, copy=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"{who}: '{name}' must be a real array, got {type(value).__name__} ({error}).") from None
     if array.ndim != ndim:

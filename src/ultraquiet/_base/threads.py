@@ -2,12 +2,13 @@
 
 import os
 import sys
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from contextvars import Context, copy_context
 from functools import lru_cache, wraps
 from importlib import import_module
+from threading import Lock
 from typing import Any, ParamSpec, TypeVar
 
 from ultraquiet._base.progress import task
@@ -72,16 +73,56 @@ def single_threaded(solver: Callable[P, R]) -> Callable[P, R]:
     return alone
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Return a block in which BLAS uses one thread."""
-    return _controller("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")  # type: ignore[no-any-return]
+@contextmanager
+def one_blas_thread() -> Generator[None]:
+    """Return a block in which BLAS uses one thread.
+
+    Blocks may lie in one another and beside one another in several threads: the first to begin finds out how many
+    threads there were, and the last to end gives them back.
+    """
+    _ONE.begin()
+    try:
+        yield
+    finally:
+        _ONE.end()
+
+
+class _OneThread:
+    """How many blocks hold the libraries to one thread, and how many threads each of them had before the first."""
+
+    def __init__(self) -> None:
+        self._lock, self._blocks = Lock(), 0
+        self._before: dict[str, tuple[Any, int]] = {}
+
+    def begin(self) -> None:
+        """Hold every library that is loaded to one thread."""
+        libraries = _libraries("scipy.linalg" in sys.modules)
+        with self._lock:
+            self._blocks += 1
+            for library in libraries:
+                if library.filepath not in self._before:
+                    self._before[library.filepath] = library, library.num_threads
+                    library.set_num_threads(1)
+
+    def end(self) -> None:
+        """Let go when no other block is left."""
+        with self._lock:
+            self._blocks -= 1
+            if not self._blocks:
+                for library, threads in self._before.values():
+                    library.set_num_threads(threads)
+                self._before.clear()
+
+
+_ONE = _OneThread()
 
 
 @lru_cache
-def _controller(scipy: bool) -> Any:
-    """Return the libraries' switch; looking for them takes longer than a small design, and SciPy brings its own BLAS.
+def _libraries(scipy: bool) -> list[Any]:
+    """Return the libraries of linear algebra; looking for them takes longer than a small design.
 
-    `scipy` is whether it is there already: once it comes, the libraries are looked for again.
+    `scipy` is whether it is there already, for it brings one of its own: once it comes, they are looked for again.
     """
     # It ships no types; as a plain module it is what it says.
-    return import_module("threadpoolctl").ThreadpoolController()
+    found = import_module("threadpoolctl").ThreadpoolController().lib_controllers
+    return [library for library in found if library.user_api == "blas"]

@@ -10,6 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status, StatusWord
+from ultraquiet.values.confidence.response_spread import ResponseSpread
 
 # A verdict errs once in a thousand good models.
 SIGNIFICANCE = 1e-3
@@ -30,6 +31,9 @@ class Result(Shown):
         iterations: `(ny,)` accepted steps of the search.
         statuses: one verdict an output.
         details: numbers that belong to one method alone.
+        spread: how far the response may lie off (`validate.response_band` draws it) of a model without coefficients;
+            found when it is first asked. None where `covariance` says it, or nothing does.
+        no_band: "no band: ..." and why, where chance's share in the response is not known; else empty.
     """
 
     model: PolynomialMatrix | StateSpace
@@ -43,6 +47,8 @@ class Result(Shown):
     statuses: tuple[Status, ...]
     provenance: Provenance
     details: Mapping[str, Any]
+    spread: ResponseSpread | None = None
+    no_band: str = ""
 
     def _in_a_line(self) -> str:
         fit = " ".join(f"{each:.4g}" for each in np.ravel(self.fit_percent)[:6]) + " ..." * (self.fit_percent.size > 6)

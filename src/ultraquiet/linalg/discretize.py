@@ -1,7 +1,8 @@
 """Changes of time: zero-order hold, the bilinear map in both directions, pure delay."""
 
 import numpy as np
-from scipy.linalg import expm, matrix_balance
+from scipy.linalg import expm
+from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.ordered import Array, Matrices
@@ -66,7 +67,8 @@ def delay(samples: int, channels: int) -> Matrices:
 def _reachable(M: Array, where: str) -> None:
     if not M.shape[0]:
         return
-    with np.errstate(invalid="ignore"):  # SciPy turns scale factors into integers, which large ones overflow
-        balanced = matrix_balance(M, permute=False)[0]  # so that the units of the states do not count
+    if not np.all(np.isfinite(M)):
+        raise NumericalError(f"bilinear map ({M.shape[0]} states): its matrices overflow; scale the problem.")
+    balanced = dgebal(M, scale=1, permute=0)[0]  # so that the units of the states do not count
     if np.linalg.cond(balanced) > UNREACHABLE:
         raise NumericalError(f"bilinear map: the system has a pole at {where}; move it by a small amount first.")

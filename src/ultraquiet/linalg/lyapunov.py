@@ -3,8 +3,8 @@
 import warnings
 
 import numpy as np
-from scipy.linalg import LinAlgError, matrix_balance, solve_continuous_lyapunov, solve_triangular
-from scipy.linalg.lapack import dtrsyl  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg import LinAlgError, solve_continuous_lyapunov, solve_triangular
+from scipy.linalg.lapack import dgebal, dtrsyl  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.ordered import Array, complex_schur, real_schur
@@ -71,10 +71,10 @@ def lyapunov_both(A: Array, Q: Array, R: Array) -> tuple[Array, Array]:
     n = A.shape[0]
     if n == 0:
         return np.zeros((0, 0)), np.zeros((0, 0))
-    _finite(A, Q, "Lyapunov")
-    _finite(A, R, "Lyapunov")
+    if not all(np.isfinite(M).all() for M in (A, Q, R)):
+        raise _overflowing(A, "Lyapunov")
     A, d = _evened(A)
-    D = np.outer(d, d)
+    D = np.outer(d, d) if np.any(d != 1) else 1.0
     Q, R = Q / D, R * D
     try:
         T, U = (A, None) if _is_schur(A) else real_schur(A)
@@ -83,8 +83,7 @@ def lyapunov_both(A: Array, Q: Array, R: Array) -> tuple[Array, Array]:
         return lyapunov(A, Q) * D, lyapunov(A.T, R) / D
     X, Y = (symmetric(M if U is None else U @ M @ U.T) for M in (X, Y))
     for a, x, q in ((A, X, Q), (A.T, Y, R)):
-        size = np.linalg.norm(a) * np.linalg.norm(x) + np.linalg.norm(q)
-        half = a @ x
+        half, size = a @ x, np.linalg.norm(a) * np.linalg.norm(x) + np.linalg.norm(q)
         if not (np.isfinite(size) and np.linalg.norm(half + half.T + q) <= SOLVED * size):
             raise NumericalError(
                 f"Lyapunov equation ({n} states): A and -A share an eigenvalue, so it has no single solution."
@@ -150,13 +149,16 @@ def _balanced(A: Array, Q: Array, who: str) -> tuple[Array, Array, Array]:
 
 def _finite(A: Array, other: Array, who: str) -> None:
     if not (np.all(np.isfinite(A)) and np.all(np.isfinite(other))):
-        raise NumericalError(f"{who} equation ({A.shape[0]} states): its matrices overflow; scale the problem.")
+        raise _overflowing(A, who)
+
+
+def _overflowing(A: Array, who: str) -> NumericalError:
+    return NumericalError(f"{who} equation ({A.shape[0]} states): its matrices overflow; scale the problem.")
 
 
 def _evened(A: Array) -> tuple[Array, Array]:
     """Return A in the states x / d, and d, powers of two that make rows and columns of A alike."""
-    with np.errstate(invalid="ignore"):  # SciPy also turns the scale factors into integers, which large ones overflow
-        balanced, (d, _) = matrix_balance(A, permute=False, separate=True)
+    balanced, _, _, d, _ = dgebal(A, scale=1, permute=0)
     return balanced, d
 
 
@@ -183,6 +185,8 @@ def _by_halves(T: Array, F: Array, G: Array) -> tuple[Array, Array]:
 
 def _is_schur(A: Array) -> bool:
     """Return whether a matrix is block triangular already, with blocks of one or two rows."""
+    if np.any(A[2:, 0]):  # as of nearly every other matrix
+        return False
     low = np.diag(A, -1) != 0
     return not (np.any(low[1:] & low[:-1]) or np.any(np.tril(A, -2)))
 

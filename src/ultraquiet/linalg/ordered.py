@@ -1,11 +1,12 @@
 """Schur forms with eigenvalues in a wanted order, and the loose array type that kernels use."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, schur
-from scipy.linalg.lapack import dtrsen  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dgees, dtrsen  # pyright: ignore[reportAttributeAccessIssue]
 
 # NumPy's stubs widen the result of most operations; kernels are typed by shape and name instead.
 Array = Any
@@ -27,10 +28,40 @@ def complex_schur(A: Array) -> tuple[Array, Array]:
 def ordered_schur(A: Array, wanted: str | Callable[[float, float], bool]) -> tuple[Array, Array, int]:
     """Return T, Q and how many eigenvalues are wanted; those come first.
 
-    `wanted` is `lhp`, `iuc` or a function of real and imaginary part.
+    `wanted` is `lhp` (negative real part), `iuc` (not outside the unit circle) or a function of real and imaginary
+    part. What LAPACK's driver does with a call for each eigenvalue: one form, and another order only where it needs it.
+
+    Raises:
+        LinAlgError: an eigenvalue crossed the border while they were put in order.
+        ValueError: NaN or infinite entries.
     """
-    T, Q, count = schur(A, output="real", sort=wanted)  # pyright: ignore[reportAssignmentType, reportCallIssue, reportArgumentType]
-    return np.asarray(T), np.asarray(Q), int(count)
+    if not np.all(np.isfinite(A)):
+        raise ValueError("array must not contain infs or NaNs")
+    T, _, real, imaginary, Q, _, info = dgees(_unsorted, A, lwork=_schur_workspace(len(A)))
+    if info:
+        raise LinAlgError("the Schur form was not found")
+    chosen = _wanted(real, imaginary, wanted)
+    count = int(np.count_nonzero(chosen))
+    if count and not np.all(chosen[:count]):
+        T, Q, real, imaginary, count, _, _, info = dtrsen(chosen.astype(np.int32), T, Q, job="N")
+        if info or not np.array_equal(_wanted(real, imaginary, wanted), np.arange(len(A)) < count):
+            raise LinAlgError("an eigenvalue crossed the border while they were put in order")
+    return T, Q, int(count)
+
+
+def _unsorted(real: float, imaginary: float) -> None:
+    """Stand in for the choice of eigenvalues that LAPACK's driver is not asked to make."""
+
+
+@lru_cache(maxsize=256)
+def _schur_workspace(n: int) -> int:
+    return int(dgees(_unsorted, np.zeros((n, n)), lwork=-1)[-2][0])
+
+
+def _wanted(real: Array, imaginary: Array, wanted: str | Callable[[float, float], bool]) -> Array:
+    if callable(wanted):
+        return np.array([bool(wanted(x, y)) for x, y in zip(real, imaginary, strict=True)], dtype=bool)
+    return real < 0 if wanted == "lhp" else np.hypot(real, imaginary) <= 1
 
 
 def diagonal_eigenvalues(T: Array) -> Array:

@@ -8,6 +8,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 
 # Growth over a whole record (its logarithm) that is put down to the rounding of an integrator's pole.
 ROUNDING_GROWTH = 0.01
+MEMORY, RIDGE = 20, 1e-9  # samples of the autoregression that whitens an error, share of its power added to it
 
 
 def fit_percent(y: FloatArray, model: FloatArray) -> float:
@@ -94,6 +95,24 @@ def filtered(v: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
     from scipy.signal import lfilter
 
     return np.asarray(lfilter(c, d, v))
+
+
+def whitening(v: FloatArray) -> tuple[FloatArray, float]:
+    """Return the polynomial a `(k + 1,)`, a_0 = 1, and the variance of a v, an autoregression of v less its mean.
+
+    >>> e = np.random.default_rng(0).standard_normal(20000)
+    >>> a, variance = whitening(filtered(e, np.ones(1), np.array([1.0, -0.8])))
+    >>> bool(abs(a[1] + 0.8) < 0.02), bool(abs(variance - 1.0) < 0.05)
+    (True, True)
+    """
+    from scipy.linalg import solve_toeplitz
+
+    v = v - v.mean()
+    n, lags = v.size, min(MEMORY, v.size // 10)
+    r = np.array([v[k:] @ v[: n - k] for k in range(lags + 1)]) / n
+    r[0] = max(r[0], np.finfo(float).tiny) * (1.0 + RIDGE)
+    a = np.asarray(solve_toeplitz(r[:-1], r[1:]), dtype=np.float64)
+    return np.concatenate([[1.0], -a]), float(max(r[0] - a @ r[1:], RIDGE * r[0]))
 
 
 def free_responses(den: FloatArray, n: int, count: int | None = None) -> list[FloatArray]:

@@ -3,7 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, matrix_balance
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dgebal  # pyright: ignore[reportAttributeAccessIssue]
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.lyapunov import DOUBLINGS, symmetric
@@ -82,9 +83,7 @@ def symplectic_scale(A: Array, G: Array, Q: Array) -> Array:
     if not np.isfinite(H).all():
         raise NumericalError(f"Riccati equation ({n} states): its matrices overflow; scale the problem.")
     np.fill_diagonal(H, 0.0)
-    with np.errstate(invalid="ignore"):  # SciPy also turns the scale factors into integers, which large ones overflow
-        _, (scale, _) = matrix_balance(H, permute=False, separate=True)
-    s = np.log2(scale)
+    s = np.log2(dgebal(H, scale=1, permute=0)[3])
     return np.exp2(np.round((s[:n] - s[n:]) / 2))
 
 

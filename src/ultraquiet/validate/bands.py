@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of, whole
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.validate.gradient import coefficients, matching, response_gradient, with_coefficients
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, PolynomialModel
+from ultraquiet.values.confidence.response_spread import ResponseSpread
 
 DB = 20.0 / np.log(10.0)
 METHODS = ("linearised", "sampled")
@@ -19,7 +20,11 @@ DRAWS = 400  # the 2.5 % quantile of so many draws errs by 0.8 % of probability
 
 
 class Identified(Protocol):
-    """A result of an identification: a polynomial model with the covariance of its coefficients."""
+    """A result of an identification: a polynomial model with the covariance of its coefficients, or one with `spread`.
+
+    `spread`, where a result has one that is not None, says how far the response may lie off (`ResponseSpread`);
+    `no_band` why there is none.
+    """
 
     @property
     def model(self) -> Any:
@@ -101,7 +106,7 @@ def response_band(
     tests first.
 
     Args:
-        result: of a polynomial method, for one record or one per actuator.
+        result: of an identification, for one record or one per actuator; of a state-space method its `spread` is asked.
         f_hz: `(nf,)` lines in Hz.
         level: probability at each line on its own, between 0 and 1.
         method: `linearised`, or `sampled`: quantiles over models drawn from N(theta, P), which follow the skew of wide
@@ -110,7 +115,7 @@ def response_band(
         seed: of the draws.
 
     Raises:
-        InputError: a model without covariance (state space), a level below 0.01 or above 0.9999.
+        InputError: a result that knows no band, and why; a level below 0.01 or above 0.9999; draws of a state space.
 
     >>> import numpy as np, ultraquiet as uq
     >>> u, e = np.random.default_rng(1).standard_normal((2, 2000))
@@ -127,6 +132,10 @@ def response_band(
     between(who, "level", level, *LEVELS)
     whole(who, "draws", draws, 10)
     f = frequency_array(who, f_hz)
+    if (spread := spread_of(who, result)) is not None:
+        if method == "sampled":
+            raise InputError(f"{who}: a state space has no coefficients to be sampled; take method='linearised'.")
+        return drawn_band(who, result.model.frequency_response(f), spread, f, level)
     bands = [
         _band(who, m, P, f, level, (draws, seed) if method == "sampled" else None) for m, P in channels(who, result)
     ]
@@ -135,16 +144,69 @@ def response_band(
     return ResponseBand(frozen(f), *tables, level=level, method=method)
 
 
+def spread_of(who: str, result: Identified) -> ResponseSpread | None:
+    """Return how far a result's response may lie off; None where coefficients with their covariance say it.
+
+    Raises:
+        InputError: the result says that it knows no band.
+    """
+    reason = getattr(result, "no_band", "")
+    if reason:
+        raise InputError(f"{who}: {reason}")
+    spread: ResponseSpread | None = getattr(result, "spread", None)
+    return spread
+
+
+def moved_by(who: str, spread: ResponseSpread, f: FloatArray) -> ComplexArray:
+    """Return the directions of a spread, `(ny, nu, nf, k)`.
+
+    Raises:
+        InputError: the model has poles so near to each other that no band can be drawn.
+    """
+    try:
+        return spread.directions(f)
+    except (NumericalError, np.linalg.LinAlgError) as error:
+        raise InputError(f"{who}: no band: {error}") from None
+
+
+def drawn_band(who: str, G: ComplexArray, spread: ResponseSpread, f: FloatArray, level: float) -> ResponseBand:
+    """Return the linearised band of a response G from its spread.
+
+    Raises:
+        InputError: the model has poles so near to each other that no band can be drawn.
+    """
+    X = moved_by(who, spread, f)
+    parts = np.stack([X.real, X.imag], axis=-2)
+    sides = _sides(G, X, level)
+    return ResponseBand(frozen(f), G, parts @ np.swapaxes(parts, -1, -2), *sides, level=level, method="linearised")
+
+
+def _sides(G: ComplexArray, X: ComplexArray, level: float) -> tuple[FloatArray, ...]:
+    """Return middle, low and high of gain (dB) and phase (degrees) of a response that X moves, line by line."""
+    from scipy.special import ndtri
+
+    z = float(ndtri(0.5 + level / 2))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain, phase = DB * np.log(np.abs(G)), np.degrees(np.unwrap(np.angle(G), axis=-1))
+        relative = X / G[..., None]
+    wide = z * DB * np.linalg.norm(relative.real, axis=-1)
+    turn = z * np.degrees(np.linalg.norm(relative.imag, axis=-1))
+    return gain, gain - wide, gain + wide, phase, phase - turn, phase + turn
+
+
 def channels(who: str, result: Identified) -> Iterator[tuple[PolynomialModel, FloatArray]]:
     """Yield every model of the result's matrix, row by row, with its covariance."""
     if not isinstance(result.model, PolynomialMatrix):
         raise InputError(
-            f"{who}: bands are drawn from the covariance of coefficients, which a {type(result.model).__name__} does "
-            f"not carry; take 'state_space_band', a polynomial method, or the spread over several records."
+            f"{who}: this asks for the covariance of coefficients, which a {type(result.model).__name__} does not "
+            f"carry; take 'state_space_band', a polynomial method, or the spread over several records."
         )
     for i, row in enumerate(result.model.rows):
         for j, model in enumerate(row):
             P = np.asarray(result.covariance[i, j] if result.covariance.ndim == 4 else result.covariance[i])
+            p = coefficients(model).size
+            if p < len(P) and not np.any(np.isfinite(P[p:, p:])):
+                P = P[:p, :p]  # a matrix of several orders: beyond a channel's own there is nothing
             yield model, matching(who, model, P)
 
 
@@ -159,21 +221,13 @@ def _band(
     who: str, model: PolynomialModel, P: FloatArray, f: FloatArray, level: float, sampling: tuple[int, int] | None
 ) -> tuple[ComplexArray | FloatArray, ...]:
     """Return values, covariance, and the gain's and phase's middle, low and high, each `(nu, nf, ...)`."""
-    from scipy.special import ndtri
-
     G = model.frequency_response(f)[0]
     moved = np.einsum("jpf,pq->jfq", response_gradient(model, f), root(P))
     parts = np.stack([moved.real, moved.imag], axis=-2)
     covariance = parts @ np.swapaxes(parts, -1, -2)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = DB * np.log(np.abs(G))
-        phase = np.degrees(np.unwrap(np.angle(G), axis=-1))
-        relative = moved / G[..., None]
+    gain, gain_low, gain_high, phase, phase_low, phase_high = _sides(G, moved, level)
     if sampling is None:
-        z = float(ndtri(0.5 + level / 2))
-        wide = z * DB * np.linalg.norm(relative.real, axis=-1)
-        turn = z * np.degrees(np.linalg.norm(relative.imag, axis=-1))
-        return G, covariance, gain, gain - wide, gain + wide, phase, phase - turn, phase + turn
+        return G, covariance, gain, gain_low, gain_high, phase, phase_low, phase_high
     ratio = _sampled_responses(model, P, f, *sampling) / G
     tail = (1 - level) / 2
     low_db, high_db = np.quantile(DB * np.log(np.abs(ratio)), [tail, 1 - tail], axis=0)

@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
-from ultraquiet.validate.bands import Identified, channels, root
+from ultraquiet.validate.bands import Identified, channels, moved_by, root, spread_of
 from ultraquiet.validate.beyond import held, told
 from ultraquiet.validate.gradient import noise_gradient, response_gradient
 from ultraquiet.validate.weight_fit import HIGHEST_ORDER, fitted_weight
 from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
+from ultraquiet.values.confidence.response_spread import ResponseSpread
 from ultraquiet.values.interconnect import append
 
 KINDS = ("output", "input", "additive", "entry", "additive-entry")
@@ -127,7 +128,7 @@ def from_covariance(
     in twenty, passes a 95 % bound. What the structure left out is not in it: add the spread between records or benches.
 
     Args:
-        result: of a polynomial method, with covariance.
+        result: of an identification that knows the covariance of its coefficients or the spread of its response.
         f_hz: lines in Hz, dense enough to show every resonance.
         kind: see `Uncertainty`.
         confidence: between 0.5 and 0.999.
@@ -135,7 +136,7 @@ def from_covariance(
         seed: of the draws.
 
     Raises:
-        InputError: no covariance, a model that is not square for `output` and `input`.
+        InputError: a result that knows no band, a model that is not square for `output` and `input`.
 
     >>> import numpy as np, ultraquiet as uq
     >>> u, e = np.random.default_rng(1).standard_normal((2, 2000))
@@ -155,6 +156,19 @@ def from_covariance(
     f = frequency_array(who, f_hz)
     nominal = result.model.frequency_response(f)
     rng = np.random.default_rng(seed)
+    spread = spread_of(who, result)
+    errors = _drawn(who, result, f, draws, rng) if spread is None else _spread(who, spread, f, draws, rng)
+    errors = errors.reshape(draws, *nominal.shape)
+    sizes = _sizes(who, errors, nominal, kind)
+    typical = np.sqrt(np.mean(sizes**2, axis=0))
+    scaled = sizes / np.maximum(typical, np.finfo(float).tiny)
+    factor = float(np.quantile(scaled.reshape(draws, -1).max(axis=1), confidence))
+    source = f"{confidence:.0%} bound from the covariance of the coefficients"
+    return Uncertainty(frozen(f), frozen(factor * typical), kind, confidence, source)
+
+
+def _drawn(who: str, result: Identified, f: FloatArray, draws: int, rng: np.random.Generator) -> ComplexArray:
+    """Return errors of every channel of a polynomial model, `(draws, channels, nf)`."""
     moved = []
     for m, P in channels(who, result):
         L = root(P)
@@ -164,13 +178,13 @@ def from_covariance(
         # which is to these bounds what Student's t is to a normal quantile.
         louder = np.exp(rng.standard_normal(steps.shape) @ (L.T @ noise_gradient(m, f)).real)
         moved.append((steps @ slopes.reshape(slopes.shape[0], -1)).reshape(draws, -1, f.size) * louder[:, None])
-    errors = np.concatenate(moved, axis=1).reshape(draws, *nominal.shape)
-    sizes = _sizes(who, errors, nominal, kind)
-    typical = np.sqrt(np.mean(sizes**2, axis=0))
-    scaled = sizes / np.maximum(typical, np.finfo(float).tiny)
-    factor = float(np.quantile(scaled.reshape(draws, -1).max(axis=1), confidence))
-    source = f"{confidence:.0%} bound from the covariance of the coefficients"
-    return Uncertainty(frozen(f), frozen(factor * typical), kind, confidence, source)
+    return np.concatenate(moved, axis=1)
+
+
+def _spread(who: str, spread: ResponseSpread, f: FloatArray, draws: int, rng: np.random.Generator) -> ComplexArray:
+    """Return errors of a response from its spread, `(draws, ny nu nf)`."""
+    X = moved_by(who, spread, f)
+    return rng.standard_normal((draws, X.shape[-1])) @ X.reshape(-1, X.shape[-1]).T
 
 
 def from_spread(

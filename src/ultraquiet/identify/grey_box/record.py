@@ -91,6 +91,7 @@ def _result(method: Any, record: Record, fitted: Any, simulated: FloatArray, cli
         statuses=tuple(statuses),
         provenance=provenance,
         details={"fit": fitted, "repaired": clipped if method.repair else 0},
+        no_band="no band: the covariance is of physical parameters, whose structure no record is sure to obey.",
     )
 
 

@@ -138,7 +138,7 @@ class BoxJenkins(PolynomialMethod):
 
     `c_order`, `d_order`, `f_order` are the numbers of coefficients of C, D and F (the order when absent).
     `focus` is "prediction" (the one-step error alone), "simulation" (B and F by the simulated error, C and D by the
-    one-step error of what remains; `covariance` is then NaN) or "auto": simulation for those outputs whose residual is
+    one-step error of what remains) or "auto": simulation for those outputs whose residual is
     not white and whose simulated fit gains by it, as happens on records of plants that no such model holds.
 
     Reference: section 3.2 of the paper; Ljung, System Identification, 2nd ed., section 4.2 and 10.3.

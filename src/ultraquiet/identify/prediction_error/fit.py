@@ -23,6 +23,7 @@ from ultraquiet.identify.prediction_error.structure import (
 )
 from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.linalg import portmanteau, prediction
+from ultraquiet.linalg.balance import square_root
 from ultraquiet.values import PolynomialModel, Status, StatusWord
 
 # The search ends when a step would move the sum of squares by less than this many innovation variances: the estimate
@@ -117,7 +118,7 @@ def finished(
         status,
         fit_percent,
         model.noise_variance,
-        covariance(best.normal, best.loss, structure, data.gain),
+        covariance(best.normal, best.loss, structure, data.gain, colored_products(data, structure, search, best)),
         whiteness_p=evidence[0],
         correlation_p=evidence[1],
         iterations=best.iterations,
@@ -266,8 +267,22 @@ def explaining(status: Status, fit_percent: float, samples: int, parameters: int
     )
 
 
-def covariance(normal: FloatArray, loss: float, structure: Structure, gain: FloatArray) -> FloatArray:
-    """Return loss (J'J)^-1 in coefficients of q^-k, output and input in their units."""
+def covariance(
+    normal: FloatArray, loss: float, structure: Structure, gain: FloatArray, colored: FloatArray | None = None
+) -> FloatArray:
+    """Return the covariance in coefficients of q^-k, output and input in their units.
+
+    loss (J'J)^-1 where the residual is white; else (J'J)^-1 J'RJ (J'J)^-1, R the covariance of the residual's samples.
+
+    Args:
+        normal: [J e]'[J e] in the delta basis.
+        loss: mean square of the residual.
+        structure: numbers of coefficients.
+        gain: output's unit over each input's.
+        colored: J'RJ of a residual that is not white; None where it is.
+
+    Ljung, System Identification, 2nd ed., eqs. (9.17) and (9.42).
+    """
     p = normal.shape[0] - 1
     to_shift = np.zeros((p, p))
     at = 0
@@ -280,8 +295,38 @@ def covariance(normal: FloatArray, loss: float, structure: Structure, gain: Floa
         at += count
     size = np.sqrt(np.maximum(np.diag(normal)[:p], np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(normal[:p, :p] / np.outer(size, size))
-    root = (to_shift / size) @ vectors / np.sqrt(np.maximum(values, np.finfo(float).eps * max(values[-1], 1e-300)))
-    return loss * root @ root.T
+    values = np.maximum(values, np.finfo(float).eps * max(values[-1], 1e-300))
+    if colored is None:
+        root = (to_shift / size) @ vectors / np.sqrt(values)
+        return loss * root @ root.T
+    back = (to_shift / size) @ (vectors / values) @ vectors.T
+    root = back @ square_root(colored / np.outer(size, size))
+    return root @ root.T
+
+
+def colored_products(data: ChannelData, structure: Structure, search: Search, found: Found) -> FloatArray | None:
+    """Return J'RJ of an output error that is coloured, R of an autoregression of it; None where it may be white.
+
+    The columns of J are filters of the inputs: driven by inputs that the colour has filtered, they are as the root of R
+    leaves them, but for a phase that no product over the whole record sees. A structure with a noise model has none of
+    it: what that leaves is white, or the model is not the plant's.
+    """
+    if structure.a or structure.c or structure.d:
+        return None
+    lags = min(TEST_LAGS, found.residual.size // 10)
+    if portmanteau.ljung_box(found.residual, lags).p_value >= SIGNIFICANCE:
+        return None
+    a, variance = prediction.whitening(found.residual)
+    u, y = (
+        np.ascontiguousarray([prediction.filtered(x, np.ones(1), a) for x in rows]) for rows in (data.u, data.y[None])
+    )
+    nu = data.u.shape[0]
+    parameterisation = Parameterisation.alike(structure, nu)
+    free = free_rows(nu, [*b_rows(nu), *f_rows(nu)])
+    signals = signals_of(parameterisation, free, parameterisation.states(search.estimate, search.offset))
+    normal = InMemory(u, y[0], signals).normal(found.table)
+    p = normal.shape[0] - 1
+    return variance * normal[:p, :p]
 
 
 def _blocks(structure: Structure, gain: FloatArray) -> list[tuple[int, float]]:

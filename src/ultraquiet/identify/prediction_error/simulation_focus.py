@@ -3,8 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from ultraquiet.identify.prediction_error.fit import Fit, Search, finished, fit_channel, model_of, run_search, simulated
+from ultraquiet.identify.prediction_error.fit import (
+    Fit,
+    Search,
+    covariance,
+    finished,
+    fit_channel,
+    model_of,
+    run_search,
+    simulated,
+)
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, noise_start, start_table
 from ultraquiet.identify.prediction_error.parameterisation import Parameterisation
 from ultraquiet.identify.prediction_error.structure import ROW_C, ROW_D, Structure
@@ -34,7 +44,8 @@ def fit_focused(data: ChannelData, structure: Structure, search: Search, rate_hz
 def fit_simulated(data: ChannelData, structure: Structure, search: Search, rate_hz: float) -> Fit:
     """Return B / F by the simulated error, then C / D by the one-step error with B / F held.
 
-    The covariance is unknown (NaN): the one-step error's does not hold for a plant that another error has chosen.
+    The covariance of B and F is that of the output error, coloured as it is; that of C and D stands beside it, for
+    without feedback the two err independently.
     """
     output_error = replace(structure, c=0, d=0)
     plant = fit_channel(data, output_error, search, rate_hz)
@@ -47,7 +58,8 @@ def fit_simulated(data: ChannelData, structure: Structure, search: Search, rate_
     table[ROW_C, : c.size], table[ROW_D, : d.size] = c, d
     minimum = run_search(data, structure, search, table, search.max_iterations, noise_only=True)
     model = model_of(minimum, structure, data, rate_hz)
-    unknown = np.eye(structure.parameters(data.u.shape[0]) + 1)
-    minimum = replace(minimum, normal=unknown, iterations=minimum.iterations + plant.iterations)
-    fit = finished(data, structure, search, model, minimum, plant.starts)
-    return replace(fit, covariance=np.full_like(fit.covariance, np.nan))
+    whole = np.eye(structure.parameters(data.u.shape[0]) + 1)
+    ended = replace(minimum, normal=whole, iterations=minimum.iterations + plant.iterations)
+    fit = finished(data, structure, search, model, ended, plant.starts)
+    noise_alone = covariance(minimum.normal, minimum.loss, replace(structure, a=0, b=0, f=0), np.zeros(0))
+    return replace(fit, covariance=np.asarray(block_diag(plant.covariance, noise_alone)))

@@ -117,8 +117,28 @@ class WeightedFit:
             np.sqrt(-2.0 * np.log1p(-p) * largest),
         )
 
+    def directions(self, f_hz: FloatArray) -> ComplexArray:
+        """Return X `(ny, nu, nf, k)`: the response is off by X g, g of k independent numbers of unit variance."""
+        own, searched = self._moved(f_hz)
+        channels, _, k = own.shape
+        values, vectors = np.linalg.eigh(np.linalg.pinv(self.point.normal, hermitian=True))
+        common = searched @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        apart = np.zeros((channels, f_hz.size, channels, k), dtype=np.complex128)
+        apart[np.arange(channels), :, np.arange(channels)] = own
+        X = np.concatenate([apart.reshape(channels, f_hz.size, -1), common], axis=2) * np.sqrt(max(1.0, self.cost))
+        return X.reshape(*self.outputs_inputs, f_hz.size, -1)
+
     def _covariance(self, f_hz: FloatArray) -> FloatArray:
         """Return the covariance of real and imaginary part of each gain, `(ny, nu, nf, 2, 2)`."""
+        ny, nu = self.outputs_inputs
+        own, searched = self._moved(f_hz)
+        N = np.linalg.pinv(self.point.normal, hermitian=True)
+        rows_own, rows = (np.stack([x.real, x.imag], axis=2) for x in (own, searched))
+        C = rows_own @ np.swapaxes(rows_own, 2, 3) + rows @ N @ np.swapaxes(rows, 2, 3)
+        return np.asarray((C * max(1.0, self.cost)).reshape(ny, nu, f_hz.size, 2, 2), dtype=np.float64)
+
+    def _moved(self, f_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return by what each gain moves with its own numerator's numbers, `(ny nu, nf, k)`, and by theta."""
         ny, nu = self.outputs_inputs
         unit = np.ones((1, 1, f_hz.size), dtype=np.complex128)
         rho = self.point.rho.reshape(ny * nu, 1, -1)
@@ -134,12 +154,8 @@ class WeightedFit:
         inverse, slope = self._by_channel()
         searched = psi - np.einsum("fm,cmt->cft", phi, slope)
         own = np.einsum("fm,cmk->cfk", phi, inverse)
-        N = np.linalg.pinv(self.point.normal, hermitian=True)
         turn = np.exp(-2j * np.pi * f_hz * self.held_delay_s)[None, :, None]
-        rows_own = np.stack([(own * turn).real, (own * turn).imag], axis=2)
-        rows = np.stack([(searched * turn).real, (searched * turn).imag], axis=2)
-        C = rows_own @ np.swapaxes(rows_own, 2, 3) + rows @ N @ np.swapaxes(rows, 2, 3)
-        return np.asarray((C * max(1.0, self.cost)).reshape(ny, nu, f_hz.size, 2, 2), dtype=np.float64)
+        return own * turn, searched * turn
 
     def _by_channel(self) -> tuple[FloatArray, FloatArray]:
         """Return the covariance roots of each gain's numerator `(ny nu, linear, k)` and their slopes by theta."""

@@ -147,6 +147,7 @@ class Rational(SearchedOrder):
             statuses=tuple(statuses),
             provenance=provenance,
             details={"order": fitted.order, "error": fitted.error},
+            no_band="no band: lines are weighed by the response, not by their noise; take 'weighted-rational'.",
         )
 
     @single_threaded

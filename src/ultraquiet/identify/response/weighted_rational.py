@@ -343,4 +343,5 @@ def _result(method: WeightedRational, fitted: WeightedFit, record: Record) -> Re
         statuses=(fitted.status,) * ny,
         provenance=provenance,
         details={"order": fitted.order, "cost": fitted.cost, "delay_s": fitted.delay_s, "fit": fitted},
+        spread=fitted,
     )

@@ -13,6 +13,7 @@ from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
 from ultraquiet.values import InnovationForm, Record, Status, StatusWord
+from ultraquiet.values.confidence.response_spread import PredictedSpread, ResponseSpread, SimulatedSpread
 
 TEST_LAGS = 40
 RESIDUAL_LAGS = 200  # the simulation error is coloured; this much of its memory enters the test's variance
@@ -20,16 +21,23 @@ SHIFTS = 4  # samples before and after, at which an input is looked for in the o
 SAMPLES_PER_SHIFT = 10
 OWN_SHARE = 1e-6  # of an input's power that the others do not explain; below it, its column of B has no meaning
 SPARE_SHARE = 0.1  # of all modes that may be lost in the noise before the order is called too high
+NOT_INVERTIBLE = "no band: the noise model is not invertible, so the one-step errors say nothing of the parameters."
+UNSTABLE = "no band: the model is unstable and has no simulated error."
 GROWTH = 10.0  # of the output's size from the first to the last tenth of a record, the input's being level
 
 
 @dataclass(frozen=True)
 class SearchSummary:
-    """How the model was found: steps of the search, whether it came to its end, whether at one-step errors."""
+    """How the model was found: steps of the search, whether it came to its end, whether at one-step errors.
+
+    `searched` is whether there was a search at all, `weighted` whether by the inverse covariance of the errors.
+    """
 
     steps: int
     converged: bool
     predicts: bool
+    searched: bool = True
+    weighted: bool = True
 
 
 def independent(who: str, record: Record) -> None:
@@ -78,8 +86,10 @@ def judged(
         for i, (p, q) in enumerate(zip(free, white, strict=True))
     ]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
+    model = modelled(system, e, record, data, provenance)
+    spread, no_band = _spread(model, record, data, search)
     return Result(
-        model=modelled(system, e, record, data, provenance),
+        model=model,
         status=worst(statuses),
         fit_percent=np.array([prediction.fit_percent(y, y - x) for y, x in zip(data.y, v, strict=True)]),
         loss=loss,
@@ -90,7 +100,21 @@ def judged(
         statuses=tuple(statuses),
         provenance=provenance,
         details={**details, "spare_modes": spare},
+        spread=spread,
+        no_band=no_band,
     )
+
+
+def _spread(
+    model: InnovationForm, record: Record, data: Scaled, search: SearchSummary
+) -> tuple[ResponseSpread | None, str]:
+    """Return what the search's criterion leaves open of the response, or why that is not known."""
+    if not search.searched:
+        return None, "no band: the poles of a subspace without a search minimise nothing; take refine=True."
+    weight = None if search.weighted else np.diag(1.0 / data.y_size[:, 0] ** 2)
+    if search.predicts:
+        return (PredictedSpread(model, record, weight), "") if model.is_invertible() else (None, NOT_INVERTIBLE)
+    return (SimulatedSpread(model, record, weight), "") if model.is_stable() else (None, UNSTABLE)
 
 
 def modelled(system: System, e: FloatArray, record: Record, data: Scaled, provenance: Provenance) -> InnovationForm:

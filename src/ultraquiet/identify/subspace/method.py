@@ -149,7 +149,8 @@ class Subspace(SubspaceSettings):
             system, more, converged = fit.refined_prediction(system, heard, self.options())
             steps += more
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        search = evidence.SearchSummary(steps, converged, self.focus == "prediction" and self.refine)
+        predicts = self.focus == "prediction" and self.refine
+        search = evidence.SearchSummary(steps, converged, predicts, self.refine, self.weighted)
         details = {"horizon": start.horizon.rows, "order": len(system.A), "singular_values": start.horizon.values}
         result = evidence.judged(system, record, data, search, provenance, details)
         return result if search.predicts else missing_modes.told(result, system, data, record.rate_hz)

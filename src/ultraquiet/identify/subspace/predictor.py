@@ -103,9 +103,8 @@ class PredictorSubspace(SearchedOrder):
             system, steps, converged = fit.refined_prediction(start, data, options, self.stable)
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
         details = {"horizon": past, "order": order, "singular_values": states.values}
-        return evidence.judged(
-            system, record, data, evidence.SearchSummary(steps, converged, True), provenance, details
-        )
+        search = evidence.SearchSummary(steps, converged, True, self.refine, self.weighted)
+        return evidence.judged(system, record, data, search, provenance, details)
 
     def _longest(self, record: Record) -> int:
         width = len(record.actuators) + len(record.sensors)

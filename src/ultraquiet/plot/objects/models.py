@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import draws
 from ultraquiet._base.shown.grid import shown_frequencies
 from ultraquiet.identify import MatrixResult, ResponseFit, Result, WeightedFit
@@ -61,13 +62,16 @@ def stepped_figure(controller: SteppedController) -> Figure:
 
 @draws(Result, MatrixResult)
 def identified_figure(result: Any) -> Figure:
-    """The model's response; of a polynomial model with a covariance the confidence at each line besides."""
+    """The model's response; where its confidence at each line is known, that besides."""
     model = result.model
-    has_band = isinstance(model, PolynomialMatrix) and result.covariance.size and np.isfinite(result.covariance).all()
-    if not has_band:
-        return model_figure(model)
     f_hz = shown_frequencies(model)
-    return filled_figure(response_band(result, f_hz[f_hz < model.rate_hz / 2], LEVEL), model.actuators, model.sensors)
+    if not isinstance(model, PolynomialMatrix) and getattr(result, "spread", None) is None:
+        return model_figure(model)
+    try:
+        band = response_band(result, f_hz[f_hz < model.rate_hz / 2], LEVEL)
+    except InputError:  # it knows no band
+        return model_figure(model)
+    return filled_figure(band, model.actuators, model.sensors)
 
 
 @draws(ResponseFit, WeightedFit)

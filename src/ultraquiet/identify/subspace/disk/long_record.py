@@ -230,6 +230,7 @@ def _judged(
         statuses=tuple(statuses),
         provenance=provenance,
         details=details,
+        no_band="no band: the record was read in blocks; identify a part of it in memory with refine=True for one.",
     )
 
 

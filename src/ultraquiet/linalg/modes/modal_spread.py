@@ -1,0 +1,143 @@
+"""How far a state-space response may lie from the truth, from the spectra of the record that it was fitted to."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import NumericalError
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.ordered import Array
+from ultraquiet.linalg.prediction import whitening
+
+LINES_AT_ONCE = 128
+# Directions of the information below this share of the largest are those that change no response (each mode's states
+# may be scaled and turned), or that the record says nothing of.
+CUTOFF = 1e-10
+LEAST_DECAY = 1e-12
+
+
+class ModalSensitivities:
+    """Derivatives of C (z - A)^-1 B + D by pole pairs, B, C and D, in modal blocks |b| = |c|.
+
+    Args:
+        A, B, C, D: of a stable discrete system.
+        direct: inputs, the first ones, whose column of D is a parameter.
+
+    Raises:
+        NumericalError: poles so near to each other that they have no modes of their own.
+    """
+
+    def __init__(self, A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, direct: int) -> None:
+        form = balance.modal(A, B, C)
+        if any(states > 2 for states in form.blocks):
+            raise NumericalError("poles too near to each other have no modes of their own; lower the order")
+        self.A, self.B, self.C, self.blocks = form.A, form.B, form.C, form.blocks
+        self.D, self.direct = D, direct
+
+    def bends(self) -> Iterator[FloatArray]:
+        """Give dA for each parameter of each block: along its decay and its turn."""
+        at = 0
+        for states in self.blocks:
+            rows = slice(at, at + states)
+            at += states
+            decay = max(LEAST_DECAY, float(1.0 - np.abs(np.linalg.eigvals(self.A[rows, rows])).max()))
+            for part in [np.eye(states)] if states == 1 else [np.eye(2), np.array([[0.0, 1.0], [-1.0, 0.0]])]:
+                dA = np.zeros_like(self.A)
+                dA[rows, rows] = part * decay
+                yield dA
+
+    def of(self, z: ComplexArray, u: ComplexArray) -> ComplexArray:
+        """Return d y / d theta `(nf, ny, p)` for input spectra `(nf, nu)`."""
+        (ny, n), nu, nf = self.C.shape, self.B.shape[1], z.size
+        inverse = np.linalg.inv(z[:, None, None] * np.eye(n) - self.A)
+        x = np.einsum("fab,bj,fj->fa", inverse, self.B, u, optimize=True)
+        out = self.C @ inverse
+        by_A = np.stack([np.einsum("fia,ab,fb->fi", out, dA, x, optimize=True) for dA in self.bends()], axis=2)
+        by_B = (out[..., None] * u[:, None, None]).reshape(nf, ny, n * nu)
+        by_C = np.einsum("ik,fa->fika", np.eye(ny), x).reshape(nf, ny, ny * n)
+        by_D = np.einsum("ik,fj->fikj", np.eye(ny), u[:, : self.direct]).reshape(nf, ny, ny * self.direct)
+        return np.concatenate([by_A, by_B, by_C, by_D], axis=2)
+
+
+def spread_root(
+    at: ModalSensitivities, inputs: FloatArray, errors: FloatArray, weight: FloatArray | None, colored: bool
+) -> FloatArray:
+    """Return R `(p, k)` with R R' the covariance of the parameters that make a sum of squared errors least.
+
+    With S(f) = d y / d theta at a line of the record, W the weight and Phi the spectrum of the errors,
+
+        M = sum_f Re S' W S,   Q = sum_f Re S' W Phi W S,   cov theta = M^+ Q M^+.
+
+    Args:
+        at: the sensitivities.
+        inputs: `(nu, n)`.
+        errors: `(ny, n)`.
+        weight: `(ny, ny)` W of the sum of squares; None for the inverse of the errors' covariance.
+        colored: whether Phi comes from an autoregression of each output's errors; else they are taken as white.
+
+    Ljung, System Identification, 2nd ed., sections 9.3 and 9.4; McKelvey, Helmersson, Ribarits 2004 (coordinates
+    that are more than needed), doi:10.1016/j.automatica.2004.04.017.
+    """
+    (ny, n), states = errors.shape, len(at.A)
+    v = errors - errors.mean(axis=1, keepdims=True)
+    V = v @ v.T / max(1.0, n - states * (1 + inputs.shape[0] / ny))
+    W = np.linalg.inv(V) if weight is None else weight
+    lines = np.arange(1, (n + 1) // 2)
+    z = np.exp(2j * np.pi * lines / n)
+    U = np.fft.rfft(inputs, axis=1)[:, lines].T
+    level = np.sqrt(spectra(v, z)) if colored else np.ones((lines.size, ny))
+    root, weigh = np.linalg.cholesky(V), np.linalg.cholesky(W).T
+    M, Q = np.zeros((2, 1, 1))
+    for k in range(0, lines.size, LINES_AT_ONCE):
+        some = slice(k, k + LINES_AT_ONCE)
+        S = at.of(z[some], U[some])
+        M = M + 2 * _products(weigh @ S)
+        Q = Q + 2 * _products(root.T @ (level[some][:, :, None] * (W @ S)))
+    size = np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
+    scale = np.outer(size, size)
+    inverse = np.linalg.pinv(M / scale, rcond=CUTOFF, hermitian=True)
+    values, vectors = np.linalg.eigh(Q / scale)
+    return (inverse @ (vectors * np.sqrt(np.maximum(values, 0.0)))) * (np.sqrt(n) / size)[:, None]
+
+
+def _products(S: Array) -> FloatArray:
+    """Return the real part of the sum of S' S over lines, `(p, p)` of `(nf, ny, p)`."""
+    rows = S.reshape(-1, S.shape[-1])
+    return rows.real.T @ rows.real + rows.imag.T @ rows.imag
+
+
+def spectra(v: FloatArray, z: ComplexArray) -> FloatArray:
+    """Return the errors' spectra `(nf, ny)`, of mean one, each from an autoregression."""
+    out = np.empty((z.size, len(v)))
+    for i, one in enumerate(v):
+        a, variance = whitening(one)
+        power = z[:, None] ** -np.arange(a.size)
+        out[:, i] = variance / np.abs(power @ a) ** 2 / max(float(np.mean(one**2)), np.finfo(float).tiny)
+    return out
+
+
+def moved(at: ModalSensitivities, z: ComplexArray, root: FloatArray, plant: ComplexArray | None) -> ComplexArray:
+    """Return how the response moves along each column of a root, `(ny, nu, nf, k)`.
+
+    Args:
+        at: sensitivities of the system whose parameters the root is of.
+        z: `(nf,)` points.
+        root: `(p, k)`.
+        plant: None where the system is the plant; else the plant's response `(ny, nu, nf)`, and the system its
+            one-step predictor y^ = Wu u + Wy y: dG = (1 - Wy)^-1 (dWu + dWy G).
+    """
+    ny, ports = at.C.shape[0], at.B.shape[1]
+    nu = ports if plant is None else ports - ny
+    kept: ComplexArray = np.broadcast_to(np.eye(ny, dtype=np.complex128), (z.size, ny, ny))
+    if plant is not None:
+        inverse = np.linalg.inv(z[:, None, None] * np.eye(len(at.A)) - at.A)
+        kept = np.linalg.inv(np.eye(ny) - at.C @ inverse @ at.B[:, nu:])
+    columns = []
+    for j in range(nu):
+        drive = np.zeros((z.size, ports), dtype=np.complex128)
+        drive[:, j] = 1.0
+        if plant is not None:
+            drive[:, nu:] = plant[:, j].T
+        columns.append(kept @ (at.of(z, drive) @ root))
+    return np.stack(columns).transpose(2, 0, 1, 3)
