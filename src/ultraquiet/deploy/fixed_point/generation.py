@@ -16,7 +16,7 @@ from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR,
 from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
 from ultraquiet.deploy.fixed_point.law import FixedLaw
-from ultraquiet.deploy.fixed_point.reach import command_corners, largest_commands, limited_commands, state_corners
+from ultraquiet.deploy.fixed_point.reach import all_corners, largest_commands, limited_commands, state_corners
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.fixed_point.self_test import self_test
 from ultraquiet.deploy.law.coordinates import balanced
@@ -217,7 +217,7 @@ def _tables(law: FixedLaw, error: float) -> dict[str, Any]:
 
 def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
     law = deployment.law
-    commands, states = command_corners(law), state_corners(law)
+    corners, edges = all_corners(law)
     context = {
         **heading(law, model_hash),
         "A": law.A.tolist(),
@@ -229,9 +229,10 @@ def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
         "down_u": (law.shift_u + law.bits - 2).tolist(),
         "top": 2 ** (law.bits - 1) - 1,
         "rows": self_test(law),
-        "corners": [*commands.tolist(), *states.tolist()],
+        "corners": corners.tolist(),
         "limited_commands": limited_commands(law),
-        "limited_states": len(states) > 0,
+        "edges": edges,
+        "limited_states": len(state_corners(law)) > 0,
         "basis": FNV_BASIS,
         "prime": FNV_PRIME,
         "factor": LCG_FACTOR,

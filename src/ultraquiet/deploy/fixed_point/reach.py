@@ -6,7 +6,39 @@ import numpy as np
 
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 
+TRIED = 4096  # words for one of two gains, to find a sum that is just so large
 SIGNS = np.array(list(product((1, -1), repeat=2)), dtype=np.int64)  # of the two states of a block
+
+
+def all_corners(law: FixedLaw) -> tuple[Whole, int]:
+    """Return the corners from which the self-test begins, `(corners, n + ny)`: those of commands, and last of steps.
+
+    The number returned besides says how many are followed by a whole step.
+    """
+    steps = np.concatenate([turning_corners(law), state_corners(law)])
+    return np.concatenate([command_corners(law), touching_corners(law), steps]), len(steps)
+
+
+def turning_corners(law: FixedLaw) -> Whole:
+    """Return all states at half their range or less, `(2, n + ny)`, with like and with unlike signs in each block.
+
+    From rest a state of a law scaled by its bound may stay so small that a count of its coefficients is never seen;
+    from here one turn of every block shows it, and carries no state out of its range.
+    """
+    corners, top = np.zeros((2, law.states + law.inputs), np.int64), 2 ** (law.bits - 1) - 1
+    if not law.states:
+        return corners[:0]
+    own, parities = law.A.reshape(-1, 2), np.arange(law.states) % 2
+    for corner, signs in zip(corners, SIGNS[:2], strict=True):
+        size = top // 2
+        while size > 0:
+            turned = _rounded(size * (own @ signs), np.repeat(law.shift_a, 2) + 2)
+            held = size * signs[parities]
+            if np.abs(_rounded(turned, law.bits - 4) + held * law.delta).max() <= top:
+                corner[: law.states] = held
+                break
+            size //= 2
+    return corners
 
 
 def command_corners(law: FixedLaw) -> Whole:
@@ -22,6 +54,52 @@ def command_corners(law: FixedLaw) -> Whole:
     down = law.shift_u + law.bits - 2
     reached = _rounded((corners * rows[:, None, :]).sum(axis=2), down[:, None])
     return corners[np.abs(reached).max(axis=1) > top].reshape(-1, law.states + law.inputs)
+
+
+def touching_corners(law: FixedLaw) -> Whole:
+    """Return states and measurements, `(corners, n + ny)`, that carry a command just to its end and one count beyond.
+
+    At the end a limit must change nothing and count nothing, one count further it must. They are those of the first
+    command for which such words are found; none where the words of no command are fine enough.
+    """
+    top = 2 ** (law.bits - 1) - 1
+    rows = np.hstack([law.C.T, law.D])
+    for row, down in zip(rows, (law.shift_u + law.bits - 2).tolist(), strict=True):
+        ends = [(end, sign) for end in (top, top + 1) for sign in (1, -1)]
+        found = [_touching(sign * row, _at(sign * row[None, :], law)[0], down, end, sign) for end, sign in ends]
+        if all(corner is not None for corner in found):
+            return np.array(found, np.int64)
+    return np.zeros((0, rows.shape[1]), np.int64)
+
+
+def _touching(row: Whole, corner: Whole, down: int, end: int, sign: int) -> Whole | None:
+    """Return words whose sum rounds to `end` on its own side, or None where none were found.
+
+    All products with the corner are positive. The two words of the smallest gains are sought among `TRIED` pairs, all
+    others are drawn back together so that half of those two is about what is missing.
+    """
+    fine = [k for k in np.argsort(np.abs(row)) if row[k] != 0][:2]
+    if len(fine) < 2:
+        return None
+    products, (last, other) = row * corner, fine
+    rest = int(products.sum() - products[fine].sum())
+    wanted = (end << down) - (1 << (down - 1))
+    share = (wanted - int(products[fine].sum()) // 2) / rest if rest else 0.0
+    words = np.trunc(corner * min(max(share, 0.0), 1.0)).astype(np.int64)
+    words[fine] = 0
+    missing = wanted - int((row * words).sum())
+    first = np.unique(np.linspace(0, abs(int(corner[other])), TRIED).astype(np.int64))
+    # a sign may take half a count to the other side: one more than the least that reaches the end does no harm
+    second = -((abs(int(row[other])) * first - missing) // abs(int(row[last])))
+    for more in (0, 1):
+        sums = abs(int(row[other])) * first + abs(int(row[last])) * (second + more) - missing
+        held = (second + more >= 0) & (second + more <= abs(int(corner[last])))
+        good = np.flatnonzero(held & (sign * _rounded(sign * (sums + wanted), down) == end))
+        if good.size:
+            words[other], words[last] = first[good[0]], second[good[0]] + more
+            words[fine] *= np.sign(corner[fine])
+            return words
+    return None
 
 
 def largest_commands(law: FixedLaw) -> Whole:

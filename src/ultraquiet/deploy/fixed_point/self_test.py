@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP, MASK
 from ultraquiet.deploy.fixed_point.law import FixedLaw
-from ultraquiet.deploy.fixed_point.reach import command_corners, state_corners
+from ultraquiet.deploy.fixed_point.reach import all_corners
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
 
 
@@ -19,17 +19,26 @@ def self_test(law: FixedLaw) -> list[dict[str, Any]]:
     """
     full = 2**law.ramp_bits
     part = max(min(full // 2, 40), 1)
-    plan = [("RUN", 3), ("ENABLE", 0), ("RUN", part), ("DISABLE", 0), ("RUN", max(part // 2, 1)), ("ENABLE", 0)]
+    plan = [
+        ("INIT", 0),
+        ("RUN", 3),
+        ("ENABLE", 0),
+        ("RUN", part),
+        ("DISABLE", 0),
+        ("RUN", max(part // 2, 1)),
+        ("ENABLE", 0),
+    ]
     plan += [("RUN", full + 100), ("HIGH", 60), ("LOW", 60), ("RUN", 40), ("DISABLE", 0), ("RUN", full + 2)]
     plan += [("ENABLE", 0), ("RUN", 20)]
-    commands, states = command_corners(law), state_corners(law)
-    corners = np.concatenate([commands, states])
-    plan += [("CORNER" if k < len(commands) else "EDGE", k) for k in range(len(corners))]
+    corners, edges = all_corners(law)
+    plan += [("CORNER", k) for k in range(len(corners) - edges)]
+    plan += [("EDGE", k) for k in range(len(corners) - edges, len(corners))]
+    plan += [("RUN", 1), ("INIT", 0), ("ENABLE", 0), ("RUN", 2)]
     twin, random, digest, rows = FixedTwin(law), 1, FNV_BASIS, []
     twin.init()
     top = 2 ** (law.bits - 1) - 1
     for op, count in plan:
-        if op in ("ENABLE", "DISABLE"):
+        if op in ("INIT", "ENABLE", "DISABLE"):
             getattr(twin, op.lower())()
         folded: list[int] = []
         if op in ("CORNER", "EDGE"):
@@ -46,7 +55,7 @@ def self_test(law: FixedLaw) -> list[dict[str, Any]]:
                 y[j] = ((random >> 8) - 8388607) * 256 if law.bits == 32 else (random >> 16) - 32768
             folded += twin.output(y if op == "RUN" else np.full_like(y, top if op == "HIGH" else -top)).tolist()
             twin.update()
-        folded += [*twin.x.tolist(), twin.level, twin.clipped, twin.limited]
+        folded += [*twin.x.tolist(), *twin.y.tolist(), int(twin.on), twin.level, twin.clipped, twin.limited]
         for value in folded:
             digest = ((digest ^ (value & MASK)) * FNV_PRIME) & MASK
         rows.append({"op": op, "count": count, "digest": digest})
