@@ -272,3 +272,18 @@ def test_constants_exist_in_their_type_whatever_the_units(rng, tmp_path, cc, pre
     command = [cc, "-std=c99", "-O1", *CONTRACT_OFF, "-Wall", "-Werror", "-DCONTROLLER_MAIN", *SOURCES, "-o", "run"]
     subprocess.run(command, cwd=made.folder, check=True)
     assert subprocess.run([made.folder / "run"], check=False).returncode == 0
+
+
+@pytest.mark.gate("1e-36", "1e+30")
+@pytest.mark.parametrize("gain", [1e-36, 1e-30, 1e-12, 1e12, 1e30], ids="{:.0e}".format)
+def test_every_constant_is_a_normal_number_of_its_type(rng, tmp_path, gain):
+    """A denormal one would be zero where a processor flushes them: other bits than the generator's."""
+    law = random_law(rng, 7, 4, 3)
+    law = StateSpace(law.A, law.B, gain * law.C, gain * law.D * np.geomspace(1.0, 1e-3, 4), law.rate_hz)
+    generate(law, tmp_path / "code", form="dense", anti_windup=True, limits_v=10 * gain)
+    text = "".join(path.read_text() for path in (tmp_path / "code").glob("*.[ch]"))
+    sizes = np.array([abs(float.fromhex(n)) for n in re.findall(r"0x[01]\.?[0-9a-f]*p[+-]?\d+", text)])
+    print(f"gain {gain:g}: {sizes.size} constants, {sizes[sizes > 0].min():.1e} to {sizes.max():.1e} and zero")
+    known = np.finfo(np.float32)
+    assert np.all((sizes == 0) | (sizes >= known.tiny))
+    assert sizes.max() <= known.max

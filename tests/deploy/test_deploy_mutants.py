@@ -152,8 +152,9 @@ def survivors(folder, cc, code, planted):
         lines = code.splitlines()
         original, lines[k] = lines[k].strip(), line
         (folder / "mutant.c").write_text("\n".join(lines))
-        subprocess.run([cc, *flags, "mutant.c", "selftest.o", "-o", "mutant"], cwd=folder, check=True)
-        if passes(folder / "mutant"):
+        words = [cc, *flags, "mutant.c", "selftest.o", "-o", "mutant"]
+        refused = subprocess.run(words, cwd=folder, capture_output=True, check=False).returncode
+        if not refused and passes(folder / "mutant"):
             alive.append(f"line {k + 1}: {original}  ->  {line.strip() or 'deleted'}")
     print(f"{len(planted)} faults planted, {len(alive)} unnoticed")
     return alive

@@ -1,6 +1,6 @@
 """A warm process that forks others, whose calls into the system fail one after another; jobs as JSON lines in and out.
 
-python siege_works.py, started with LD_PRELOAD=faulty.so.
+python siege_works.py FOLDER [tiny], started with LD_PRELOAD=faulty.so; with `tiny` it is warm for the tiny study.
 """
 
 import ctypes
@@ -12,6 +12,7 @@ import traceback
 from pathlib import Path
 
 import numpy as np
+import tiny_study
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "pipeline"))
 import small_study  # beside the tests of studies
@@ -88,7 +89,18 @@ def study(place):
     small_study.walk(small_study.written(place.parent), place, say=lambda _: None)
 
 
-WORKS = {"record": record, "paced": lambda place: record(place, True), "convert": convert, "study": study}
+def tiny(place):
+    """Walk the study of one mass, every stage; swift where the process was warmed for it."""
+    tiny_study.walk(tiny_study.written(place.parent), place)
+
+
+WORKS = {
+    "record": record,
+    "paced": lambda place: record(place, True),
+    "convert": convert,
+    "study": study,
+    "tiny": tiny,
+}
 
 
 def forked(job):
@@ -119,10 +131,13 @@ def forked(job):
 
 if __name__ == "__main__":
     warm = Path(sys.argv[1])
-    record(warm)
-    files.save(source(), warm / "source.h5")
-    for work in (files.export_record,):
-        work(files.read_record(warm / "source.h5"), warm / "out.mat")
+    if "tiny" in sys.argv[2:]:
+        tiny_study.swift()
+        tiny(warm / "study")
+    else:
+        record(warm)
+        files.save(source(), warm / "source.h5")
+        files.export_record(files.read_record(warm / "source.h5"), warm / "out.mat")
     print("ready", flush=True)
     for line in sys.stdin:
         print(json.dumps(forked(json.loads(line))), flush=True)

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 from collections import Counter
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from test_killed_study import names, numbers
 from ultraquiet import files
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.measure import recover
+from ultraquiet.pipeline.store import contents, entry
 
 HERE = Path(__file__).parent
 MOST_CALLS = 2000
@@ -31,14 +33,13 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module")
-def forked(tmp_path_factory):
-    """A function that has a job done in a child of a warm process, armed."""
-    folder = tmp_path_factory.mktemp("faulty")
+@contextmanager
+def armed(folder, *what):
+    """Yield a function that has a job done in a child of a warm process, armed."""
     library, warm = folder / "faulty.so", folder / "warm"
     subprocess.run(["cc", "-shared", "-fPIC", "-O1", HERE / "faulty.c", "-o", library, "-ldl"], check=True)
     warm.mkdir()
-    words = [sys.executable, str(HERE / "siege_works.py"), str(warm)]
+    words = [sys.executable, str(HERE / "siege_works.py"), str(warm), *what]
     environment = {**os.environ, "LD_PRELOAD": str(library), "PYTHONWARNINGS": "ignore"}
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment) as server:
         assert server.stdin is not None
@@ -54,6 +55,21 @@ def forked(tmp_path_factory):
         yield done
         server.stdin.close()
         server.wait(30)
+
+
+@pytest.fixture(scope="module")
+def forked(tmp_path_factory):
+    """A function that has a job done in a child of a warm process, armed."""
+    with armed(tmp_path_factory.mktemp("faulty")) as done:
+        yield done
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """The same, warm for the tiny study, all of whose computing is done."""
+    (tmp_path / "faulty").mkdir()
+    with armed(tmp_path / "faulty", "tiny") as done:
+        yield done
 
 
 def sound(place):
@@ -160,6 +176,41 @@ def test_calls_of_a_study_fail(forked, tmp_path, strikes):
             assert names(place) == files_of_it, (name, at, sorted(names(place) ^ files_of_it))
             assert numbers(place) == wanted, (name, at)
     print(f"study, {calls} calls, {strikes} of them struck in each way: {dict(fates)}")
+
+
+def require_whole_stages(folder):
+    """Fail on a stage that says it is there while something that it left is neither in its place nor waiting whole."""
+    for path in (folder / entry.STAGES).glob("[!.]*.json"):
+        found = entry.read(folder, path.stem)
+        assert found is not None, f"{path.name} has its name and is not whole"
+        for name, hashes in found.left.items():
+            there = [contents.hashes_of(where(folder, name)) for where in (contents.place, contents.staged)]
+            assert not hashes or hashes in there, (path.name, name)
+
+
+@pytest.mark.parametrize("every", [60, pytest.param(1, marks=pytest.mark.slow)])
+def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, every):
+    """Each of the first calls to write, sync and name fails or is the last one; what a run leaves serves the next."""
+    whole, place, fates, stages = tmp_path / "whole", tmp_path / "struck", Counter(), Counter()
+    assert tiny("tiny", whole)["fate"] == "done"
+    wanted, files_of_it = numbers(whole), names(whole)
+    for name, kind in STUDY_KINDS.items():
+        calls = tiny("tiny", place, at=10**9, kind=kind)["calls"]
+        shutil.rmtree(place)
+        for at in range(1, min(calls, MOST_CALLS) + 1, every):
+            fate = tiny("tiny", place, at, kind)
+            word = "killed" if fate["code"] == -9 else fate["fate"]
+            assert word != "TRACEBACK", (name, at, fate["said"])
+            fates[f"{name}: {word}"] += 1
+            require_whole_stages(place)
+            stages[name] += len(list(place.glob("stages/[!.]*.json")))
+            again = tiny("tiny", place)
+            assert again.get("fate") == "done", (name, at, fate, again)
+            assert names(place) == files_of_it, (name, at, fate, sorted(names(place) ^ files_of_it))
+            assert numbers(place) == wanted, (name, at, fate)
+            shutil.rmtree(place)
+        print(f"tiny study, {name}: {calls} calls, every {every} of them struck, {stages[name]} stages kept")
+    print(f"{sum(fates.values())} strikes: {dict(fates)}")
 
 
 # The power-cut model: what was done since a file's last fsync is lost, in part or whole, and in any order.

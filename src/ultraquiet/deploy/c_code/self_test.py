@@ -118,7 +118,7 @@ def script_calls(law: Law, quiet: float, loud: float) -> list[tuple[str, int, fl
         text_of.RETURNS,
     ]
     for channel in range(law.outputs):
-        text += [f"INIT 0\nENABLE\nRUN 2\nNARROW {channel}\nRUN 6"]
+        text += [f"INIT 0\nENABLE\nRUN 2\nNARROW {channel}\nRUN 6", text_of.EXCITED]
     some, near = min(law.ramp_steps, 7), min(law.ramp_steps, 4)
     names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
     names |= {"near": near, "near_top": law.ramp_steps - near}

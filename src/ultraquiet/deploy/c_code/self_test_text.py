@@ -239,6 +239,13 @@ SWAP 1
 ENABLE
 RUN 5
 """
+# Both sides of a narrow limit, met by the excitation where the law itself commands nothing.
+EXCITED = """
+EXCITE 0
+RUN 1
+EXCITE 0
+RUN 1
+"""
 RETURNS = """
 INIT 0
 ENABLE
@@ -252,4 +259,13 @@ OUTPUT                the last step of the ramp out
 ENABLE
 UPDATE
 RUN 3
+DISABLE
+OUTPUT                the last step of a ramp of one step
+JUMP 1
+UPDATE                a step that is still on its way out advances
+NOT_A_NUMBER 0
+JUMP 1
+CLEAR                 refused one step before the end
+RUN 2
+CLEAR
 """

@@ -15,9 +15,10 @@ from ultraquiet.deploy.c_code.render import heading, render
 from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR, LCG_STEP
 from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
-from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
+from ultraquiet.deploy.fixed_point.law import FixedLaw
+from ultraquiet.deploy.fixed_point.reach import all_corners, largest_commands, limited_commands, state_corners
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
-from ultraquiet.deploy.fixed_point.self_test import corner, self_test
+from ultraquiet.deploy.fixed_point.self_test import self_test
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, require_stable
 from ultraquiet.deploy.law.kind import require_law
@@ -105,8 +106,8 @@ def generate_fixed(
         settings: single fields of `FixedOptions` instead of `options`.
 
     Raises:
-        InputError: a plant in place of a law, a law in continuous time, one that loses more than `tolerance`, bad
-            settings.
+        InputError: a plant in place of a law, a law in continuous time, one that loses more than `tolerance`, one
+            whose commands would never move, bad settings.
         NumericalError: the loop with the plant is unstable with the rounded law, or rounding makes a stable law
             unstable.
         StorageError: the folder cannot be written or holds something else.
@@ -126,12 +127,27 @@ def generate_fixed(
     require_ours(folder)
     even, loop = balanced(controller), None if plant is None else balanced(plant)
     law, error = _best(even, word, name, loop, options, bits)
+    _require_movement(law, even)
     require_stable(law.state_space(), even, loop, f"{law.word} coefficients in {law.form} form", _more(law))
     deployment = FixedDeployment(
         law, folder, _tables(law, error), _status(law, error, plant is None, options.tolerance, options.scaling)
     )
     write_folder(folder, _texts(deployment, controller.hash))
     return deployment
+
+
+def _require_movement(law: FixedLaw, controller: StateSpace) -> None:
+    """Refuse code whose commands stay at zero whatever is measured, for a law that has commands.
+
+    Raises:
+        InputError: with the size of one count.
+    """
+    if (np.any(controller.C) or np.any(controller.D)) and not np.any(largest_commands(law)):
+        raise InputError(
+            f"generate_fixed: in {law.word} with commands of +-{law.output_v:g} no measurement of +-{law.input_v:g}"
+            f" moves a command by one count, {law.output_v / 2.0 ** (law.bits - 1):.1e}; take a smaller output_v or"
+            f" {_more(law)}."
+        )
 
 
 def _more(law: FixedLaw) -> str:
@@ -199,12 +215,9 @@ def _tables(law: FixedLaw, error: float) -> dict[str, Any]:
     }
 
 
-def _listed(words: Whole | None) -> list[int]:
-    return [] if words is None else [int(word) for word in words]
-
-
 def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
     law = deployment.law
+    corners, edges = all_corners(law)
     context = {
         **heading(law, model_hash),
         "A": law.A.tolist(),
@@ -216,7 +229,10 @@ def _texts(deployment: FixedDeployment, model_hash: str) -> dict[str, str]:
         "down_u": (law.shift_u + law.bits - 2).tolist(),
         "top": 2 ** (law.bits - 1) - 1,
         "rows": self_test(law),
-        "corner": _listed(corner(law)),
+        "corners": corners.tolist(),
+        "limited_commands": limited_commands(law),
+        "edges": edges,
+        "limited_states": len(state_corners(law)) > 0,
         "basis": FNV_BASIS,
         "prime": FNV_PRIME,
         "factor": LCG_FACTOR,

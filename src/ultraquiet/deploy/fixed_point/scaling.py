@@ -123,7 +123,8 @@ def _rounded(parts: Realisation, scale: FloatArray, settings: dict[str, Any]) ->
     each = np.repeat(scale, 2)
     A, shift_a = _integers(np.stack(parts.blocks).reshape(-1, 4), bits, 2, lowest=-1)
     B, shift_b = _integers(parts.B / each[:, None], bits)
-    both, shift_u = _integers(np.concatenate([parts.D, parts.C * each], axis=1), bits, lowest=3 - bits)
+    gains = np.concatenate([parts.D, parts.C * each], axis=1)
+    both, shift_u = _integers(gains, bits, lowest=3 - bits, highest=bits + 1)
     D, C = both[:, : parts.D.shape[1]], both[:, parts.D.shape[1] :].T
     blank = np.zeros(len(D))
     law = FixedLaw(
@@ -149,7 +150,9 @@ def _rounded(parts: Realisation, scale: FloatArray, settings: dict[str, Any]) ->
     return _noise(law)
 
 
-def _integers(rows: FloatArray, bits: int, parts: int = 1, lowest: int = 0) -> tuple[Whole, Whole]:
+def _integers(
+    rows: FloatArray, bits: int, parts: int = 1, lowest: int = 0, highest: int | None = None
+) -> tuple[Whole, Whole]:
     """Return rows as integers of one shift e a row: c 2^(bits - 2 + e), e as large as keeps every sum |c| 2^e below 2.
 
     `parts` rows of the matrix lie behind one another in a row given here, and their sums count apart.
@@ -157,8 +160,11 @@ def _integers(rows: FloatArray, bits: int, parts: int = 1, lowest: int = 0) -> t
     sums = np.abs(rows).reshape(len(rows), parts, -1).sum(axis=2).max(axis=1)
     with np.errstate(divide="ignore"):
         shift = np.floor(np.log2(2.0 / sums))
-    # More than 2 bits - 6 of them would leave the accumulator's own last place.
-    shift = np.clip(np.where(np.isfinite(shift), shift, 0.0), lowest, 2 * bits - 6)
+    # More than 2 bits - 6 of them would leave the accumulator's own last place. A command goes down by bits - 2 + e
+    # places at once, and a word of 2 bits has no more than that less one: beyond e = bits + 1 C leaves it open what
+    # the shift does.
+    highest = 2 * bits - 6 if highest is None else highest
+    shift = np.clip(np.where(np.isfinite(shift), shift, 0.0), lowest, highest)
     while True:
         integers = np.rint(rows * 2.0 ** (bits - 2 + shift)[:, None])
         over = np.abs(integers).reshape(len(rows), parts, -1).sum(axis=2).max(axis=1, initial=0.0) >= 2.0 ** (bits - 1)

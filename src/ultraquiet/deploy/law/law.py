@@ -142,6 +142,8 @@ def rounded(
 ) -> Law:
     """Return the realisation rounded to `precision`, to nearest; `excitation` is a tenth of the limits when absent.
 
+    What is smaller than every normal number of the type becomes zero.
+
     Raises:
         InputError: a coefficient that overflows in that precision.
     """
@@ -155,7 +157,8 @@ def rounded(
                 f"deploy: a coefficient of {np.abs(matrix).max():.1e} is beyond {precision}; scale the controller"
                 " or take precision='float64'."
             )
-        return frozen(numbers)
+        # A denormal number is zero on a processor that flushes them, and another one elsewhere: here it is zero.
+        return frozen(np.where(np.abs(numbers) < np.finfo(dtype).tiny, dtype(0.0), numbers))
 
     largest = float(np.finfo(dtype).max)
     limits = np.clip(limits, -largest, largest)  # what lies beyond all numbers of the type limits none of them

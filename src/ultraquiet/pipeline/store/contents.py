@@ -1,5 +1,6 @@
 """What stands in the folder of a study, by content: hashes of files and folders, and what was changed by hand."""
 
+import errno
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
@@ -7,6 +8,8 @@ from pathlib import Path, PurePosixPath
 from ultraquiet.files.names import inside
 
 Hashes = Mapping[str, str]
+# A file is there and its bytes could not be had this time: the device, a server that went, too many open files.
+REFUSED = {errno.EIO, errno.ESTALE, errno.ENOMEM, errno.EMFILE, errno.ENFILE}
 
 
 def place(folder: Path, name: str) -> Path:
@@ -25,16 +28,27 @@ def staged(folder: Path, name: str) -> Path:
 
 
 def hash_of(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes; empty where there is no file that can be read."""
+    """Return the SHA-256 of a file's bytes; empty where there is no file, or one that nobody may read.
+
+    Raises:
+        OSError: the disk refuses a file that is there: what it holds is not known then, and it counts neither as
+            another one nor as none.
+    """
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
+    except OSError as error:
+        if error.errno in REFUSED:
+            raise
         return ""
 
 
 def hashes_of(path: Path) -> dict[str, str]:
-    """Return name -> SHA-256 of every file below a folder, or of a file alone under the empty name."""
+    """Return name -> SHA-256 of every file below a folder, or of a file alone under the empty name.
+
+    Raises:
+        OSError: the disk refuses one of them.
+    """
     if path.is_dir() and not path.is_symlink():
         files = sorted(p for p in path.rglob("*") if p.is_symlink() or not p.is_dir())
         return {p.relative_to(path).as_posix(): hash_of(p) for p in files}

@@ -1,0 +1,158 @@
+"""How far one step carries a command or a state of a whole-number law: where its code needs a limit and where not."""
+
+from itertools import product
+
+import numpy as np
+
+from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
+
+TRIED = 4096  # words for one of two gains, to find a sum that is just so large
+SIGNS = np.array(list(product((1, -1), repeat=2)), dtype=np.int64)  # of the two states of a block
+
+
+def all_corners(law: FixedLaw) -> tuple[Whole, int]:
+    """Return the corners from which the self-test begins, `(corners, n + ny)`: those of commands, and last of steps.
+
+    The number returned besides says how many are followed by a whole step.
+    """
+    steps = np.concatenate([turning_corners(law), state_corners(law)])
+    return np.concatenate([command_corners(law), touching_corners(law), steps]), len(steps)
+
+
+def turning_corners(law: FixedLaw) -> Whole:
+    """Return all states at half their range or less, `(2, n + ny)`, with like and with unlike signs in each block.
+
+    From rest a state of a law scaled by its bound may stay so small that a count of its coefficients is never seen;
+    from here one turn of every block shows it, and carries no state out of its range.
+    """
+    corners, top = np.zeros((2, law.states + law.inputs), np.int64), 2 ** (law.bits - 1) - 1
+    if not law.states:
+        return corners[:0]
+    own, parities = law.A.reshape(-1, 2), np.arange(law.states) % 2
+    for corner, signs in zip(corners, SIGNS[:2], strict=True):
+        size = top // 2
+        while size > 0:
+            turned = _rounded(size * (own @ signs), np.repeat(law.shift_a, 2) + 2)
+            held = size * signs[parities]
+            if np.abs(_rounded(turned, law.bits - 4) + held * law.delta).max() <= top:
+                corner[: law.states] = held
+                break
+            size //= 2
+    return corners
+
+
+def command_corners(law: FixedLaw) -> Whole:
+    """Return states and measurements, `(corners, n + ny)`, that carry commands furthest beyond their range.
+
+    At such a corner every product of a command's sum has the same sign: u = r(sum |c| x, s). A command has an upper and
+    a lower corner where one of them lies beyond its range, and none where no state and no measurement gets there: its
+    limit would be code that nothing can run.
+    """
+    top = 2 ** (law.bits - 1) - 1
+    rows = np.hstack([law.C.T, law.D])
+    corners = np.stack([_at(rows, law), _at(-rows, law)], axis=1)
+    down = law.shift_u + law.bits - 2
+    reached = _rounded((corners * rows[:, None, :]).sum(axis=2), down[:, None])
+    return corners[np.abs(reached).max(axis=1) > top].reshape(-1, law.states + law.inputs)
+
+
+def touching_corners(law: FixedLaw) -> Whole:
+    """Return states and measurements, `(corners, n + ny)`, that carry a command just to its end and one count beyond.
+
+    At the end a limit must change nothing and count nothing, one count further it must. They are those of the first
+    command for which such words are found; none where the words of no command are fine enough.
+    """
+    top = 2 ** (law.bits - 1) - 1
+    rows = np.hstack([law.C.T, law.D])
+    for row, down in zip(rows, (law.shift_u + law.bits - 2).tolist(), strict=True):
+        ends = [(end, sign) for end in (top, top + 1) for sign in (1, -1)]
+        found = [_touching(sign * row, _at(sign * row[None, :], law)[0], down, end, sign) for end, sign in ends]
+        if all(corner is not None for corner in found):
+            return np.array(found, np.int64)
+    return np.zeros((0, rows.shape[1]), np.int64)
+
+
+def _touching(row: Whole, corner: Whole, down: int, end: int, sign: int) -> Whole | None:
+    """Return words whose sum rounds to `end` on its own side, or None where none were found.
+
+    All products with the corner are positive. The two words of the smallest gains are sought among `TRIED` pairs, all
+    others are drawn back together so that half of those two is about what is missing.
+    """
+    fine = [k for k in np.argsort(np.abs(row)) if row[k] != 0][:2]
+    if len(fine) < 2:
+        return None
+    products, (last, other) = row * corner, fine
+    rest = int(products.sum() - products[fine].sum())
+    wanted = (end << down) - (1 << (down - 1))
+    share = (wanted - int(products[fine].sum()) // 2) / rest if rest else 0.0
+    words = np.trunc(corner * min(max(share, 0.0), 1.0)).astype(np.int64)
+    words[fine] = 0
+    missing = wanted - int((row * words).sum())
+    first = np.unique(np.linspace(0, abs(int(corner[other])), TRIED).astype(np.int64))
+    # a sign may take half a count to the other side: one more than the least that reaches the end does no harm
+    second = -((abs(int(row[other])) * first - missing) // abs(int(row[last])))
+    for more in (0, 1):
+        sums = abs(int(row[other])) * first + abs(int(row[last])) * (second + more) - missing
+        held = (second + more >= 0) & (second + more <= abs(int(corner[last])))
+        good = np.flatnonzero(held & (sign * _rounded(sign * (sums + wanted), down) == end))
+        if good.size:
+            words[other], words[last] = first[good[0]], second[good[0]] + more
+            words[fine] *= np.sign(corner[fine])
+            return words
+    return None
+
+
+def largest_commands(law: FixedLaw) -> Whole:
+    """Return the furthest that any state and any measurement carries each command, `(nu,)`, before its limit."""
+    rows = np.hstack([law.C.T, law.D])
+    down = law.shift_u + law.bits - 2
+    both = [np.abs(_rounded((_at(sign * rows, law) * rows).sum(axis=1), down)) for sign in (1, -1)]
+    return np.maximum(*both)
+
+
+def limited_commands(law: FixedLaw) -> list[bool]:
+    """Return for each command whether anything carries it beyond its range."""
+    return [bool(size > 2 ** (law.bits - 1) - 1) for size in largest_commands(law)]
+
+
+def state_corners(law: FixedLaw) -> Whole:
+    """Return states and measurements, `(corners, n + ny)`, from which one step carries a state beyond its range.
+
+    For each of the two rows of a block the state that goes furthest up and the one that goes furthest down; none for
+    a law scaled by its bound, whose states need no limit, and none where no word of state and measurements gets there.
+    """
+    if not law.saturates or not law.states:
+        return np.zeros((0, law.states + law.inputs), np.int64)
+    top = 2 ** (law.bits - 1) - 1
+    own, parities = law.A.reshape(-1, 2), np.arange(law.states) % 2
+    corners = []
+    for sign in (1, -1):
+        y = np.where(sign * law.B > 0, top, np.where(law.B == 0, 0, -top - 1))
+        drive = _rounded((law.B * y).sum(axis=1), law.shift_b + 2)[:, None]
+        turned = _rounded(top * (own @ SIGNS.T), (np.repeat(law.shift_a, 2) + 2)[:, None])
+        held = top * SIGNS.T[parities] if law.delta else 0
+        reached = sign * (_rounded(turned + drive, law.bits - 4) + held)
+        best = reached.argmax(axis=1)
+        furthest = reached.max(axis=1)
+        for parity in range(2):
+            k = 2 * int(furthest[parity::2].argmax()) + parity
+            if furthest[k] > top:
+                x = np.zeros(law.states, np.int64)
+                x[k - parity : k - parity + 2] = top * SIGNS[best[k]]
+                corners.append(np.concatenate([x, y[k]]))
+    return np.array(corners, np.int64).reshape(-1, law.states + law.inputs)
+
+
+def _at(rows: Whole, law: FixedLaw) -> Whole:
+    """Return the words that make every product with a row positive, as large as they can be.
+
+    States are held within -top and top, a measurement is whatever word a converter gives.
+    """
+    top = 2 ** (law.bits - 1) - 1
+    low = np.where(np.arange(rows.shape[1]) < law.states, -top, -top - 1)
+    return np.where(rows > 0, top, np.where(rows < 0, low, 0))
+
+
+def _rounded(value: Whole, shift: Whole | int) -> Whole:
+    """Return floor(value / 2^shift + 1/2)."""
+    return np.right_shift(value + np.left_shift(np.int64(1), np.asarray(shift, np.int64) - 1), shift)

@@ -1,0 +1,155 @@
+"""The vectors shipped with the C31's text must notice every fault planted in it, last bits of coefficients included."""
+
+import re
+from collections import Counter
+
+import pytest
+from c31_vectors import Played
+from test_deploy_c31 import bank_in, law_in
+
+from ultraquiet.deploy.c31.assembly import c31_code
+from ultraquiet.deploy.c31.vectors import vectors
+
+SWAPS = [
+    ("ADDF3", "SUBF3"),
+    ("SUBF3", "ADDF3"),
+    ("MPYF3", "ADDF3"),
+    ("LDFLT", "LDFGT"),
+    ("LDFGT", "LDFLT"),
+    ("LDFLT", "LDF"),
+    ("LDFGT", "LDF"),
+    ("FLOAT", "LDI"),
+    ("FIX ", "RND "),
+    ("PUSHF", "PUSH"),
+    ("POPF", "POP"),
+    (r"\+\+", "--"),
+    (r"--", "++"),
+    (r"\*\+AR", "*-AR"),
+    (r"\*-AR", "*+AR"),
+    (r"\+\+\(1\)", ""),
+    (r"\(IR0\)", "(1)"),
+    (r"\(1\)", "(IR0)"),
+    ("%", ""),
+    (r"\bAR([0-6])", lambda m: f"AR{int(m[1]) + 1}"),
+    (r"\bAR([1-7])", lambda m: f"AR{int(m[1]) - 1}"),
+    (r"\bR([0-3])\b", lambda m: f"R{int(m[1]) + 1}"),
+    (r"\bR([1-4])\b", lambda m: f"R{int(m[1]) - 1}"),
+    (r"(LDI|RPTS) +(\d+)", lambda m: f"{m[1]}     {int(m[2]) + 1}"),
+    (r"(LDI|RPTS) +(\d+)", lambda m: f"{m[1]}     {int(m[2]) - 1}"),
+    (r"LDF +0\.0,R2", "LDF     0.0,R3"),
+    ("LDI     @at_u", "LDI     @at_y"),
+    ("LDI     @at_y", "LDI     @at_u"),
+    (r"RC\b", "RE"),
+    (r"IR0$", "IR1"),
+    (r"BK$", "IR1"),
+]
+WORD = re.compile(r"(\.word +)(0x[0-9A-F]{8})")
+
+# Faults that change nothing, and why; each is a pattern of the section, the line as it was and as it became.
+EQUIVALENT = [
+    (
+        r"^text \|\| +ADDF3 +R0,R3,R3  ->  (left out|\|\| +SUBF3 +R0,R3,R3)",
+        "the sum before the first state's is nobody's",
+    ),
+    (r"^text (.*)%(.*)  ->  \1\2", "the ring does not end there"),
+    (r"^text NOP  ->  left out", "the pipeline waits as long by itself"),
+    (r"^table \.word +0x", "less than a hundredth of a count of the converters: the last bit of a scale or a limit"),
+]
+MANY = 16  # last places, 2^-20 of a coefficient: the vectors must notice so much of each
+BELOW = f"below the last place of the words it forms; {MANY} of them are noticed"
+LAST = "moves a pointer that nothing uses any more"
+
+
+def is_last_move(lines, k, changed):
+    """Whether a line differs by how it moves a pointer afterwards, and that is loaded anew before it is used again."""
+    was, now = (
+        re.sub(r"(\*AR\d)(\+\+|--)\((1|IR0)\)%?", r"\1", line.split(";")[0].strip()) for line in (lines[k], changed)
+    )
+    moved = re.search(r"\*(AR\d)(\+\+|--)", lines[k])
+    if moved is None or was != now:
+        return False
+    for line in lines[k + 1 :]:
+        if re.search(rf"(LDI|POP) .*{moved[1]}$", line.split(";")[0].rstrip()):
+            return True
+        if re.search(rf"\b{moved[1]}\b", line.split(";")[0]):
+            return False
+    return True
+
+
+def mutants(text):
+    """Return (section, line number, line as it becomes), an empty one for an instruction left out."""
+    made, section = [], ""
+    for k, line in enumerate(text.splitlines()):
+        code = line.split(";")[0].rstrip()
+        if found := re.search(r'\.sect +"(\w+)"|\.(text)', code):
+            section = found[1] or found[2]
+        # What the state section holds before the first frame is written before it is read, or set to rest.
+        if section == "state" or not code.startswith((" ", "||")) or re.search(r"\.(sect|text|global|end|space)", code):
+            continue
+        if word := WORD.search(code):
+            for step in (1, -1):
+                made.append((section, k, f"{code[: word.start(2)]}0x{(int(word[2], 16) + step) & 0xFFFFFFFF:08X}"))
+        elif ".word" in code:
+            made += [(section, k, f"{code} + 1"), (section, k, f"{code} + -1")]
+        else:
+            made.append((section, k, ""))
+            for pattern, other in SWAPS:
+                for m in re.finditer(pattern, code):
+                    swapped = other(m) if callable(other) else m.expand(other)
+                    made.append((section, k, code[: m.start()] + swapped + code[m.end() :]))
+    return list(dict.fromkeys(made))
+
+
+def by_many(lines, k):
+    """Return the text with a word of the table of coefficients changed by more than its last place."""
+    word = WORD.search(lines[k])
+    return "\n".join([*lines[:k], f"{word[1]}0x{(int(word[2], 16) + MANY) & 0xFFFFFFFF:08X}", *lines[k + 1 :]])
+
+
+def unnoticed(law, planted=None):
+    """Return the faults that the vectors miss, without those that change nothing."""
+    code = c31_code(law)
+    played, lines = Played(code.linker, vectors(law)), code.assembly.splitlines()
+    assert played.difference(code.assembly) is None
+    every = mutants(code.assembly)
+    chosen = every if planted is None else planted(every)
+    left, why = [], Counter()
+    for section, k, line in chosen:
+        wrong = played.difference("\n".join([*lines[:k], line, *lines[k + 1 :]]))
+        if wrong is not None:
+            why[wrong.partition(": ")[2].partition(" ")[0] if wrong.startswith("frame") else "refused"] += 1
+            continue
+        change = f"{section} {lines[k].strip()}  ->  {line.strip() or 'left out'}"
+        reasons = [reason for pattern, reason in EQUIVALENT if re.search(pattern, change)]
+        reasons += [LAST] if is_last_move(lines, k, line) else []
+        if section == "coefs" and played.difference(by_many(lines, k)) is not None:
+            reasons.append(BELOW)
+        why[reasons[0] if reasons else "UNNOTICED"] += 1
+        left += [] if reasons else [change]
+    print(f"{len(chosen)} of {len(every)} faults planted in {len(lines)} lines, {len(left)} unnoticed: {dict(why)}")
+    return left
+
+
+# No two alike, or a pointer that reads another command's limit would read the same number.
+LIMITS = [[-1.0, 0.8], [-0.7, 1.2], [-1.1, 0.9]]
+
+
+def test_the_vectors_notice_planted_faults(rng):
+    law = law_in(rng, 4, "modal", True, 2, 2, limit_v=LIMITS[:2])
+    assert unnoticed(law, lambda every: [every[k] for k in rng.choice(len(every), 24, replace=False)]) == []
+
+
+LAWS = {
+    "modal": lambda rng: law_in(rng, 4, "modal", False, 2, 3, limit_v=LIMITS),
+    "modal, anti-windup": lambda rng: law_in(rng, 4, "modal", True, 3, 2, limit_v=LIMITS[:2]),
+    "delta": lambda rng: law_in(rng, 4, "delta", False, 2, 2, limit_v=LIMITS[:2]),
+    "delta, anti-windup": lambda rng: law_in(rng, 6, "delta", True, 2, 2, limit_v=LIMITS[:2]),
+    "bank": lambda rng: bank_in(rng, (2, 0, 1), "bank", False, limit_v=LIMITS),
+    "bank-delta, anti-windup": lambda rng: bank_in(rng, (1, 2), "bank-delta", True, limit_v=LIMITS[:2]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", LAWS)
+def test_the_vectors_notice_every_planted_fault(rng, case):
+    assert unnoticed(LAWS[case](rng)) == []
