@@ -4,7 +4,7 @@ from typing import Any
 
 from nicegui import ui
 
-from ultraquiet._base.shown.line import loudness
+from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet.design.robustness import DISK_MARGIN
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.figures.loops import SensitivityDemand
@@ -115,10 +115,20 @@ def judged(facts: dict[str, Any], asked: dict[str, Any]) -> str:
     return "ok: all that is asked" if asked else ""
 
 
+def _quieter(by_db: float) -> str:
+    """Return a cell below "quieter by".
+
+    >>> _quieter(3.04), _quieter(-3.04), _quieter(-0.01)
+    ('3.0 dB', 'louder by 3.0 dB', '0.0 dB')
+    """
+    said = loudness(by_db)
+    return said if said.startswith("louder") else f"{rounded(abs(by_db))} dB"
+
+
 def _row(item: Item, view: View) -> tuple[str | Doubted, ...]:
     facts = item.facts
     margins, peak = facts["margins"], facts["peaks"]["S"]
-    quiet = "" if facts["attenuation_db"] is None else loudness(facts["attenuation_db"]).replace("quieter by ", "")
+    quiet = "" if facts["attenuation_db"] is None else _quieter(facts["attenuation_db"])
     asked = judged(facts, view.session.state["tables"].get("requirements", {}))
     return (
         item.name,
