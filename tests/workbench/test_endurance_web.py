@@ -34,7 +34,7 @@ main()
 
 @pytest.mark.parametrize("at", [1, 2, 3, 5], ids=["log", "named", "script", "study"])
 def test_a_server_killed_while_it_writes_leaves_the_study_intact(tmp_path, at):
-    """A step goes to the log, the script and the study file, each written beside, then named: two waits for the disk."""
+    """A step goes to the log, the script and the study file, each written beside and then named: two waits."""
     folder, armed = finished_study(tmp_path / "study", 1, 1), tmp_path / "armed"
     before = Session(folder)
     steps, kept = len(before.steps), before.item("models", "model").value().hash
