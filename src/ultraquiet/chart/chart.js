@@ -338,7 +338,7 @@ var Uq = (() => {
     const found = (u, lo, hi) => ticksOf(axis, lo, hi, (across ? u.bbox.width : u.bbox.height) / (devicePixelRatio || 1), across);
     let words = [];
     return {
-      scale: along, side, label: bare ? undefined : across ? (u) => shortLabel(axis.label || "", u.bbox.width / (devicePixelRatio || 1)) : axis.label, labelSize: 18, labelGap: 2, gap: 4,
+      scale: along, side, label: bare ? undefined : (u) => shortLabel(axis.label || "", u.bbox[across ? "width" : "height"] / (devicePixelRatio || 1)), labelSize: 18, labelGap: 2, gap: 4,
       font: AXIS + "px system-ui, sans-serif", labelFont: AXIS + "px system-ui, sans-serif",
       stroke: () => colour("muted", one.root),
       grid: { stroke: () => (one.panel.map ? "rgb(255 255 255 / 14%)" : colour("grid", one.root)), width: 1 },
@@ -352,7 +352,7 @@ var Uq = (() => {
     };
   }
   /* A label where it has room, else its unit alone. */
-  const shortLabel = (label, room) => (long(label) <= room ? label : (/\([^()]*\)$/.exec(label) || [shortened(label, room)])[0]);
+  const shortLabel = (label, room) => (long(label) <= room ? label : (unit(label).trim() && long(unit(label)) <= room ? unit(label).trim() : shortened(label, room)));
   /* Whether a word below the panel would reach beyond its canvas. */
   function cut(u, v, word) {
     const at = u.bbox.left / (devicePixelRatio || 1) + u.valToPos(v, "x"), half = word ? long(word) / 2 : 0;
@@ -363,7 +363,7 @@ var Uq = (() => {
     const [lo, hi] = one.figure.zoomed[one.along] || one.home;
     return standing(one.panel.x.names, (width - one.figure.room - PADDED) / Math.max(hi - lo, 1e-9));
   }
-  const wide = (words) => 14 + 7 * Math.max(2, ...words.map((v) => v.length));
+  const wide = (words) => 18 + Math.ceil(Math.max(14, ...words.map(long)));
   function seriesOf(one) {
     const series = [{}], bands = [];
     for (const c of one.curves.filter(aligned)) {
