@@ -43,6 +43,7 @@ hypothesis.settings.register_profile("fresh", derandomize=False, database=None, 
 
 def pytest_addoption(parser):
     parser.addoption("--seed", type=int, default=None, help="seed of every random draw instead of the gate's 1, 2, 3")
+    parser.addoption("--live-seconds", type=float, default=60.0, help="how long a live bench is watched")
     parser.addoption("--drawing", action="store_true", help="only the tests that draw")
 
 

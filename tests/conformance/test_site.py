@@ -7,7 +7,9 @@ import shutil
 import subprocess
 import sys
 import time
+from html import unescape
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 
@@ -97,6 +99,66 @@ def test_links_lead_somewhere_and_nothing_comes_from_elsewhere(site):
                     broken.append(f"{page.name}: {link}")
     assert not foreign, foreign[:10]
     assert not broken, broken[:10]
+
+
+@pytest.mark.slow
+@pytest.mark.docs
+def test_addresses_of_other_machines_are_whole(site):
+    """They are not called, which a test without a network cannot; each names a machine, and a DOI its paper."""
+    found = {link for page in site.rglob("*.html") for link in re.findall(r'href="([a-z]+:[^"]*)"', page.read_text())}
+    print(len(found), "addresses")
+    assert found
+    assert not [link for link in found if not whole(unescape(link))]
+
+
+def whole(address):
+    """Whether an address can be one: https or mail, a machine of two parts, no space and no bracket left open."""
+    parts = urlsplit(address)
+    if parts.scheme == "mailto":
+        return re.fullmatch(r"[^@\s]+@[\w-]+(\.[\w-]+)+", parts.path) is not None
+    machine = re.fullmatch(r"[\w-]+(\.[\w-]+)+(:\d+)?|127\.0\.0\.1:\w+", parts.netloc)
+    paper = parts.netloc != "doi.org" or re.match(r"/10\.\d{4,}/\S+", parts.path)
+    shut = address.count("(") == address.count(")")
+    return bool(parts.scheme in ("http", "https") and machine and paper and shut and not re.search(r"\s", address))
+
+
+@pytest.mark.parametrize("address", ["https://doi.org/10.1109/x", "https://a.org/b_(c)", "mailto:a@b.org"])
+def test_a_whole_address_is_one(address):
+    assert whole(address)
+
+
+@pytest.mark.parametrize(
+    "address", ["https://doi.org/11.1/x", "https://a", "http://a.org/b c", "ftp://a.org", "https://a.org/b(c"]
+)
+def test_a_torn_address_is_none(address):
+    assert not whole(address)
+
+
+def anchors(text):
+    """The anchors that a forge gives the headings of a Markdown file."""
+    heads = re.findall(r"^#+ +(.+?)\s*$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", re.sub(r"[`*]", "", head).lower()).replace(" ", "-") for head in heads}
+
+
+def test_links_of_the_pages_beside_the_code_lead_somewhere():
+    """README and its neighbours, as a reader of the repository follows them: files, and headings in them."""
+    broken = []
+    for page in (*ROOT.glob("*.md"), *DOCS.rglob("*.md")):
+        if {"_build", "api", "gallery"} & set(page.relative_to(ROOT).parts):
+            continue
+        text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(), flags=re.DOTALL)
+        for link in re.findall(r"\]\(([^)\s]+)\)", text):
+            path, _, anchor = link.partition("#")
+            if re.match(r"[a-z]+:", link):
+                broken += [] if whole(link) else [f"{page.name}: {link}"]
+                continue
+            target = (page.parent / path).resolve() if path else page
+            made = {"api", "gallery"} & set(Path(path).parts)  # when the site is built, which checks them
+            if (not target.exists() and not made) or (
+                anchor and target.suffix == ".md" and target.exists() and anchor not in anchors(target.read_text())
+            ):
+                broken.append(f"{page.name}: {link}")
+    assert not broken
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ import pytest
 from test_any_bench import LIST, STUDY, TABLE, TWO_MASSES
 
 from chromium import SHOTS
+from page_geometry import WATCH, faults
 from ultraquiet.pipeline import load_study, walk
 
 pytestmark = [pytest.mark.web, pytest.mark.slow]
@@ -70,6 +71,7 @@ def opened(browser, report):
 
     def open_it(width=1280, theme="light", drawn=True):
         page = browser.new_page(viewport={"width": width, "height": 1000}, color_scheme=theme)
+        page.add_init_script(WATCH)
         page.wrong, page.asked = [], []
         page.on("console", lambda said: page.wrong.append(said.text) if said.type in ("error", "warning") else None)
         page.on("pageerror", lambda error: page.wrong.append(str(error)))
@@ -233,6 +235,9 @@ def test_a_table_is_sorted_by_the_head_that_is_clicked(opened):
 def test_both_themes_at_both_widths(theme, width, opened, report):
     page = opened(width, theme)
     assert page.wrong == []
+    found, texts = faults(page)
+    assert texts > 200
+    assert found == []
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     light = page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert light == (theme == "light")
@@ -244,6 +249,22 @@ def test_both_themes_at_both_widths(theme, width, opened, report):
     page.screenshot(path=folder / f"{theme}-{width}.png", full_page=True)
     page.locator("#theme").click()
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") != ("rgb(255, 255, 255)" if light else "")
+
+
+CAPTIONS = """() => [...document.querySelectorAll("caption")].filter((c) => c.checkVisibility()).map((c) => {
+  const line = document.createRange();
+  line.selectNodeContents(c);
+  return [c.textContent, c.getBoundingClientRect().width, line.getClientRects().length];
+})"""
+
+
+def test_no_caption_is_a_thin_column_in_print(opened):
+    """A caption is as wide as its words, or takes the better part of the page's width."""
+    page = opened(width=688)  # of A4 within its margins
+    page.emulate_media(media="print")
+    captions = page.evaluate(CAPTIONS)
+    assert captions
+    assert not [text for text, width, lines in captions if lines > 1 and width < 400]
 
 
 def test_without_scripts_the_stills_stand_in_for_the_charts(browser, report):

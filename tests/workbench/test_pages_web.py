@@ -8,20 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from workbench_helpers import browser, columns, csv_of, served
+from workbench_helpers import browser, csv_of, finished_study, served
 
-from chromium import SHOTS
 from ultraquiet import files
 from ultraquiet.values import Record
 from ultraquiet.workbench import Session
-from ultraquiet.workbench.engine.making.imports import import_step, received
 
 pytestmark = [pytest.mark.web, pytest.mark.slow]
 DATA = Path(__file__).parents[1] / "data"
-PAGES = (
-    "bench", "excite", "records", "spectra", "identify", "validate", "design", "reduce", "closed-loop", "deploy",
-    "report",
-)  # fmt: skip
 
 
 def recorded(seen, path: Path, roles: dict[int, str], name: str) -> float:
@@ -184,17 +178,7 @@ def test_stop_by_keyboard_ends_all_work(tmp_path, seed):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A study of a 6x6 plant with a law and its code."""
-    folder = tmp_path_factory.mktemp("six") / "six"
-    path = csv_of(folder.parent / "six.csv", 1, 6, 6, samples=6000)
-    made = Session(folder)
-    file = received(folder, "six.csv", path)
-    made.do(import_step(folder, "six", file, columns(6, 6)))
-    method = {"method": "subspace", "order": 36}
-    made.do({"op": "identify", "name": "model", "records": ["six"], "period_samples": None, "method": method})
-    made.do({"op": "design", "name": "quiet", "model": "model", "method": {"method": "lqg"}, "reduce": None})
-    made.do({"op": "deploy", "law": "quiet"})
-    made.make("codes", "quiet")
-    return folder
+    return finished_study(tmp_path_factory.mktemp("six") / "six", 6, 6)
 
 
 TIMED = """async (mark) => {
@@ -237,44 +221,6 @@ def test_36_panels_and_a_dragged_weight_keep_up(finished):
             pytest.skip(f"the machine has other work (load {os.getloadavg()[0]:.0f}), its times say nothing")
         assert np.median(times) <= 200
         assert np.median(moved) <= 150
-
-
-SCROLLED = """async () => {
-  for (let y = 0; y < document.documentElement.scrollHeight; y += innerHeight / 2) {
-    scrollTo(0, y);
-    await new Promise((done) => setTimeout(done, 150));
-  }
-  scrollTo(0, 0);
-}"""
-BLANK = """() => [...document.querySelectorAll("[data-testid$='-chart'][data-drawn]")]
-  .filter((e) => e.offsetParent && e.offsetHeight > 100 && !e.querySelector("canvas, svg"))
-  .map((e) => e.dataset.testid)"""
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)], ids=["1280", "1920"])
-def test_every_page_fits_its_window(finished, size, scheme):
-    pictures = SHOTS / "workbench"
-    pictures.mkdir(exist_ok=True, parents=True)
-    with served(finished) as made, browser(made, *size, scheme) as seen:
-        for page in PAGES:
-            seen.go(page)
-            if page not in ("bench", "deploy", "report"):
-                seen.find("main", "canvas")
-            seen.page.wait_for_timeout(1500)
-            seen.page.evaluate(SCROLLED)  # a figure is drawn when it comes into view
-            blank = seen.page.evaluate(BLANK)
-            assert blank == [], f"{page} leaves figures blank"
-            seen.page.screenshot(path=pictures / f"{page}-{size[0]}-{scheme}.png", full_page=True)
-            wide = seen.page.evaluate("document.documentElement.scrollWidth")
-            assert wide <= size[0], f"{page} is {wide} wide"
-            unmarked = seen.page.evaluate(
-                "[...document.querySelectorAll('button, input:not([type=hidden]), a')].filter((e) => e.offsetParent && "
-                "!e.closest('[data-testid]')).map((e) => e.outerHTML.slice(0, 120))"
-            )
-            assert unmarked == [], page
-        assert seen.errors == []
-        assert seen.outside == []
 
 
 def test_a_record_of_200_mb(tmp_path, seed):

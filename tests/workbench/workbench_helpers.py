@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,9 @@ from typing import Any
 import numpy as np
 
 from chromium import chromium_started
+from page_geometry import WATCH
+from ultraquiet.workbench import Session
+from ultraquiet.workbench.engine.making.imports import import_step, received
 
 START = "from ultraquiet.cli import main; main()"
 PATIENCE_MS = 120_000
@@ -41,11 +44,30 @@ def columns(inputs: int, outputs: int) -> dict[str, list[dict[str, str]]]:
     }
 
 
+def finished_study(folder: Path, inputs: int, outputs: int, names: Sequence[str] = (), title: str = "") -> Path:
+    """Make a study with a record, a model, a law and its code; `names` replace those of its channels."""
+    path = csv_of(folder.parent / f"{folder.name}.csv", 1, inputs, outputs, samples=6000)
+    made = Session(folder)
+    if title:
+        made.do({"op": "title", "title": title})
+    file = received(folder, path.name, path)
+    sides = columns(inputs, outputs)
+    for channel, name in zip([*sides["inputs"], *sides["outputs"]], names, strict=False):
+        channel["name"] = name
+    made.do(import_step(folder, "run", file, sides))
+    method = {"method": "subspace", "order": 6 * max(inputs, outputs)}
+    made.do({"op": "identify", "name": "model", "records": ["run"], "period_samples": None, "method": method})
+    made.do({"op": "design", "name": "quiet", "model": "model", "method": {"method": "lqg"}, "reduce": None})
+    made.do({"op": "deploy", "law": "quiet"})
+    made.make("codes", "quiet")
+    return folder
+
+
 class Served:
     """One server and what it printed."""
 
-    def __init__(self, folder: Path, *options: str) -> None:
-        command = [sys.executable, "-c", START, "serve", str(folder), "--no-open", *options]
+    def __init__(self, folder: Path, *options: str, start: str = START) -> None:
+        command = [sys.executable, "-c", start, "serve", str(folder), "--no-open", *options]
         env = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
         self.address = self.process.stdout.readline().strip()
@@ -61,9 +83,9 @@ class Served:
 
 
 @contextmanager
-def served(folder: Path, *options: str) -> Iterator[Served]:
+def served(folder: Path, *options: str, start: str = START) -> Iterator[Served]:
     """Serve a study folder for the length of a block."""
-    made = Served(folder, *options)
+    made = Served(folder, *options, start=start)
     try:
         yield made
     finally:
@@ -132,7 +154,9 @@ class Seen:
 def browser(made: Served, width: int = 1280, height: int = 800, scheme: str = "light") -> Iterator[Seen]:
     """Open the printed address in a browser."""
     with chromium_started() as chrome:
-        page = chrome.new_context(viewport={"width": width, "height": height}, color_scheme=scheme).new_page()
+        context = chrome.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+        context.add_init_script(WATCH)
+        page = context.new_page()
         seen = Seen(page, made.root)
         page.goto(made.address)
         seen.find("boards")

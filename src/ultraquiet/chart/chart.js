@@ -9,7 +9,7 @@
 var Uq = (() => {
   "use strict";
   const shared = {}, drawn = new Set();
-  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560;
+  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, NUMBERS = 24;
   const STEPS = {
     dB: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 3, 6, 10, 20, 40, 60, 100, 200, 500, 1000],
     int: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000],
@@ -183,6 +183,31 @@ var Uq = (() => {
     for (let finer = 0; finer < 3 && at(step).length < 2; finer++) step = steps && steps.indexOf(step) > 0 ? steps[steps.indexOf(step) - 1] : step / 2;
     return [at(step), step];
   }
+  /* How names stand side by side, each in `room` pixels: in one line, else folded between words, else upright. */
+  const ruler = document.createElement("canvas").getContext("2d");
+  const LETTERS = AXIS + "px system-ui, sans-serif", ROW = 16, APART = 8, TALL = 140;
+  function long(text) { ruler.font = LETTERS; return ruler.measureText(text).width; }
+  function folded(name, room) {
+    const lines = [];
+    for (const word of String(name).split(" ")) {
+      const longer = lines.length ? lines[lines.length - 1] + " " + word : word;
+      if (lines.length && long(longer) <= room) lines[lines.length - 1] = longer; else lines.push(word);
+    }
+    return lines;
+  }
+  function shortened(name, room) {
+    if (long(name) <= room) return name;
+    let text = String(name);
+    while (text.length > 1 && long(text + "\u2026") > room) text = text.slice(0, -1);
+    return text + "\u2026";
+  }
+  function standing(names, room) {
+    const across = names.map((n) => folded(n, room - APART)), rows = Math.max(1, ...across.map((l) => l.length));
+    if (rows <= 3 && across.every((lines) => lines.every((l) => long(l) <= room - APART)))
+      return { words: across.map((l) => l.join("\n")), turn: 0, size: 8 + ROW * rows };
+    const upright = names.map((n) => shortened(n, TALL));
+    return { words: upright, turn: -90, size: Math.ceil(12 + Math.max(0, ...upright.map(long))) };
+  }
   /* All ticks of an axis and the words at those that have room for one. */
   function ticksOf(axis, lo, hi, length, across) {
     if (axis.names) {
@@ -313,18 +338,32 @@ var Uq = (() => {
     const found = (u, lo, hi) => ticksOf(axis, lo, hi, (across ? u.bbox.width : u.bbox.height) / (devicePixelRatio || 1), across);
     let words = [];
     return {
-      scale: along, side, label: bare ? undefined : axis.label, labelSize: 18, labelGap: 2, gap: 4,
+      scale: along, side, label: bare ? undefined : (u) => shortLabel(axis.label || "", u.bbox[across ? "width" : "height"] / (devicePixelRatio || 1)), labelSize: 18, labelGap: 2, gap: 4,
       font: AXIS + "px system-ui, sans-serif", labelFont: AXIS + "px system-ui, sans-serif",
       stroke: () => colour("muted", one.root),
       grid: { stroke: () => (one.panel.map ? "rgb(255 255 255 / 14%)" : colour("grid", one.root)), width: 1 },
       ticks: { stroke: () => colour("grid", one.root), width: 1, size: bare ? 0 : 4 },
-      splits: (u, k, lo, hi) => { const [ticks, texts] = found(u, lo, hi); words = texts; return ticks; },
+      splits: (u, k, lo, hi) => { const [ticks, texts] = found(u, lo, hi); words = across && axis.names ? ticks.map((t) => named(one, one.wide).words[t]) : texts; return ticks; },
       filter: (u, splits) => splits,
-      values: (u, splits) => (bare ? splits.map(() => "") : splits.map((_, k) => words[k] ?? "")),
-      size: (u, values) => (bare ? 0 : across ? 24 : Math.max(one.figure.room, wide(values || []))),
+      values: (u, splits) => splits.map((v, k) => (bare || (across && !axis.names && cut(u, v, words[k])) ? "" : words[k] ?? "")),
+      rotate: () => (across && axis.names ? named(one, one.wide).turn : 0),
+      lineGap: ROW / AXIS,
+      size: (u, values) => (bare ? 0 : !across ? Math.max(one.figure.room, wide(values || [])) : axis.names ? named(one, one.wide).size : NUMBERS),
     };
   }
-  const wide = (words) => 14 + 7 * Math.max(2, ...words.map((v) => v.length));
+  /* A label where it has room, else its unit alone. */
+  const shortLabel = (label, room) => (long(label) <= room ? label : (unit(label).trim() && long(unit(label)) <= room ? unit(label).trim() : shortened(label, room)));
+  /* Whether a word below the panel would reach beyond its canvas. */
+  function cut(u, v, word) {
+    const at = u.bbox.left / (devicePixelRatio || 1) + u.valToPos(v, "x"), half = word ? long(word) / 2 : 0;
+    return at - half < 0 || at + half > u.width;
+  }
+  /* How the names below a panel of a width stand. */
+  function named(one, width) {
+    const [lo, hi] = one.figure.zoomed[one.along] || one.home;
+    return standing(one.panel.x.names, (width - one.figure.room - PADDED) / Math.max(hi - lo, 1e-9));
+  }
+  const wide = (words) => 18 + Math.ceil(Math.max(14, ...words.map(long)));
   function seriesOf(one) {
     const series = [{}], bands = [];
     for (const c of one.curves.filter(aligned)) {
@@ -383,12 +422,13 @@ var Uq = (() => {
       return wide(ticksOf(this.panel.y, lo, hi, height, false)[1]);
     }
     draw(width, height) {
+      this.wide = width;
       if (this.plot) { this.plot.setSize({ width, height }); return; }
       const [series, bands] = seriesOf(this);
       const log = (axis) => (axis.scale === "log" ? { distr: 3, log: 10 } : {});
       const start = this.figure.zoomed[this.along] || this.home;
       const options = {
-        width, height, series, bands, legend: { show: false }, padding: [6, this.bare.y || this.figure.spec.share ? 10 : 18, this.bare.x ? 4 : 0, this.bare.y ? 4 : 0],
+        width, height, series, bands, legend: { show: false }, padding: [6, this.figure.spec.share ? 16 : PADDED, this.bare.x ? 4 : 0, this.bare.y ? 4 : 0],
         scales: {
           x: { time: false, ...log(this.panel.x), min: start[0], max: start[1], range: (u, lo, hi) => [lo ?? this.home[0], hi ?? this.home[1]] },
           y: { ...log(this.panel.y), range: (u) => this.yRange([u.scales.x.min ?? this.home[0], u.scales.x.max ?? this.home[1]]) },
@@ -610,7 +650,8 @@ var Uq = (() => {
     }
     heightOf(p, width) {
       if (p.panel.aspect) return Math.round(Math.min(width, TALLEST * p.panel.aspect) / p.panel.aspect);
-      return p.panel.height || (this.columns >= 4 ? Math.max(70, Math.round(width * 0.62)) : 240);
+      const below = p.panel.x.names ? named(p, width).size - NUMBERS : 0; // names take their room below, not from the curves
+      return below + (p.panel.height || (this.columns >= 4 ? Math.max(70, Math.round(width * 0.62)) : 240));
     }
     /* Before it is drawn a figure takes the room that it will need, so that nothing moves later. */
     reserve() {
@@ -751,9 +792,15 @@ var Uq = (() => {
         const [c, d] = r.y ? r.y.map((v, j) => (v == null ? [top + h, top][j] : py(v))) : [top + h, top];
         out.push(`<rect clip-path="url(#c${k})" x="${Math.min(a, b)}" y="${Math.min(c, d)}" width="${Math.abs(b - a)}" height="${Math.abs(d - c)}" fill="${paint(r.colour || "requirement")}" ${(r.colour || "requirement") === "requirement" ? "" : 'opacity=".15"'}/>`);
       }
-      xt.forEach((v, j) => { out.push(`<path d="M${px(v).toFixed(1)} ${top}v${h}" stroke="${paint("grid")}"/>`); if (!p.bare.x) text(px(v), top + h + 16, xw[j], "middle"); });
+      const stand = p.panel.x.names ? named(p, p.wide) : null;
+      const under = (x, v, word) => {
+        if (!stand) return text(x, top + h + 16, word, "middle");
+        if (stand.turn) return text(x + 4, top + h + 8, stand.words[v], "end", ` transform="rotate(${stand.turn} ${x + 4} ${top + h + 8})"`);
+        stand.words[v].split("\n").forEach((row, k) => text(x, top + h + 16 + ROW * k, row, "middle"));
+      };
+      xt.forEach((v, j) => { out.push(`<path d="M${px(v).toFixed(1)} ${top}v${h}" stroke="${paint("grid")}"/>`); if (!p.bare.x) under(px(v), v, xw[j]); });
       yt.forEach((v, j) => { out.push(`<path d="M${left} ${py(v).toFixed(1)}h${w}" stroke="${paint("grid")}"/>`); if (!p.bare.y) text(left - 6, py(v) + 4, yw[j], "end"); });
-      if (!p.bare.x) text(left + w / 2, top + h + 36, p.panel.x.label, "middle");
+      if (!p.bare.x) text(left + w / 2, top + h + 12 + (stand ? stand.size : NUMBERS), p.panel.x.label, "middle");
       if (!p.bare.y) text(x0 + 12, top + h / 2, p.panel.y.label, "middle", ` transform="rotate(-90 ${x0 + 12} ${top + h / 2})"`);
       for (const c of p.curves) {
         if (p.hidden.has(c.name)) continue;

@@ -20,7 +20,7 @@ def inspect(
     survey = files.survey(path, rate_hz, keep_clock=True)
     clock = "rate unknown" if survey.rate_hz is None else f"{survey.rate_hz:.10g} Hz"
     length = "" if survey.duration_s is None else f", {survey.duration_s:g} s"
-    heads = ("channel", "role", "unit", "samples", "mean", "rms", "peak", "clipped", "NaN")
+    heads = ("channel", "role", "unit", "samples", "mean", "rms", "peak", "clipped", "missing")
     grid = TextTable(heads, f"{path.name}: {survey.format}, {survey.size}, {clock}{length}")
     for c in survey.channels:
         levels = (f"{level:.4g}" for level in (c.mean, c.rms, c.peak))

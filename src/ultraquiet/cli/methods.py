@@ -28,4 +28,17 @@ def methods(
 
 def _setting(field: object) -> str:
     name, default = getattr(field, "name"), getattr(field, "default")  # noqa: B009  typed access to dataclasses.Field
-    return name if default is MISSING else f"{name}={default!r}"
+    return name if default is MISSING or default is None else f"{name}={typed(default)}"
+
+
+def typed(value: object) -> str:
+    """Return a default as `--set` and a study file take it; one that is found out from the data stands without value.
+
+    >>> typed(True), typed((1.0, None)), typed("lqg")
+    ('true', '[1.0, -]', "'lqg'")
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(typed, value))}]"
+    return "-" if value is None else repr(value)

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Mapping
+from math import isfinite
 from typing import Any
 
 from ultraquiet.deploy.toolchain.targets import TARGETS
@@ -99,7 +100,9 @@ def figure_text(value: Any) -> str:
         return ", ".join(f"{key} {figure_text(each)}" for key, each in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(figure_text, value))
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.3g}" if isfinite(value) else "without bound"
+    return str(value)
 
 
 def said(tables: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.analyse.margins import band_attenuation, pulled_in, reached_directions
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.design.plant_scale import even_plant
@@ -66,12 +67,11 @@ class WorstDirection:
         band = f"{low:.4g}-{high:.4g} Hz"
         if not self.reached:
             return f"Over {band} no actuator reaches any sensor: no law does anything there."
-        does = "quieter" if self.attenuation_db > 0 else "louder"
         if not np.isfinite(self.attenuation_db):
             return f"Over {band} nothing is known of the worst direction of S: the loop hangs on rounding errors."
-        size = f"{does} by {abs(self.attenuation_db):.1f} dB, at {self.f_hz:.4g} Hz"
-        if abs(self.attenuation_db) < LITTLE_DB:
-            size = "neither quieter nor louder"
+        size = loudness(self.attenuation_db)
+        if abs(self.attenuation_db) >= LITTLE_DB:
+            size = f"{size}, at {self.f_hz:.4g} Hz"
         said = f"Over {band} the worst direction of S gets {size}."
         return f"{said} {self._out_of_reach}" if self.least_reached else said
 

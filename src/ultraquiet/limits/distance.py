@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, rising_band, same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
@@ -101,11 +102,13 @@ def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) 
         return Status(
             StatusWord.NOT_CERTIFIED, f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}"
         )
+    quietest = f"no linear controller exceeds {rounded(limit.bound_db)} dB"
+    if limit.bound_db < 0:
+        quietest = f"every linear controller leaves it {loudness(limit.bound_db)} or more"
     return Status(
         StatusWord.OK,
-        f"The worst direction{' that the plant moves' * tall} is attenuated by {own:.1f} dB; at the same peak of "
-        f"{peak_db:.1f} dB and |K S| of {gain:.3g} no linear controller exceeds {limit.bound_db:.1f} dB, "
-        f"{limit.bound_db - own:.1f} dB more.",
+        f"The worst direction{' that the plant moves' * tall} gets {loudness(own)}; at the same peak of "
+        f"{peak_db:.1f} dB and |K S| of {gain:.3g} {quietest}, a distance of {rounded(limit.bound_db - own)} dB.",
     )
 
 

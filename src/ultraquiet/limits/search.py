@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.limits import certificate, grid, half_plane
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.basis import OrthonormalBasis, chain
@@ -191,7 +192,7 @@ class LimitSearch:
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
-            f"A controller attenuates {low:.4g}-{high:.4g} Hz by {attenuation_db:.1f} dB everywhere, {bound}; used up: "
+            f"A controller gets {low:.4g}-{high:.4g} Hz {loudness(attenuation_db)} everywhere, {bound}; used up: "
             f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; {solution.found} "
             f"after {solution.rounds} grids among controllers of {self.basis.size} functions{less}."
         )

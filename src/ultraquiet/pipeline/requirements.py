@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 from ultraquiet import analyse
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.analyse.disk import ENDS
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.mission import NoPayload, PayloadLoop
@@ -124,6 +125,8 @@ def _one(
     what = SAYS[name].format(low=band_hz[0], high=band_hz[1], where=where)
     at = "" if name == "disk_margin" else f" on {where}"
     found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}"
+    if figure is not None and more and unit and figure < 0:
+        found = f"none, {loudness(figure)}"
     bound = "at least" if more else "at most"
     sentence = f"{what}{at} is {found}, {bound} {asked:g}{unit} is asked: {'met' if met else 'missed'}."
     return RequirementFacts(requirement=name, where=where, asked=asked, figure=figure, met=met, sentence=sentence)

@@ -1,6 +1,8 @@
 """Draw figures with matplotlib."""
 
 import io
+import textwrap
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 PNG_DPI, STILL_DPI = 150, 120
 CROWDED = 12  # panels, beyond which each shows less
+MOST_ROWS = 3  # of a name below an axis
+LETTER_IN, ROW_IN = 0.075, 0.14  # of such a name
 CONFIDENT = 0.15  # opacity of a confidence
 # Inches beside each panel for numbers and title, for a label besides, right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
@@ -119,7 +123,7 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
     """
     width, height = figure.size_in
     left = LEFT_IN + LABEL_IN * any(panel.y_label for panel in figure.panels)
-    bottom = BOTTOM_IN + LABEL_IN * any(panel.x_label for panel in figure.panels)
+    bottom = BOTTOM_IN + LABEL_IN * any(panel.x_label for panel in figure.panels) + _below_in(figure)
     beside = BESIDE_IN if legend.is_beside(figure) else 0.0
     each_width = (width - RIGHT_IN - beside) / figure.columns - left
     crowded = _is_crowded(figure)
@@ -134,6 +138,51 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
         "top": 1 - (TOP_IN + above) / height,
         "hspace": between / each_height,
     }
+
+
+def names_below(names: Sequence[str], letters: float) -> tuple[list[str], bool]:
+    r"""Return names below an axis, folded where each has room for so many letters only, and whether they stand upright.
+
+    >>> names_below(["left force", "right force"], 12.0)
+    (['left force', 'right force'], False)
+    >>> names_below(["left force", "right force"], 6.0)
+    (['left\nforce', 'right\nforce'], False)
+    >>> names_below(["accelerometer"], 6.0)
+    (['accelerometer'], True)
+    """
+    room = max(int(letters), 1)
+    rows = [textwrap.wrap(name, room, break_long_words=False, break_on_hyphens=False) or [""] for name in names]
+    if max((len(part) for row in rows for part in row), default=0) <= room and max(map(len, rows)) <= MOST_ROWS:
+        return ["\n".join(row) for row in rows], False
+    return list(names), True
+
+
+def _letters(figure: Figure, panel: Panel) -> float:
+    """Return how many letters a name below one of a figure's panels has room for."""
+    across = figure.size_in[0] / figure.columns - LEFT_IN - LABEL_IN - RIGHT_IN
+    low, high = panel.x_range or (-0.5, len(panel.x_names) - 0.5)
+    return across / max(high - low, 1.0) / LETTER_IN - 1.0
+
+
+def _below_in(figure: Figure) -> float:
+    """Return the room in inches that names take below their axes, beyond one row of numbers."""
+    most = 0.0
+    for panel in figure.panels:
+        names, upright = names_below(panel.x_names, _letters(figure, panel)) if panel.x_names else ([], False)
+        lines = [name.split("\n") for name in names]
+        size = LETTER_IN * max(map(len, names), default=1) if upright else ROW_IN * max(map(len, lines), default=1)
+        most = max(most, size - ROW_IN)
+    return most
+
+
+def _named(axes: "Axes", panel: Panel) -> None:
+    """Put names in place of numbers, folded or upright where they would touch."""
+    canvas = axes.get_figure(root=True)
+    assert canvas is not None
+    across = axes.get_position().width * canvas.get_size_inches()[0]
+    low, high = panel.x_range or (-0.5, len(panel.x_names) - 0.5)
+    names, upright = names_below(panel.x_names, across / max(high - low, 1.0) / LETTER_IN - 1.0)
+    axes.set_xticks(range(len(names)), names, rotation=90 if upright else 0)
 
 
 def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
@@ -168,7 +217,7 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
     if panel.y_range:
         axes.set_ylim(*panel.y_range)
     if panel.x_names:
-        axes.set_xticks(range(len(panel.x_names)), panel.x_names)
+        _named(axes, panel)
     axes.set_title(panel.title, loc="left")
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)

@@ -51,6 +51,18 @@ def rounded(value: float, digits: int = 1) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
+def loudness(reduction_db: float, digits: int = 1) -> str:
+    """Return by how much something got quieter or louder: a sentence knows no attenuation below zero.
+
+    >>> loudness(3.54), loudness(-3.54), loudness(0.04)
+    ('quieter by 3.5 dB', 'louder by 3.5 dB', 'neither quieter nor louder')
+    """
+    size = rounded(abs(reduction_db), digits)
+    if not float(size):
+        return "neither quieter nor louder"
+    return f"{'quieter' if reduction_db > 0 else 'louder'} by {size} dB"
+
+
 def word(shown: object) -> str:
     """Return the word of an object's status, empty where it carries none."""
     return str(getattr(getattr(shown, "status", None), "word", ""))

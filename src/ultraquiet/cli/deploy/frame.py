@@ -34,14 +34,14 @@ def requested_frame(
 
 def show_frames(deployment: "Deployment", frame: "Frame", frames: int, processor: str, figure: Path) -> "Status":
     """Simulate frames of a deployment, print time line, table and verdict, draw `figure` (SVG); return the verdict."""
-    from ultraquiet.deploy.figures import figure_words
+    from ultraquiet.deploy.figures import figure_text, figure_words
     from ultraquiet.plot import draw_svg
     from ultraquiet.plot.frame import frame_figure
 
     simulation = frame.simulate(deployment, frames, times=times_on(deployment, processor))
     grid = TextTable(("what", "value"), "the real-time frame")
     for what, value in simulation.table.items():
-        grid.add(figure_words(what), str(value))
+        grid.add(figure_words(what), figure_text(value) if value is None or isinstance(value, bool) else str(value))
     show = screen()
     show.say(simulation.timeline())
     show.table(grid)

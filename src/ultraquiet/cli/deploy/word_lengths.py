@@ -15,7 +15,17 @@ if TYPE_CHECKING:
 
 FIXED = ("q31", "q15")
 PRECISIONS = ("float32", "float64", *FIXED)
-HEADS = ("precision", "form", "status", "error", "loop louder, dB", "bound", "noise, V", "multiply-adds", "bytes")
+HEADS = (
+    "precision",
+    "form",
+    "status",
+    "error",
+    "loop louder, dB",
+    "bound",
+    "noise in commands",
+    "multiply-adds",
+    "bytes",
+)
 
 
 def refuse_others(precision: str, table: bool, *others: object) -> None:

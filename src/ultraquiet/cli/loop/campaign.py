@@ -29,6 +29,7 @@ def campaign(
 ) -> None:
     """Draw benches, close the study's law on each, and say how its figures spread and what drives them."""
     from ultraquiet.cli.output.screen import screen
+    from ultraquiet.deploy.figures import figure_text
     from ultraquiet.pipeline import conduct, load_study, one_case
     from ultraquiet.pipeline.mission.campaign import How
     from ultraquiet.values import Status, StatusWord
@@ -38,7 +39,7 @@ def campaign(
     if case is not None:
         with bars() as console:
             row = one_case(loaded, folder, study.parent, console.print, case)
-        show.say(*(f"{name}: {value}" for name, value in row.items()))
+        show.say(*(f"{_said(name)}: {figure_text(value)}" for name, value in row.items()))
         show.result(row)
         finish(Status(StatusWord.OK if row["stable"] else StatusWord.UNSTABLE, row["status"].partition(": ")[2]))
         return
@@ -51,6 +52,18 @@ def campaign(
     show.result(facts)
     word, _, sentence = facts.status.partition(": ")
     finish(Status(StatusWord(word), sentence))
+
+
+def _said(name: str) -> str:
+    """Return what a figure of a case is called for a reader.
+
+    >>> _said("attenuation_db"), _said("drawn: gain_spread")
+    ('attenuation of the worst direction (dB)', 'drawn: gain spread')
+    """
+    known = {"attenuation_db": "attenuation of the worst direction (dB)", "peak_db": "peak of S (dB)"}
+    bare = name.removesuffix("_db").removesuffix("_hz").replace("_", " ")
+    unit = " (dB)" if name.endswith("_db") else " (Hz)" if name.endswith("_hz") else ""
+    return known.get(name, f"{bare}{unit}")
 
 
 def _table(facts: "CampaignFacts") -> "TextTable":

@@ -78,7 +78,8 @@ def band_sentence(attenuation_db: float, at_hz: float, band_hz: tuple[float, flo
     band = f"{band_hz[0]:.4g} to {band_hz[1]:.4g} Hz"
     if not np.isfinite(attenuation_db):
         return f"attenuation of the worst direction over {band}: none, the loop is unstable"
-    return f"attenuation of the worst direction over {band}: {decibels(attenuation_db)}, at {hertz(at_hz)}"
+    what = "attenuation" if attenuation_db >= 0 else "amplification"
+    return f"{what} of the worst direction over {band}: {decibels(abs(attenuation_db))}, at {hertz(at_hz)}"
 
 
 def slowest_sentence(slowest: "SlowestMode | None") -> str:

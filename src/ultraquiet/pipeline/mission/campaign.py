@@ -10,6 +10,7 @@ import numpy as np
 
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.files import write_bytes
 from ultraquiet.identify import Rational
 from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
@@ -146,8 +147,19 @@ def _status(rows: Sequence[Row], share: float, interval: tuple[float, float]) ->
     word = "ok" if share == 1.0 else "unstable"
     return (
         f"{word}: The loop is stable on {stable} of {len(rows)} drawn benches (95 % sure of {interval[0]:.1%}); "
-        f"95 % of them attenuate by at least {depth['5%']:.1f} dB and peak at no more than {peak['95%']:.1f} dB."
+        f"95 % of them get the worst direction {_at_least(depth['5%'])} and peak at no more than {peak['95%']:.1f} dB."
     )
+
+
+def _at_least(attenuation_db: float) -> str:
+    """Return what so many benches reach at least.
+
+    >>> _at_least(12.0), _at_least(-3.0)
+    ('quieter by 12.0 dB or more', 'louder by 3.0 dB or less')
+    """
+    if not np.isfinite(attenuation_db):
+        return "louder without bound"
+    return f"{loudness(attenuation_db)} or {'more' if attenuation_db > 0 else 'less'}"
 
 
 def _curves(campaign: simulate.Campaign, rows: Sequence[Row], worst: Sequence[WorstCase]) -> CampaignCurves:

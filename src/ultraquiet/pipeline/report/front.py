@@ -5,6 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.pipeline.facts.loops import CodeFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report import laws
@@ -55,7 +56,7 @@ def _headline(result: StudyResult, name: str) -> str:
     low, high = result.plan.band_hz if asked is None or asked.law != name else asked.band_hz
     if worst > 0:
         return f"Quieter by {worst:.1f} dB in every direction, {low:.4g}-{high:.4g} Hz"
-    return f"Not quieter in every direction: {worst:.1f} dB in the worst, {low:.4g}-{high:.4g} Hz"
+    return f"Not quieter in every direction: the worst is {loudness(worst)}, {low:.4g}-{high:.4g} Hz"
 
 
 def _band_db(loop: StableLoop) -> float:

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ultraquiet._base.shown.line import rounded
+from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet.deploy.figures import figure_text, figure_words
 from ultraquiet.pipeline.facts.limits import DesignLimit
 from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
@@ -168,7 +168,7 @@ def _on_the_bench(result: StudyResult) -> list[str]:
         text.append(
             "Every law was run on the bench as it stands in its code. The worst direction, the largest singular value "
             f"of the sensitivity that was measured, is quietest over {low:.4g}-{high:.4g} Hz with {name} on {unit}: "
-            f"{db:.1f} dB."
+            f"{loudness(db)}."
         )
     return text
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from ultraquiet._base.shown.line import rounded
+from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
     CampaignCurves,
@@ -69,9 +69,10 @@ def _sentences(result: StudyResult) -> Iterator[str]:
                 yield f"{name}, {unit}, ran as {loop.through}."
             if loop.force is not None and loop.force.reduction_db < loop.reduction_db / 2 and _is_drawn(result, name):
                 yield (
-                    f"{name}, {unit}: a force on the payload by {loop.force.source} is changed by "
-                    f"{loop.force.reduction_db:.1f} dB, {loop.force.worst_db:.1f} dB at {loop.force.worst_hz:.3g} Hz: "
-                    f"the law's sensors hear it where the payload stands on them, not where it moves."
+                    f"{name}, {unit}: a force on the payload by {loop.force.source} gets "
+                    f"{loudness(loop.force.reduction_db)}, at {loop.force.worst_hz:.3g} Hz "
+                    f"{loudness(loop.force.worst_db)}: the law's sensors hear it where the payload stands on them, "
+                    "not where it moves."
                 )
 
 
@@ -99,9 +100,8 @@ def payload_charts(result: StudyResult, name: str, stem: str = "payload") -> lis
     ratio = "payload over base" if table.base else f"payload over {table.shaker}"
     low, high = table.band_hz
     told = "; ".join(
-        f"{unit}: {loop.open_rms:.3g} {loop.unit} rms become {loop.closed_rms:.3g}, quieter by "
-        f"{loop.reduction_db:.1f} dB over {low:.4g}-{high:.4g} Hz, least in any half hertz {loop.worst_db:.1f} dB at "
-        f"{loop.worst_hz:.3g} Hz"
+        f"{unit}: {loop.open_rms:.3g} {loop.unit} rms become {loop.closed_rms:.3g}, {loudness(loop.reduction_db)} "
+        f"over {low:.4g}-{high:.4g} Hz, in the worst half hertz {loudness(loop.worst_db)} at {loop.worst_hz:.3g} Hz"
         for unit, loop in loops.items()
     )
     return [payload_chart(stem, name, units, (ratio, "", rms), table.band_hz, f"{told}.")]

@@ -41,7 +41,8 @@ def provenance(result: StudyResult) -> Section:
     rows: list[tuple[object, ...]] = [("study", "settings", study_hash(result)[:SHOWN])]
     for name in grouped(result.records):
         for k, record in enumerate(group(result.records, name)):
-            rows.append((f"record {name} {k + 1}", record.provenance.made_by or "read", record.hash[:SHOWN]))
+            maker = record.provenance.made_by.replace("_", " ")
+            rows.append((f"record {name} {k + 1}", maker or "read", record.hash[:SHOWN]))
     rows.append(("design plant", result.study.plant.method, result.design_plant.hash[:SHOWN]))
     rows += [(f"law {n}", result.designs[n].facts.method, law.hash[:SHOWN]) for n, law in result.laws.items()]
     seed = result.study.study.seed

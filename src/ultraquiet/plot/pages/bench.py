@@ -3,6 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, decibel_axis, frequency_axis
 from ultraquiet.plot.study import file_stem
 from ultraquiet.spectra import psd
@@ -29,7 +30,7 @@ def under_tone(name: str, tone_hz: float, sent: str, closed: Record, opened: Rec
     k = int(np.argmin(quieter))
     caption = (
         f"{name}: a tone of {tone_hz:g} Hz, {sent} on all actuators, its last {PERIODS} periods with sensor noise. The "
-        f"reading that gains least, {closed.sensors[k].name}, becomes quieter by {quieter[k]:.1f} dB (rms).{note}"
+        f"reading that gains least, {closed.sensors[k].name}, becomes {loudness(quieter[k])} (rms).{note}"
     )
     stem = file_stem(f"closed_loop_{name}_{tone_hz:g}hz")
     return Chart(stem, f"{name} at {tone_hz:g} Hz", caption, panels, min(3, len(panels)))

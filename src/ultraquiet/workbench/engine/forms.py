@@ -41,13 +41,28 @@ class Setting:
         >>> Setting("stop_hz", "Hz", "text", "", "", "", (), True).label
         'stop (Hz)'
         """
-        bare = re.sub(rf"_({'|'.join(UNITS)})$", "", self.name).replace("_", " ")
+        bare = said(self.name)
         return f"{bare} ({self.unit})" if self.unit else bare
+
+
+def said(name: str) -> str:
+    """Return a setting's name as a reader says it, its unit left away.
+
+    >>> said("stop_hz"), said("roll_off_hz")
+    ('stop', 'roll off')
+    """
+    return re.sub(rf"_({'|'.join(UNITS)})$", "", name).replace("_", " ")
+
+
+def in_words(text: str, kind: type[Any]) -> str:
+    """Return a docstring's text with the names of a method's settings as its form says them."""
+    names = {each.name for each in fields(kind) if "_" in each.name}
+    return re.sub(r"`?\b([a-z]+(?:_[a-z0-9]+)+)\b`?", lambda m: said(m[1]) if m[1] in names else m[0], text)
 
 
 def offered(family: str) -> dict[str, str]:
     """Return the methods of a family by name, each with its first line."""
-    return {name: (kind.__doc__ or "").split("\n")[0] for name, kind in methods(family).items()}
+    return {name: in_words((kind.__doc__ or "").split("\n")[0], kind) for name, kind in methods(family).items()}
 
 
 @cache
@@ -151,7 +166,7 @@ def _meanings(kind: type[Any]) -> dict[str, str]:
                 told[name] += " " + line.strip()
             elif inside and line.strip() and not line.startswith(" "):
                 inside = False
-    return told
+    return {name: in_words(text, kind) for name, text in told.items()}
 
 
 def _value(text: Any) -> Any:

@@ -1,6 +1,7 @@
 """An item of a board: what it is made from, where its values stand, and whether they are still those."""
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -85,9 +86,28 @@ def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     ['stop was 5, is 9']
     """
     keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
-    return [f"{key} was {_short(before.get(key))}, is {_short(now.get(key))}" for key in keys]
+    return [f"{_named(key)} was {_short(before.get(key))}, is {_short(now.get(key))}" for key in keys]
+
+
+def _named(key: str) -> str:
+    return re.sub(r"_hz$", " (Hz)", re.sub(r"_db$", " (dB)", key)).replace("_", " ")
 
 
 def _short(value: Any) -> str:
-    text = "absent" if value is None else json.dumps(value)
+    text = _plain(value)
     return text if len(text) < 60 else f"{text[:57]}..."
+
+
+def _plain(value: Any) -> str:
+    """Return a setting as a reader writes it.
+
+    >>> _plain({"method": "lqg", "band_hz": [10, 100], "tune": True})
+    'method lqg, band (Hz) 10 100, tune yes'
+    """
+    if value is None:
+        return "absent"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{_named(str(key))} {_plain(each)}" for key, each in value.items())
+    return " ".join(map(_plain, value)) if isinstance(value, list | tuple) else str(value)

@@ -2,9 +2,12 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from nicegui import ui
+
+from ultraquiet._base.shown.line import loudness
 
 WORDS = {"ok": "ok", "fragile": "fragile", "short": "fragile", "not white": "fragile", "poor fit": "fragile"}
 SHAPES = {"ok": "●", "fragile": "▲", "bad": "■", "none": "○"}
@@ -66,20 +69,51 @@ def verdict(status: str) -> str:
     return "none" if not word else WORDS.get(word, "bad")
 
 
-def chip(status: str, mark: str = "") -> None:
+@dataclass(frozen=True)
+class Doubted:
+    """A status that is true, beside something that a reader must not overlook: `ok` with a warning mark."""
+
+    status: str
+    doubt: str
+
+
+def loop_status(facts: dict[str, Any], status: str | None = None) -> str | Doubted:
+    """Return what a law's loop is judged, its own status unless another is given, with the doubt that belongs to it.
+
+    A loop is ok that is stable and keeps its margins; that it makes its band louder is said beside, not against, it.
+
+    >>> loop_status({"status": "ok: The loop is stable.", "attenuation_db": 12.0})
+    'ok: The loop is stable.'
+    >>> loop_status({"status": "ok: The loop is stable.", "attenuation_db": -3.0}).doubt
+    'Yet its worst direction is louder by 3.0 dB.'
+    """
+    said = facts["status"] if status is None else status
+    quiet = facts.get("attenuation_db")
+    if quiet is None or quiet >= 0 or loudness(quiet) == loudness(0.0):
+        return said
+    return Doubted(said, f"Yet its worst direction is {loudness(quiet)}.")
+
+
+def chip(status: str | Doubted, mark: str = "") -> None:
     """Show a status: a word and a shape beside its colour; its sentence on hovering."""
+    doubt = ""
+    if isinstance(status, Doubted):
+        status, doubt = status.status, status.doubt
     kind = verdict(status)
+    if doubt and kind == "ok":
+        kind = "fragile"
     word = status.partition(":")[0] or "not made"
     made = ui.label(f"{SHAPES[kind]} {word}").classes(f"uq-chip {kind}")
     if mark:
         made.props(f'data-testid="{mark}"')
-    if ":" in status:
-        made.tooltip(status.partition(":")[2].strip())
+    told = " ".join(filter(None, (status.partition(":")[2].strip(), doubt)))
+    if told:
+        made.tooltip(told)
 
 
 def table(
     columns: Sequence[str],
-    rows: Sequence[Sequence[str]],
+    rows: Sequence[Sequence[str | Doubted]],
     mark: str,
     picked: Callable[[int], object] | None = None,
     strong: int | None = None,
@@ -106,10 +140,9 @@ def table(
                         _cell(cell)
 
 
-def _cell(text: str) -> None:
-    kind = verdict(text) if ":" in text else ""
+def _cell(text: str | Doubted) -> None:
     with ui.element("td"):
-        if kind:
+        if isinstance(text, Doubted) or (":" in text and verdict(text) != "none"):
             chip(text)
         else:
             ui.html(_escaped(text), sanitize=False)

@@ -4,14 +4,16 @@ from typing import Any
 
 from nicegui import ui
 
+from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet.design.robustness import DISK_MARGIN
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.figures.loops import SensitivityDemand
-from ultraquiet.workbench.web.controls import button, chip, field, heading, table, words
+from ultraquiet.workbench.web.controls import Doubted, button, chip, field, heading, loop_status, table, words
 from ultraquiet.workbench.web.shell import doing, making, say
 from ultraquiet.workbench.web.view import View
 
 ASKED = {"attenuation_db": "quieter by (dB)", "peak_db": "peak at most (dB)", "disk_margin": "disk margin at least"}
+UNBROKEN = "\u2011"  # a hyphen at which no line ends
 COLUMNS = ("law", "method", "states", "quieter by", "peak of S", "disk in / out", "asked", "loop")
 
 
@@ -95,13 +97,13 @@ def judged(facts: dict[str, Any], asked: dict[str, Any]) -> str:
     """Return whether a law's loop does what is asked, as a status.
 
     >>> judged({"attenuation_db": 12.0}, {"attenuation_db": 20.0})
-    'short: quieter by 12 dB, 20 asked'
+    'short: quieter by 12.0 dB, quieter by 20 dB asked'
     >>> judged({}, {})
     ''
     """
     missed = []
     if (want := asked.get("attenuation_db")) is not None and facts["attenuation_db"] < want:
-        missed.append(f"quieter by {facts['attenuation_db']:.3g} dB, {want:g} asked")
+        missed.append(f"{loudness(facts['attenuation_db'])}, quieter by {want:g} dB asked")
     if (want := asked.get("peak_db")) is not None and not (facts["peaks"]["S"][0] or 1e9) <= want:
         missed.append(f"peak {facts['peaks']['S'][0]:.3g} dB, {want:g} allowed")
     for end in ("input", "output"):
@@ -113,10 +115,21 @@ def judged(facts: dict[str, Any], asked: dict[str, Any]) -> str:
     return "ok: all that is asked" if asked else ""
 
 
-def _row(item: Item, view: View) -> tuple[str, ...]:
+def _quieter(by_db: float) -> str:
+    """Return a cell below "quieter by".
+
+    >>> _quieter(3.04), _quieter(-3.04), _quieter(-0.01)
+    ('3.0 dB', 'louder by 3.0 dB', '0.0 dB')
+    """
+    said = loudness(by_db)
+    return said if said.startswith("louder") else f"{rounded(abs(by_db))} dB"
+
+
+def _row(item: Item, view: View) -> tuple[str | Doubted, ...]:
     facts = item.facts
     margins, peak = facts["margins"], facts["peaks"]["S"]
-    quiet = "" if facts["attenuation_db"] is None else f"{facts['attenuation_db']:.1f} dB"
+    quiet = "" if facts["attenuation_db"] is None else _quieter(facts["attenuation_db"])
+    asked = judged(facts, view.session.state["tables"].get("requirements", {}))
     return (
         item.name,
         item.recipe["method"]["method"],
@@ -124,8 +137,8 @@ def _row(item: Item, view: View) -> tuple[str, ...]:
         quiet,
         "infinite" if peak[0] is None else f"{peak[0]:.1f} dB at {peak[1]:.3g} Hz",
         f"{margins['input']['disk_all']:.2f} / {margins['output']['disk_all']:.2f}",
-        judged(facts, view.session.state["tables"].get("requirements", {})) or "nothing",
-        facts["status"],
+        loop_status(facts, asked) if asked else "nothing",
+        loop_status(facts),
     )
 
 
@@ -138,8 +151,9 @@ def _headline(item: Item | None, view: View) -> None:
         if quiet is None or not facts["design"]["ok"]:
             text = f"{item.name}: {facts['status'].partition(':')[0]}"
         else:
-            word = "Quieter" if quiet > 0 else "Louder"
-            text = f"{word} by {abs(quiet):.1f} dB in the worst direction, {low:.3g}-{high:.3g} Hz"
+            said = loudness(quiet)
+            text = f"{said[0].upper()}{said[1:]} in the worst direction, {low:.3g}{UNBROKEN}{high:.3g} Hz"
         ui.label(text).classes("uq-title-line").props('data-testid="headline"')
-        chip(judged(facts, view.session.state["tables"].get("requirements", {})) or facts["status"], "verdict")
+        asked = judged(facts, view.session.state["tables"].get("requirements", {}))
+        chip(loop_status(facts, asked or None), "verdict")
     words(f"{item.name}: {facts['status'].partition(': ')[2]}", "caption")

@@ -13,7 +13,7 @@ from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.steps import BOARDS
 from ultraquiet.workbench.engine.written.script import lines_of
 from ultraquiet.workbench.jobs.lane import WorkItem
-from ultraquiet.workbench.web.controls import button, chip, heading
+from ultraquiet.workbench.web.controls import button, chip, heading, loop_status
 from ultraquiet.workbench.web.view import View
 
 PAGES = (
@@ -104,7 +104,8 @@ def _bridge(view: View) -> None:
 def _header(view: View) -> None:
     with ui.element("header").classes("uq-header"):
         ui.label("Ultraquiet").classes("uq-brand")
-        ui.label(view.session.state["title"]).classes("uq-study").props('data-testid="study"')
+        study = ui.label(view.session.state["title"]).classes("uq-study")
+        study.props('data-testid="study"').props["title"] = view.session.state["title"]  # whole where it is cut
         busy = ui.label("").classes("uq-study").props('data-testid="busy" aria-live="polite"')
         with ui.element("nav").classes("uq-pages").props('aria-label="pages"') as pages:
             pass
@@ -189,7 +190,7 @@ def _entry(view: View, item: Item, label: str, members: list[str]) -> None:
         elif not item.ready:
             ui.label("not made").classes("uq-chip none")
         elif item.facts.get("status"):
-            chip(item.facts["status"])
+            chip(loop_status(item.facts))
         _item_menu(view, item)
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Region
 from ultraquiet.values import StateSpace
 from ultraquiet.workbench.engine.live import grid_hz, responses
@@ -91,12 +92,20 @@ class _ClosedLoop:
                 return
             for unit, facts in found["facts"]["units"].items():
                 words(f"{unit}: {facts['status']}").props(f'data-testid="loop-{unit}"')
+                paper = "paper" in self.view.session.state["tables"]  # of a publication beside the study
+                keys = ("reduction_db", "paper_db")[: 1 + paper]
                 rows = [
-                    (f"{tone} Hz", f"{tone_facts['reduction_db']:.1f} dB", f"{tone_facts['paper_db']:.1f} dB")
+                    (f"{tone} Hz", *(_reduction(tone_facts.get(key)) for key in keys))
                     for tone, tone_facts in facts.get("tones", {}).items()
                 ]
                 if rows:
-                    table(("tone", "worst channel", "as the paper counts"), rows, f"tones-{unit}")
+                    heads = ("tone", "worst channel", "as the paper counts")[: 2 + paper]
+                    table(heads, rows, f"tones-{unit}")
+
+
+def _reduction(value: float | None) -> str:
+    """Return by how much a tone got quieter; `None` is what noise hides wholly."""
+    return "-" if value is None else loudness(value)
 
 
 def directions(name: str, plant: StateSpace, law: StateSpace, found: Any, scale: Scale) -> Chart:

@@ -12,7 +12,7 @@ from ultraquiet.values import StateSpace
 from ultraquiet.workbench.engine.live import live_loop, responses
 from ultraquiet.workbench.figures.loops import loop_grid, sizes_of
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, table, words
+from ultraquiet.workbench.web.controls import button, choice, field, heading, loop_status, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View
@@ -89,7 +89,7 @@ class _Reduce:
                 size = f"{item.facts['states']}" + (f" of {cut}" if cut else "")
                 shown = "infinite" if peak is None else f"{peak:.1f} dB"
                 disks = [f"{item.facts['margins'][end]['disk_all']:.2f}" for end in ("input", "output")]
-                rows.append((item.name, size, shown, *disks, item.facts["status"]))
+                rows.append((item.name, size, shown, *disks, loop_status(item.facts)))
             table(("law", "states", "peak of S", "disk, input", "disk, output", "loop"), rows, "reduced")
 
     def _hankel(self, law: StateSpace) -> None:

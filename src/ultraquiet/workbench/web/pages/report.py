@@ -73,7 +73,7 @@ class _Report:
             (
                 name,
                 str(law.get("states", "")),
-                f"{law.get('peak_sensitivity_db') or float('nan'):.1f} dB",
+                _decibels(law.get("peak_sensitivity_db")),
                 law["status"],
             )
             for name, law in found.get("design", {}).items()
@@ -96,4 +96,4 @@ class _Report:
 
 
 def _decibels(value: float | None) -> str:
-    return "infinite" if value is None else f"{value:.1f} dB"
+    return "-" if value is None else f"{value:.1f} dB"
