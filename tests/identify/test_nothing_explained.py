@@ -32,3 +32,19 @@ def test_a_faint_answer_is_still_one(noise, rng):
     print(found.fit_percent, found.status)
     assert found.status.word != "poor fit"
     assert np.all(found.fit_percent > 0)
+
+
+def test_a_zero_of_the_plant_is_none_of_these(rng):
+    """Two loops that do not touch, one record an actuator; swapped columns of the same records are still told."""
+    records = []
+    for k in range(2):
+        own, rest = recorded(rng, 0.1), rng.standard_normal((1, 2000))
+        outputs = np.vstack([own.outputs, rest] if k == 0 else [rest, own.outputs])
+        records.append(uq.Record(own.inputs, outputs, 100.0, [f"coil {k + 1}"]))
+    method = uq.identify.OutputError(order=2)
+    found = uq.identify.identify_matrix(method, records)
+    print(found.status, [[s.sentence for s in row] for row in found.statuses])
+    assert found.status.ok
+    assert "a zero of the plant" in found.statuses[0][1].sentence
+    dead = [uq.Record(r.inputs, np.vstack([r.outputs[:1], rng.standard_normal((1, 2000))]), 100.0) for r in records]
+    assert uq.identify.identify_matrix(method, dead).status.word == "poor fit"

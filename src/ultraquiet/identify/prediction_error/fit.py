@@ -80,6 +80,7 @@ class Fit:
     iterations: int
     starts: int
     repaired: int
+    silent: bool = False  # its inputs explain no more of the output than chance would
 
 
 def fit_channel(data: ChannelData, structure: Structure, search: Search, rate_hz: float) -> Fit:
@@ -107,7 +108,10 @@ def finished(
     fit_percent = prediction.fit_percent(data.recorded, output)
     nu = data.u.shape[0]
     free = structure.parameters(nu) + nu * max(structure.f, structure.a, structure.b) + 1  # its past and a constant too
-    status = explaining(verdict(best.state, best.iterations, evidence), fit_percent, data.recorded.size, free)
+    status = verdict(best.state, best.iterations, evidence)
+    silent = status.ok and by_chance(fit_percent, data.recorded.size, free)
+    if silent:
+        status = _silence(fit_percent)
     if status.ok and not model.is_stable():
         # Only ARX and ARMAX can end here: their A is not divided by.
         status = Status(
@@ -124,6 +128,7 @@ def finished(
         iterations=best.iterations,
         starts=tried,
         repaired=data.clipped if search.repair else 0,
+        silent=silent,
     )
 
 
@@ -248,8 +253,8 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
     )
 
 
-def explaining(status: Status, fit_percent: float, samples: int, parameters: int) -> Status:
-    """Return the verdict on a model, no longer ok where its inputs explain no more of the output than chance would.
+def by_chance(fit_percent: float, samples: int, parameters: int) -> bool:
+    """Return whether the inputs explain no more of the output than chance would.
 
     Of an output that has nothing to do with the inputs p free numbers take the share R^2 of the power in n samples, and
     n R^2 is chi-square of p degrees of freedom; poles are sought among n / 2 lines, so the largest of as many is what
@@ -257,13 +262,18 @@ def explaining(status: Status, fit_percent: float, samples: int, parameters: int
     """
     from scipy.special import chdtrc
 
-    share = max(0.0, 1.0 - (1.0 - fit_percent / 100.0) ** 2)
-    if not status.ok or 0.5 * samples * chdtrc(parameters, samples * share) < SIGNIFICANCE:
-        return status
+    return bool(0.5 * samples * chdtrc(parameters, samples * _explained(fit_percent)) >= SIGNIFICANCE)
+
+
+def _explained(fit_percent: float) -> float:
+    return max(0.0, 1.0 - (1.0 - fit_percent / 100.0) ** 2)
+
+
+def _silence(fit_percent: float) -> Status:
     return Status(
         StatusWord.POOR_FIT,
-        f"The inputs explain {share:.1%} of the output's power, no more than such a model does by chance: see that "
-        f"inputs and outputs are not swapped and belong to one run, or excite more strongly.",
+        f"The inputs explain {_explained(fit_percent):.1%} of the output's power, no more than such a model does by "
+        f"chance: see that inputs and outputs are not swapped and belong to one run, or excite more strongly.",
     )
 
 

@@ -13,7 +13,7 @@ from ultraquiet._base.shown import Shown
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result, worst
-from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status
+from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace, Status, StatusWord
 
 
 def gather(model: PolynomialMatrix, fits: list[Fit], made: Provenance) -> Result:
@@ -120,10 +120,11 @@ def assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> M
         for k, f in enumerate(row):
             covariance[i, k, : f.covariance.shape[0], : f.covariance.shape[0]] = f.covariance
 
+    statuses = _verdicts(grid)
     return MatrixResult(
         model,
-        worst([f.status for row in grid for f in row]),
-        tuple(tuple(f.status for f in row) for row in grid),
+        worst([status for row in statuses for status in row]),
+        statuses,
         table("fit_percent"),
         table("loss"),
         covariance,
@@ -131,4 +132,17 @@ def assemble(grid: list[list[Fit]], picked: list[Record], made: Provenance) -> M
         table("correlation_p"),
         table("iterations"),
         made,
+    )
+
+
+def _verdicts(grid: list[list[Fit]]) -> tuple[tuple[Status, ...], ...]:
+    """Return the verdict of each channel, a silent one taken for a zero of the plant where its wires work.
+
+    An output that answers other inputs, and an input that other outputs answer, are not swapped and not dead.
+    """
+    heard = np.array([[not f.silent for f in row] for row in grid])
+    works = heard.any(axis=1)[:, None] & heard.any(axis=0)
+    zero = Status(StatusWord.OK, "The output answers this input no more than by chance: a zero of the plant.")
+    return tuple(
+        tuple(zero if f.silent and works[i, k] else f.status for k, f in enumerate(row)) for i, row in enumerate(grid)
     )
