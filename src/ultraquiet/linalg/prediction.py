@@ -105,11 +105,16 @@ def whitening(v: FloatArray) -> tuple[FloatArray, float]:
     >>> bool(abs(a[1] + 0.8) < 0.02), bool(abs(variance - 1.0) < 0.05)
     (True, True)
     """
-    from scipy.linalg import solve_toeplitz
-
     v = v - v.mean()
     n, lags = v.size, min(MEMORY, v.size // 10)
-    r = np.array([v[k:] @ v[: n - k] for k in range(lags + 1)]) / n
+    return whitening_of(np.array([v[k:] @ v[: n - k] for k in range(lags + 1)]) / n)
+
+
+def whitening_of(r: FloatArray) -> tuple[FloatArray, float]:
+    """Return what `whitening` does from the autocovariance `(lags + 1,)`, of which it takes the first `MEMORY` lags."""
+    from scipy.linalg import solve_toeplitz
+
+    r = np.array(r[: MEMORY + 1])
     r[0] = max(r[0], np.finfo(float).tiny) * (1.0 + RIDGE)
     a = np.asarray(solve_toeplitz(r[:-1], r[1:]), dtype=np.float64)
     return np.concatenate([[1.0], -a]), float(max(r[0] - a @ r[1:], RIDGE * r[0]))

@@ -321,7 +321,7 @@ def colored_products(data: ChannelData, structure: Structure, search: Search, fo
     leaves them, but for a phase that no product over the whole record sees. A structure with a noise model has none of
     it: what that leaves is white, or the model is not the plant's.
     """
-    if structure.a or structure.c or structure.d:
+    if structure.models_noise:
         return None
     lags = min(TEST_LAGS, found.residual.size // 10)
     if portmanteau.ljung_box(found.residual, lags).p_value >= SIGNIFICANCE:

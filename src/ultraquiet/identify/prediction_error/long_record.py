@@ -31,7 +31,7 @@ from ultraquiet.identify.prediction_error.structure import (
     free_rows,
 )
 from ultraquiet.identify.result import SIGNIFICANCE, Result
-from ultraquiet.linalg import portmanteau
+from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Status, StatusWord
 
@@ -58,18 +58,31 @@ class Stream:
         self.passes = 0
 
     def products(
-        self, table: FloatArray, x: FloatArray, signals: FilteredSignals, title: str, watch: Watch | None = None
+        self,
+        table: FloatArray,
+        x: FloatArray,
+        signals: FilteredSignals,
+        title: str,
+        watch: Watch | None = None,
+        color: FloatArray | None = None,
     ) -> FloatArray:
         """Return the products of nuisance, gradient and residual columns at (table, x).
 
-        `watch` is handed inputs, output and residual of every block.
+        `watch` is handed inputs, output and residual of every block; with a polynomial `color` inputs and output are
+        filtered by its inverse first.
         """
+        from scipy.signal import lfilter
+
         run = Pass(signals, table, x)
         scale_u, scale_y = 1.0 / self.input_size[:, None], 1.0 / self.output_size
+        state = np.zeros((self.input_size.size + 1, 0 if color is None else color.size - 1))
         self.passes += 1
         with task(f"{title}, pass {self.passes}", self.record.samples) as progress:
             for inputs, outputs in self.record.blocks():
                 u, y = inputs * scale_u, outputs[0] * scale_y
+                if color is not None:
+                    both, state = lfilter([1.0], color, np.vstack([u, y]), axis=1, zi=state)
+                    u, y = np.ascontiguousarray(both[:-1]), np.ascontiguousarray(both[-1])
                 e = run.add(u, y)
                 if watch is not None:
                     watch(u, y, e)
@@ -249,7 +262,7 @@ def _fit_output(
     parameterisation, signals = Parameterisation.alike(structure, nu), signals_through(structure, nu, fitted)
     title = f"identify {method.name} of {record.sensors[output].name}"
     best: Ended[LongRecordPoint] | None = None
-    evidence, tried = (0.0, 0.0), 0
+    evidence, tried, r = (0.0, 0.0), 0, np.ones(1)
     for piece in pieces:
         tried += 1
         start = method.fit(ChannelData.of(piece, output), record.rate_hz).model
@@ -259,18 +272,19 @@ def _fit_output(
         minimum = minimise(begin, method.max_iterations, one_fit.TOLERANCE)
         if best is None or minimum.point.criterion < best.point.criterion:
             best = minimum
-            evidence = _evidence(minimum.point, structure, fitted)
+            evidence, r = _evidence(minimum.point, structure, fitted)
         if best.state == CONVERGED and min(evidence) >= SIGNIFICANCE:
             break
     assert best is not None
     point = best.point
     model = modelled(parameterisation, point.table, data.gain, record.rate_hz, point.criterion * data.output_size**2)
+    colored = None if structure.models_noise or evidence[0] >= SIGNIFICANCE else _colored_products(point, r)
     fit = one_fit.Fit(
         model,
         _clipping(one_fit.verdict(best.state, best.iterations, evidence), seen, output, record),
         _simulated_fit(data, model, seen, output, fitted, title),
         model.noise_variance,
-        one_fit.covariance(best.normal, point.criterion, structure, data.gain),
+        one_fit.covariance(best.normal, point.criterion, structure, data.gain, colored),
         whiteness_p=evidence[0],
         correlation_p=evidence[1],
         iterations=best.iterations,
@@ -280,8 +294,10 @@ def _fit_output(
     return fit, data.passes
 
 
-def _evidence(point: LongRecordPoint, structure: Structure, fitted: tuple[bool, bool]) -> tuple[float, float]:
-    """Return the p-values of `fit.residual_tests` from one more pass."""
+def _evidence(
+    point: LongRecordPoint, structure: Structure, fitted: tuple[bool, bool]
+) -> tuple[tuple[float, float], FloatArray]:
+    """Return the p-values of `fit.residual_tests`, and the residual's autocovariance, from one more pass."""
     data, nu = point.data, point.data.input_size.size
     n = data.record.samples
     lags = min(one_fit.TEST_LAGS, n // 10)
@@ -293,7 +309,16 @@ def _evidence(point: LongRecordPoint, structure: Structure, fitted: tuple[bool, 
     free = portmanteau.sidak(
         portmanteau.cross_correlation_of(r[:, j, 0], r[:, j, j], r[:1, 0, 0], n).p_value for j in range(1, r.shape[1])
     )
-    return white, free
+    return (white, free), r[:, 0, 0]
+
+
+def _colored_products(point: LongRecordPoint, r: FloatArray) -> FloatArray:
+    """Return J'RJ as `fit.colored_products` does, from one more pass; r is the residual's autocovariance."""
+    from ultraquiet.identify.prediction_error.kernels.normal_equations import reduced
+
+    a, variance = prediction.whitening_of(r)
+    G = point.data.products(point.table, point.past(), point.signals, point.title, color=a)
+    return variance * reduced(G, point.x.size)[:-1, :-1]
 
 
 def simulated_fit(record: LongRecord, output: int, model: PolynomialModel, offset: bool = True) -> float:

@@ -141,7 +141,7 @@ def _verdicts(grid: list[list[Fit]]) -> tuple[tuple[Status, ...], ...]:
     An output that answers other inputs, and an input that other outputs answer, are not swapped and not dead.
     """
     heard = np.array([[not f.silent for f in row] for row in grid])
-    works = heard.any(axis=1)[:, None] & heard.any(axis=0)
+    works = np.logical_and.outer(heard.any(axis=1), heard.any(axis=0))
     zero = Status(StatusWord.OK, "The output answers this input no more than by chance: a zero of the plant.")
     return tuple(
         tuple(zero if f.silent and works[i, k] else f.status for k, f in enumerate(row)) for i, row in enumerate(grid)

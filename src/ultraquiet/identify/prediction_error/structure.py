@@ -29,6 +29,11 @@ class Structure:
         """Return the number of free coefficients with `inputs` inputs."""
         return self.a + self.c + self.d + inputs * (self.b + self.f)
 
+    @property
+    def models_noise(self) -> bool:
+        """Whether it has polynomials that colour its noise."""
+        return bool(self.a or self.c or self.d)
+
     def smaller(self) -> "Structure":
         """Return the structure with one coefficient less in every polynomial it has."""
         a, b, c, d, f = (max(0, k - 1) for k in (self.a, self.b, self.c, self.d, self.f))
