@@ -99,6 +99,7 @@ COMMANDS = {
     "identify norate.csv --method arx --rate -5": ("rate", "above zero"),
     "identify plain.csv --method arx --rate 1000": ("plain.csv", "inputs"),
     "identify plain.csv --method arx --rate 1000 --inputs forse --outputs b": ("forse", "force"),
+    "identify plain.csv --method arx --rate 1000 --inputs a b --outputs c": ("--inputs", "separated by commas"),
     "identify plant.h5 --method arx": ("plant.h5", "record"),
     "identify still.h5 --method arx": ("input 1", "constant"),
     "identify notes.txt --method arx --rate 1000": ("notes.txt", "numbers"),

@@ -14,6 +14,8 @@ from ultraquiet.cli.output.screen import Screen, showing
 Json = Annotated[bool, typer.Option("--json", help="Print the results as JSON, and nothing else.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no words, tables or progress; the exit code tells.")]
 OPTIONS = {"as_json": Json, "quiet": Quiet}
+# Of what is wrong with words as such; Typer brings it from one place or another, by its version.
+USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 
 
 class NoEmptyWords(TyperCommand):
@@ -30,7 +32,25 @@ class NoEmptyWords(TyperCommand):
                 raise InputError(
                     f"{ctx.info_name}: '{option}' was given nothing; write what is meant, or leave it away."
                 )
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, list(args))
+        except USAGE_ERROR as error:
+            option = self._of_names_apart(args)
+            if option is None or "extra argument" not in str(error):
+                raise
+            raise InputError(
+                f"{ctx.info_name}: '{option}' takes one word, and more follow it; write several names as one, "
+                f"separated by commas: {option} 'first,second'."
+            ) from None
+
+    def _of_names_apart(self, args: list[str]) -> str | None:
+        """Return an option for names separated by commas that several words follow, None where there is none."""
+        several = {o for p in self.params if "separated by commas" in (getattr(p, "help", "") or "") for o in p.opts}
+        for k, word in enumerate(args):
+            after = args[k + 1 : k + 3]
+            if word in several and len(after) == 2 and not any(a.startswith("-") for a in after):
+                return word
+        return None
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
