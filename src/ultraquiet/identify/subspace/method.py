@@ -47,7 +47,8 @@ class Subspace(SubspaceSettings):
         horizon: block rows; the longest decay and the slowest mode must show within it. None tries several and keeps
             the one whose model simulates best.
         weight: of the projection: "moesp", "n4sid" or "cva".
-        feedthrough: whether D is estimated; otherwise zero.
+        feedthrough: whether D is estimated; otherwise zero. None estimates it and keeps it where the record tells it
+            from noise.
         offset: whether a constant at each output is fitted.
         refine: whether a prediction-error search follows.
         focus: what it lowers: the simulated error, with the noise model beside it, or the one-step error of all
@@ -85,6 +86,12 @@ class Subspace(SubspaceSettings):
         """
         if isinstance(record, LongRecord):
             return identify_long_subspace(self, record)
+        data, heard, start = self.allowing_feedthrough()._begun(record)
+        settled, start = self.of_start(start)
+        return settled._finished(record, data, heard, start)
+
+    def _begun(self, record: Record) -> tuple[fit.Scaled, fit.Scaled, SubspaceStart]:
+        """Return the data scaled, the same topped up where they are silent, and the modes of the best horizon."""
         self.horizons(record, self.given_order or 1)
         usable("Subspace", record, self.given_order or 1, 0)
         evidence.independent("Subspace", record)
@@ -98,13 +105,13 @@ class Subspace(SubspaceSettings):
         if self.given_order is None and start.states != order and wide:
             # Modes left out or put in are not where a search for that many would have them.
             start = min(start, self._started(heard, wide, start.states), key=lambda start: start.loss)
-        return self._finished(record, data, heard, start)
+        return data, heard, start
 
     def _started(self, data: fit.Scaled, horizons: list[Horizon], order: int) -> SubspaceStart:
         """Return the best modes over all horizons, faint ones replaced by those that they miss."""
 
         def bank_at(poles: ComplexArray) -> FilterBank:
-            return FilterBank(poles, data.u, data.y, self.feedthrough, self.offset)
+            return FilterBank(poles, data.u, data.y, bool(self.feedthrough), self.offset)
 
         starts = [SubspaceStart.of(horizon, order, bank_at) for horizon in horizons]
         if self.given_order is None:
@@ -118,7 +125,7 @@ class Subspace(SubspaceSettings):
         return replace(start, bank=bank, modes=modes, loss=modal_least_squares.cost(bank, modes))
 
     def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
-        return missing_modes.Sought(data, self.feedthrough, self.offset, self.given_order is None)
+        return missing_modes.Sought(data, bool(self.feedthrough), self.offset, self.given_order is None)
 
     def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> tuple[fit.System, int, bool]:
         """Return the system of least simulated error, modes that it misses put in and sought with the others."""

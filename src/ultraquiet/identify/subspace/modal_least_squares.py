@@ -82,6 +82,13 @@ class FilterBank:
         other.poles, other.modes, other.G = self.poles[kept], len(kept) * high, self.G[np.ix_(rows, rows)]
         return other
 
+    def without_feedthrough(self) -> "FilterBank":
+        """Return the bank of models whose D is zero; nothing is summed again."""
+        other = copy(self)
+        rows = np.delete(np.arange(len(self.G)), np.s_[self.modes : self.modes + self.nu * self.feedthrough])
+        other.G, other.direct, other.feedthrough = self.G[np.ix_(rows, rows)], int(self.offset), False
+        return other
+
     def _direct_rows(self) -> slice:
         return slice(self.modes, self.modes + self.direct)
 

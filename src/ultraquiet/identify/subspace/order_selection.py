@@ -153,4 +153,4 @@ class Trials:
 
     def _bank(self, poles: ComplexArray) -> FilterBank:
         u, y = self.data.u[:, : self.split], self.data.y[:, : self.split]
-        return FilterBank(poles, u, y, self.settings.feedthrough, self.settings.offset)
+        return FilterBank(poles, u, y, self.settings.feedthrough is not False, self.settings.offset)

@@ -1,13 +1,14 @@
 """The settings of `Subspace`, below everything that works from them."""
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 from ultraquiet._base.constraints import one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.identify.subspace import fit, hankel
+from ultraquiet.identify.subspace.start import SubspaceStart
 from ultraquiet.values import Record
 
 CANDIDATES = (10, 20, 40, 60, 90)  # block rows tried when no horizon is given; the lowest simulated error wins
@@ -25,7 +26,7 @@ class SubspaceSettings(SearchedOrder):
     order: int | Auto | None = None
     horizon: int | None = None
     weight: str = "moesp"
-    feedthrough: bool = True
+    feedthrough: bool | None = None
     offset: bool = True
     refine: bool = False
     focus: str = "simulation"
@@ -40,6 +41,17 @@ class SubspaceSettings(SearchedOrder):
         one_of(who, "weight", self.weight, hankel.WEIGHTS)
         one_of(who, "focus", self.focus, FOCUSES)
         whole(who, "max_iterations", self.max_iterations, 1)
+
+    def allowing_feedthrough(self) -> Self:
+        """Return settings under which D is estimated where it is not refused, for the record to say what it is worth."""
+        return self if self.feedthrough is not None else replace(self, feedthrough=True)
+
+    def of_start(self, start: SubspaceStart) -> "tuple[Self, SubspaceStart]":
+        """Return settings and a start whose D is there or not as was asked, or as the record says."""
+        if self.feedthrough is not None:
+            return self, start
+        settled = start.as_direct_as_needed()
+        return replace(self, feedthrough=settled.bank.feedthrough), settled
 
     def horizons(self, record: Record | LongRecord, order: int) -> list[int]:
         """Return the numbers of block rows to try.
@@ -63,4 +75,4 @@ class SubspaceSettings(SearchedOrder):
 
     def options(self) -> fit.Options:
         """Return what the prediction-error search may move, and how it weighs."""
-        return fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
+        return fit.Options(bool(self.feedthrough), self.offset, self.weighted, self.max_iterations)

@@ -10,6 +10,7 @@ from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
 
 ROUNDS = 60  # of alternating least squares
 TRIAL_ROUNDS = 6  # of it by which horizons are compared
+ROUNDING = 1e-20  # of an output's power: an error below is the arithmetic's
 GAIN = 1e-5  # share of the error by which a round must lower it for another to follow
 
 
@@ -63,6 +64,20 @@ class SubspaceStart:
         """Return the start without the modes that the record cannot tell from noise."""
         bank, modes = modal_least_squares.pruned(self.bank, self.modes)
         return replace(self, loss=modal_least_squares.cost(bank, modes), bank=bank, modes=modes)
+
+    def as_direct_as_needed(self) -> "SubspaceStart":
+        """Return the start without D where the record does not tell D from noise.
+
+        D must lower n sum_i log(mean squared error of output i) by log n for each of its numbers, as by Schwarz's
+        criterion. A loop takes a reading before it sends a command: a D that is not there costs it a sample of delay.
+        """
+        bank = self.bank.without_feedthrough()
+        modes = modal_least_squares.alternate(bank, self.modes.c, TRIAL_ROUNDS, GAIN)
+        other = replace(self, loss=modal_least_squares.cost(bank, modes), bank=bank, modes=modes)
+        floor = ROUNDING * bank.power / bank.n
+        misses = [np.log(np.maximum(b.loss(m), floor)) for b, m in ((bank, modes), (self.bank, self.modes))]
+        worth = bank.n * float(np.sum(misses[0] - misses[1]))
+        return self if worth > bank.ny * bank.nu * np.log(bank.n) else other
 
     def settled(self) -> modal_least_squares.Modes:
         """Return the modes after the last rounds of least squares, their poles where they were."""

@@ -118,7 +118,8 @@ def identify_long_subspace(settings: SubspaceSettings, record: LongRecord) -> Re
     evidence.independent("Subspace", piece)
     order = order_selection.chosen(settings, piece) if settings.given_order is None else settings.given_order
     data = ScaledStream(record, statistics).topped_up()
-    best = min(_starts(settings, data, order), key=lambda s: s.loss)
+    best = min(_starts(settings.allowing_feedthrough(), data, order), key=lambda s: s.loss)
+    settings, best = settings.of_start(best)
     modes, steps, converged = _finished(settings, data, best)
     early = data.first(NOISE_SAMPLES)
     system = fit.system(modes)
@@ -158,7 +159,7 @@ def _bank(settings: SubspaceSettings, data: ScaledStream, title: str, poles: Com
     from ultraquiet.identify.subspace.disk.long_record_bank import StreamedBank
 
     shape = (len(data.record.actuators), len(data.record.sensors), data.samples)
-    return StreamedBank(poles, data.heard(title), shape, settings.feedthrough, settings.offset)
+    return StreamedBank(poles, data.heard(title), shape, bool(settings.feedthrough), settings.offset)
 
 
 def _finished(settings: SubspaceSettings, data: ScaledStream, best: SubspaceStart) -> tuple[Modes, int, bool]:
