@@ -43,7 +43,7 @@ class SubspaceSettings(SearchedOrder):
         whole(who, "max_iterations", self.max_iterations, 1)
 
     def allowing_feedthrough(self) -> Self:
-        """Return settings under which D is estimated where it is not refused, for the record to say what it is worth."""
+        """Return settings under which D is estimated unless it is refused, for the record to say what it is worth."""
         return self if self.feedthrough is not None else replace(self, feedthrough=True)
 
     def of_start(self, start: SubspaceStart) -> "tuple[Self, SubspaceStart]":
