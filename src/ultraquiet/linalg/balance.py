@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_sylvester
-from scipy.linalg.lapack import dgesdd  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse.csgraph import connected_components
 
 from ultraquiet.linalg.discretize import bilinear_to_discrete
@@ -69,14 +68,7 @@ def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array
 
 
 def square_root(P: Array) -> Array:
-    """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero; small states keep their digits.
-
-    L is the Cholesky factor, which no units of the states change, where round-off leaves P positive.
-    """
-    try:
-        return np.linalg.cholesky(P)
-    except np.linalg.LinAlgError:
-        pass
+    """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero; small states keep their digits."""
     d = np.sqrt(np.maximum(np.diag(P), 0.0))
     d[d == 0] = 1.0
     values, vectors = np.linalg.eigh((P + P.T) / (2 * np.outer(d, d)))
@@ -93,10 +85,7 @@ def balancing(P: Array, Q: Array, order: int) -> tuple[Array, Array, Array]:
 
 def balancing_by(R: Array, L: Array, order: int) -> tuple[Array, Array, Array]:
     """Return what `balancing` does, from factors of the Gramians R R' and L L'."""
-    M = L.T @ R
-    U, s, Vt, failed = dgesdd(M) if M.size else (*np.linalg.svd(M), 0)
-    if failed or not np.all(np.isfinite(s)):
-        raise np.linalg.LinAlgError("the Hankel values did not converge")
+    U, s, Vt = np.linalg.svd(L.T @ R)
     order = min(order, int(np.sum(s > 1e-15 * max(float(s[0]), 1e-300)))) if s.size else 0
     root = np.sqrt(s[:order])
     return (L @ U[:, :order] / root).T, R @ Vt[:order].T / root, s
