@@ -201,9 +201,13 @@ var Uq = (() => {
     while (text.length > 1 && long(text + "\u2026") > room) text = text.slice(0, -1);
     return text + "\u2026";
   }
-  /* A title in rows of a room, for letters of a size: its last row ends in dots where there are too many. */
+  /* A title in rows of a room, about evenly long, for letters of a size: the last ends in dots where there are too many. */
   function inRows(title, room, size) {
-    const wide = room * AXIS / size, lines = folded(title, wide), kept = lines.slice(0, MOST_ROWS);
+    const wide = room * AXIS / size;
+    let lines = folded(title, wide);
+    if (lines.length > 1 && lines.length <= MOST_ROWS)
+      for (let even = wide - 6, rows = lines.length; even > 0 && folded(title, even).length === rows; even -= 6) lines = folded(title, even);
+    const kept = lines.slice(0, MOST_ROWS);
     if (lines.length > kept.length) kept[kept.length - 1] += "\u2026";
     return kept.map((line) => shortened(line, wide));
   }
