@@ -21,7 +21,7 @@ PNG_DPI, STILL_DPI = 150, 120
 CROWDED = 12  # panels, beyond which each shows less
 MOST_ROWS = 3  # of a name below an axis
 LETTER_IN, ROW_IN = 0.075, 0.14  # of such a name
-TITLE_PT = 9.0
+TITLE_PT, LEAST_PT = 9.0, 6.0  # of a title's letters
 CONFIDENT = 0.15  # opacity of a confidence
 # Inches beside each panel for numbers and title, for a label besides, right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
@@ -210,14 +210,27 @@ def title_within(title: str, room_in: float) -> tuple[str, float]:
     >>> title_within("x" * 40, 0.8)
     ('xxxxxxxxxxxxxxx…', 6.0)
     """
-    for rows, sizes in ((1, (TITLE_PT, 8.0, 7.0, 6.5)), (2, (6.5, 6.0))):
-        for size in sizes:
-            letters = max(int(room_in * TITLE_PT / (size * LETTER_IN)), 2)
-            folded = textwrap.wrap(title, letters, break_long_words=False, break_on_hyphens=False)
-            if len(folded) <= rows and all(len(row) <= letters for row in folded):
-                return "\n".join(folded), size
-    cut = [row if len(row) <= letters else f"{row[: letters - 1]}…" for row in folded[:2]]
-    return "\n".join(cut) + ("…" if len(folded) > 2 and not cut[-1].endswith("…") else ""), size
+    for rows, size in (*((1, size) for size in (TITLE_PT, 8.0, 7.0, 6.5)), (2, 6.5), (2, LEAST_PT)):
+        folded = _folded(title, room_in, size)
+        if len(folded) <= rows and max(map(len, folded), default=0) <= _letters_at(room_in, size):
+            return "\n".join(folded), size
+    letters = _letters_at(room_in, LEAST_PT)
+    first, second, *more = [*_folded(title, room_in, LEAST_PT), ""]
+    rows = first, f"{second}…" if more[1:] else second
+    return "\n".join(_cut(row, letters) for row in rows if row), LEAST_PT
+
+
+def _letters_at(room_in: float, size: float) -> int:
+    """Return how many letters of a size have room."""
+    return max(int(room_in * TITLE_PT / (size * LETTER_IN)), 2)
+
+
+def _folded(title: str, room_in: float, size: float) -> list[str]:
+    return textwrap.wrap(title, _letters_at(room_in, size), break_long_words=False, break_on_hyphens=False)
+
+
+def _cut(row: str, letters: int) -> str:
+    return row if len(row) <= letters else f"{row[: letters - 1]}…"
 
 
 def _titled(axes: "Axes", title: str, before_in: float = 0.0) -> None:
