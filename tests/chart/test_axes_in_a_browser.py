@@ -109,3 +109,38 @@ def test_values_as_colours_are_drawn_saved_and_read(browser):
     assert len(found["rows"]) == 10
     assert found["rows"][-1].endswith(",8")
     assert found["svg"]
+
+
+TITLES = """(s) => {
+  const place = document.getElementById("place"), f = Uq.grid(place, JSON.parse(s));
+  f.visible = true; f.layout();
+  const tops = f.panels.map((p) => p.place.getBoundingClientRect().top), svg = f.svg();
+  return f.panels.map((p, k) => ({
+    shown: p.title.textContent, told: p.title.title, cut: p.title.scrollWidth > p.title.clientWidth, top: tops[k],
+    saved: p.title.textContent.split("\\n").every((row) => svg.includes(">" + row + "<")),
+  }));
+}"""
+
+
+@pytest.mark.parametrize("width", [1200, 520, 360])
+def test_titles_are_whole_or_told_whole_and_curves_begin_at_one_height(browser, width):
+    """A title without room is folded; of one that is longer than its rows the whole is told."""
+    said = ["f", "right front coil → accelerometer 1", "p", "a " * 60 + "b", "x" * 200, "rear coil → geophone"]
+    curve = Curve("c", np.arange(3.0), np.arange(3.0))
+    panels = [ChartPanel(Axis("x (s)"), Axis("y (V)"), [curve], title=title) for title in said]
+    packing = Packing()
+    spec = json.dumps({**packing.spec(Chart("t", "T", "", panels, 3)), "data": packing.data})
+    page = browser.new_page()
+    page.set_content(f"<style>{style()}</style><div id=place style='width: {width}px'></div>")
+    page.add_script_tag(content=script())
+    found = page.evaluate(TITLES, spec)
+    page.close()
+    for title, one in zip(said, found, strict=True):
+        whole = one["shown"].replace("\n", " ") == title
+        assert one["told"] == ("" if whole else title)
+        assert whole or len(title) > 40, title
+        assert not one["cut"], title
+        assert one["saved"], title
+    if width == 520:
+        assert found[1]["shown"] == "right front coil →\naccelerometer 1"
+    assert [len({one["top"] for one in found[k : k + 3]}) for k in (0, 3)] == [1, 1]

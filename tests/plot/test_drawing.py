@@ -3,10 +3,13 @@
 import re
 from xml.etree import ElementTree
 
+import matplotlib
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from ultraquiet.plot import Figure, Line, Panel, draw_svg
+from ultraquiet.plot.draw import STYLE, _laid_out
 from ultraquiet.plot.legend import MOST_ABOVE
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -107,3 +110,48 @@ def test_a_legend_covers_no_curve(ways):
     assert len(texts) == 6
     lowest = max(float(re.search(r"[, ]([\d.]+)\)", t.get("transform") or t.get("style"))[1]) for t in texts)
     assert lowest < min(y.min() for y in curves)
+
+
+def words_drawn(figure):
+    """Boxes in pixels of the titles, labels and names of a figure as it is drawn, by what they say."""
+    with matplotlib.rc_context(STYLE):
+        canvas = FigureCanvasAgg(_laid_out(figure, 100.0))
+        canvas.draw()
+        labels = [t for a in canvas.figure.axes for t in (a.title, a._left_title, a.xaxis.label, a.yaxis.label)]
+        named = [t for each in (*canvas.figure.legends, *(a.get_legend() for a in canvas.figure.axes)) if each
+                 for t in each.get_texts()]  # fmt: skip
+        boxes = [(t.get_text(), t.get_window_extent()) for t in (*labels, *named) if t.get_text() and t.get_visible()]
+    return boxes, canvas.figure.bbox
+
+
+LONG = ("left front coil", "right front coil", "accelerometer rear")
+
+
+@pytest.mark.gate("3-short", "6-long")
+@pytest.mark.parametrize("names", [("strut 1", "strut 2", "strut 3"), LONG], ids=["short", "long"])
+@pytest.mark.parametrize("many", [3, 6])
+def test_words_of_many_panels_touch_nothing_and_are_not_cut(many, names):
+    """A matrix of responses as a report prints it: every title in its place, one label where all say the same."""
+    x = np.geomspace(1.0, 100.0, 20)
+    panels = [
+        Panel([Line.of(x, -x, "measured")], f"{names[k % 3]} → {names[k // many % 3]}", "frequency (Hz)", "gain (dB)")
+        for k in range(many**2)
+    ]
+    boxes, sheet = words_drawn(Figure("name", "Title", "Caption.", panels, many, (7.2, 7.0)))
+    assert len(boxes) > many**2
+    for k, (text, box) in enumerate(boxes):
+        assert sheet.x0 <= box.x0, text
+        assert box.x1 <= sheet.x1 + 1.0, text
+        for other, b in boxes[:k]:
+            shared = min(box.x1, b.x1) - max(box.x0, b.x0), min(box.y1, b.y1) - max(box.y0, b.y0)
+            assert min(shared) < 1.0, (text, other)
+
+
+def test_several_curves_of_one_name_are_named_once():
+    """The directions of a matrix are curves of one model: its name stands once, and leaves the panel its width."""
+    x = np.linspace(1.0, 10.0, 50)
+    lines = [Line.of(x, x + k, "plant" if k < 8 else "paper", shade=int(k >= 8)) for k in range(12)]
+    other = Panel([Line.of(x, x, "plant", "--")])  # another look, so that each panel has a legend of its own
+    said = words(drawn(Panel(lines)))
+    assert (said.count("plant"), said.count("paper")) == (1, 1)
+    assert words(drawn(Panel(lines), other)).count("plant") == 2

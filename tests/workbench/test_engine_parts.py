@@ -22,6 +22,7 @@ from ultraquiet.workbench.jobs.board import Jobs
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.frames import packed
 from ultraquiet.workbench.web.guard import RequestGuard
+from ultraquiet.workbench.web.method_form import FEW
 
 METHODS = [
     (family, name) for family in ("signals", "identify", "design", "reduce") for name in registry.methods(family)
@@ -36,6 +37,16 @@ def test_every_method_has_a_form_whose_defaults_it_takes(family, method):
     for one in settings:
         assert one.kind != "choice" or one.default in one.choices
         assert one.label
+
+
+SIZED = [m for m in METHODS if {"order", "states"} & {one.name for one in settings_of(*m)}]
+
+
+@pytest.mark.parametrize(("family", "method"), SIZED, ids=lambda word: word)
+def test_how_many_states_a_method_makes_is_asked_for_at_once(family, method):
+    """Whatever else its annotation allows: the order is what is entered most, not one of the settings folded away."""
+    first = [one.name for one in settings_of(family, method)[:FEW]]
+    assert {"order", "states"} & set(first), first
 
 
 def test_a_form_says_what_it_means_and_what_it_takes():

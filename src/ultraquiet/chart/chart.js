@@ -9,7 +9,7 @@
 var Uq = (() => {
   "use strict";
   const shared = {}, drawn = new Set();
-  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, NUMBERS = 24;
+  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, NUMBERS = 24, NARROW = 130;
   const STEPS = {
     dB: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 3, 6, 10, 20, 40, 60, 100, 200, 500, 1000],
     int: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000],
@@ -185,7 +185,7 @@ var Uq = (() => {
   }
   /* How names stand side by side, each in `room` pixels: in one line, else folded between words, else upright. */
   const ruler = document.createElement("canvas").getContext("2d");
-  const LETTERS = AXIS + "px system-ui, sans-serif", ROW = 16, APART = 8, TALL = 140;
+  const LETTERS = AXIS + "px system-ui, sans-serif", ROW = 16, APART = 8, TALL = 140, MOST_ROWS = 3;
   function long(text) { ruler.font = LETTERS; return ruler.measureText(text).width; }
   function folded(name, room) {
     const lines = [];
@@ -201,9 +201,19 @@ var Uq = (() => {
     while (text.length > 1 && long(text + "\u2026") > room) text = text.slice(0, -1);
     return text + "\u2026";
   }
+  /* A title in rows of a room, about evenly long, for letters of a size: the last ends in dots where there are too many. */
+  function inRows(title, room, size) {
+    const wide = room * AXIS / size;
+    let lines = folded(title, wide);
+    if (lines.length > 1 && lines.length <= MOST_ROWS)
+      for (let even = wide - 6, rows = lines.length; even > 0 && folded(title, even).length === rows; even -= 6) lines = folded(title, even);
+    const kept = lines.slice(0, MOST_ROWS);
+    if (lines.length > kept.length) kept[kept.length - 1] += "\u2026";
+    return kept.map((line) => shortened(line, wide));
+  }
   function standing(names, room) {
     const across = names.map((n) => folded(n, room - APART)), rows = Math.max(1, ...across.map((l) => l.length));
-    if (rows <= 3 && across.every((lines) => lines.every((l) => long(l) <= room - APART)))
+    if (rows <= MOST_ROWS && across.every((lines) => lines.every((l) => long(l) <= room - APART)))
       return { words: across.map((l) => l.join("\n")), turn: 0, size: 8 + ROW * rows };
     const upright = names.map((n) => shortened(n, TALL));
     return { words: upright, turn: -90, size: Math.ceil(12 + Math.max(0, ...upright.map(long))) };
@@ -640,13 +650,34 @@ var Uq = (() => {
       const each = Math.floor((total - gutter - (n - 1) * 8) / n);
       this.room = Math.max(...this.panels.filter((p) => !p.bare.y).map((p) => p.needs(this.heightOf(p, each) - 60)));
       this.body.style.minHeight = "";
-      this.body.classList.toggle("uq-narrow", each < 130);
-      this.body.style.gridTemplateColumns = Array.from({ length: n }, (_, k) => each + (k ? 0 : gutter) + "px").join(" ");
+      this.body.classList.toggle("uq-narrow", each < NARROW);
+      const widths = Array.from({ length: n }, (_, k) => each + (k ? 0 : gutter));
+      this.body.style.gridTemplateColumns = widths.map((w) => w + "px").join(" ");
+      this.fold(widths);
       this.panels.forEach((p, k) => {
-        const width = each + (k % n ? 0 : gutter);
+        const width = widths[k % n];
         const height = this.heightOf(p, each) + (share && !p.bare.x ? foot : 0);
         p.draw(p.panel.aspect ? Math.min(width, Math.round(TALLEST * p.panel.aspect)) : width, height);
       });
+    }
+    /* Titles take a second row where they have no room; curves side by side begin at one height all the same.
+       Returns by how much they are taller than titles of one row. */
+    fold(widths) {
+      const size = widths.every((w) => w >= NARROW) ? AXIS : AXIS - 2;
+      let more = 0;
+      for (let k = 0; k < this.panels.length; k += this.columns) {
+        const beside = this.panels.slice(k, k + this.columns);
+        const rows = beside.map((p, j) => inRows(p.panel.title || "", widths[j], size));
+        const most = Math.max(...rows.map((r) => r.length));
+        beside.forEach((p, j) => {
+          const whole = p.panel.title || "";
+          p.title.textContent = rows[j].join("\n");
+          if (rows[j].join(" ") === whole) p.title.removeAttribute("title"); else p.title.title = whole;
+          p.title.style.minHeight = most > 1 ? `${1.4 * most}em` : "";
+        });
+        more += (most - 1) * 1.4 * size;
+      }
+      return more;
     }
     heightOf(p, width) {
       if (p.panel.aspect) return Math.round(Math.min(width, TALLEST * p.panel.aspect) / p.panel.aspect);
@@ -656,7 +687,7 @@ var Uq = (() => {
     /* Before it is drawn a figure takes the room that it will need, so that nothing moves later. */
     reserve() {
       const n = this.columns, width = (this.body.clientWidth || 800) / n;
-      let height = 0;
+      let height = this.fold(Array(n).fill(width));
       for (let k = 0; k < this.panels.length; k += n) height += this.heightOf(this.panels[k], width) + 24;
       this.body.style.minHeight = this.visible ? "" : height + "px";
     }
@@ -736,9 +767,12 @@ var Uq = (() => {
   }
   function words(figure) {
     const frame = figure.root.getBoundingClientRect();
-    const of = (node, weight) => { const b = node.getBoundingClientRect(); return { text: node.textContent, x: b.left - frame.left, y: b.top - frame.top + b.height * 0.75, weight }; };
+    const of = (node, weight) => {
+      const b = node.getBoundingClientRect(), style = getComputedStyle(node), size = parseFloat(style.fontSize), row = 1.4 * size;
+      return node.textContent.split("\n").map((text, k) => ({ text, x: b.left - frame.left, y: b.top - frame.top + (k + 0.75) * row, weight, size }));
+    };
     return [of(figure.heading, 600), ...figure.panels.filter((p) => p.panel.title).map((p) => of(p.title, 400)),
-      ...[...figure.legend.querySelectorAll(".uq-name")].map((n) => of(n, 400))].filter((w) => w.text);
+      ...[...figure.legend.querySelectorAll(".uq-name")].map((n) => of(n, 400))].flat().filter((w) => w.text);
   }
   function pictured(figure) {
     const ratio = devicePixelRatio || 1, frame = figure.root.getBoundingClientRect();
@@ -749,7 +783,7 @@ var Uq = (() => {
     ctx.fillRect(0, 0, canvas.width, canvas.height);
     for (const [p, x, y] of placed(figure)) ctx.drawImage(p.plot.ctx.canvas, x * ratio, y * ratio);
     ctx.fillStyle = colour("ink", figure.root);
-    for (const w of words(figure)) { ctx.font = `${w.weight} ${13 * ratio}px system-ui, sans-serif`; ctx.fillText(w.text, w.x * ratio, w.y * ratio); }
+    for (const w of words(figure)) { ctx.font = `${w.weight} ${w.size * ratio}px system-ui, sans-serif`; ctx.fillText(w.text, w.x * ratio, w.y * ratio); }
     swatches(figure).forEach(({ look, x, y }) => {
       ctx.strokeStyle = ctx.fillStyle = colour(look.colour, figure.root);
       ctx.lineWidth = 2 * ratio;
@@ -816,7 +850,7 @@ var Uq = (() => {
       }
       for (const m of p.panel.marks || []) out.push(`<path d="${m.x != null ? `M${px(m.x)} ${top}v${h}` : `M${left} ${py(m.y)}h${w}`}" stroke="${paint(m.colour || "muted")}" stroke-dasharray="6 4" clip-path="url(#c${k})"/>`);
     });
-    for (const w of words(figure)) text(w.x, w.y, w.text, "start", ` font-weight="${w.weight}"`);
+    for (const w of words(figure)) text(w.x, w.y, w.text, "start", ` font-weight="${w.weight}" font-size="${w.size}"`);
     for (const { look, x, y } of swatches(figure)) out.push(`<path d="M${x} ${y + 7}h24" stroke="${paint(look.colour)}" stroke-width="${look.kind === "region" || look.kind === "bars" ? 10 : 2}" stroke-dasharray="${DASHES[look.dash || "-"].join(" ")}"/>`);
     out.push("</svg>");
     return out.join("\n");

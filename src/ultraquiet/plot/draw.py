@@ -21,12 +21,13 @@ PNG_DPI, STILL_DPI = 150, 120
 CROWDED = 12  # panels, beyond which each shows less
 MOST_ROWS = 3  # of a name below an axis
 LETTER_IN, ROW_IN = 0.075, 0.14  # of such a name
+TITLE_PT, LEAST_PT = 9.0, 6.0  # of a title's letters
 CONFIDENT = 0.15  # opacity of a confidence
 # Inches beside each panel for numbers and title, for a label besides, right of all for a legend beside its panels.
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN, LABEL_IN, BESIDE_IN = 0.5, 0.15, 0.3, 0.3, 0.22, 1.9
 STYLE: "dict[RcKeyType, Any]" = {
     "font.size": 8.5,
-    "axes.titlesize": 9,
+    "axes.titlesize": TITLE_PT,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -94,7 +95,7 @@ def _laid_out(figure: Figure, dpi: float) -> "Canvas":
         if k < len(figure.panels):
             panel_on(axes, figure.panels[k], named=not above and not _is_crowded(figure))
             if _is_crowded(figure):
-                _bared(axes, last_row=k >= len(figure.panels) - columns)
+                _bared(axes, figure, k)
         else:
             axes.set_visible(False)
     if above:
@@ -106,12 +107,23 @@ def _is_crowded(figure: Figure) -> bool:
     return len(figure.panels) > CROWDED
 
 
-def _bared(axes: "Axes", last_row: bool) -> None:
+def _is_labelled_alike(figure: Figure) -> bool:
+    """Return whether the label of a row's first panel stands for the row."""
+    return _is_crowded(figure) and len({panel.y_label for panel in figure.panels}) == 1
+
+
+def _bared(axes: "Axes", figure: Figure, k: int) -> None:
     """Leave out of one of many panels what its neighbours say: ticks and their words are what takes time."""
     from matplotlib.ticker import MaxNLocator
 
+    last_row = k >= len(figure.panels) - figure.columns
     axes.minorticks_off()
     axes.tick_params(labelbottom=last_row)
+    if not last_row:
+        axes.set_xlabel("")
+    if k % figure.columns and _is_labelled_alike(figure):
+        axes.set_ylabel("")
+    _titled(axes, figure.panels[k].title, LEFT_IN - 1.5 * RIGHT_IN)  # above the numbers, whose room is its own
     if axes.get_yscale() == "linear":
         axes.yaxis.set_major_locator(MaxNLocator(4))
 
@@ -125,7 +137,8 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
     left = LEFT_IN + LABEL_IN * any(panel.y_label for panel in figure.panels)
     bottom = BOTTOM_IN + LABEL_IN * any(panel.x_label for panel in figure.panels) + _below_in(figure)
     beside = BESIDE_IN if legend.is_beside(figure) else 0.0
-    each_width = (width - RIGHT_IN - beside) / figure.columns - left
+    apart = LEFT_IN if _is_labelled_alike(figure) else left
+    each_width = (width - RIGHT_IN - beside - left + apart) / figure.columns - apart
     crowded = _is_crowded(figure)
     above = legend.height_above_in(figure)
     between = TOP_IN + (0.0 if crowded else bottom)  # of many panels the last row alone has words below
@@ -133,7 +146,7 @@ def _margins(figure: Figure, rows: int) -> dict[str, float]:
     return {
         "left": left / width,
         "right": 1 - (RIGHT_IN + beside) / width,
-        "wspace": left / each_width,
+        "wspace": apart / each_width,
         "bottom": bottom / height,
         "top": 1 - (TOP_IN + above) / height,
         "hspace": between / each_height,
@@ -185,6 +198,50 @@ def _named(axes: "Axes", panel: Panel) -> None:
     axes.set_xticks(range(len(names)), names, rotation=90 if upright else 0)
 
 
+def title_within(title: str, room_in: float) -> tuple[str, float]:
+    r"""Return a title as it stands in a room of inches and the size of its letters: smaller, in two rows, cut at last.
+
+    >>> title_within("strut 1", 1.5)
+    ('strut 1', 9.0)
+    >>> title_within("left coil → geophone", 1.1)
+    ('left coil → geophone', 6.5)
+    >>> title_within("right front coil → accelerometer", 1.1)
+    ('right front coil →\naccelerometer', 6.5)
+    >>> title_within("x" * 40, 0.8)
+    ('xxxxxxxxxxxxxxx…', 6.0)
+    """
+    for rows, size in (*((1, size) for size in (TITLE_PT, 8.0, 7.0, 6.5)), (2, 6.5), (2, LEAST_PT)):
+        folded = _folded(title, room_in, size)
+        if len(folded) <= rows and max(map(len, folded), default=0) <= _letters_at(room_in, size):
+            return "\n".join(folded), size
+    letters = _letters_at(room_in, LEAST_PT)
+    first, second, *more = [*_folded(title, room_in, LEAST_PT), ""]
+    rows = first, f"{second}…" if more[1:] else second
+    return "\n".join(_cut(row, letters) for row in rows if row), LEAST_PT
+
+
+def _letters_at(room_in: float, size: float) -> int:
+    """Return how many letters of a size have room."""
+    return max(int(room_in * TITLE_PT / (size * LETTER_IN)), 2)
+
+
+def _folded(title: str, room_in: float, size: float) -> list[str]:
+    return textwrap.wrap(title, _letters_at(room_in, size), break_long_words=False, break_on_hyphens=False)
+
+
+def _cut(row: str, letters: int) -> str:
+    return row if len(row) <= letters else f"{row[: letters - 1]}…"
+
+
+def _titled(axes: "Axes", title: str, before_in: float = 0.0) -> None:
+    """Put a title above axes, beginning so many inches left of them, where it ends before its neighbour begins."""
+    canvas = axes.get_figure(root=True)
+    assert canvas is not None
+    across = axes.get_position().width * canvas.get_size_inches()[0]
+    text, size = title_within(title, before_in + across + RIGHT_IN)
+    axes.set_title(text, loc="left", fontsize=size, linespacing=1.0, x=-before_in / across)
+
+
 def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
     """Draw one panel on matplotlib axes."""
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
@@ -218,11 +275,8 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
         axes.set_ylim(*panel.y_range)
     if panel.x_names:
         _named(axes, panel)
-    axes.set_title(panel.title, loc="left")
+    _titled(axes, panel.title)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
-    labels = sum(bool(each.label) for each in (*panel.lines, *panel.fills)) if named else 0
-    if labels > legend.MOST_ABOVE:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    elif labels:
-        axes.legend(loc="best")
+    if named:
+        legend.put_inside(axes, panel)

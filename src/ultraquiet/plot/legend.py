@@ -1,8 +1,8 @@
 """Where the legend of a drawn figure stands: outside its axes, so that it covers no curve."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ultraquiet.plot.figure import Figure
+from ultraquiet.plot.figure import Figure, Panel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,14 +15,17 @@ SAMPLE_IN, LETTER_IN, ROW_IN, GAP_IN = 0.55, 0.068, 0.18, 0.1
 
 def names(figure: Figure) -> list[str]:
     """Return what a legend of all panels names, each once."""
-    return list(dict.fromkeys(each.label for p in figure.panels for each in (*p.lines, *p.fills) if each.label))
+    return list(dict.fromkeys(name for panel in figure.panels for name in names_of(panel)))
+
+
+def names_of(panel: Panel) -> list[str]:
+    """Return what a legend of one panel names, each once: several curves may be of one name."""
+    return list(dict.fromkeys(each.label for each in (*panel.lines, *panel.fills) if each.label))
 
 
 def is_beside(figure: Figure) -> bool:
     """Return whether each panel has its legend at its right: many names, and nothing that stands there."""
-    return figure.columns == 1 and any(
-        sum(bool(each.label) for each in (*p.lines, *p.fills)) > MOST_ABOVE for p in figure.panels
-    )
+    return figure.columns == 1 and any(len(names_of(panel)) > MOST_ABOVE for panel in figure.panels)
 
 
 def is_above(figure: Figure) -> bool:
@@ -51,7 +54,21 @@ def height_above_in(figure: Figure) -> float:
 
 def put_above(canvas: "Canvas", axes: "list[Axes]", figure: Figure, room_is_made: bool = True) -> None:
     """Put one legend for all panels above them; the canvas' own layout makes room where none is made yet."""
-    labelled = [each.get_legend_handles_labels() for each in axes]
-    named = {label: line for lines, labels in labelled for line, label in zip(lines, labels, strict=True)}
+    named = {label: line for each in axes for label, line in _samples(each).items()}
     loc = "upper center" if room_is_made else "outside upper center"
     canvas.legend(list(named.values()), list(named), loc=loc, ncols=columns_above(figure), borderaxespad=0.3)
+
+
+def put_inside(axes: "Axes", panel: Panel) -> None:
+    """Put the legend of one panel where it hides least, at the panel's right where names are many."""
+    named = _samples(axes)
+    many = len(names_of(panel)) > MOST_ABOVE
+    place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0)} if many else {"loc": "best"}
+    if named:
+        axes.legend(list(named.values()), list(named), **place)
+
+
+def _samples(axes: "Axes") -> "dict[str, Any]":
+    """Return what shows the look of each name."""
+    lines, labels = axes.get_legend_handles_labels()
+    return dict(zip(labels, lines, strict=True))

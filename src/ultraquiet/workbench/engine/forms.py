@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, fields
 from functools import cache
-from typing import Any
+from typing import Any, Union, get_args, get_origin
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.mistakes import Mistakes
@@ -114,9 +114,22 @@ def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
         choices = (_shown(field), *choices)
     flag = field.type is bool or field.type == "bool"
     form = "flag" if flag else "choice" if choices else "text"
-    plain = field.type in SIMPLE or any(each in str(field.type) for each in ("int |", "float |", "tuple[float, float]"))
-    simple = plain and "StateSpace" not in str(field.type) and "Sequence" not in str(field.type)
+    written = _written(field.type)
+    plain = field.type in SIMPLE or any(each in written for each in ("int |", "float |", "tuple[float, float]"))
+    simple = plain and "StateSpace" not in written and "Sequence" not in written
     return Setting(field.name, unit, form, _shown(field), meaning, allowed, choices, simple)
+
+
+def _written(kind: Any) -> str:
+    """Return a type as annotations write it, however Python keeps it.
+
+    >>> _written(int | None) == _written("int | None") == _written(Union[int, None]) == "int | None"
+    True
+    """
+    if get_origin(kind) is not Union:
+        return str(kind)
+    names = ("None" if each is type(None) else getattr(each, "__qualname__", str(each)) for each in get_args(kind))
+    return " | ".join(names)
 
 
 def _shown(field: "Field[Any]") -> str:

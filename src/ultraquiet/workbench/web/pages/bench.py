@@ -61,7 +61,7 @@ class _Bench:
         self.form = MethodForm("bench", bench.get("method", "hexapod"), values=bench, names=["hexapod"])
         with ui.element("div").classes("uq-row"):
             button("Take this bench", self._take, "take-bench", main=True)
-            button("Open the demo's study", self._demo, "demo", tip="bench, list and tables of `ultraquiet demo`")
+            button("Open the demo's study", self._demo, "demo", tip="bench, list and tables of the packaged demo")
         words('A bench of your own stands in study.toml as object = "FILE.py:CALLABLE".', "caption")
         heading("Live")
         self.actuator = choice("drive the actuator", {}, "live-actuator", None, lambda _: None)

@@ -37,7 +37,7 @@ class _Excite:
             button("Show", self._show, "show-signal")
             heading("The list")
             self.list = field("experiment list", "list", self._list(), "a TOML file in the study's folder")
-            words("`suite` is the packaged list of the hexapod; a list of your own is a TOML file.", "caption")
+            words("“suite” is the packaged list of the hexapod; a list of your own is a TOML file.", "caption")
             button("Measure the list", self._measure, "measure", main=True)
             self._told = words("", "caption")
             ui.link("See the records", view.link("Records")).props('data-testid="to-records"')

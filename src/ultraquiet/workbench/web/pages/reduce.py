@@ -97,15 +97,17 @@ class _Reduce:
             values = hankel_values(law)
         except (UltraquietError, np.linalg.LinAlgError):
             return
-        if not values.size:
+        if not values.any():
             return
-        x = np.arange(1, values.size + 1, dtype=float)
-        curve = Curve("Hankel values", x, values / values[0], "chosen", kind="points")
+        some = values[values > 0.0]  # of a logarithmic axis
+        x = np.arange(1, some.size + 1, dtype=float)
+        curve = Curve("Hankel values", x, some / some[0], "chosen", kind="points")
         marks = [Mark("a thousandth", y=1e-3)]
         axes = Axis("state"), Axis("of the largest", "log")
         panel = ChartPanel(*axes, [curve], marks=marks, height=220)
         few = int(np.count_nonzero(values > 1e-3 * values[0]))
-        caption = f"{few} of {values.size} states carry more than a thousandth of the largest."
+        kind = "" if values.size == law.states else "stable "
+        caption = f"{few} of {values.size} {kind}states carry more than a thousandth of the largest."
         self.states.show(Chart("hankel", "What each state of the law carries", caption, [panel], legend="none"))
 
     def _loops(self, shown: list[Any]) -> None:
@@ -120,10 +122,11 @@ class _Reduce:
 
 
 def hankel_values(law: StateSpace) -> np.ndarray:
-    """Return the Hankel singular values of the stable part of a law, the largest first, scaled evenly."""
+    """Return the Hankel singular values of the stable part of a law, one a state, the largest first, scaled evenly."""
     A, B, C, _ = balance.scaled(law.A, law.B, law.C)
     discrete = law.rate_hz is not None
     T, inverse, stable = balance.stable_first(A, discrete)
     inner = (inverse @ A @ T)[:stable, :stable]
     R, L = balance.gramian_factors(inner, (inverse @ B)[:stable], (C @ T)[:, :stable], discrete)
-    return np.linalg.svd(L.T @ R, compute_uv=False)
+    values = np.linalg.svd(L.T @ R, compute_uv=False)
+    return np.pad(values, (0, stable - values.size))  # factors leave away what is not reached or not seen at all

@@ -5,9 +5,11 @@ from typing import Any
 
 from nicegui import ui
 
+from ultraquiet.workbench.engine.items import Item
+from ultraquiet.workbench.engine.steps import BOARDS
 from ultraquiet.workbench.jobs.lane import WorkItem
-from ultraquiet.workbench.web.controls import button, chip, heading, table, words
-from ultraquiet.workbench.web.shell import Columns, say
+from ultraquiet.workbench.web.controls import Doubted, button, chip, heading, loop_status, table, words
+from ultraquiet.workbench.web.shell import TITLES, Columns, say
 from ultraquiet.workbench.web.view import View
 
 
@@ -86,13 +88,19 @@ class _Report:
     def _boards(self) -> None:
         session = self.view.session
         rows = [
-            (board, item.name, item.recipe["op"], item.facts.get("status", "made" if item.ready else "not made"))
-            for board in ("data", "models", "laws", "codes")
+            (TITLES[board], item.name, item.recipe["op"], _state(item))
+            for board in BOARDS
             for item in session.items(board)
         ]
         if rows:
             heading("What stands on the boards")
             table(("board", "item", "step", "state"), rows, "everything")
+
+
+def _state(item: Item) -> str | Doubted:
+    if not item.facts.get("status"):
+        return "made" if item.ready else "not made"
+    return loop_status(item.facts)
 
 
 def _decibels(value: float | None) -> str:
