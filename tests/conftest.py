@@ -44,6 +44,7 @@ hypothesis.settings.register_profile("fresh", derandomize=False, database=None, 
 def pytest_addoption(parser):
     parser.addoption("--seed", type=int, default=None, help="seed of every random draw instead of the gate's 1, 2, 3")
     parser.addoption("--live-seconds", type=float, default=60.0, help="how long a live bench is watched")
+    parser.addoption("--whole", action="store_true", help="campaigns strike every place instead of a drawn share")
     parser.addoption("--drawing", action="store_true", help="only the tests that draw")
 
 
@@ -139,6 +140,21 @@ def first_seed(request):
     """The seed of what many tests share: the gate's first, or the one that was asked for."""
     asked = request.config.getoption("--seed")
     return GATE_SEEDS[0] if asked is None else asked
+
+
+@pytest.fixture(scope="session")
+def share(request):
+    """`share(places, most)`: so many of a campaign's places, drawn from the run's seed; all of them with `--whole`."""
+    config = request.config
+
+    def drawn(places, most):
+        places, asked = list(places), config.getoption("--seed")
+        if config.getoption("--whole") or len(places) <= most:
+            return places
+        rng = np.random.default_rng(GATE_SEEDS[0] if asked is None else asked)
+        return [places[k] for k in np.sort(rng.choice(len(places), most, replace=False))]
+
+    return drawn
 
 
 @pytest.fixture(scope="session")

@@ -67,10 +67,13 @@ class Machine:
                 self._issue(self._at(here), fetched=k == 0)
         elif ins.halves[0].name == "RPTB":
             last = self.program.symbols[ins.halves[0].operands[0]]
+            if self.other["RC"] < 0:
+                raise RefusedError(f"{self.other['RC']} repetitions of a block")
             self.loop = (here + 1, last, self.other["RC"])
         if self.loop and here == self.loop[1]:
             first, last, left = self.loop
             self.loop = (first, last, left - 1) if left > 0 else None
+            self.other["RC"] = left - 1
             return first if left > 0 else here + 1
         return here + 1
 

@@ -1,4 +1,6 @@
-"""The C31's extended arithmetic on integers, for the interpreter, and again on float64, as the NumPy reference.
+"""The C31's extended arithmetic on integers, bit by bit as its manual has it, for the interpreter.
+
+It shares nothing with the package's twin of the frame, which counts in float64: the one judges the other.
 
 A register's float is (e, m): 33 bits of mantissa in two's complement with its leading bit written out, 2^31 <= m < 2^32
 or -2^32 <= m < -2^31; e = -128 is zero. TMS320C3x User's Guide, chapter on data formats and floating-point operation.
@@ -100,32 +102,3 @@ def fixed(a):
 
 def value(a):
     return 0.0 if a[0] == -128 else float(np.ldexp(float(a[1]), a[0] - 31))
-
-
-# The same arithmetic on arrays of float64, which hold every product of two 24-bit mantissas and every aligned sum.
-
-
-def np_multiply(a, b):
-    return cut(a * b, 31)
-
-
-def np_add(a, b):
-    ea, eb = _exponent(a), _exponent(b)
-    unit = np.ldexp(1.0, np.maximum(ea, eb) - 31)
-    total = np.floor(a / unit) * unit + np.floor(b / unit) * unit
-    total = np.where(ea - eb >= 32, a, np.where(eb - ea >= 32, b, total))
-    return np.where(a == 0, b, np.where(b == 0, a, cut(total, 31)))
-
-
-def np_rounded(a):
-    return np.where(a == 0, 0.0, cut(a + np.ldexp(1.0, _exponent(a) - 24), 23))
-
-
-def cut(v, bits):
-    unit = np.ldexp(1.0, _exponent(v) - bits)
-    return np.where(v == 0, 0.0, np.floor(v / unit) * unit)
-
-
-def _exponent(v):
-    fraction, power = np.frexp(v)
-    return np.where(v == 0, -128, power - 1 - (fraction == -0.5))

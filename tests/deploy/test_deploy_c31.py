@@ -1,4 +1,4 @@
-"""The emitted C31 assembly, run by an interpreter: its cycles are the model's, its bits those of a NumPy reference."""
+"""The emitted C31 assembly, run by an interpreter: its cycles are the model's, its bits those of the law's twin."""
 
 import re
 import shutil
@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 from c31_interpreter import Machine
 from c31_program import Program, RefusedError
-from c31_reference import Reference
 from deploy_laws import random_law
 
 from ultraquiet.deploy import generate
+from ultraquiet.deploy.c31 import arithmetic
 from ultraquiet.deploy.c31 import cycles as budget
-from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31_code
+from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31_code, converter_limits
 from ultraquiet.deploy.c31.float_format import decode, encode
+from ultraquiet.deploy.c31.twin import C31Twin
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
 from ultraquiet.deploy.law.law import actuator_limits, rounded
 from ultraquiet.deploy.law.realisation import Realisation
@@ -138,36 +139,33 @@ def test_60_states_within_1100_and_120_within_the_frame(rng):
         *(pytest.param(*c, marks=pytest.mark.slow) for c in (("modal", False), ("delta", False), ("delta", True))),
     ],
 )
-def test_bits_are_those_of_the_reference_over_1000_steps(form, anti_windup, rng):
+def test_bits_are_those_of_the_twin_over_1000_steps(form, anti_windup, rng):
     check_bits(law_in(rng, 8, form, anti_windup, limit_v=1.0), rng, STEPS)
 
 
 @pytest.mark.gate("channels0-bank-False", "channels1-bank-delta-True")
 @pytest.mark.parametrize(("form", "anti_windup"), [("bank", False), ("bank", True), ("bank-delta", True)])
 @pytest.mark.parametrize("channels", [(1, 2, 1, 1, 1, 1), (2, 0, 1)])
-def test_bits_of_a_bank_are_those_of_the_reference(form, anti_windup, channels, rng):
+def test_bits_of_a_bank_are_those_of_the_twin(form, anti_windup, channels, rng):
     check_bits(bank_in(rng, channels, form, anti_windup, limit_v=4.0), rng, STEPS // 5)
 
 
 def check_bits(law, rng, steps):
-    machine, reference = machine_of(law), Reference(law)
-    low, high = law.limits[:, 0].astype(float), law.limits[:, 1].astype(float)
+    """Run text and twin side by side: every word that both have, after every frame."""
+    machine, twin = machine_of(law), C31Twin(law, converter_limits(law), VOLTS_PER_COUNT, COUNTS_PER_VOLT)
     clipped, counts_per_step = 0, set()
     for _ in range(steps):
         counts = rng.integers(-(2**15), 2**15, law.inputs) // 2 ** int(rng.integers(12))
         feed(machine, counts)
         counts_per_step.add(machine.run("controller_frame"))
-        y = num.cut(num.np_multiply(counts.astype(float), decode(encode(VOLTS_PER_COUNT))), 23)
-        raw = reference.output(y)
-        limited = np.clip(raw, low, high)
-        reference.update(y, raw, limited)
-        clipped += int((limited != raw).sum())
+        codes = twin.frame(counts)
+        y = arithmetic.stored(arithmetic.multiplied(counts.astype(float), decode(encode(VOLTS_PER_COUNT))))
+        clipped += int((np.clip(twin.u, *law.limits.T.astype(float)) != twin.u).sum())
         assert np.array_equal(held(machine, "y", law.inputs), y)
-        assert np.array_equal(held(machine, "u", law.outputs), raw)
-        assert np.array_equal(held(machine, "x", law.states), reference.x)
-        out = np.floor(num.np_multiply(limited, decode(encode(COUNTS_PER_VOLT))))
+        assert np.array_equal(held(machine, "u", law.outputs), twin.u)
+        assert np.array_equal(held(machine, "x", law.states), twin.x)
         sent = [machine.memory[machine.program.symbols["DAC"] + i] for i in range(law.outputs)]
-        assert np.array_equal(np.array(sent, dtype=np.uint32).view(np.int32), out)
+        assert np.array_equal(np.array(sent, dtype=np.uint32).view(np.int32), codes)
     commands = steps * law.outputs
     print(f"{law.form}: {steps} steps alike, {clipped} of {commands} commands limited, cycles {counts_per_step}")
     assert 0 < clipped < commands
@@ -369,18 +367,18 @@ def test_interpreter_refuses_what_the_c31_would_not_do(lines):
         small(*lines).run("start")
 
 
-def test_integer_and_array_arithmetic_agree(rng):
+def test_the_twins_arithmetic_is_that_of_the_manual_on_integers(rng):
     words = rng.integers(0, 2**32, (2, 4000), dtype=np.uint64).astype(np.uint32)
     words &= np.uint32(0x1FFFFFFF)  # exponents 0 to 31 and their negatives below: no overflow
     words[1] |= np.uint32(0xE0000000)
     a, b = ([num.from_word(int(w)) for w in row] for row in words)
     fa, fb = (decode(row) for row in words)
     products = [num.multiply(p, q) for p, q in zip(a, b, strict=True)]
-    assert np.array_equal(num.np_multiply(fa, fb), [num.value(p) for p in products])
+    assert np.array_equal(arithmetic.multiplied(fa, fb), [num.value(p) for p in products])
     sums = [num.add(p, q) for p, q in zip(products, a, strict=True)]
-    assert np.array_equal(num.np_add(num.np_multiply(fa, fb), fa), [num.value(s) for s in sums])
+    assert np.array_equal(arithmetic.added(arithmetic.multiplied(fa, fb), fa), [num.value(s) for s in sums])
     assert np.array_equal(
-        num.np_rounded(np.array([num.value(s) for s in sums])), [num.value(num.rounded(s)) for s in sums]
+        arithmetic.rounded(np.array([num.value(s) for s in sums])), [num.value(num.rounded(s)) for s in sums]
     )
 
 

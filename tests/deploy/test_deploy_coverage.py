@@ -7,18 +7,17 @@ from 14 on count independent effects themselves.
 import functools
 import json
 import re
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from compilers_here import versions
 from deploy_laws import RATE_HZ, block, random_law
 
 from ultraquiet.deploy import generate, generate_fixed
 from ultraquiet.values import StateSpace
 
 SOURCES = ("controller.c", "controller_selftest.c")
-NEWEST = 40  # versions of compilers asked for by name
 FLAGS = ("-std=c99", "-O0", "-w", "-DCONTROLLER_MAIN")
 
 
@@ -32,13 +31,11 @@ def said_by(folder, *command, **environment):
 @functools.cache
 def tool():
     """Return the programs that measure MC/DC: clang with its two tools, gcc with its one, or None."""
-    for version in ("", *(f"-{k}" for k in range(NEWEST, 17, -1))):
-        found = [shutil.which(name + version) for name in ("clang", "llvm-profdata", "llvm-cov")]
-        if all(found) and "-fcoverage-mcdc" in said_by("/", found[0], "--help-hidden"):
+    for found in versions("clang", "llvm-profdata", "llvm-cov", oldest=18):
+        if "-fcoverage-mcdc" in said_by("/", found[0], "--help-hidden"):
             return "clang", found
-    for version in ("", *(f"-{k}" for k in range(NEWEST, 13, -1))):
-        found = [shutil.which(name + version) for name in ("gcc", "gcov")]
-        if all(found) and "-fcondition-coverage" in said_by("/", found[0], "--help=common"):
+    for found in versions("gcc", "gcov", oldest=14):
+        if "-fcondition-coverage" in said_by("/", found[0], "--help=common"):
             return "gcc", found
     return None
 

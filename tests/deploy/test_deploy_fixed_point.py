@@ -59,6 +59,25 @@ def test_the_worst_measurements_reach_the_bound_and_do_not_pass_it(rng, word, fo
     assert 0.9 * law.peak < max(share) <= law.peak
 
 
+@pytest.mark.gate("q31-modal-l2", "q15-delta-l1")
+@pytest.mark.parametrize(("word", "form", "scaling"), EVERY)
+def test_laws_of_any_loudness_are_written_or_refused_in_a_sentence(rng, tmp_path, word, form, scaling):
+    """Sums of very quiet ones go down by all places of the accumulator but one; nothing leaves 64 bits on the way."""
+    fates, refusals = [], []
+    for loudness in 10.0 ** -np.arange(-2.0, 13.0, 2.0):
+        law = random_law(rng, int(rng.integers(1, 7)), 2, 2)
+        law = StateSpace(law.A, law.B, loudness * law.C, loudness * law.D, rate_hz=RATE_HZ)
+        try:
+            made = generate_fixed(law, tmp_path / "code", word, form=form, scaling=scaling, tolerance=1.0, ramp_s=0.01)
+            fates.append(int((made.law.shift_u + made.law.bits - 2).max()))
+        except InputError as refusal:
+            refusals.append(str(refusal))
+    print(f"{word} {form} {scaling}: commands go down by {fates} places, {len(refusals)} laws refused")
+    assert fates
+    assert refusals
+    assert all(said.startswith(("generate_fixed: ", "fixed_law: ")) for said in refusals)
+
+
 @pytest.mark.gate("q15-modal-l2", "q31-delta-l1")
 @pytest.mark.parametrize(("word", "form", "scaling"), EVERY)
 def test_noise_of_rounding_is_what_is_stated(rng, word, form, scaling):

@@ -53,27 +53,71 @@ EQUIVALENT = [
     ),
     (r"^text (.*)%(.*)  ->  \1\2", "the ring does not end there"),
     (r"^text NOP  ->  left out", "the pipeline waits as long by itself"),
+    (
+        r"^text LDI +@at_first,AR1  ->  (left out|LDI +@at_first,AR2)$",
+        "for an odd number of commands the pointer stands behind the measurements already",
+    ),
+    (r"^table \.word +controller_ring  ->  .*\+ 1$", "a ring may begin at any of its words"),
     (r"^table \.word +0x", "less than a hundredth of a count of the converters: the last bit of a scale or a limit"),
 ]
+SHARE = 400  # faults planted in each law of the long run
 MANY = 16  # last places, 2^-20 of a coefficient: the vectors must notice so much of each
-BELOW = f"below the last place of the words it forms; {MANY} of them are noticed"
+HALF = -24  # and of a small one 2^-24, half a last place of a word of the size of those that it multiplies
+BELOW = f"below the last place of the words it forms; {MANY} of them, or 2^{HALF}, are noticed"
+IDLE = "a gain needs no zero to begin with; without it the pipeline waits as long by itself"
+UNSEEN = "what is cut off a gain's command corrects no state"
+HELD = "the last command still stands there too"
 LAST = "moves a pointer that nothing uses any more"
 
 
-def is_last_move(lines, k, changed):
-    """Whether a line differs by how it moves a pointer afterwards, and that is loaded anew before it is used again."""
-    was, now = (
-        re.sub(r"(\*AR\d)(\+\+|--)\((1|IR0)\)%?", r"\1", line.split(";")[0].strip()) for line in (lines[k], changed)
-    )
-    moved = re.search(r"\*(AR\d)(\+\+|--)", lines[k])
-    if moved is None or was != now:
-        return False
-    for line in lines[k + 1 :]:
-        if re.search(rf"(LDI|POP) .*{moved[1]}$", line.split(";")[0].rstrip()):
+def bare(line):
+    """Return an instruction without its comment."""
+    return line.split(";")[0].strip()
+
+
+def is_unused(lines, k, register):
+    """Whether a pointer is loaded anew after a line before anything uses it again."""
+    for line in map(bare, lines[k + 1 :]):
+        if re.search(rf"(LDI|POP) .*{register}$", line):
             return True
-        if re.search(rf"\b{moved[1]}\b", line.split(";")[0]):
+        if re.search(rf"\b{register}\b", line):
             return False
     return True
+
+
+MOVED = re.compile(r"\*(AR\d)((?:\+\+|--)\((?:1|IR0)\))?%?")
+
+
+def is_last_move(lines, k, changed):
+    """Whether a line differs by how it moves pointers afterwards, and these are loaded anew before they are used."""
+    was, now = bare(lines[k]), bare(changed)
+    if was.startswith("NOP     *") and now.startswith("NOP     *"):
+        moved = re.findall(r"AR\d", was + now)
+    elif MOVED.sub(r"*\1", was) == MOVED.sub(r"*\1", now):
+        pairs = zip(MOVED.finditer(was), MOVED.finditer(now), strict=True)
+        moved = [one[1] for one, other in pairs if one[0] != other[0]]
+    else:
+        return False
+    return bool(moved) and all(is_unused(lines, k, register) for register in moved)
+
+
+def is_last_command(lines, k, changed):
+    """Whether a line compares the last command where the sum that it was rounded from still stands."""
+    compared = (bare(lines[k]), bare(changed)) == ("CMPF    *AR4,R1", "CMPF    *AR4,R2")
+    return compared and not any(re.match(r"LDF +\*AR2|SUBF3 +\*AR2", bare(line)) for line in lines[k + 1 :])
+
+
+def is_overwritten(lines, k, changed):
+    """Whether a line sets to zero what the next one overwrites: it stands between a store and two reads."""
+    zeroed = re.fullmatch(r"LDF +0\.0,R[0-4]", bare(changed)) or not bare(changed)
+    return bool(zeroed and "LDF     0.0,R2" in lines[k] and re.match(r"MPYF3 .*,R2$", bare(lines[k + 1])))
+
+
+def is_of_a_gain(lines, k, law):
+    """Whether a line takes what a limit cut off the command of a channel that has no states to correct."""
+    cut = [at for at, line in enumerate(lines) if re.match(r"SUBF3 +\*AR2\+\+", bare(line))]
+    of = [channel for channel, at in enumerate(cut) if k == at or (k == at + 2 and "STF" in lines[k])]
+    return bool(of and law.channels) and law.channels[of[0]] == 0
 
 
 def mutants(text):
@@ -103,29 +147,41 @@ def mutants(text):
 def by_many(lines, k):
     """Return the text with a word of the table of coefficients changed by more than its last place."""
     word = WORD.search(lines[k])
-    return "\n".join([*lines[:k], f"{word[1]}0x{(int(word[2], 16) + MANY) & 0xFFFFFFFF:08X}", *lines[k + 1 :]])
+    number = int(word[2], 16)
+    exponent = (number >> 24) - (256 if number >> 31 else 0)
+    last_places = max(MANY, 2 ** max(HALF + 23 - exponent, 0))
+    return "\n".join([*lines[:k], f"{word[1]}0x{(number + last_places) & 0xFFFFFFFF:08X}", *lines[k + 1 :]])
 
 
-def unnoticed(law, planted=None):
+def way_of(wrong):
+    """Return in what way a fault was noticed: refused, other words, codes, cycles or registers."""
+    words = wrong.partition(": ")[2].split() if wrong.startswith("frame") else ["refused"]
+    return "other cycles" if "cycles" in words else words[0] if words[0] != "other" else " ".join(words[:2])
+
+
+def unnoticed(law, planted):
     """Return the faults that the vectors miss, without those that change nothing."""
     code = c31_code(law)
     played, lines = Played(code.linker, vectors(law)), code.assembly.splitlines()
     assert played.difference(code.assembly) is None
     every = mutants(code.assembly)
-    chosen = every if planted is None else planted(every)
+    chosen = planted(every)
     left, why = [], Counter()
     for section, k, line in chosen:
         wrong = played.difference("\n".join([*lines[:k], line, *lines[k + 1 :]]))
         if wrong is not None:
-            why[wrong.partition(": ")[2].partition(" ")[0] if wrong.startswith("frame") else "refused"] += 1
+            why[way_of(wrong)] += 1
             continue
-        change = f"{section} {lines[k].strip()}  ->  {line.strip() or 'left out'}"
+        change = f"{section} {bare(lines[k])}  ->  {line.strip() or 'left out'}"
         reasons = [reason for pattern, reason in EQUIVALENT if re.search(pattern, change)]
         reasons += [LAST] if is_last_move(lines, k, line) else []
+        reasons += [UNSEEN] if is_of_a_gain(lines, k, law) else []
+        reasons += [HELD] if is_last_command(lines, k, line) else []
+        reasons += [IDLE] if is_overwritten(lines, k, line) else []
         if section == "coefs" and played.difference(by_many(lines, k)) is not None:
             reasons.append(BELOW)
         why[reasons[0] if reasons else "UNNOTICED"] += 1
-        left += [] if reasons else [change]
+        left += [] if reasons else [f"line {k + 1}: {change}"]
     print(f"{len(chosen)} of {len(every)} faults planted in {len(lines)} lines, {len(left)} unnoticed: {dict(why)}")
     return left
 
@@ -139,17 +195,20 @@ def test_the_vectors_notice_planted_faults(rng):
     assert unnoticed(law, lambda every: [every[k] for k in rng.choice(len(every), 24, replace=False)]) == []
 
 
+# No loop of one pass alone and no ring of two, in which faults change nothing.
 LAWS = {
-    "modal": lambda rng: law_in(rng, 4, "modal", False, 2, 3, limit_v=LIMITS),
+    "modal": lambda rng: law_in(rng, 4, "modal", False, 4, 3, limit_v=LIMITS),
     "modal, anti-windup": lambda rng: law_in(rng, 4, "modal", True, 3, 2, limit_v=LIMITS[:2]),
-    "delta": lambda rng: law_in(rng, 4, "delta", False, 2, 2, limit_v=LIMITS[:2]),
+    "delta": lambda rng: law_in(rng, 4, "delta", False, 4, 2, limit_v=LIMITS[:2]),
     "delta, anti-windup": lambda rng: law_in(rng, 6, "delta", True, 2, 2, limit_v=LIMITS[:2]),
     "bank": lambda rng: bank_in(rng, (2, 0, 1), "bank", False, limit_v=LIMITS),
-    "bank-delta, anti-windup": lambda rng: bank_in(rng, (1, 2), "bank-delta", True, limit_v=LIMITS[:2]),
+    "bank-delta, anti-windup": lambda rng: bank_in(rng, (2, 0, 2), "bank-delta", True, limit_v=LIMITS),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", LAWS)
-def test_the_vectors_notice_every_planted_fault(rng, case):
-    assert unnoticed(LAWS[case](rng)) == []
+def test_the_vectors_notice_every_planted_fault(rng, share, case):
+    """A drawn share of the faults of each law; `pytest --whole` plants them all."""
+    print(f"{case}: ", end="")
+    assert unnoticed(LAWS[case](rng), lambda every: share(every, SHARE)) == []

@@ -22,6 +22,7 @@ from ultraquiet.pipeline.store import contents, entry
 
 HERE = Path(__file__).parent
 MOST_CALLS = 2000
+WALK = 50  # calls of a walk through the tiny study that the long run strikes in each way
 KINDS = {"EIO": works.EIO, "ENOSPC": works.ENOSPC, "short": works.SHORT, "kill": works.KILL}
 SIZES = {"first": 1400, "second": 700}
 LOSS_S = 0.1
@@ -97,15 +98,20 @@ def goes_on(place):
     assert not list(place.glob(".*.part"))
 
 
+def all_places(calls):
+    """Return the numbers of the calls that are struck."""
+    return range(1, min(calls, MOST_CALLS) + 1)
+
+
 def struck(forked, work, folder, judge, kinds, every=1):
-    """Let each call of a work fail in each way; return how the works ended."""
+    """Let each call of a work fail in each way, or each n-th; return how many there are and how the works ended."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     prepared(work, folder)
     calls = forked(work, folder, at=10**9, kind=works.EIO)["calls"]
     fates = Counter()
     for name, kind in kinds.items():
-        for at in range(1, min(calls, MOST_CALLS) + 1, every):
+        for at in all_places(calls)[::every]:
             shutil.rmtree(folder)
             folder.mkdir()
             prepared(work, folder)
@@ -189,15 +195,19 @@ def require_whole_stages(folder):
 
 
 @pytest.mark.parametrize("every", [60, pytest.param(1, marks=pytest.mark.slow)])
-def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, every):
-    """Each of the first calls to write, sync and name fails or is the last one; what a run leaves serves the next."""
+def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, share, every):
+    """Each of the first calls to write, sync and name fails or is the last one; what a run leaves serves the next.
+
+    A drawn share of the calls in each way; `pytest --whole` strikes them all.
+    """
     whole, place, fates, stages = tmp_path / "whole", tmp_path / "struck", Counter(), Counter()
     assert tiny("tiny", whole)["fate"] == "done"
     wanted, files_of_it = numbers(whole), names(whole)
     for name, kind in STUDY_KINDS.items():
         calls = tiny("tiny", place, at=10**9, kind=kind)["calls"]
         shutil.rmtree(place)
-        for at in range(1, min(calls, MOST_CALLS) + 1, every):
+        places = share(all_places(calls)[::every], WALK)
+        for at in places:
             fate = tiny("tiny", place, at, kind)
             word = "killed" if fate["code"] == -9 else fate["fate"]
             assert word != "TRACEBACK", (name, at, fate["said"])
@@ -209,7 +219,7 @@ def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, every):
             assert names(place) == files_of_it, (name, at, fate, sorted(names(place) ^ files_of_it))
             assert numbers(place) == wanted, (name, at, fate)
             shutil.rmtree(place)
-        print(f"tiny study, {name}: {calls} calls, every {every} of them struck, {stages[name]} stages kept")
+        print(f"tiny study, {name}: {len(places)} of {calls} calls struck, {stages[name]} stages kept")
     print(f"{sum(fates.values())} strikes: {dict(fates)}")
 
 

@@ -84,6 +84,8 @@ def _touching(row: Whole, corner: Whole, down: int, end: int, sign: int) -> Whol
     products, (last, other) = row * corner, fine
     rest = int(products.sum() - products[fine].sum())
     wanted = (end << down) - (1 << (down - 1))
+    if wanted > int(products.sum()):
+        return None  # out of every word's reach, and where the sum goes down by many places out of 64 bits too
     share = (wanted - int(products[fine].sum()) // 2) / rest if rest else 0.0
     words = np.trunc(corner * min(max(share, 0.0), 1.0)).astype(np.int64)
     words[fine] = 0
