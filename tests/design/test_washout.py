@@ -44,6 +44,7 @@ def test_an_offset_moves_no_command_and_the_bounds_hold():
     assert behind.controller.states == plain.controller.states + 1
 
 
+@pytest.mark.slow
 def test_each_reading_of_a_wide_plant_passes_its_own(rng):
     plant = ordinary(rng, (3, 5))
     result = PeakBounded(states=4, steps=4, draws=0, washout_hz=1e-3).design(plant)

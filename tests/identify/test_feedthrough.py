@@ -51,6 +51,7 @@ def test_a_record_on_disk_says_the_same(direct, rng, tmp_path):
     assert np.any(disk.model.D) == np.any(memory.model.D) == (direct > 0)
 
 
+@pytest.mark.slow
 def test_a_loop_on_the_model_has_no_sample_of_delay_that_is_not_there(rng):
     _, record = recorded(rng, 0.0)
     model = uq.identify.Subspace(order=4).identify(record).state_space()
