@@ -48,12 +48,9 @@ def command_corners(law: FixedLaw) -> Whole:
     a lower corner where one of them lies beyond its range, and none where no state and no measurement gets there: its
     limit would be code that nothing can run.
     """
-    top = 2 ** (law.bits - 1) - 1
     rows = np.hstack([law.C.T, law.D])
     corners = np.stack([_at(rows, law), _at(-rows, law)], axis=1)
-    down = law.shift_u + law.bits - 2
-    reached = _rounded((corners * rows[:, None, :]).sum(axis=2), down[:, None])
-    return corners[np.abs(reached).max(axis=1) > top].reshape(-1, law.states + law.inputs)
+    return corners[limited_commands(law)].reshape(-1, law.states + law.inputs)
 
 
 def touching_corners(law: FixedLaw) -> Whole:
