@@ -74,7 +74,7 @@ _VALUES = (
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return importlib.import_module("importlib.metadata").version("ultraquiet")
+        return importlib.import_module("ultraquiet._base.provenance").versions()["ultraquiet"]
     if name not in __all__:
         raise AttributeError(f"module 'ultraquiet' has no attribute {name!r}")
     if name in _VALUES:

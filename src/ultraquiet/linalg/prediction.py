@@ -97,8 +97,10 @@ def filtered(v: FloatArray, c: FloatArray, d: FloatArray) -> FloatArray:
     return np.asarray(lfilter(c, d, v))
 
 
-def whitening(v: FloatArray) -> tuple[FloatArray, float]:
+def whitening(v: FloatArray, memory: int = MEMORY) -> tuple[FloatArray, float]:
     """Return the polynomial a `(k + 1,)`, a_0 = 1, and the variance of a v, an autoregression of v less its mean.
+
+    It reaches back `memory` samples, a tenth of v at most.
 
     >>> e = np.random.default_rng(0).standard_normal(20000)
     >>> a, variance = whitening(filtered(e, np.ones(1), np.array([1.0, -0.8])))
@@ -106,8 +108,14 @@ def whitening(v: FloatArray) -> tuple[FloatArray, float]:
     (True, True)
     """
     v = v - v.mean()
-    n, lags = v.size, min(MEMORY, v.size // 10)
+    n, lags = v.size, min(memory, v.size // 10)
     return whitening_of(np.array([v[k:] @ v[: n - k] for k in range(lags + 1)]) / n)
+
+
+def error_spectrum(v: FloatArray, z: ComplexArray, memory: int = MEMORY) -> FloatArray:
+    """Return the spectrum of v at the points z `(nf,)`, from the autoregression of `whitening`; white: its variance."""
+    a, variance = whitening(v, memory)
+    return variance / np.maximum(np.abs(z[:, None] ** -np.arange(a.size) @ a) ** 2, RIDGE)
 
 
 def whitening_of(r: FloatArray) -> tuple[FloatArray, float]:

@@ -170,18 +170,17 @@ def names_below(names: Sequence[str], letters: float) -> tuple[list[str], bool]:
     return list(names), True
 
 
-def _letters(figure: Figure, panel: Panel) -> float:
-    """Return how many letters a name below one of a figure's panels has room for."""
-    across = figure.size_in[0] / figure.columns - LEFT_IN - LABEL_IN - RIGHT_IN
+def _letters(panel: Panel, across_in: float) -> float:
+    """Return how many letters a name below a panel of a width in inches has room for."""
     low, high = panel.x_range or (-0.5, len(panel.x_names) - 0.5)
-    return across / max(high - low, 1.0) / LETTER_IN - 1.0
+    return across_in / max(high - low, 1.0) / LETTER_IN - 1.0
 
 
 def _below_in(figure: Figure) -> float:
     """Return the room in inches that names take below their axes, beyond one row of numbers."""
-    most = 0.0
+    most, across = 0.0, figure.size_in[0] / figure.columns - LEFT_IN - LABEL_IN - RIGHT_IN
     for panel in figure.panels:
-        names, upright = names_below(panel.x_names, _letters(figure, panel)) if panel.x_names else ([], False)
+        names, upright = names_below(panel.x_names, _letters(panel, across)) if panel.x_names else ([], False)
         lines = [name.split("\n") for name in names]
         size = LETTER_IN * max(map(len, names), default=1) if upright else ROW_IN * max(map(len, lines), default=1)
         most = max(most, size - ROW_IN)
@@ -193,8 +192,7 @@ def _named(axes: "Axes", panel: Panel) -> None:
     canvas = axes.get_figure(root=True)
     assert canvas is not None
     across = axes.get_position().width * canvas.get_size_inches()[0]
-    low, high = panel.x_range or (-0.5, len(panel.x_names) - 0.5)
-    names, upright = names_below(panel.x_names, across / max(high - low, 1.0) / LETTER_IN - 1.0)
+    names, upright = names_below(panel.x_names, _letters(panel, across))
     axes.set_xticks(range(len(names)), names, rotation=90 if upright else 0)
 
 

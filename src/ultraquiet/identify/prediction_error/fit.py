@@ -117,12 +117,13 @@ def finished(
         status = Status(
             StatusWord.POOR_FIT, "The model is unstable: it predicts one step, but its simulation grows without bound."
         )
+    colored = colored_products(data, structure, search, best) if is_colored(structure, evidence[0]) else None
     return Fit(
         model,
         status,
         fit_percent,
         model.noise_variance,
-        covariance(best.normal, best.loss, structure, data.gain, colored_products(data, structure, search, best)),
+        covariance(best.normal, best.loss, structure, data.gain, colored),
         whiteness_p=evidence[0],
         correlation_p=evidence[1],
         iterations=best.iterations,
@@ -314,18 +315,20 @@ def covariance(
     return root @ root.T
 
 
-def colored_products(data: ChannelData, structure: Structure, search: Search, found: Found) -> FloatArray | None:
-    """Return J'RJ of an output error that is coloured, R of an autoregression of it; None where it may be white.
+def is_colored(structure: Structure, whiteness_p: float) -> bool:
+    """Return whether a residual counts as coloured: one of an output error whose test for whiteness fails.
+
+    What a structure with a noise model leaves is white, or the model is not the plant's.
+    """
+    return not (structure.models_noise or whiteness_p >= SIGNIFICANCE)
+
+
+def colored_products(data: ChannelData, structure: Structure, search: Search, found: Found) -> FloatArray:
+    """Return J'RJ of an output error that is coloured, R of an autoregression of it.
 
     The columns of J are filters of the inputs: driven by inputs that the colour has filtered, they are as the root of R
-    leaves them, but for a phase that no product over the whole record sees. A structure with a noise model has none of
-    it: what that leaves is white, or the model is not the plant's.
+    leaves them, but for a phase that no product over the whole record sees.
     """
-    if structure.models_noise:
-        return None
-    lags = min(TEST_LAGS, found.residual.size // 10)
-    if portmanteau.ljung_box(found.residual, lags).p_value >= SIGNIFICANCE:
-        return None
     a, variance = prediction.whitening(found.residual)
     u, y = (
         np.ascontiguousarray([prediction.filtered(x, np.ones(1), a) for x in rows]) for rows in (data.u, data.y[None])

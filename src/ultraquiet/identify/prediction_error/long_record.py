@@ -278,7 +278,7 @@ def _fit_output(
     assert best is not None
     point = best.point
     model = modelled(parameterisation, point.table, data.gain, record.rate_hz, point.criterion * data.output_size**2)
-    colored = None if structure.models_noise or evidence[0] >= SIGNIFICANCE else _colored_products(point, r)
+    colored = _colored_products(point, r) if one_fit.is_colored(structure, evidence[0]) else None
     fit = one_fit.Fit(
         model,
         _clipping(one_fit.verdict(best.state, best.iterations, evidence), seen, output, record),

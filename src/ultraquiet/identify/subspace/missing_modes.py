@@ -13,6 +13,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.subspace import fit, modal_least_squares
 from ultraquiet.identify.subspace.modal_least_squares import FilterBank, Modes
+from ultraquiet.linalg import prediction
 from ultraquiet.values import Status, StatusWord
 
 DAMPING = 0.02  # of the filters tried, relative
@@ -21,7 +22,7 @@ SLOWEST = 8.0  # periods that a record must hold of a mode that is sought
 FASTEST = 0.9 * np.pi  # radians a sample
 FINER = (0.03, 0.015, 0.008)  # steps by which the best filter is then moved, in the logarithm of frequency and damping
 ROUNDS, GAIN = 20, 1e-5  # of alternating least squares, and what one must gain for another to follow
-MEMORY, RIDGE = 8, 1e-9  # of the autoregressions that tell how much of the error's power is noise at a frequency
+MEMORY = 8  # samples of the autoregressions that tell how much of the error's power is noise at a frequency
 MOST = 3  # modes put in at most
 
 
@@ -108,16 +109,7 @@ def strongest(error: FloatArray, u: FloatArray) -> tuple[complex, float]:
 
 def _noise_level(left: FloatArray, angle: float) -> FloatArray:
     """Return the spectrum of each channel at `angle` radians a sample, from a short autoregression; white: variance."""
-    from scipy.linalg import solve_toeplitz
-
-    n = left.shape[1]
-    lags = min(MEMORY, n // 10)
-    centred = left - left.mean(axis=1, keepdims=True)
-    r = np.stack([np.sum(centred[:, k:] * centred[:, : n - k], axis=1) / n for k in range(lags + 1)], axis=1)
-    r[:, 0] = np.maximum(r[:, 0] * (1.0 + RIDGE), np.finfo(float).tiny)
-    a = np.stack([np.asarray(solve_toeplitz(one[:-1], one[1:]), dtype=np.float64) for one in r])
-    variance = np.maximum(r[:, 0] - np.sum(a * r[:, 1:], axis=1), RIDGE * r[:, 0])
-    return variance / np.maximum(np.abs(1.0 - a @ np.exp(-1j * angle * np.arange(1, lags + 1))) ** 2, RIDGE)
+    return np.concatenate([prediction.error_spectrum(one, np.exp([1j * angle]), MEMORY) for one in left])
 
 
 def _pole(angle: float, zeta: float) -> complex:

@@ -8,7 +8,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Array
-from ultraquiet.linalg.prediction import whitening
+from ultraquiet.linalg.prediction import error_spectrum
 
 LINES_AT_ONCE = 128
 # Directions of the information below this share of the largest are those that change no response (each mode's states
@@ -111,9 +111,7 @@ def spectra(v: FloatArray, z: ComplexArray) -> FloatArray:
     """Return the errors' spectra `(nf, ny)`, of mean one, each from an autoregression."""
     out = np.empty((z.size, len(v)))
     for i, one in enumerate(v):
-        a, variance = whitening(one)
-        power = z[:, None] ** -np.arange(a.size)
-        out[:, i] = variance / np.abs(power @ a) ** 2 / max(float(np.mean(one**2)), np.finfo(float).tiny)
+        out[:, i] = error_spectrum(one, z) / max(float(np.mean(one**2)), np.finfo(float).tiny)
     return out
 
 
