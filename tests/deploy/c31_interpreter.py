@@ -15,7 +15,7 @@ from c31_program import ADDRESSING, EXTENDED, SINGLE, SPECIAL, RefusedError, ind
 BLOCKS = (0x809800, 0x809C00, 0x80A000)
 STACK = 0x809F7F  # below its first word; internal, above the coefficients of any law that keeps them in block 1
 FOUR = 4
-SLOW = {"RPTS", "RPTB", "RETI"}
+SLOW = {"RPTS", "RPTB", "RETI", "RETS"}
 
 
 def _block(address):
@@ -48,7 +48,7 @@ class Machine:
             before, name = self.cycles, self._at(here).halves[0].name
             here = self._execute(here)
             self.spent[region] = self.spent.get(region, 0) + self.cycles - before
-            if name == "RETI":
+            if name in ("RETI", "RETS"):
                 break
         return self.cycles - begin
 
@@ -223,7 +223,15 @@ class Machine:
             if operand_kind(text) == "memory":
                 self._address(text)
 
-    _rpts = _rptb = _reti = _nop
+    _rpts = _rptb = _reti = _rets = _nop
+
+    def _rol(self, dst):
+        low = num.low_bits(self.r[dst])
+        return "R", dst, num.from_bits(self.r[dst][0], (low << 1 | low >> 31) & num.LOW)
+
+    def _addi(self, src, dst):
+        total = (self.read_int(src) + num.low_bits(self.r[dst])) & num.LOW
+        return "R", dst, num.from_bits(self.r[dst][0], total)
 
     def _push(self, src):
         self.other["SP"] += 1

@@ -19,7 +19,8 @@ PARALLEL = {
     ("STF", "STF"),
 }
 MOVES = ("LDF", "LDI", "LDFLT", "LDFGT", "STF", "STI", "PUSH", "PUSHF", "POP", "POPF", "LDP")
-SINGLE = {*MOVES, "CMPF", "RND", "FLOAT", "FIX", "MPYF3", "ADDF3", "SUBF3", "RPTS", "RPTB", "NOP", "RETI"}
+SUMS = ("CMPF", "RND", "FLOAT", "FIX", "MPYF3", "ADDF3", "SUBF3", "ROL", "ADDI")
+SINGLE = {*MOVES, *SUMS, "RPTS", "RPTB", "NOP", "RETI", "RETS"}
 
 
 class RefusedError(ValueError):

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 from c31_interpreter import Machine
+from c31_numbers import low_bits
 from c31_program import ADDRESSING, EXTENDED, SPECIAL, Program
 
 ZERO = 0x80000000
@@ -14,26 +15,30 @@ class Played:
 
     def __init__(self, linker, table):
         self.linker = linker
-        head, *rows = csv.reader(table.splitlines())
+        (_, self.sum), head, *rows = csv.reader(table.splitlines())
         self.counts = {what: sum(name.startswith(what) for name in head) for what in ("adc", "dac", "u", "x")}
         self.rows = [[int(cell, 0) for cell in row] for row in rows]
-        self.cycles = None
+        self.sum, self.cycles = int(self.sum, 0), None
 
     def difference(self, assembly):
         """Return what is wrong with a text: refused, other words, registers or cycles; None when nothing is."""
         try:
-            machine = Machine(Program(assembly, self.linker))
+            program = Program(assembly, self.linker)
+            if checked(program) != (self.sum, self.sum):
+                return "check: another sum"
+            machine = Machine(program)
             for number, row in enumerate(self.rows):
-                if found := self._frame(machine, row):
+                if found := self._frame(machine, row, row[0] and number):
                     return f"frame {number}: {found}"
         except (ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError) as error:
             return f"refused: {error!r}"
         return None
 
-    def _frame(self, machine, row):
+    def _frame(self, machine, row, rested):
+        """Run one frame, from rest where asked; the first one finds the states as the text has them."""
         symbols, at = machine.program.symbols, 1
         adc, dac, u, x = self.counts.values()
-        if row[0]:
+        if rested:
             machine.memory |= dict.fromkeys(range(symbols["controller_x"], symbols["controller_x"] + x), ZERO)
         held = _occupied(machine)
         for j in range(adc):
@@ -55,8 +60,8 @@ class Played:
 MOST = 4000  # cycles of a small law's frame that has lost its way
 
 
-def run(machine):
-    """Run one frame; one that does not come back is refused."""
+def run(machine, start="controller_frame"):
+    """Run one frame, or what begins at another label; what does not come back is refused."""
     execute = machine._execute
 
     def counted(here):
@@ -66,9 +71,17 @@ def run(machine):
 
     begun, machine._execute = machine.cycles, counted
     try:
-        return machine.run("controller_frame")
+        return machine.run(start)
     finally:
         machine._execute = execute
+
+
+def checked(program):
+    """Return the word that the check of the tables leaves in R0, and the one that it is to be compared with."""
+    machine = Machine(program)
+    _occupied(machine)
+    run(machine, "controller_check")
+    return low_bits(machine.r["R0"]), machine.memory[program.symbols["controller_sum"]]
 
 
 def _occupied(machine):

@@ -78,7 +78,7 @@ def test_the_same_seed_gives_the_same_law_and_other_units_the_same_loop(found):
     assert other.details["attenuation_db"] == pytest.approx(found.details["attenuation_db"], abs=0.05)
 
 
-@pytest.mark.parametrize("shape", [(4, 3), (3, 5)])
+@pytest.mark.parametrize("shape", [(4, 3), (2, 3), pytest.param((3, 5), marks=pytest.mark.slow)])
 def test_any_shape_gives_a_stable_law_within_its_bounds(seed, shape):
     plant = ordinary(np.random.default_rng(seed), shape, modes=3)
     f = 0.02 * plant.rate_hz

@@ -21,6 +21,8 @@ from ultraquiet import experiments, files
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench import Block
+from ultraquiet.experiments import journal
+from ultraquiet.experiments.measure import recover
 from ultraquiet.values import Channel, Record
 
 RATE_HZ, BLOCK = 3500.0, 175
@@ -73,6 +75,13 @@ def record(place, pace=False, repeat=()):
     experiments.run(plan, place, resume=True, repeat=repeat, sleep=lambda _: None)
 
 
+def resume(place, between=lambda place: None):
+    """Go on with a list that was stopped, as somebody would who reads what is said."""
+    recover(place)
+    between(place)
+    record(place, repeat=[name for name in journal.begun(place) if not (place / f"{name}.h5").exists()])
+
+
 def convert(place, suffix=".mat"):
     """Write a record over another one."""
     given = files.read_record(place.parent / "source.h5")
@@ -96,6 +105,7 @@ def tiny(place):
 
 WORKS = {
     "record": record,
+    "resume": resume,
     "paced": lambda place: record(place, True),
     "convert": convert,
     "study": study,

@@ -16,7 +16,6 @@ import siege_works as works
 from test_killed_study import names, numbers
 
 from ultraquiet import files
-from ultraquiet.experiments import journal
 from ultraquiet.experiments.measure import recover
 from ultraquiet.pipeline.store import contents, entry
 
@@ -89,10 +88,7 @@ def sound(place):
 
 def goes_on(place):
     """Go on with a list as somebody would who reads what is said, without faults; the whole list is there then."""
-    recover(place)
-    sound(place)
-    begun = [name for name in journal.begun(place) if not (place / f"{name}.h5").exists()]
-    works.record(place, repeat=begun)
+    works.resume(place, between=sound)
     assert {name: files.load(place / f"{name}.h5").samples for name in SIZES} == SIZES
     sound(place)
     assert not list(place.glob(".*.part"))
@@ -103,18 +99,17 @@ def all_places(calls):
     return range(1, min(calls, MOST_CALLS) + 1)
 
 
-def struck(forked, work, folder, judge, kinds, every=1):
-    """Let each call of a work fail in each way, or each n-th; return how many there are and how the works ended."""
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    prepared(work, folder)
+def struck(forked, work, folder, judge, kinds, every=1, before=None):
+    """Let each call of a work fail in each way, or each n-th; return how many there are and how the works ended.
+
+    Every one of them begins in a copy of the folder `before`, or in an empty one.
+    """
+    prepared(work, folder, before)
     calls = forked(work, folder, at=10**9, kind=works.EIO)["calls"]
     fates = Counter()
     for name, kind in kinds.items():
-        for at in all_places(calls)[::every]:
-            shutil.rmtree(folder)
-            folder.mkdir()
-            prepared(work, folder)
+        for at in all_places(calls)[every // 2 :: every]:
+            prepared(work, folder, before)
             fate = forked(work, folder, at, kind)
             word = "killed" if fate["code"] == -9 else fate["fate"]
             assert word != "TRACEBACK", (work, name, at, fate["said"])
@@ -130,7 +125,12 @@ def struck(forked, work, folder, judge, kinds, every=1):
 BEFORE = b"what was there before"
 
 
-def prepared(work, folder):
+def prepared(work, folder, before):
+    shutil.rmtree(folder, ignore_errors=True)
+    if before is None:
+        folder.mkdir()
+    else:
+        shutil.copytree(before, folder)
     files.save(works.source(), folder.parent / "source.h5")
     if work == "convert":
         (folder / "out.mat").write_bytes(BEFORE)
@@ -145,11 +145,25 @@ def converted(folder, word):
     assert word == "killed" or not list(folder.glob(".*.part"))
 
 
-@pytest.mark.parametrize("every", [40, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [20, pytest.param(1, marks=pytest.mark.slow)])
 def test_every_call_of_a_recording_fails(forked, tmp_path, every):
     place = tmp_path / "records"
     calls, fates = struck(forked, "record", place, lambda folder, _: goes_on(folder), KINDS, every)
     print(f"recording, {calls} calls, every {every}: {dict(fates)}")
+
+
+@pytest.mark.parametrize("stopped_at", [0.3, 0.8])
+@pytest.mark.parametrize("every", [20, pytest.param(1, marks=pytest.mark.slow)])
+def test_every_call_of_a_resumed_recording_fails(forked, tmp_path, every, stopped_at):
+    """Going on after a kill is struck like the recording itself: in its recovery, its journal, what it measures."""
+    before, place = tmp_path / "before", tmp_path / "records"
+    before.mkdir()
+    calls = forked("record", before, at=10**9, kind=works.EIO)["calls"]
+    shutil.rmtree(before)
+    before.mkdir()
+    assert forked("record", before, round(stopped_at * calls), works.KILL)["code"] == -9
+    calls, fates = struck(forked, "resume", place, lambda folder, _: goes_on(folder), KINDS, every, before)
+    print(f"recording resumed after {stopped_at:.0%}, {calls} calls, every {every}: {dict(fates)}")
 
 
 def test_every_call_of_a_conversion_fails(forked, tmp_path):
@@ -194,20 +208,42 @@ def require_whole_stages(folder):
             assert not hashes or hashes in there, (path.name, name)
 
 
-@pytest.mark.parametrize("every", [60, pytest.param(1, marks=pytest.mark.slow)])
-def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, share, every):
+def stopped_study(tiny, folder, stopped_at):
+    """Return a folder of the tiny study, killed after a share of its calls; none of one that was not begun."""
+    if not stopped_at:
+        return None
+    calls = tiny("tiny", folder, at=10**9, kind=works.EIO)["calls"]
+    shutil.rmtree(folder)
+    assert tiny("tiny", folder, round(stopped_at * calls), works.KILL)["code"] == -9
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("every", "stopped_at"),
+    [(100, 0.0), (100, 0.5), *(pytest.param(1, share, marks=pytest.mark.slow) for share in (0.0, 0.25, 0.5, 0.9))],
+)
+def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, share, every, stopped_at):
     """Each of the first calls to write, sync and name fails or is the last one; what a run leaves serves the next.
 
-    A drawn share of the calls in each way; `pytest --whole` strikes them all.
+    A study from its beginning, and one that goes on where a kill stopped it. A drawn share of the calls in each way;
+    `pytest --whole` strikes them all.
     """
     whole, place, fates, stages = tmp_path / "whole", tmp_path / "struck", Counter(), Counter()
     assert tiny("tiny", whole)["fate"] == "done"
     wanted, files_of_it = numbers(whole), names(whole)
+    before = stopped_study(tiny, tmp_path / "before", stopped_at)
+
+    def begun():
+        shutil.rmtree(place, ignore_errors=True)
+        if before is not None:
+            shutil.copytree(before, place)
+
     for name, kind in STUDY_KINDS.items():
+        begun()
         calls = tiny("tiny", place, at=10**9, kind=kind)["calls"]
-        shutil.rmtree(place)
-        places = share(all_places(calls)[::every], WALK)
+        places = share(all_places(calls)[every // 2 :: every], WALK)
         for at in places:
+            begun()
             fate = tiny("tiny", place, at, kind)
             word = "killed" if fate["code"] == -9 else fate["fate"]
             assert word != "TRACEBACK", (name, at, fate["said"])
@@ -218,7 +254,6 @@ def test_every_call_of_a_tiny_study_fails(tiny, tmp_path, share, every):
             assert again.get("fate") == "done", (name, at, fate, again)
             assert names(place) == files_of_it, (name, at, fate, sorted(names(place) ^ files_of_it))
             assert numbers(place) == wanted, (name, at, fate)
-            shutil.rmtree(place)
         print(f"tiny study, {name}: {len(places)} of {calls} calls struck, {stages[name]} stages kept")
     print(f"{sum(fates.values())} strikes: {dict(fates)}")
 

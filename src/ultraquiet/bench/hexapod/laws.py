@@ -57,9 +57,9 @@ class LinearLaw:
         from ultraquiet.bench import kernels
 
         kernels.loop(plant, self._law, signals, limits.arrays, state, self._x, results)
-        lost = np.flatnonzero(~np.isfinite(results[0]).all(axis=1))
-        if lost.size:
-            raise LostError(int(lost[0]))
+        finite = np.isfinite(results[0])
+        if not finite.all():
+            raise LostError(int(np.flatnonzero(~finite.all(axis=1))[0]))
 
 
 class SteppedLaw:

@@ -99,6 +99,19 @@ def converter_limits(law: Law) -> FloatArray:
     return np.clip(law.limits.astype(np.float64), -most, most)
 
 
+def table_sum(law: Law) -> int:
+    """Return what the emitted check must find: s = turned(s) + word over scales, limits and coefficients, modulo 2^32.
+
+    `turned` moves each bit one place to the left and the highest to the lowest, so that a word changed by any bit, and
+    two words exchanged, change the sum.
+    """
+    numbers = [[VOLTS_PER_COUNT, COUNTS_PER_VOLT], converter_limits(law).ravel(), _stream(law)]
+    total = 0
+    for word in encode(np.concatenate(numbers)).tolist():
+        total = ((total << 1 | total >> 31) + word) & 0xFFFFFFFF
+    return total
+
+
 def _require(law: Law) -> None:
     if not isinstance(law, Law):
         raise InputError(f"deploy: C31 assembly needs the rounded law, `generate(...).law`, got {type(law).__name__}.")
@@ -151,6 +164,7 @@ def _context(law: Law, model_hash: str) -> dict[str, object]:
         "limits": _words(converter_limits(law)),
         "most_counts": MOST_COUNTS,
         "coefficients": _words(_stream(law)),
+        "table_sum": f"0x{table_sum(law):08X}",
         "place": "internal block 1" if coefficients_internal(law) else "external memory without wait states",
         "kernel_cycles": cycles.kernel_of(law),
         "skeleton": cycles.skeleton_cycles(law.inputs, law.outputs, anti_windup=anti_windup),

@@ -27,9 +27,10 @@ SECTION, CHANNEL, BANK, GAIN = 2 + STATE, 1 + 6, 4 + 1, 5
 # Two blocks of on-chip RAM, 1K words of 32 bits each.
 INTERNAL_WORDS = 2048
 
-# Words of the emitted data beside the law's own: nine pointers and two scales, one pointer more with anti-windup, and
-# two words before the first state that take the stores of the filling pipeline.
-POINTERS, AHEAD = 11, 2
+# Words of the emitted data beside the law's own: nine pointers, two scales, the count of coefficients and the tables'
+# sum, one pointer more with anti-windup, and two words before the first state that take the stores of the filling
+# pipeline.
+POINTERS, AHEAD = 13, 2
 
 ASSUMPTIONS = (
     "TMS320C31-40, 50 ns an instruction, 20 million instructions a second; one cycle an instruction, RPTS, RPTB and"

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, converter_limits
+from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, converter_limits, table_sum
 from ultraquiet.deploy.c31.float_format import encode
 from ultraquiet.deploy.c31.twin import C31Twin
 from ultraquiet.deploy.law.law import Law
@@ -16,9 +16,10 @@ RUN = 130  # frames of noise, loud and quiet by turns
 
 
 def vectors(law: Law) -> str:
-    """Return frames as CSV: `rest`, the codes read and written, and in hexadecimal the words of u and x after it.
+    """Return the word that the check of the tables must find, then frames as CSV: `rest`, the codes read and written, and in hexadecimal the words of u and x after it.
 
-    A frame with `rest` begins with all states at the C31's zero, 0x80000000; every other one goes on from the frame
+    The first line is `check` and that word: NAME_check leaves it in R0, so no bit of a coefficient, limit or scale is
+    another, however little it would change a command. A frame with `rest` begins with all states at the C31's zero, 0x80000000; every other one goes on from the frame
     before. First each measurement alone, several times, so that the last bit of each coefficient that it meets is seen,
     then each command towards either limit, by measurements at full range with the signs of its impulse response, then
     noise, from half the converter's range down to 2^-13 of it.
@@ -26,7 +27,7 @@ def vectors(law: Law) -> str:
     twin = C31Twin(law, converter_limits(law), VOLTS_PER_COUNT, COUNTS_PER_VOLT)
     heads = [f"{what}{k}" for what, n in (("adc", law.inputs), ("dac", law.outputs)) for k in range(n)]
     heads += [f"{what}{k}" for what, n in (("u", law.outputs), ("x", law.states)) for k in range(n)]
-    lines = [",".join(["rest", *heads])]
+    lines = [f"check,0x{table_sum(law):08X}", ",".join(["rest", *heads])]
     for rest, counts in frames(law):
         if rest:
             twin.reset()
