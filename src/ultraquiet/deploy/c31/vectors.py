@@ -16,13 +16,14 @@ RUN = 130  # frames of noise, loud and quiet by turns
 
 
 def vectors(law: Law) -> str:
-    """Return the word that the check of the tables must find, then frames as CSV: `rest`, the codes read and written, and in hexadecimal the words of u and x after it.
+    """Return as CSV the word that the check of the tables must find, then frames.
 
     The first line is `check` and that word: NAME_check leaves it in R0, so no bit of a coefficient, limit or scale is
-    another, however little it would change a command. A frame with `rest` begins with all states at the C31's zero, 0x80000000; every other one goes on from the frame
-    before. First each measurement alone, several times, so that the last bit of each coefficient that it meets is seen,
-    then each command towards either limit, by measurements at full range with the signs of its impulse response, then
-    noise, from half the converter's range down to 2^-13 of it.
+    another, however little it would change a command. The frames: `rest`, the codes read and written, and in
+    hexadecimal the words of u and x after it. One with `rest` begins with all states at the C31's zero, 0x80000000;
+    every other one goes on from the frame before. First each measurement alone, several times, so that each coefficient
+    that it meets is seen, then each command towards either limit, by measurements at full range with the signs of its
+    impulse response, then noise, from half the converter's range down to 2^-13 of it.
     """
     twin = C31Twin(law, converter_limits(law), VOLTS_PER_COUNT, COUNTS_PER_VOLT)
     heads = [f"{what}{k}" for what, n in (("adc", law.inputs), ("dac", law.outputs)) for k in range(n)]
