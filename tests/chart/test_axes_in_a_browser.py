@@ -166,8 +166,9 @@ def test_names_stand_alike_below_all_panels_of_a_figure(browser):
         packing = Packing()
         spec = json.dumps({**packing.spec(Chart("c", "C", "", panels, 2)), "data": packing.data})
         drawn = page.evaluate(
-            """(s) => { const f = Uq.grid(document.getElementById("place"), JSON.parse(s));
-            f.visible = true; f.layout(); const svg = f.svg(); f.destroy(); return svg; }""",
+            """async (s) => { const f = Uq.grid(document.getElementById("place"), JSON.parse(s));
+            f.visible = true; f.layout(); await new Promise((done) => setTimeout(done, 100));
+            const svg = f.svg(); f.destroy(); return svg; }""",
             spec,
         )
         texts = re.findall(r"<text[^>]*>(?:a|b)</text>", drawn)
