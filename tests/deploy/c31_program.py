@@ -79,6 +79,7 @@ class Program:
             elif text.strip():
                 name, _, rest = text.strip().partition(" ")
                 self._line(name, rest.strip(), raw)
+        self.spans = {section: range(begin, self._here[section]) for section, begin in places.items()}
         self.words = {at: self._resolve(text) & 0xFFFFFFFF for at, text in self._pending}
         for instruction in self.code.values():
             _check(instruction)

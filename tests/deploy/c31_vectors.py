@@ -20,13 +20,21 @@ class Played:
         self.rows = [[int(cell, 0) for cell in row] for row in rows]
         self.sum, self.cycles = int(self.sum, 0), None
 
-    def difference(self, assembly):
-        """Return what is wrong with a text: refused, other words, registers or cycles; None when nothing is."""
+    def difference(self, assembly, only_states=False):
+        """Return what is wrong with a text: refused, other words, registers or cycles; None when nothing is.
+
+        With `only_states` nothing but the law's states stands in the state section to begin with: a frame that read
+        another word of it before writing it is refused.
+        """
         try:
             program = Program(assembly, self.linker)
             if checked(program) != (self.sum, self.sum):
                 return "check: another sum"
             machine = Machine(program)
+            if only_states:
+                first = program.symbols["controller_x"]
+                for at in set(program.spans["state"]) - set(range(first, first + self.counts["x"])):
+                    machine.memory.pop(at, None)
             for number, row in enumerate(self.rows):
                 if found := self._frame(machine, row, row[0] and number):
                     return f"frame {number}: {found}"
