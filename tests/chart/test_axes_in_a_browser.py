@@ -2,7 +2,6 @@
 
 import itertools
 import json
-import re
 
 import numpy as np
 import pytest
@@ -145,34 +144,3 @@ def test_titles_are_whole_or_told_whole_and_curves_begin_at_one_height(browser, 
     if width == 520:
         assert found[1]["shown"] == "right front coil →\naccelerometer 1"
     assert [len({one["top"] for one in found[k : k + 3]}) for k in (0, 3)] == [1, 1]
-
-
-def test_names_stand_alike_below_all_panels_of_a_figure(browser):
-    """Upright where those of one panel have no room beside each other; a figure with room for all has them level."""
-    page = browser.new_page()
-    page.set_content(f"<style>{style()}</style><div id=place style='width: 500px'></div>")
-    page.add_script_tag(content=script())
-    turned = {}
-    for most in (2, 60):
-        names = (["a", "b"], [f"strut {'long name ' * (most // 10)}{k}" for k in range(most)])
-        panels = [
-            ChartPanel(
-                Axis("channel", range=(-0.5, len(n) - 0.5), names=n),
-                Axis("margin"),
-                [Curve("c", np.arange(len(n)), np.ones(len(n)), kind="bars")],
-            )
-            for n in names
-        ]
-        packing = Packing()
-        spec = json.dumps({**packing.spec(Chart("c", "C", "", panels, 2)), "data": packing.data})
-        drawn = page.evaluate(
-            """async (s) => { const f = Uq.grid(document.getElementById("place"), JSON.parse(s));
-            f.visible = true; f.layout(); await new Promise((done) => setTimeout(done, 100));
-            const svg = f.svg(); f.destroy(); return svg; }""",
-            spec,
-        )
-        texts = re.findall(r"<text[^>]*>(?:a|b)</text>", drawn)
-        assert len(texts) == 2
-        turned[most] = ["rotate" in text for text in texts]
-    assert turned == {2: [False, False], 60: [True, True]}
-    page.close()

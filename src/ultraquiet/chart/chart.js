@@ -211,9 +211,9 @@ var Uq = (() => {
     if (lines.length > kept.length) kept[kept.length - 1] += "\u2026";
     return kept.map((line) => shortened(line, wide));
   }
-  function standing(names, room, turned) {
+  function standing(names, room) {
     const across = names.map((n) => folded(n, room - APART)), rows = Math.max(1, ...across.map((l) => l.length));
-    if (!turned && rows <= MOST_ROWS && across.every((lines) => lines.every((l) => long(l) <= room - APART)))
+    if (rows <= MOST_ROWS && across.every((lines) => lines.every((l) => long(l) <= room - APART)))
       return { words: across.map((l) => l.join("\n")), turn: 0, size: 8 + ROW * rows };
     const upright = names.map((n) => shortened(n, TALL));
     return { words: upright, turn: -90, size: Math.ceil(12 + Math.max(0, ...upright.map(long))) };
@@ -368,14 +368,10 @@ var Uq = (() => {
     const at = u.bbox.left / (devicePixelRatio || 1) + u.valToPos(v, "x"), half = word ? long(word) / 2 : 0;
     return at - half < 0 || at + half > u.width;
   }
-  function alone(one, width, turned) {
-    const [lo, hi] = one.figure.zoomed[one.along] || one.home;
-    return standing(one.panel.x.names, (width - one.figure.room - PADDED) / Math.max(hi - lo, 1e-9), turned);
-  }
-  /* How the names below a panel of a width stand: upright where those of one panel of the figure have to. */
+  /* How the names below a panel of a width stand. */
   function named(one, width) {
-    const turned = one.figure.panels.some((p) => p.panel.x.names && alone(p, width).turn);
-    return alone(one, width, turned);
+    const [lo, hi] = one.figure.zoomed[one.along] || one.home;
+    return standing(one.panel.x.names, (width - one.figure.room - PADDED) / Math.max(hi - lo, 1e-9));
   }
   const wide = (words) => 18 + Math.ceil(Math.max(14, ...words.map(long)));
   function seriesOf(one) {

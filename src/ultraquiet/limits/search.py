@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet._base.shown.line import NEITHER, loudness
+from ultraquiet._base.shown.line import loudness
 from ultraquiet.limits import certificate, grid, half_plane
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.basis import OrthonormalBasis, chain
@@ -187,18 +187,12 @@ class LimitSearch:
         binding: Mapping[str, Stretches],
     ) -> str:
         low, high = self.band_hz
-        found = loudness(attenuation_db)
-        gets = (
-            f"The best controller found leaves {low:.4g}-{high:.4g} Hz as loud as it is"
-            if found == NEITHER
-            else (f"A controller gets {low:.4g}-{high:.4g} Hz {found} everywhere")
-        )
         bound = f"none exceeds {bound_db:.1f} dB" if np.isfinite(bound_db) else "no bound was certified"
         used = [f"{name} over {_words(spans)}" for name, spans in binding.items() if name != IN_BAND and spans]
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
-            f"{gets}, {bound}; used up: "
+            f"A controller gets {low:.4g}-{high:.4g} Hz {loudness(attenuation_db)} everywhere, {bound}; used up: "
             f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; {solution.found} "
             f"after {solution.rounds} grids among controllers of {self.basis.size} functions{less}."
         )

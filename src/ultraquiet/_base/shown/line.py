@@ -51,9 +51,6 @@ def rounded(value: float, digits: int = 1) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
-NEITHER = "neither quieter nor louder"
-
-
 def loudness(reduction_db: float, digits: int = 1) -> str:
     """Return by how much something got quieter or louder: a sentence knows no attenuation below zero.
 
@@ -62,7 +59,7 @@ def loudness(reduction_db: float, digits: int = 1) -> str:
     """
     size = rounded(abs(reduction_db), digits)
     if not float(size):
-        return NEITHER
+        return "neither quieter nor louder"
     return f"{'quieter' if reduction_db > 0 else 'louder'} by {size} dB"
 
 

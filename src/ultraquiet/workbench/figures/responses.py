@@ -69,14 +69,11 @@ def coherence_grid(measured: SeenResponse, scale: Scale) -> Chart:
 
 
 def pole_map(title: str, models: Mapping[str, tuple[ComplexArray, str]]) -> Chart:
-    """Return the poles of models, name -> (poles in z, colour), with the unit circle, one unit as long in x as in y."""
+    """Return the poles of models, name -> (poles in z, colour), with the unit circle."""
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = Curve("unit circle", np.cos(angle), np.sin(angle), "muted", ":", "path")
     points = [Curve(name, p.real, p.imag, colour, kind="points", symbol="x") for name, (p, colour) in models.items()]
-    reach = 1.05 * max([1.0, *(float(np.abs(p).max(initial=0.0)) for p, _ in models.values())])
-    plane = (-reach, reach)
-    real, imaginary = Axis("real part", range=plane), Axis("imaginary part", range=plane)
-    panel = ChartPanel(real, imaginary, [circle, *points], aspect=1.0)
+    panel = ChartPanel(Axis("real part"), Axis("imaginary part"), [circle, *points], height=340)
     return Chart("poles", title, "Inside the circle: stable.", [panel])
 
 

@@ -9,14 +9,6 @@ from ultraquiet.workbench.engine.forms import Setting, entered, offered, setting
 from ultraquiet.workbench.web.controls import choice
 
 FEW = 6
-# What is chosen; its settings stand below, and one of them may be called "method".
-CALLED = {
-    "bench": "bench",
-    "signals": "signal",
-    "identify": "identification",
-    "design": "design",
-    "reduce": "reduction",
-}
 
 
 class MethodForm:
@@ -41,7 +33,7 @@ class MethodForm:
         self.family, self.method, self._changed = family, method, changed
         self._fields: dict[str, Any] = {}
         known = offered(family)
-        choice(CALLED[family], names or list(known), f"{family}-method", method, self._choose)
+        choice("method", names or list(known), f"{family}-method", method, self._choose)
         self._told = ui.label(known[method]).classes("uq-meaning")
         self._place = ui.element("div").style("width: 100%")
         self._build(values or {})
