@@ -144,3 +144,74 @@ def test_titles_are_whole_or_told_whole_and_curves_begin_at_one_height(browser, 
     if width == 520:
         assert found[1]["shown"] == "right front coil →\naccelerometer 1"
     assert [len({one["top"] for one in found[k : k + 3]}) for k in (0, 3)] == [1, 1]
+
+
+EQUAL = """(s) => {
+  const f = Uq.grid(document.getElementById("place"), JSON.parse(s));
+  f.visible = true; f.layout(); window.figure = f;
+}"""
+SCALES = """() => window.figure.plots.map((u) => [
+  u.bbox.width / (u.scales.x.max - u.scales.x.min), u.bbox.height / (u.scales.y.max - u.scales.y.min),
+  u.scales.x.min, u.scales.x.max, u.scales.y.min, u.scales.y.max])"""
+
+
+def shown(browser, chart, width):
+    page = browser.new_page(viewport={"width": width, "height": 900})
+    page.set_content(f"<style>{style()}</style><div id=place></div>")
+    page.add_script_tag(content=script())
+    packing = Packing()
+    page.evaluate(EQUAL, json.dumps({**packing.spec(chart), "data": packing.data}))
+    page.wait_for_timeout(300)
+    return page
+
+
+@pytest.mark.parametrize("width", [300, 640, 1280, 1920])
+def test_a_circle_is_round_at_any_width_and_zoom(browser, width):
+    angle = np.linspace(0, 2 * np.pi, 91)
+    circle = Curve("unit circle", np.cos(angle), np.sin(angle), kind="path")
+    plain = ChartPanel(Axis("real part"), Axis("imaginary part"), [circle], equal=True)
+    sized = ChartPanel(Axis("re", range=(-3, 1)), Axis("im", range=(-1, 1)), [circle], height=400, aspect=1.2, equal=True)
+    for panel in (plain, sized):
+        page = shown(browser, Chart("c", "C", "", [panel]), width)
+        for zoomed in (False, True, True):
+            across, up, left, right, low, high = page.evaluate(SCALES)[0]
+            assert abs(across / up - 1) < 0.01, (width, zoomed)
+            if not zoomed:
+                assert left <= -1
+                assert right >= 1
+                assert low <= -1
+                assert high >= 1
+                page.evaluate("window.figure.zoom(0.5, 1.0)")
+            else:
+                page.set_viewport_size({"width": width + 40, "height": 900})
+            page.wait_for_timeout(200)
+        page.close()
+
+
+def test_the_y_axis_fits_what_a_zoom_shows(browser):
+    x = np.linspace(0, 10, 101)
+    page = shown(browser, Chart("c", "C", "", [ChartPanel(Axis("x"), Axis("y"), [Curve("c", x, x**2)])]), 900)
+    for lo, hi in ((1.0, 2.0), (5.0, 6.0)):
+        page.evaluate(f"window.figure.zoom({lo}, {hi})")
+        page.wait_for_timeout(100)
+        _, _, left, right, low, high = page.evaluate(SCALES)[0]
+        assert (left, right) == (lo, hi)
+        assert lo**2 - 3 < low <= lo**2
+        assert hi**2 <= high < hi**2 + 3
+    page.close()
+
+
+def test_names_stand_alike_in_all_panels_of_a_row(browser):
+    """Where the names of one panel have no room side by side, those of its neighbours stand upright too."""
+
+    def bars(names):
+        across = Axis("channel", range=(-0.5, len(names) - 0.5), names=names)
+        return ChartPanel(across, Axis("y"), [Curve("c", np.arange(len(names)), np.ones(len(names)), kind="bars")])
+
+    few, many = ["left front coil", "rear coil"], [f"accelerometer {k + 1}" for k in range(9)]
+    for names, turned in (([few, many], -90), ([few, few], 0)):
+        page = shown(browser, Chart("c", "C", "", [bars(each) for each in names], 2), 900)
+        turns = page.evaluate("window.figure.plots.map((u) => u.axes[0].rotate())")
+        assert turns == [turned, turned]
+        assert len(set(page.evaluate("window.figure.plots.map((u) => u.bbox.height)"))) == 1
+        page.close()

@@ -215,8 +215,11 @@ var Uq = (() => {
     const across = names.map((n) => folded(n, room - APART)), rows = Math.max(1, ...across.map((l) => l.length));
     if (rows <= MOST_ROWS && across.every((lines) => lines.every((l) => long(l) <= room - APART)))
       return { words: across.map((l) => l.join("\n")), turn: 0, size: 8 + ROW * rows };
-    const upright = names.map((n) => shortened(n, TALL));
-    return { words: upright, turn: -90, size: Math.ceil(12 + Math.max(0, ...upright.map(long))) };
+    return upright(names);
+  }
+  function upright(names) {
+    const words = names.map((n) => shortened(n, TALL));
+    return { words, turn: -90, size: Math.ceil(12 + Math.max(0, ...words.map(long))) };
   }
   /* All ticks of an axis and the words at those that have room for one. */
   function ticksOf(axis, lo, hi, length, across) {
@@ -368,10 +371,17 @@ var Uq = (() => {
     const at = u.bbox.left / (devicePixelRatio || 1) + u.valToPos(v, "x"), half = word ? long(word) / 2 : 0;
     return at - half < 0 || at + half > u.width;
   }
-  /* How the names below a panel of a width stand. */
+  /* How the names below a panel of a width stand: upright in all panels of a row where one of them has no room. */
   function named(one, width) {
-    const [lo, hi] = one.figure.zoomed[one.along] || one.home;
-    return standing(one.panel.x.names, (width - one.figure.room - PADDED) / Math.max(hi - lo, 1e-9));
+    const stood = (p) => {
+      const [lo, hi] = p.figure.zoomed[p.along] || p.home;
+      return standing(p.panel.x.names, (width - p.figure.room - PADDED) / Math.max(hi - lo, 1e-9));
+    };
+    const n = one.figure.columns || 1, row = Math.floor(one.index / n);
+    const all = one.figure.panels.filter((p) => p.panel.x.names && Math.floor(p.index / n) === row);
+    const own = stood(one), turned = all.some((p) => stood(p).turn);
+    const size = Math.max(own.size, ...all.map((p) => (turned ? upright(p.panel.x.names) : stood(p)).size));
+    return { ...(turned ? upright(one.panel.x.names) : own), size };
   }
   const wide = (words) => 18 + Math.ceil(Math.max(14, ...words.map(long)));
   function seriesOf(one) {
@@ -410,7 +420,9 @@ var Uq = (() => {
       this.along = (panel.x.label || "") + "|" + (panel.x.scale || "");
       this.curves = curvesOf(panel, this.figure.spec.data);
       this.map = mapOf(panel, this.figure.spec.data);
-      this.home = homeX(panel, this.curves, this.map);
+      this.natural = homeX(panel, this.curves, this.map);
+      this.squareness = [this.squareness ? this.squareness[0] : 0, 0]; // height over width of an equal panel, how often it was fitted
+      this.home = this.squared(this.natural);
       this.title.textContent = panel.title || "";
       this.title.hidden = !panel.title;
       if (this.plot && (shape(this.curves) !== was || JSON.stringify([panel.x, panel.y]) !== axes)) this.drop();
@@ -423,6 +435,10 @@ var Uq = (() => {
       });
     }
     yRange([lo, hi]) {
+      if (this.panel.equal && this.squareness[0]) {
+        const up = this.upright(), half = ((hi - lo) * this.squareness[0]) / 2;
+        return [(up[0] + up[1]) / 2 - half, (up[0] + up[1]) / 2 + half];
+      }
       const across = this.map && edges(this.map.y, this.panel.y.scale === "log");
       return this.figure.shareY || shownRange(this.panel.y) || (across && [across[0], across[across.length - 1]]) || fitY(this.panel, this.curves, this.hidden, [lo, hi]);
     }
@@ -433,6 +449,7 @@ var Uq = (() => {
     }
     draw(width, height) {
       this.wide = width;
+      this.squareness[1] = 0;
       if (this.plot) { this.plot.setSize({ width, height }); return; }
       const [series, bands] = seriesOf(this);
       const log = (axis) => (axis.scale === "log" ? { distr: 3, log: 10 } : {});
@@ -440,8 +457,8 @@ var Uq = (() => {
       const options = {
         width, height, series, bands, legend: { show: false }, padding: [6, this.figure.spec.share ? 16 : PADDED, this.bare.x ? 4 : 0, this.bare.y ? 4 : 0],
         scales: {
-          x: { time: false, ...log(this.panel.x), min: start[0], max: start[1], range: (u, lo, hi) => [lo ?? this.home[0], hi ?? this.home[1]] },
-          y: { ...log(this.panel.y), range: (u) => this.yRange([u.scales.x.min ?? this.home[0], u.scales.x.max ?? this.home[1]]) },
+          x: { time: false, ...log(this.panel.x), min: start[0], max: start[1], range: (u, lo, hi) => (this.spanned = [lo ?? this.home[0], hi ?? this.home[1]]) },
+          y: { ...log(this.panel.y), range: () => this.yRange(this.spanned || this.home) }, // x comes first, and `scales` still holds what it was
         },
         axes: [axisOf(this, "x", 2), axisOf(this, "y", 3)],
         cursor: {
@@ -451,7 +468,7 @@ var Uq = (() => {
         },
         hooks: {
           drawClear: [(u) => drawRegions(u, this)],
-          draw: [(u) => drawFree(u, this)],
+          draw: [(u) => drawFree(u, this), (u) => this.panel.equal && this.square(u)],
           setSelect: [(u) => this.selected(u)],
           setCursor: [(u) => this.figure.active === this && this.figure.read(this, u.cursor.left, u.cursor.top)],
         },
@@ -461,6 +478,21 @@ var Uq = (() => {
       for (const c of this.curves) if (this.hidden.has(c.name)) this.show(c.name, false);
       this.listen();
     }
+    /* One unit is as long up as across: what has more room shows more. Words beside the axes may grow, so it settles. */
+    square(u) {
+      const ratio = u.bbox.height / u.bbox.width, [was, tries] = this.squareness;
+      if (!(ratio > 0) || Math.abs(ratio / was - 1) < 1e-3 || tries > 5) return;
+      this.squareness = [ratio, tries + 1];
+      this.home = this.squared(this.natural);
+      const [min, max] = this.figure.zoomed[this.along] || this.home;
+      queueMicrotask(() => this.plot === u && u.setScale("x", { min, max })); // not within a drawing, which forgets it
+    }
+    squared([lo, hi]) {
+      if (!this.panel.equal || !this.squareness[0]) return [lo, hi];
+      const up = this.upright(), more = Math.max(0, (up[1] - up[0]) / this.squareness[0] - (hi - lo)) / 2;
+      return [lo - more, hi + more];
+    }
+    upright() { return shownRange(this.panel.y) || fitY(this.panel, this.curves, this.hidden, this.natural); }
     selected(u) {
       const { left, width } = u.select;
       if (width > 4) this.figure.zoom(u.posToVal(left, "x"), u.posToVal(left + width, "x"), this.along);
@@ -634,7 +666,10 @@ var Uq = (() => {
     /* Panels over the same quantity are zoomed together; without `along` those like the first. */
     zoom(lo, hi, along = this.panels[0].along) {
       this.zoomed[along] = [lo, hi];
-      for (const p of this.panels) if (p.plot && p.along === along) p.plot.setScale("x", { min: lo, max: hi });
+      for (const p of this.panels) {
+        p.squareness[1] = 0;
+        if (p.plot && p.along === along) p.plot.setScale("x", { min: lo, max: hi });
+      }
       this.say("uq-zoom", { lo, hi, along });
     }
     reset() {
@@ -657,7 +692,7 @@ var Uq = (() => {
       this.panels.forEach((p, k) => {
         const width = widths[k % n];
         const height = this.heightOf(p, each) + (share && !p.bare.x ? foot : 0);
-        p.draw(p.panel.aspect ? Math.min(width, Math.round(TALLEST * p.panel.aspect)) : width, height);
+        p.draw(p.panel.aspect ? Math.min(width, Math.round((p.panel.height || TALLEST) * p.panel.aspect)) : width, height);
       });
     }
     /* Titles take a second row where they have no room; curves side by side begin at one height all the same.
@@ -680,7 +715,7 @@ var Uq = (() => {
       return more;
     }
     heightOf(p, width) {
-      if (p.panel.aspect) return Math.round(Math.min(width, TALLEST * p.panel.aspect) / p.panel.aspect);
+      if (p.panel.aspect) return Math.round(Math.min(width, (p.panel.height || TALLEST) * p.panel.aspect) / p.panel.aspect);
       const below = p.panel.x.names ? named(p, width).size - NUMBERS : 0; // names take their room below, not from the curves
       return below + (p.panel.height || (this.columns >= 4 ? Math.max(70, Math.round(width * 0.62)) : 240));
     }

@@ -6,7 +6,7 @@ Keys of the JSON are the fields below, those that are None, False or empty left 
 numbers or the name of one in `spec.data` or `Uq.data(...)`, base64 of little-endian float32:
 
     grid:   {name, title, caption, columns, share, enlarge, legend: "below" | "right" | "none", panels, data, tools}
-    panel:  {title, x, y, curves, regions, marks, height, aspect, tinted, detail: [panel, ...], map}
+    panel:  {title, x, y, curves, regions, marks, height, aspect, equal, tinted, detail: [panel, ...], map}
     axis:   {label, scale: "linear" | "log", range: [lo, hi], ticks: "dB" | "deg" | "int", names: [...]}
     curve:  {name, x, y, low, high, colour, dash: "-" | "--" | ":" | "-.", kind, symbol, width}
     map:    {name, x, y, z, range: [lo, hi]}
@@ -102,8 +102,8 @@ class HeatMap:
 class ChartPanel:
     """Curves over two axes; `detail` are the panels shown below it when it is enlarged.
 
-    `height` in CSS pixels, or `aspect` width over height; `tinted` for the diagonal of a grid; `map` lies below the
-    curves.
+    `height` in CSS pixels, `aspect` width over height, at most so high; `equal`: one unit is as long up as across, what
+    has more room shows more; `tinted` for the diagonal of a grid; `map` lies below the curves.
     """
 
     x: Axis
@@ -114,6 +114,7 @@ class ChartPanel:
     marks: Sequence[Mark] = ()
     height: int = 0
     aspect: float = 0.0
+    equal: bool = False
     tinted: bool = False
     detail: Sequence["ChartPanel"] = ()
     map: HeatMap | None = None

@@ -103,7 +103,7 @@ def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) 
             StatusWord.NOT_CERTIFIED, f"No bound was found for a peak of {peak_db:.1f} dB: {limit.status.sentence}"
         )
     quietest = f"no linear controller exceeds {rounded(limit.bound_db)} dB"
-    if limit.bound_db < 0:
+    if limit.bound_db < 0 and loudness(limit.bound_db) != loudness(0.0):
         quietest = f"every linear controller leaves it {loudness(limit.bound_db)} or more"
     return Status(
         StatusWord.OK,

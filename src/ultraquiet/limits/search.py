@@ -192,7 +192,7 @@ class LimitSearch:
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
-            f"A controller gets {low:.4g}-{high:.4g} Hz {loudness(attenuation_db)} everywhere, {bound}; used up: "
+            f"{_reached(attenuation_db, f'{low:.4g}-{high:.4g} Hz')}, {bound}; used up: "
             f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; {solution.found} "
             f"after {solution.rounds} grids among controllers of {self.basis.size} functions{less}."
         )
@@ -238,6 +238,21 @@ def _stretches(f_hz: FloatArray, on: np.ndarray) -> Stretches:
         else:
             spans.append([int(k), int(k)])
     return tuple((float(f_hz[first]), float(f_hz[last])) for first, last in spans)
+
+
+def _reached(attenuation_db: float, band: str) -> str:
+    """Say what the best controller reaches in every direction over the whole band.
+
+    >>> _reached(3.54, "2-20 Hz"), _reached(0.0, "2-20 Hz")
+    ('A controller gets 2-20 Hz quieter by 3.5 dB everywhere', 'No controller found gets 2-20 Hz quieter everywhere')
+    >>> _reached(-3.0, "2-20 Hz")
+    'No controller found gets 2-20 Hz quieter everywhere, the best gets the worst of it louder by 3.0 dB'
+    """
+    size = loudness(attenuation_db)
+    if size.startswith("quieter"):
+        return f"A controller gets {band} {size} everywhere"
+    none = f"No controller found gets {band} quieter everywhere"
+    return f"{none}, the best gets the worst of it {size}" if size.startswith("louder") else none
 
 
 def _words(spans: Stretches) -> str:

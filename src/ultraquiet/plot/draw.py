@@ -271,6 +271,8 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
         axes.set_xlim(*panel.x_range)
     if panel.y_range:
         axes.set_ylim(*panel.y_range)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
     if panel.x_names:
         _named(axes, panel)
     _titled(axes, panel.title)

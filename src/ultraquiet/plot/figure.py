@@ -56,7 +56,8 @@ class Coloured:
 class Panel:
     """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x.
 
-    `x_names` stand at 0, 1, 2 ... in place of numbers, `words` are lines of text for a panel without curves.
+    `x_names` stand at 0, 1, 2 ... in place of numbers, `words` are lines of text for a panel without curves; `equal`: one
+    unit is as long up as across.
     """
 
     lines: Sequence[Line]
@@ -72,6 +73,7 @@ class Panel:
     fills: Sequence["Fill"] = ()
     words: Sequence[str] = ()
     coloured: Coloured | None = None
+    equal: bool = False
 
 
 @dataclass(frozen=True)

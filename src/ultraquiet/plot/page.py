@@ -92,7 +92,7 @@ def _still(panel: ChartPanel) -> Panel:
     logs = panel.x.scale == "log", panel.y.scale == "log"
     x_range = ends if logs[0] else panel.x.range
     names = (panel.title, panel.x.label, panel.y.label)
-    still = Panel(lines, *names, logs[0], x_range, panel.y.range, spans, logs[1], panel.x.names)
+    still = Panel(lines, *names, logs[0], x_range, panel.y.range, spans, logs[1], panel.x.names, equal=panel.equal)
     if panel.map is None:
         return still
     x, y = (np.asarray(part, dtype=float).ravel() for part in (panel.map.x, panel.map.y))

@@ -154,11 +154,13 @@ def _status(rows: Sequence[Row], share: float, interval: tuple[float, float]) ->
 def _at_least(attenuation_db: float) -> str:
     """Return what so many benches reach at least.
 
-    >>> _at_least(12.0), _at_least(-3.0)
-    ('quieter by 12.0 dB or more', 'louder by 3.0 dB or less')
+    >>> _at_least(12.0), _at_least(-3.0), _at_least(-0.01)
+    ('quieter by 12.0 dB or more', 'louder by 3.0 dB or less', 'no louder')
     """
     if not np.isfinite(attenuation_db):
         return "louder without bound"
+    if loudness(attenuation_db) == loudness(0.0):
+        return "no louder"
     return f"{loudness(attenuation_db)} or {'more' if attenuation_db > 0 else 'less'}"
 
 

@@ -164,6 +164,7 @@ def loci(name: str, loop: ComplexArray) -> Chart:
         Axis("imaginary part (1)", range=(-0.75 * SPAN, 0.75 * SPAN)),
         [*lines, critical],
         aspect=4 / 3,
+        equal=True,
     )
     caption = (
         f"Eigenvalues of -G K of {name} for rising frequency on the design model; the nearest passes -1 at {near:.2f}. "

@@ -36,12 +36,14 @@ class Setting:
 
     @property
     def label(self) -> str:
-        """Its name and unit as a label.
+        """Its name and unit as a label; a form asks for the method itself under that name.
 
         >>> Setting("stop_hz", "Hz", "text", "", "", "", (), True).label
         'stop (Hz)'
+        >>> Setting("method", "", "choice", "truncation", "", "", (), True).label
+        'variant'
         """
-        bare = said(self.name)
+        bare = "variant" if self.name == "method" else said(self.name)
         return f"{bare} ({self.unit})" if self.unit else bare
 
 

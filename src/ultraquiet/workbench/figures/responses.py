@@ -73,7 +73,8 @@ def pole_map(title: str, models: Mapping[str, tuple[ComplexArray, str]]) -> Char
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = Curve("unit circle", np.cos(angle), np.sin(angle), "muted", ":", "path")
     points = [Curve(name, p.real, p.imag, colour, kind="points", symbol="x") for name, (p, colour) in models.items()]
-    panel = ChartPanel(Axis("real part"), Axis("imaginary part"), [circle, *points], height=340)
+    axes = Axis("real part"), Axis("imaginary part")
+    panel = ChartPanel(*axes, [circle, *points], height=400, aspect=1.15, equal=True)
     return Chart("poles", title, "Inside the circle: stable.", [panel])
 
 

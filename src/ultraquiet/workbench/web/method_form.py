@@ -96,7 +96,7 @@ class MethodForm:
                         self._add(setting, values)
 
     def _add(self, setting: Setting, values: Mapping[str, Any]) -> None:
-        mark = f"{self.family}-{setting.name.replace('_', '-')}"
+        mark = f"{self.family}-{'variant' if setting.name == 'method' else setting.name.replace('_', '-')}"
         value = values.get(setting.name)
         if setting.kind == "flag":
             start = setting.default == "True" if value is None else bool(value)
