@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import default_grid, grid_given
-from ultraquiet.analyse.mu_lower import lower_bound
-from ultraquiet.analyse.mu_upper import Upper, balanced_norm, highest, lowered, upper_bound
 from ultraquiet.analyse.peaks import ends, refined, response_at
+from ultraquiet.analyse.scalings.lower import lower_bound
+from ultraquiet.analyse.scalings.upper import Upper, balanced_norm, highest, lowered, upper_bound
 from ultraquiet.analyse.structure import BlockStructure, PerturbationBlock, structure
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
