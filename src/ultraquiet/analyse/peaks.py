@@ -159,8 +159,7 @@ def _roots(
 def _diagonal_at(S: StateSpace) -> Callable[[Channels, FloatArray], ComplexArray]:
     """Return what gives S_ii at frequencies in Hz, for a channel each."""
     split = residues(S.A, S.B, S.C, S.D)
-    n = S.D.shape[0]
-    diagonal, direct = split.residues[np.arange(n) * (n + 1)], np.diag(S.D)
+    direct = np.diag(S.D)
 
     def at(channels: Channels, f: FloatArray) -> ComplexArray:
         finite = np.isfinite(f)
@@ -168,7 +167,7 @@ def _diagonal_at(S: StateSpace) -> Callable[[Channels, FloatArray], ComplexArray
         if split.rest is not None:
             values = split.at(z)[channels, channels, np.arange(z.size)]
         else:
-            values = direct[channels] + (diagonal[channels] / (z[:, None] - split.poles)).sum(axis=1)
+            values = split.entries(channels, channels, z)
         return np.where(finite, values, direct[channels])
 
     return at
