@@ -155,8 +155,8 @@ def _pairs(A: Array) -> list[tuple[Array, Array, Array] | None]:
     # [[d, a], [-b, -d]] v = j w v, and rows that are one on it and zero on its conjugate
     v = np.stack([a + 0j, 1j * w - d], axis=1)
     row = np.stack([0.5 * (w - 1j * d), -0.5j * a], axis=1) / np.where(apart, a * w, 1.0)[:, None]
-    found = zip(apart, pole[:, None, None], v[:, :, None], row[:, None, :], strict=True)
-    return [part if yes else None for yes, *part in found]
+    found = zip(pole[:, None, None], v[:, :, None], row[:, None, :], strict=True)
+    return [part if yes else None for yes, part in zip(apart, found, strict=True)]
 
 
 def _cluster(A: Array) -> tuple[Array, Array, Array] | None:
@@ -169,7 +169,8 @@ def _cluster(A: Array) -> tuple[Array, Array, Array] | None:
     T, Q = real_schur(A)
     if not np.any(np.diag(T, -1)):
         return T, Q, Q.T
-    T, Q, above = schur(A, output="complex", sort=lambda pole: pole.imag > 0)
+    found: tuple[Array, Array, int] = schur(A, output="complex", sort=_above)  # pyright: ignore[reportAssignmentType]
+    T, Q, above = found
     if 2 * above != len(A):
         return None
     V = Q[:, :above]
@@ -177,3 +178,7 @@ def _cluster(A: Array) -> tuple[Array, Array, Array] | None:
     if np.linalg.cond(both) > APART:
         return None
     return T[:above, :above], V, np.linalg.inv(both)[:above]
+
+
+def _above(pole: complex) -> bool:
+    return pole.imag > 0
