@@ -7,7 +7,8 @@ import pytest
 
 from slicot_examples import SLICOT, numbers
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse import Block, hinf_norm, mu_bounds, mu_peak, mu_upper, mu_upper_bound
+from ultraquiet.analyse import Block, hinf_norm, mu_bounds, mu_peak, mu_upper_bound
+from ultraquiet.analyse.scalings import upper
 from ultraquiet.analyse.structure import structure
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import feedback, gain
@@ -249,7 +250,7 @@ def test_single_channels_as_any_blocks(rng, monkeypatch):
     for n in (2, 5):
         M = rng.standard_normal((4, n, n)) + 1j * rng.standard_normal((4, n, n))
         channels = structure("test", None, (n, n))
-        rows = mu_upper.upper_bound(M, channels).value
+        rows = upper.upper_bound(M, channels).value
         with monkeypatch.context() as whole:
-            whole.setattr(mu_upper._Basis, "scalar", False)
-            np.testing.assert_allclose(rows, mu_upper.upper_bound(M, channels).value, rtol=1e-8)
+            whole.setattr(upper._Basis, "scalar", False)
+            np.testing.assert_allclose(rows, upper.upper_bound(M, channels).value, rtol=1e-8)

@@ -108,3 +108,39 @@ def test_balanced_truncation_keeps_glovers_bound(rng):
         error = response.frequency_response(A, B, C, D, z) - response.frequency_response(*small, z)
         worst = np.linalg.norm(np.moveaxis(error, 2, 0), 2, axis=(1, 2)).max()
         assert worst <= 2 * hankel[8:].sum() * (1 + 1e-6)
+
+
+def test_small_blocks_of_tied_poles_are_written_out(rng):
+    """Twins of a pair, a double real pole and a delay beside single modes, for real systems and complex directions."""
+    pair = np.array([[0.5, 0.6], [-0.6, 0.5]])
+    twins = np.block([[pair, np.eye(2)], [np.zeros((2, 2)), pair]])
+    A = block_diag(0.9 * pair, twins, [[0.3, 1.0], [0.0, 0.3]], discretize.delay(3, 1)[0], [[-0.7]])
+    n, sizes, z = len(A), (2, 4, 2, 3, 1), np.exp(1j * np.linspace(0, np.pi, 50))
+    for real in (1, 0):
+        B, C, D = (rng.standard_normal(s) + 1j * (1 - real) * rng.standard_normal(s) for s in ((n, 3), (2, n), (2, 3)))
+        B, C, D = (m.real if real else m for m in (B, C, D))
+        terms = modal_response.split(balance.Coordinates(A, B, C, np.eye(n), np.eye(n), sizes), D)
+        slow = response.frequency_response(A, B, C, D, z)
+        assert terms.rest is None
+        assert np.isrealobj(terms.terms) == real
+        np.testing.assert_allclose(terms.at(z), slow, atol=1e-12 * np.abs(slow).max())
+        rows, columns = rng.integers(2, size=50), rng.integers(3, size=50)
+        expected = slow[rows, columns, np.arange(50)]
+        np.testing.assert_allclose(terms.entries(rows, columns, z), expected, atol=1e-12 * np.abs(slow).max())
+    assert terms.at(z[:0]).shape == (2, 3, 0)
+    assert terms.entries(rows[:0], columns[:0], z[:0]).shape == (0,)
+
+
+def test_blocks_that_cannot_be_written_out_are_solved(rng):
+    """A real pole tied to a pair, a pair next to the real axis, more states than are written out."""
+    tied = np.array([[0.5, 0.6, 1.0], [-0.6, 0.5, 1.0], [0.0, 0.0, 0.5]])
+    flat = np.array([[0.5, 1.0], [-1e-9, 0.5]])
+    A, z = block_diag(tied, flat, discretize.delay(9, 1)[0], [[-0.7]]), np.exp(1j * np.linspace(0, np.pi, 50))
+    n, D = len(A), np.zeros((2, 3))
+    form = balance.Coordinates(
+        A, rng.standard_normal((n, 3)), rng.standard_normal((2, n)), np.eye(n), np.eye(n), (3, 2, 9, 1)
+    )
+    terms, slow = modal_response.split(form, D), response.frequency_response(A, form.B, form.C, D, z)
+    assert terms.rest is not None
+    assert len(terms.rest[0]) == 14
+    np.testing.assert_allclose(terms.at(z), slow, atol=1e-12 * np.abs(slow).max())

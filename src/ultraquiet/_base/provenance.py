@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import cache
 from importlib import metadata
-from typing import Any, cast
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.regular import parse_json
 
+T = TypeVar("T")
 VERSIONED = ("ultraquiet", "numpy", "scipy", "numba")
 
 
@@ -106,3 +107,25 @@ def content_hash(*parts: Any) -> str:
             digest.update(json.dumps(part, sort_keys=True, default=plain).encode())
         digest.update(b"\0")
     return digest.hexdigest()
+
+
+class ByContents(Generic[T]):
+    """A value that equals another one of the same contents: what a cache is asked with.
+
+    Args:
+        value: anything.
+        contents: its content hash.
+
+    >>> ByContents([1, 2], content_hash([1, 2])) == ByContents((1, 2), content_hash([1, 2]))
+    True
+    """
+
+    def __init__(self, value: T, contents: str) -> None:
+        self.value = value
+        self._contents = contents
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ByContents) and self._contents == cast("ByContents[Any]", other)._contents
+
+    def __hash__(self) -> int:
+        return hash(self._contents)

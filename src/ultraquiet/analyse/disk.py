@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, froz
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import Margins, default_grid, even_sensitivity, grid_given, margins_of
 from ultraquiet.analyse.mu import mu_bounds, mu_peak
-from ultraquiet.analyse.peaks import Crossings, ends, refined, response_at
+from ultraquiet.analyse.peaks import Crossings, diagonal, diagonal_at, ends, refined
 from ultraquiet.values.interconnect import append, gain, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -175,12 +175,11 @@ def disk_margins(
 
 def _each(seen: StateSpace, f: FloatArray, beside: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return alpha and its frequency for each channel alone."""
-    response = response_at(seen)
+    at, sizes = diagonal_at(seen), np.abs(diagonal(seen, f))
 
     def one(i: int) -> tuple[float, float]:
-        return refined(lambda lines: np.abs(response(lines)[i, i]), f, sizes[i], beside)
+        return refined(lambda lines: np.abs(at(np.full(lines.size, i), lines)), f, sizes[i], beside)
 
-    sizes = np.abs(np.einsum("iif->if", response(f)))
     peaks = [one(i) for i in range(seen.D.shape[0])]
     return frozen(np.array([_inverse(v) for v, _ in peaks])), frozen(np.array([at for _, at in peaks]))
 

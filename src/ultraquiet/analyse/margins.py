@@ -9,7 +9,16 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.norms import hinf_norm
-from ultraquiet.analyse.peaks import Crossings, channel_crossings, ends, refined, response_at
+from ultraquiet.analyse.peaks import (
+    Channels,
+    Crossings,
+    channel_crossings,
+    diagonal,
+    diagonal_at,
+    ends,
+    refined,
+    response_at,
+)
 from ultraquiet.linalg.even import evened
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
@@ -134,21 +143,24 @@ def margins_of(S: StateSpace, f_hz: ArrayLike | None = None) -> tuple[Margins, l
     if not S.is_stable():
         return Margins(*(np.zeros(S.D.shape[0]) for _ in range(5))), []
     f = default_grid(S) if f_hz is None else grid_given("loop_margins", f_hz)
-    at = response_at(S)
-    response = at(f)
+    at, on_grid = diagonal_at(S), diagonal(S, f)
     beside = ends(S.rate_hz) if f_hz is None else None
-    crossings = channel_crossings(S, f, np.einsum("iif->if", response), beside)
+    crossings = channel_crossings(S, f, on_grid, beside)
     # alpha = 1 / ||S_ii - 1/2|| (Seiler, Packard and Gahinet 2020, doi:10.1109/MCS.2020.3005277)
-    disk = [1.0 / _peak_off_half(at, i, f, response[i, i], beside) for i in range(S.D.shape[0])]
+    disk = [1.0 / _peak_off_half(at, i, f, on_grid[i], beside) for i in range(S.D.shape[0])]
     columns = (np.array(column) for column in zip(*map(_least, crossings), strict=True))
     return Margins(*columns, disk=np.array(disk)), crossings
 
 
 def _peak_off_half(
-    at: Callable[[FloatArray], ComplexArray], i: int, f: FloatArray, S: ComplexArray, beside: FloatArray | None
+    at: Callable[[Channels, FloatArray], ComplexArray],
+    i: int,
+    f: FloatArray,
+    S: ComplexArray,
+    beside: FloatArray | None,
 ) -> float:
     """Return the largest |S_ii - 1/2|, between the lines of the grid too."""
-    return refined(lambda lines: np.abs(at(lines)[i, i] - 0.5), f, np.abs(S - 0.5), beside)[0]
+    return refined(lambda lines: np.abs(at(np.full(lines.size, i), lines) - 0.5), f, np.abs(S - 0.5), beside)[0]
 
 
 def _least(crossings: Crossings) -> tuple[float, float, float, float]:

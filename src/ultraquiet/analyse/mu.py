@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.provenance import ByContents
 from ultraquiet.analyse.margins import default_grid, grid_given
-from ultraquiet.analyse.mu_lower import lower_bound
-from ultraquiet.analyse.mu_upper import Upper, balanced_norm, highest, lowered, upper_bound
 from ultraquiet.analyse.peaks import ends, refined, response_at
+from ultraquiet.analyse.scalings.lower import lower_bound
+from ultraquiet.analyse.scalings.upper import Upper, balanced_norm, highest, lowered, upper_bound
 from ultraquiet.analyse.structure import BlockStructure, PerturbationBlock, structure
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
@@ -167,27 +168,14 @@ def mu_peak(M: StateSpace, blocks: Blocks | None = None, f_hz: ArrayLike | None 
     if not M.is_stable():
         return np.inf, np.nan
     if f_hz is None:
-        return _peak_of(_System(M), block_structure.blocks)
+        return _peak_of(ByContents(M, M.hash), block_structure.blocks)
     return _peak(M, grid_given("mu_peak", f_hz), None, block_structure, None)
-
-
-class _System:
-    """A system that equals another one of the same contents."""
-
-    def __init__(self, system: StateSpace) -> None:
-        self.system = system
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _System) and self.system.hash == other.system.hash
-
-    def __hash__(self) -> int:
-        return hash(self.system.hash)
 
 
 # A design, its reduction and its report ask for the margins of the same loop.
 @lru_cache(maxsize=64)
-def _peak_of(M: _System, blocks: tuple[PerturbationBlock, ...]) -> tuple[float, float]:
-    G = M.system
+def _peak_of(M: ByContents[StateSpace], blocks: tuple[PerturbationBlock, ...]) -> tuple[float, float]:
+    G = M.value
     return _peak(G, default_grid(G), None, structure("mu_peak", blocks, G.D.shape), ends(G.rate_hz))
 
 

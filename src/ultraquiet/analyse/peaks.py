@@ -1,13 +1,15 @@
 """Peaks over frequency and crossings of an axis, found between the points of a grid."""
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.linalg.modal_response import residues
+from ultraquiet._base.provenance import ByContents, content_hash
+from ultraquiet.linalg.modal_response import Residues, residues
 from ultraquiet.linalg.response import points
 from ultraquiet.values.state_space import StateSpace
 
@@ -25,7 +27,7 @@ def response_at(system: StateSpace) -> Callable[[FloatArray], ComplexArray]:
 
     A continuous system may be asked at infinity.
     """
-    split = residues(system.A, system.B, system.C, system.D)
+    split = _split(system)
 
     def at(f: FloatArray) -> ComplexArray:
         finite = np.isfinite(f)
@@ -34,6 +36,18 @@ def response_at(system: StateSpace) -> Callable[[FloatArray], ComplexArray]:
         return values
 
     return at
+
+
+def _split(system: StateSpace) -> Residues:
+    matrices = system.A, system.B, system.C
+    return _terms(ByContents(matrices, content_hash(*matrices)))._replace(D=system.D)
+
+
+# The margins of a loop are taken from one sensitivity, whose direct term alone differs from one to the other.
+@lru_cache(maxsize=16)
+def _terms(system: ByContents[tuple[FloatArray, FloatArray, FloatArray]]) -> Residues:
+    A, B, C = system.value
+    return residues(A, B, C, np.zeros((C.shape[0], B.shape[1])))
 
 
 def ends(rate_hz: float | None) -> FloatArray:
@@ -111,7 +125,7 @@ def channel_crossings(
         diagonal: `(channels, nf)` S_ii on it.
         beside: ends of the axis, Hz, beyond those of the grid; None without them.
     """
-    at = _diagonal_at(S)
+    at = diagonal_at(S)
     X = diagonal - 0.5
     gains, phases = (_roots(at, f, X, part) for part in (np.imag, np.real))
     channels, gain_hz = gains
@@ -156,11 +170,19 @@ def _roots(
     return channels, (low + high) / 2
 
 
-def _diagonal_at(S: StateSpace) -> Callable[[Channels, FloatArray], ComplexArray]:
-    """Return what gives S_ii at frequencies in Hz, for a channel each."""
-    split = residues(S.A, S.B, S.C, S.D)
-    n = S.D.shape[0]
-    diagonal, direct = split.residues[np.arange(n) * (n + 1)], np.diag(S.D)
+def diagonal(S: StateSpace, f: FloatArray) -> ComplexArray:
+    """Return S_ii at frequencies in Hz, `(channels, nf)`."""
+    split, n = _split(S), S.D.shape[0]
+    z = points(f, S.rate_hz)
+    if split.rest is not None:
+        return np.einsum("iif->if", split.at(z))
+    return split._replace(terms=split.terms[np.arange(n) * (n + 1)], D=np.diag(S.D)[:, None]).at(z)[:, 0]
+
+
+def diagonal_at(S: StateSpace) -> Callable[[Channels, FloatArray], ComplexArray]:
+    """Return what gives S_ii at frequencies in Hz, for a channel each; a continuous system may be asked at infinity."""
+    split = _split(S)
+    direct = np.diag(S.D)
 
     def at(channels: Channels, f: FloatArray) -> ComplexArray:
         finite = np.isfinite(f)
@@ -168,7 +190,7 @@ def _diagonal_at(S: StateSpace) -> Callable[[Channels, FloatArray], ComplexArray
         if split.rest is not None:
             values = split.at(z)[channels, channels, np.arange(z.size)]
         else:
-            values = direct[channels] + (diagonal[channels] / (z[:, None] - split.poles)).sum(axis=1)
+            values = split.entries(channels, channels, z)
         return np.where(finite, values, direct[channels])
 
     return at

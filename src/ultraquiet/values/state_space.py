@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, frozen, rate, real_array
 from ultraquiet._base.errors import InputError, NumericalError
-from ultraquiet._base.provenance import Provenance, content_hash
+from ultraquiet._base.provenance import ByContents, Provenance, content_hash
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet._base.shown.grid import gain_curve
 from ultraquiet.linalg import realize, response
@@ -16,6 +17,8 @@ from ultraquiet.values.channel import Channel, channels
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.joined.algebra import Algebra, Matrices, Wires
 from ultraquiet.values.neighbours.systems import SystemNeighbours
+
+MANY = 20  # states, above which poles are worth being kept: fewer are found as quickly as their contents are compared
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -103,7 +106,9 @@ class StateSpace(Shown, Algebra, SystemNeighbours):
 
     def poles(self) -> ComplexArray:
         """Return the eigenvalues of A (in z, or in rad/s for continuous time)."""
-        return np.linalg.eigvals(self.A).astype(np.complex128)
+        if self.states <= MANY:
+            return np.linalg.eigvals(self.A).astype(np.complex128)
+        return _poles(ByContents(self.A, content_hash(self.A))).copy()
 
     def is_stable(self) -> bool:
         """Return whether every pole lies strictly inside the stability region."""
@@ -163,3 +168,9 @@ class StateSpace(Shown, Algebra, SystemNeighbours):
             return cls(*realize.explicit(e, explicit.A, explicit.B, explicit.C, explicit.D), rate_hz)
         except NumericalError as error:
             raise InputError(f"StateSpace.from_descriptor: {error}") from None
+
+
+# Whether a loop is stable, where its lines lie and what its margins are is asked one after the other.
+@lru_cache(maxsize=64)
+def _poles(A: ByContents[FloatArray]) -> ComplexArray:
+    return np.linalg.eigvals(A.value).astype(np.complex128)

@@ -8,7 +8,7 @@ then turned by exact eigenvectors until it stands.
 
 import numpy as np
 
-from ultraquiet.analyse.mu_upper import Upper
+from ultraquiet.analyse.scalings.upper import Upper
 from ultraquiet.analyse.structure import BlockStructure
 from ultraquiet.linalg.ordered import Array
 

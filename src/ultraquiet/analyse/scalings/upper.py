@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet.analyse.levels import balanced_levels
+from ultraquiet.analyse.scalings.levels import balanced_levels
 from ultraquiet.analyse.structure import BlockStructure
 from ultraquiet.linalg.ordered import Array
 

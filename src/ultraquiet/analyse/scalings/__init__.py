@@ -1,0 +1,1 @@
+"""Scalings that prove a bound of the structured singular value, and perturbations that prove the other."""
