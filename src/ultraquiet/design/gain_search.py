@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, even_sensitivity
@@ -203,7 +203,7 @@ def _on_the_lines(S: StateSpace, clearly: float, most: float) -> float:
         if largest > most:
             return largest
     X = X[bound > largest]
-    bound = balanced_norm(X, channels)
+    bound = balanced_norm(X, channels) if X.size else np.zeros(0)
     order = np.argsort(-bound)
     for start in range(0, order.size, FEW):
         few = order[start : start + FEW]
