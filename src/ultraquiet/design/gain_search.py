@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, even_sensitivity
@@ -166,9 +166,19 @@ def margin_kept(plant: StateSpace, law: StateSpace, enough: float) -> bool:
 
 
 def surely_less(plant: StateSpace, law: StateSpace, enough: float) -> bool:
-    """Return whether a loop is stable and its disk margin at an end below `enough` on a line of the grid already."""
-    ends = _sensitivities(plant, law) if enough > 0 else None
-    return ends is not None and any(_on_the_lines(S, 1 / enough, 1 / enough) > 1 / enough for S in ends)
+    """Return whether a loop is stable and its disk margin at an end below `enough`, as far as a few lines show it."""
+    if enough <= 0:
+        return False
+    for side in ENDS:
+        try:
+            S = even_sensitivity(plant, law, side)
+        except InputError:  # not well posed
+            return False
+        if not S.is_stable():
+            return False
+        if _looked(S, 1 / enough, 1 / enough).largest > 1 / enough:
+            return True
+    return False
 
 
 def _sensitivities(plant: StateSpace, law: StateSpace) -> list[StateSpace] | None:
@@ -182,35 +192,55 @@ def _sensitivities(plant: StateSpace, law: StateSpace) -> list[StateSpace] | Non
     return ends if all(S.is_stable() for S in ends) else None
 
 
+class _Lines(NamedTuple):
+    """S - 1/2 on lines of a grid `(lines, n, n)`, its norms there, and mu of the lines where they are highest."""
+
+    X: ComplexArray
+    norms: FloatArray
+    largest: float
+
+
+def _looked(S: StateSpace, clearly: float, most: float) -> _Lines:
+    """Return the lines of the default grid, or one in a few where those hold a mu above `most`.
+
+    The norm is a bound of mu that costs little, and the lines where it is highest mostly decide alone. They are bounded
+    closely where it leaves open whether mu is above `clearly`, which stands for all below it.
+    """
+    at, f = response_at(S), default_grid(S)
+
+    def on(lines: FloatArray, limit: float) -> _Lines:
+        X = np.moveaxis(at(lines), 2, 0) - np.eye(S.D.shape[0]) / 2
+        norms = np.linalg.norm(X, 2, axis=(1, 2))
+        largest = _closely(X[np.argsort(-norms)[:FEW]]) if norms.max() > limit else 0.0
+        return _Lines(X, norms, max(largest, clearly))
+
+    sparse = on(f[::SPARSE], most)
+    return sparse if sparse.largest > most else on(f, clearly)
+
+
 def _on_the_lines(S: StateSpace, clearly: float, most: float) -> float:
     """Return mu of S - 1/2 on the lines of a grid, as closely as tells whether it is below `clearly` or above `most`.
 
-    Norms are bounds of mu that cost little; the lines that they leave open are bounded closer, the largest first,
-    until one of them decides. `clearly` stands for all below it; above `most` it is that of a line, not the largest.
+    Lines that norms leave open are bounded closely, the highest first, until one of them decides: above `most` it is
+    the mu of some line, not the largest.
     """
-    channels, at, f = structure("margin_kept", None, S.D.shape), response_at(S), default_grid(S)
-
-    def close(X: ComplexArray) -> float:
-        return float(upper_bound(X, channels).value.max())
-
-    X, bound, largest = np.zeros((0, *S.D.shape), complex), np.zeros(0), clearly
-    for lines in (f[::SPARSE], f):
-        X = np.moveaxis(at(lines), 2, 0) - np.eye(S.D.shape[0]) / 2
-        bound = np.linalg.norm(X, 2, axis=(1, 2))
-        # mostly the highest of a few lines decide alone
-        if bound.max() > largest:
-            largest = max(largest, close(X[np.argsort(-bound)[:FEW]]))
-        if largest > most:
-            return largest
-    X = X[bound > largest]
-    bound = balanced_norm(X, channels) if X.size else np.zeros(0)
+    X, norms, largest = _looked(S, clearly, most)
+    X = X[norms > largest]
+    if largest > most or not X.size:
+        return largest
+    bound = balanced_norm(X, structure("margin_kept", None, S.D.shape))
     order = np.argsort(-bound)
     for start in range(0, order.size, FEW):
         few = order[start : start + FEW]
         if bound[few[0]] <= largest or largest > most:
             break
-        largest = max(largest, close(X[few]))
+        largest = max(largest, _closely(X[few]))
     return largest
+
+
+def _closely(X: ComplexArray) -> float:
+    """Return the largest bound of mu over some lines, for one complex number a channel."""
+    return float(upper_bound(X, structure("margin_kept", None, X.shape[1:])).value.max())
 
 
 def about_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
