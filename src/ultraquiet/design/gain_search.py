@@ -2,14 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, even_sensitivity
 from ultraquiet.analyse.peaks import response_at
-from ultraquiet.analyse.scalings.upper import balanced_norm
+from ultraquiet.analyse.scalings.upper import balanced_norm, upper_bound
 from ultraquiet.analyse.structure import structure
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
@@ -22,6 +24,9 @@ from ultraquiet.values.status import Status, StatusWord
 FIRST = 32.0  # 30 dB of loop gain in the mean over the band: more is noise in the actuators
 LAST = 2.0**-6  # below it nothing worth calling control is left
 CLEARLY = 1.1  # times the margin, on the lines of a grid: peaks between them are lower than that
+CLEARLY_LESS = 0.9  # of the margin: a law that only resembles the one judged may keep as much less than that one
+SPARSE = 10  # of the lines of a grid, one of so many is looked at before the others
+FEW = 16  # lines at a time that are bounded closely
 LITTLE_DB = 1.0  # a law that lowers the RMS by less leaves the plant as it is
 SPARE = 1.02  # of the margin, so that the last digits of another coordinate system do not decide
 
@@ -32,6 +37,7 @@ def from_plant(
     attempt: Callable[[EvenPlant, float], DesignResult],
     band_hz: tuple[float, float] | None = None,
     first: float = FIRST,
+    sketch: Callable[[EvenPlant, float], StateSpace | None] | None = None,
 ) -> DesignResult:
     """Return the design of the largest gain, halved from one attempt to the next, that keeps the margin asked for.
 
@@ -41,6 +47,8 @@ def from_plant(
         band_hz: where the plant is to be evened out; its own band when absent.
         attempt: gives what a method finds for the even plant at a gain g: its controller, or a refusal.
         first: the gain to begin with.
+        sketch: gives about the same controller for much less work, unverified, or None. A gain whose sketch keeps
+            clearly less than the margin is passed over; it is attempted after all where no gain keeps the margin.
 
     The even plant has a mean square of one over its band, so that g is the loop gain that the method is asked for.
     `details` gains `gain`, g; `band_hz`, `inputs` and `outputs`, the band and the units of the even plant; and
@@ -49,38 +57,85 @@ def from_plant(
     decibel, the quietest of them, and it is `short`.
     """
     even = even_plant(plant, band_hz, type(settings).__name__)
-    enough = SPARE * settings.disk_margin
-    best: tuple[tuple[float, float], float, DesignResult] | None = None
-    refusal, g = "", first
-    while g >= LAST:
-        found = attempt(even, g)
-        law = found.controller
-        if law is None:
-            refusal = refusal or found.status.sentence
-        else:
-            kept = margin_kept(even.plant, law, settings.disk_margin)
-            quieter = even.rms_reduction_db(law)
-            worth = (min(kept, enough), quieter)
-            if kept > 0 and (best is None or worth > best[0]):
-                best = (worth, g, found)
-            if kept > 0 and kept >= enough and quieter >= LITTLE_DB:
-                break
-        g /= 2
+    tried = _Tried(even, attempt, settings.disk_margin)
+    best = tried.largest(first, sketch)
     if best is None:
-        return refused(refusal or f"{type(settings).__name__}: no gain gave a stable loop.")
-    (_, quieter), g, found = best
+        return refused(tried.refusal or f"{type(settings).__name__}: no gain gave a stable loop.")
+    found = best.found
     assert found.controller is not None
     details = {
         **found.details,
-        "gain": g,
+        "gain": best.gain,
         "band_hz": even.band_hz,
         "inputs": even.inputs,
         "outputs": even.outputs,
-        "attenuation_rms_db": quieter,
+        "attenuation_rms_db": best.quieter,
     }
     law = even.law(found.controller)
     result = judged(plant, law, settings, found.gamma, found.achieved, found.residuals, details)
-    return result if quieter >= LITTLE_DB or not result.status.ok else _idle(result)
+    return result if best.quieter >= LITTLE_DB or not result.status.ok else _idle(result)
+
+
+class _Loop(NamedTuple):
+    """What a method found at a gain, and by how many decibels its loop is quieter than the plant."""
+
+    gain: float
+    found: DesignResult
+    quieter: float
+
+
+class _Tried:
+    """The loops that a method finds for an even plant at one gain after another."""
+
+    def __init__(self, even: EvenPlant, attempt: Callable[[EvenPlant, float], DesignResult], margin: float) -> None:
+        self.refusal = ""
+        self._even, self._attempt = even, attempt
+        self._asked, self._enough = margin, SPARE * margin
+        self._fragile: list[_Loop] = []
+
+    def largest(self, first: float, sketch: Callable[[EvenPlant, float], StateSpace | None] | None) -> _Loop | None:
+        """Return the loop of the largest gain that keeps the margin and quietens, else the best there is."""
+        quietest, passed, g = None, [], first
+        while g >= LAST:
+            drawn = None if sketch is None else sketch(self._even, g)
+            if drawn is not None and surely_less(self._even.plant, drawn, CLEARLY_LESS * self._enough):
+                passed.append(g)
+            else:
+                loop = self._kept(g)
+                if loop is not None and (quietest is None or loop.quieter > quietest.quieter):
+                    quietest = loop
+                if loop is not None and loop.quieter >= LITTLE_DB:
+                    return loop
+            g /= 2
+        return quietest or self._firmest(passed)
+
+    def _kept(self, g: float) -> _Loop | None:
+        """Return the loop at a gain where it keeps the margin."""
+        found = self._attempt(self._even, g)
+        law = found.controller
+        if law is None:
+            self.refusal = self.refusal or found.status.sentence
+            return None
+        loop = _Loop(g, found, self._even.rms_reduction_db(law))
+        if margin_kept(self._even.plant, law, self._enough):
+            return loop
+        self._fragile.append(loop)
+        return None
+
+    def _firmest(self, passed: list[float]) -> _Loop | None:
+        """Return the loop that keeps most, of those that keep less than the margin: one passed over may, too."""
+        for g in passed:
+            loop = self._kept(g)
+            if loop is not None:
+                return loop  # its sketch was wrong
+        best: tuple[tuple[float, float], _Loop] | None = None
+        for loop in sorted(self._fragile, key=lambda loop: -loop.gain):
+            assert loop.found.controller is not None
+            kept = about_kept(self._even.plant, loop.found.controller, self._asked)
+            worth = (min(kept, self._enough), loop.quieter)
+            if kept > 0 and (best is None or worth > best[0]):
+                best = (worth, loop)
+        return None if best is None else best[1]
 
 
 def _idle(result: DesignResult) -> DesignResult:
@@ -92,7 +147,103 @@ def _idle(result: DesignResult) -> DesignResult:
     return replace(result, status=Status(StatusWord.SHORT, said))
 
 
-def margin_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
+def margin_kept(plant: StateSpace, law: StateSpace, enough: float) -> bool:
+    """Return whether the disk margins at both ends are at least `enough`, which they need not be known for.
+
+    Lines of a grid decide where mu is clearly on one side of the limit on all of them, or beyond it on one. Only where
+    it is about the limit is its peak sought.
+    """
+    ends = _sensitivities(plant, law)
+    if ends is None or enough <= 0:
+        return ends is not None
+    unclear = []
+    for side, S in zip(ENDS, ends, strict=True):
+        largest = _on_the_lines(S, 1 / (CLEARLY * enough), 1 / enough)
+        if largest > 1 / enough:
+            return False
+        unclear += [side] if largest > 1 / (CLEARLY * enough) else []
+    return all(disk_margin(plant, law, side) >= enough for side in unclear)
+
+
+def surely_less(plant: StateSpace, law: StateSpace, enough: float) -> bool:
+    """Return whether a loop is stable and its disk margin at an end below `enough`, as far as a few lines show it."""
+    if enough <= 0:
+        return False
+    for side in ENDS:
+        try:
+            S = even_sensitivity(plant, law, side)
+        except InputError:  # not well posed
+            return False
+        if not S.is_stable():
+            return False
+        if _looked(S, 1 / enough, 1 / enough).largest > 1 / enough:
+            return True
+    return False
+
+
+def _sensitivities(plant: StateSpace, law: StateSpace) -> list[StateSpace] | None:
+    """Return S at both ends of a stable loop, None for others."""
+    try:
+        if not feedback(plant, law).is_stable() or not feedback(law, plant).is_stable():
+            return None
+    except InputError:  # not well posed
+        return None
+    ends = [even_sensitivity(plant, law, side) for side in ENDS]
+    return ends if all(S.is_stable() for S in ends) else None
+
+
+class _Lines(NamedTuple):
+    """S - 1/2 on lines of a grid `(lines, n, n)`, its norms there, and mu of the lines where they are highest."""
+
+    X: ComplexArray
+    norms: FloatArray
+    largest: float
+
+
+def _looked(S: StateSpace, clearly: float, most: float) -> _Lines:
+    """Return the lines of the default grid, or one in a few where those hold a mu above `most`.
+
+    The norm is a bound of mu that costs little, and the lines where it is highest mostly decide alone. They are bounded
+    closely where it leaves open whether mu is above `clearly`, which stands for all below it.
+    """
+    at, f = response_at(S), default_grid(S)
+
+    def on(lines: FloatArray, limit: float) -> _Lines:
+        X = np.moveaxis(at(lines), 2, 0) - np.eye(S.D.shape[0]) / 2
+        norms = np.linalg.norm(X, 2, axis=(1, 2))
+        largest = _closely(X[np.argsort(-norms)[:FEW]]) if norms.max() > limit else 0.0
+        return _Lines(X, norms, max(largest, clearly))
+
+    sparse = on(f[::SPARSE], most)
+    return sparse if sparse.largest > most else on(f, clearly)
+
+
+def _on_the_lines(S: StateSpace, clearly: float, most: float) -> float:
+    """Return mu of S - 1/2 on the lines of a grid, as closely as tells whether it is below `clearly` or above `most`.
+
+    Lines that norms leave open are bounded closely, the highest first, until one of them decides: above `most` it is
+    the mu of some line, not the largest.
+    """
+    X, norms, largest = _looked(S, clearly, most)
+    X = X[norms > largest]
+    if largest > most or not X.size:
+        return largest
+    bound = balanced_norm(X, structure("margin_kept", None, S.D.shape))
+    order = np.argsort(-bound)
+    for start in range(0, order.size, FEW):
+        few = order[start : start + FEW]
+        if bound[few[0]] <= largest or largest > most:
+            break
+        largest = max(largest, _closely(X[few]))
+    return largest
+
+
+def _closely(X: ComplexArray) -> float:
+    """Return the largest bound of mu over some lines, for one complex number a channel."""
+    return float(upper_bound(X, structure("margin_kept", None, X.shape[1:])).value.max())
+
+
+def about_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
     """Return the smaller of the disk margins at both ends; where that is below `asked`, a number not below it.
 
     Lines at which one channel, or all alike, already need less are found first: eigenvalues cost less than mu.
@@ -102,7 +253,7 @@ def margin_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
             return 0.0
     except InputError:  # not well posed
         return 0.0
-    most, sure = np.inf, np.inf
+    most = np.inf
     for side in ENDS:
         S = even_sensitivity(plant, law, side)
         if not S.is_stable():
@@ -110,10 +261,4 @@ def margin_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
         X = np.moveaxis(response_at(S)(default_grid(S)), 2, 0) - np.eye(S.D.shape[0]) / 2
         largest = max(np.abs(np.linalg.eigvals(X)).max(initial=0.0), np.abs(np.einsum("fii->fi", X)).max(initial=0.0))
         most = min(most, 1 / float(largest))
-        channels = structure("margin_kept", None, S.D.shape)
-        sure = min(sure, 1 / float(balanced_norm(X, channels).max(initial=np.finfo(float).tiny)))
-    if most < asked:
-        return most
-    if sure >= CLEARLY * asked:
-        return sure  # a norm says enough; the margin itself is found where the loop is judged
-    return min(disk_margin(plant, law, side) for side in ENDS)
+    return most if most < asked else min(disk_margin(plant, law, side) for side in ENDS)

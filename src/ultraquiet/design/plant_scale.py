@@ -101,9 +101,9 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
         mean = np.einsum("f,fij->ij", share, power * (y**2)[:, None] * u**2)
         rows, columns = _sinkhorn(mean)
         y, u = y * rows, u * columns
-        sizes = np.linalg.norm(G * y[:, None] * u, 2, axis=(1, 2))
-        near = np.flatnonzero(sizes >= WITHIN * sizes.max(initial=0.0))
         if band_hz is None:
+            sizes = np.linalg.norm(G * y[:, None] * u, 2, axis=(1, 2))
+            near = np.flatnonzero(sizes >= WITHIN * sizes.max(initial=0.0))
             inside = (np.arange(f.size) >= near[0]) & (np.arange(f.size) <= near[-1])
     lines = f[inside]
     states = evened(plant.A, plant.B * u, plant.C * y[:, None])

@@ -11,7 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.gain_search import from_plant
-from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block
+from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.mean_channel import mean_channel
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
@@ -129,7 +129,7 @@ class BandAttenuation(StatedRobustness):
             InputError: the plant is not square.
         """
         if self._measured_by_the_plant():
-            return from_plant(plant, self, self._attempt, self.band_hz)
+            return from_plant(plant, self, self._attempt, self.band_hz, sketch=self._sketch)
         ny, nu = plant.D.shape
         if ny != nu:
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
@@ -157,15 +157,19 @@ class BandAttenuation(StatedRobustness):
         return self.structure == FULL and all(setting is None for setting in given)
 
     def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
-        shape = band_shape(
-            even.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, even.plant.rate_hz, self.order
-        )
-        found = normalised_four_block(even, g, shape, self.margin)
+        found = normalised_four_block(even, g, self._shape(even), self.margin)
         if found.controller is None:
             return found
         tones = {f: worst_attenuation_db(even.plant, found.controller, (f, f)) for f in self.tones_hz}
         quiet = worst_attenuation_db(even.plant, found.controller, even.band_hz)
         return replace(found, details={**found.details, "tones_db": tones, "attenuation_db": quiet})
+
+    def _sketch(self, even: EvenPlant, g: float) -> StateSpace | None:
+        return normalised_sketch(even, g, self._shape(even), self.margin)
+
+    def _shape(self, even: EvenPlant) -> StateSpace:
+        rate = even.plant.rate_hz
+        return band_shape(even.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
 
     def _number(self, name: str) -> float:
         """Return a number as given, or what it is where only others are."""

@@ -1,4 +1,4 @@
-"""Robust stabilisation of normalised coprime factors: arrays in, arrays out, continuous and discrete directly.
+"""Robust stabilisation of normalised coprime factors: continuous and discrete directly.
 
 McFarlane and Glover 1992 (doi:10.1109/9.256330); discrete: Gu, Petkov and Konstantinov, On discrete H-infinity loop
 shaping design procedure routines, 2000.
@@ -7,10 +7,13 @@ shaping design procedure routines, 2000.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.linalg.equations import continuous_riccati, discrete_riccati
+from ultraquiet.linalg.even import evened
 from ultraquiet.linalg.ordered import Array, Matrices
+from ultraquiet.values.state_space import StateSpace
 
 OPTIMAL = 1e-6  # a margin nearer to one than this asks for the optimal controller
 # Singular values of the optimum's descriptor matrix below this share of its terms are zero; each costs a state.
@@ -55,6 +58,41 @@ def smallest_level(M: Matrices, discrete: bool) -> tuple[float, Array, Array, tu
         x, z = continuous_riccati(Ar, drive, cost), continuous_riccati(Ar.T, cost, drive)
     largest = float(np.linalg.eigvals(x.X @ z.X).real.max()) if A.size else 0.0
     return float(np.sqrt(1 + max(largest, 0.0))), x.X, z.X, (x.residual, z.residual)
+
+
+def smallest_norm(plant: StateSpace) -> float | None:
+    """Return the smallest norm of [I; K] (I - G K)^-1 [G, I] that any law reaches; None where no equation tells it.
+
+    [G, I] = M^-1 [N, M] with [N, M] co-inner: the norm is that of [I; K] (I - G K)^-1 M^-1, of which the smallest is
+    known without a search, sqrt(1 + rho(X Z)).
+
+    Args:
+        plant: G, continuous or discrete.
+
+    Glover and McFarlane 1989, doi:10.1109/9.29404, theorem 4.3.
+    """
+    try:
+        level = smallest_level(_even(plant), plant.rate_hz is not None)[0]
+    except (NumericalError, LinAlgError):
+        return None
+    return level if np.isfinite(level) else None
+
+
+def central_law(plant: StateSpace, margin: float) -> StateSpace | None:
+    """Return the central law at margin times that norm, as the formulas give it; None where they give none.
+
+    Nothing of it is verified.
+
+    Args:
+        plant: G, continuous or discrete.
+        margin: over the smallest norm.
+    """
+    stabilised = continuous if plant.rate_hz is None else discrete
+    try:
+        matrices = stabilised(_even(plant), margin).controller
+    except (NumericalError, LinAlgError):
+        return None
+    return StateSpace(*matrices, rate_hz=plant.rate_hz) if all(np.isfinite(m).all() for m in matrices) else None
 
 
 def continuous(M: Matrices, margin: float) -> Stabiliser:
@@ -106,6 +144,10 @@ def discrete(M: Matrices, margin: float) -> Stabiliser:
     conditions["outputs"], conditions["inputs"] = _rcond(np.eye(ny) + D @ direct), _rcond(np.eye(nu) + direct @ D)
     law = _closed(M, (A + H @ C + B @ feedback, B @ direct - H, feedback, direct))
     return Stabiliser(law, gamma_min, P, Q, residuals, feedback, H, root, conditions)
+
+
+def _even(plant: StateSpace) -> Matrices:
+    return (*evened(plant.A, plant.B, plant.C), plant.D)
 
 
 def _observer(M: Matrices, F: Array, H: Array, direct: Array) -> Matrices:

@@ -44,8 +44,12 @@ class Bracket(NamedTuple):
         return self.certain <= self.nought and self.best.gamma <= BLUR * self.nought
 
 
-def search(plant: riccati.NormalisedPlant, tolerance: float) -> Bracket:
+def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | None = None) -> Bracket:
     """Bracket the smallest level to a relative tolerance.
+
+    Where another theory knows the smallest level, a level just above the expected one and one just below are tried
+    first: where the one is solved and the other is not, they are the bracket. An expectation proves nothing; where it
+    is wrong the search goes on with what the two have shown.
 
     The bound from frequency responses is tried first; where it is not reached, each way to fail (X or Y turns
     indefinite through infinity, rho(XY) passes gamma^2) has a measure that is smooth and zero at the failure, and the
@@ -54,10 +58,12 @@ def search(plant: riccati.NormalisedPlant, tolerance: float) -> Bracket:
     certain = max(riccati.floor(plant), lower_bound(plant).level)
     nought = SMALLEST * _size(plant)
     low, reason = certain, OUT_OF_REACH
-    best, tried = _first(plant, max(certain * (1 + tolerance), nought))
-    failed = [t for t in tried if t.reason]
+    start = max(certain * (1 + tolerance), nought)
+    best, tried = _first(plant, start) if expected is None else _around(plant, expected, start, tolerance)
+    failed = [t for t in tried if t.reason and t.gamma <= best.gamma]
     if failed:
-        low, reason = failed[-1].gamma, failed[-1].reason
+        highest = max(failed, key=lambda t: t.gamma)
+        low, reason = highest.gamma, highest.reason
     widths = [best.gamma / max(low, nought)]
     while not best.reason and best.gamma > low * (1 + tolerance) and len(tried) < PROBES:
         if best.gamma <= nought * (1 + tolerance):
@@ -100,6 +106,23 @@ def _first(plant: riccati.NormalisedPlant, start: float) -> tuple[riccati.Level,
             factor = min(factor, np.sqrt(last.coupling) * (1 + 1e-6)) if last.coupling > 1 else factor
         tried.append(riccati.attempt(plant, last.gamma * factor, last.reason.startswith("filter")))
     return tried[-1], tried
+
+
+def _around(
+    plant: riccati.NormalisedPlant, expected: float, start: float, tolerance: float
+) -> tuple[riccati.Level, list[riccati.Level]]:
+    """Try a level on either side of the one expected, and where both are solved the one that is tried without it."""
+    edge = OVERSHOOT * tolerance
+    best, tried = _first(plant, max(expected * (1 + edge), start))
+    if len(tried) > 1:
+        return best, tried  # it is higher than expected, and the climb has it between two levels
+    for level in (expected * (1 - edge), start):
+        if start <= level < best.gamma:
+            tried.append(riccati.attempt(plant, level))
+            if tried[-1].reason:
+                break
+            best = tried[-1]
+    return best, tried
 
 
 def _next(tried: list[riccati.Level], low: float, high: float, tolerance: float, widths: list[float]) -> float:

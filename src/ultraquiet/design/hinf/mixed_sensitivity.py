@@ -12,7 +12,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.gain_search import from_plant
-from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block
+from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult
@@ -138,7 +138,7 @@ class MixedSensitivity(StatedRobustness):
         height that was left; a loop that does not stand it has the status `not robust`.
         """
         if self._measured_by_the_plant():
-            return from_plant(plant, self, self._attempt, self.band_hz)
+            return from_plant(plant, self, self._attempt, self.band_hz, sketch=self._sketch)
         bound = self._bound(plant)
         if bound is None or self.performance is not None or self.form == "paper":
             return stands(plant, self._designed(plant), bound)
@@ -156,9 +156,14 @@ class MixedSensitivity(StatedRobustness):
         return self.form == FORMS[0] and all(setting is None for setting in (*given, *numbers))
 
     def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
+        return normalised_four_block(even, g, self._shape(even), self.margin)
+
+    def _sketch(self, even: EvenPlant, g: float) -> StateSpace | None:
+        return normalised_sketch(even, g, self._shape(even), self.margin)
+
+    def _shape(self, even: EvenPlant) -> StateSpace:
         rate = even.plant.rate_hz
-        shape = band_shape(self.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
-        return normalised_four_block(even, g, shape, self.margin)
+        return band_shape(self.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
 
     def _number(self, name: str) -> float:
         """Return a number as given, or what it is where only others are."""

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.hinf.coprime_stabilisation import central_law, smallest_norm
+from ultraquiet.design.hinf.synthesis import synthesize_expected
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.weights.filters import HIGHEST, band_pass, low_pass, with_tones
@@ -33,13 +34,36 @@ def normalised_four_block(even: EvenPlant, g: float, shape: StateSpace, margin: 
     """
     ny, nu = even.plant.D.shape
     rate = even.plant.rate_hz
-    one = series(shape, gain([[g]], rate))
-    W = append(*[one] * ny)
-    P = four_block(series(even.plant, W), gain(np.eye(ny), rate), gain(np.eye(nu), rate), np.eye(nu), np.eye(ny))
-    found = synthesize_hinf(P, ny, nu, margin=margin)
+    W = _weight(even, g, shape)
+    Gs = series(even.plant, W)
+    P = four_block(Gs, gain(np.eye(ny), rate), gain(np.eye(nu), rate), np.eye(nu), np.eye(ny))
+    found = synthesize_expected(P, ny, nu, smallest_norm(Gs), margin)
     details = {**found.details, "weights": even.weights(W, gain(np.eye(nu), rate))}
     law = None if found.controller is None else series(W, found.controller)
     return replace(found, controller=law, details=details)
+
+
+def normalised_sketch(even: EvenPlant, g: float, shape: StateSpace, margin: float) -> StateSpace | None:
+    """Return about the controller that `normalised_four_block` finds, from two equations and unverified.
+
+    It is the central one of the same problem in coprime factors, at the same level; None where the formulas give none.
+
+    Args:
+        even: Ge.
+        g: gain of the loop where the shape is one.
+        shape: one channel, `(1, 1)`.
+        margin: over the smallest norm.
+
+    McFarlane and Glover 1992, doi:10.1109/9.256330.
+    """
+    W = _weight(even, g, shape)
+    law = central_law(series(even.plant, W), margin)
+    return None if law is None else series(W, law)
+
+
+def _weight(even: EvenPlant, g: float, shape: StateSpace) -> StateSpace:
+    one = series(shape, gain([[g]], even.plant.rate_hz))
+    return append(*[one] * even.plant.D.shape[0])
 
 
 def band_shape(

@@ -1,6 +1,7 @@
 """H-infinity synthesis for a given generalised plant."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,18 @@ FASTEST = 1e12  # stands for infinite frequency, in units of the plant's own spe
 SMALL = 40  # states up to which the second opinion comes without asking
 LEAST = 0.5  # of the optimum: lowest level the second opinion is asked about
 AGREEMENT = 1e-3  # reported and achieved norm must agree this well
+
+
+class SoughtLevel(NamedTuple):
+    """What level a synthesis is to find: one that is asked for, or `margin` times the smallest.
+
+    `expected` is where another theory has the smallest; None where none has. `second_opinion` as in `synthesize_hinf`.
+    """
+
+    gamma: float | None = None
+    margin: float = 1.00003
+    second_opinion: bool | None = None
+    expected: float | None = None
 
 
 @takes_systems
@@ -83,31 +96,57 @@ def synthesize_hinf(
     who = "synthesize_hinf"
     ny = whole(who, "measurements", measurements, 1, P.D.shape[0] - 1)
     nu = whole(who, "controls", controls, 1, P.D.shape[1] - 1)
-    if not positive(who, "margin", margin) >= 1:
-        raise InputError(f"{who}: 'margin' must be at least one, got {margin:g}.")
+    factor = _at_least_one(margin)
     level = None if gamma is None else positive(who, "gamma", gamma)
+    return _synthesised(P, ny, nu, SoughtLevel(level, factor, second_opinion), regularise)
+
+
+@single_threaded
+def synthesize_expected(
+    P: StateSpace, measurements: int, controls: int, expected: float | None, margin: float
+) -> DesignResult:
+    """Return what `synthesize_hinf` does for a problem whose smallest norm another theory has told.
+
+    What is expected only says where to look first: the level above it has to be solved, the one below it to fail, and
+    the controller to give its norm. Where it is wrong, the ordinary search goes on.
+
+    Args:
+        P: generalised plant, inputs (w, u), outputs (z, y), continuous or discrete.
+        measurements: number of last outputs y.
+        controls: number of last inputs u.
+        expected: the smallest norm, in units of P; None where nothing is known of it.
+        margin: over the smallest norm.
+
+    Raises:
+        InputError: a margin below one.
+    """
+    sought = SoughtLevel(margin=_at_least_one(margin), expected=expected)
+    return _synthesised(P, measurements, controls, sought, False)
+
+
+def _at_least_one(margin: float) -> float:
+    if not positive("synthesize_hinf", "margin", margin) >= 1:
+        raise InputError(f"synthesize_hinf: 'margin' must be at least one, got {margin:g}.")
+    return margin
+
+
+def _synthesised(P: StateSpace, ny: int, nu: int, sought: SoughtLevel, regularise: bool) -> DesignResult:
+    """Solve the problem in even units, without what it hides; whole, or completed with weights, where that fails."""
     problem = even_problem(P, ny, nu)
     even, hidden = without_hidden(problem.plant)
     sentence = out_of_reach(even, ny, nu)
     if sentence:
         return refused(sentence)
-    result = _solved(P, problem, even, ny, nu, level, margin, second_opinion)
+    result = _solved(P, problem, even, ny, nu, sought)
     if hidden and not result.status.ok:
-        hidden, result = 0, _solved(P, problem, problem.plant, ny, nu, level, margin, second_opinion)
+        hidden, result = 0, _solved(P, problem, problem.plant, ny, nu, sought)
     if regularise and not result.status.ok:
-        result = _completed(result, P, problem, even, ny, nu, level, margin)
+        result = _completed(result, P, problem, even, ny, nu, sought)
     return _told(result, hidden) if hidden else result
 
 
 def _solved(
-    P: StateSpace,
-    problem: EvenProblem,
-    even: StateSpace,
-    ny: int,
-    nu: int,
-    gamma: float | None,
-    margin: float,
-    second_opinion: bool | None,
+    P: StateSpace, problem: EvenProblem, even: StateSpace, ny: int, nu: int, sought: SoughtLevel
 ) -> DesignResult:
     """Search, form, verify and compare, on the even problem or what is left of it without its hidden states."""
     try:
@@ -115,14 +154,16 @@ def _solved(
         sentence = zeros_on_boundary(v.plant, P.rate_hz)
         if sentence:
             return refused(sentence)
-        if gamma is not None:
-            return _asked(v, gamma)
-        bracket = search(v.plant, max(FINEST, COARSENESS * (margin - 1)))
+        if sought.gamma is not None:
+            return _asked(v, sought.gamma)
+        margin = sought.margin
+        expected = None if sought.expected is None else sought.expected * problem.level
+        bracket = search(v.plant, max(FINEST, COARSENESS * (margin - 1)), expected)
         found = closed(v, bracket, margin)
         if found is None:
             return refused(_sentence(None, bracket.best.reason or v.said, True))
         result = _result(v, bracket, found)
-        wanted = P.states <= SMALL if second_opinion is None else second_opinion
+        wanted = P.states <= SMALL if sought.second_opinion is None else sought.second_opinion
         compared = wanted and result.status.ok and not bracket.is_zero
         return _agreed(v, bracket, margin, _seconded(v, result)) if compared else result
     except NumericalError as error:
@@ -136,11 +177,11 @@ def _completed(
     even: StateSpace,
     ny: int,
     nu: int,
-    gamma: float | None,
-    margin: float,
+    sought: SoughtLevel,
 ) -> DesignResult:
     """Solve the problem completed with small weights; what is reported is the norm of the problem itself."""
-    ended = regularised(P, problem, even, ny, nu, margin)
+    gamma = sought.gamma
+    ended = regularised(P, problem, even, ny, nu, sought.margin)
     if ended is None:
         return refused(f"{result.status.sentence} No weight from {WEIGHTS[0]:g} to {WEIGHTS[-1]:.0e} mends it.")
     found = ended.found
