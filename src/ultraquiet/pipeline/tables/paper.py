@@ -7,7 +7,7 @@ from pydantic import Field
 
 from ultraquiet._base.lines import Place
 from ultraquiet._base.tables import Strict
-from ultraquiet.pipeline.tables.numbers import Band, Order
+from ultraquiet.pipeline.tables.numbers import Band, Flag, Order
 
 
 class Claim(Strict):
@@ -50,7 +50,7 @@ class Paper(Strict):
     band_hz: Band | None = None
     figures: dict[Shown, str] = Field(default={})
     zeros: str = ""
-    counts_plant: bool = False
+    counts_plant: Flag = False
     processor: Literal["c31"] | None = None
     says: list[str] = Field(default=[])
     claims: list[Claim] = Field(default=[])
