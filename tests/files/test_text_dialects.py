@@ -112,6 +112,21 @@ def test_an_empty_cell_is_named_with_its_line(tmp_path, table, column):
         assert read_record(tmp_path / "run.csv", inputs=["right coil"], outputs=["nose"]).samples == N
 
 
+def test_the_clock_is_no_signal_and_goes_by_its_name_in_other_languages(tmp_path, table):
+    """Numbers count the clock's column too: who takes it for a signal is told what the numbers are."""
+    for name in ("time [s]", "Zeit [s]", "temps (ms)"):
+        (tmp_path / "run.csv").write_text(text(table, names=[name, *NAMES[1:]]))
+        assert read_record(tmp_path / "run.csv", **WIRES).rate_hz == (500e3 if "ms" in name else 500.0)
+        with pytest.raises(InputError, match=r"is the clock of 'run.csv', no signal.* 2 left coil, 3 right coil"):
+            read_record(tmp_path / "run.csv", inputs="1-2", outputs="3-4")
+        assert read_record(tmp_path / "run.csv", inputs="2-3", outputs="4").sensors[0].name == "nose"
+        with pytest.raises(InputError, match="--inputs 2-3 --outputs 4"):
+            read_record(tmp_path / "run.csv")
+    (tmp_path / "run.csv").write_text(text(table, names=["Uhr [s]", *NAMES[1:]]))
+    with pytest.raises(InputError, match="--rate .* or name 'Uhr', which rises evenly, 'time' if it is the clock"):
+        read_record(tmp_path / "run.csv", **WIRES)
+
+
 def test_a_remark_behind_numbers_is_none_of_them(tmp_path, table):
     lines = text(table).splitlines()
     lines[1] += " # touched by hand"

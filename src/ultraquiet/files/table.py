@@ -13,7 +13,7 @@ from ultraquiet._base.errors import InputError, StorageError
 
 RATE_NAMES = ("rate_hz", "fs", "fs_hz", "sample_rate", "sampling_rate", "samplerate")
 STEP_NAMES = ("dt", "ts", "sample_time")
-TIME_NAMES = ("time", "t", "time_s", "t_s", "time_ms", "time_us")
+TIME_NAMES = ("time", "t", "time_s", "t_s", "time_ms", "time_us", "zeit", "temps", "tiempo", "tempo", "tid", "tijd")
 SPEAKING = {  # names that say themselves what a column is
     "input": re.compile(r"(inputs?|u)[\W_]*\d*", re.IGNORECASE),
     "output": re.compile(r"(outputs?|y)[\W_]*\d*", re.IGNORECASE),
@@ -92,7 +92,11 @@ class FileTable:
             if self.scalars.get(name):
                 return rate_of_step(self.scalars[name])
         if self.time is None:
-            raise InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=).")
+            even = next((c.name for c in self.columns if not c.role and is_ramp(c.values)), None)
+            clock = "" if even is None else f", or name '{even}', which rises evenly, 'time' if it is the clock"
+            raise InputError(
+                f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=){clock}."
+            )
         missing = np.flatnonzero(np.isnan(self.time.values))
         if missing.size:
             raise InputError(
