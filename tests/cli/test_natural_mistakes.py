@@ -59,6 +59,8 @@ def made(tmp_path_factory):
         ("ragged", [*lines[:5], ",".join(cells[:2]), *lines[6:]]),
         ("backward", [*lines[:5], "0.5," + ",".join(cells[1:]), *lines[6:]]),
         ("lone", lines[:2]),
+        ("sheet", [*lines[:5], f"{cells[0]},#N/A,{cells[2]}", *lines[6:]]),
+        ("gap", [*lines[:5], f"{cells[0]},,{cells[2]}", *lines[6:]]),
     ):
         (tmp_path / f"{name}.csv").write_text("\n".join(rows) + "\n")
     (tmp_path / "notes.txt").write_text("Nothing but words.\n")
@@ -66,6 +68,7 @@ def made(tmp_path_factory):
         (tmp_path / name).write_bytes(b"mine")
     (tmp_path / "study.toml").write_text(SUITE)
     (tmp_path / "files.toml").write_text(OF_FILES)
+    (tmp_path / "list.toml").write_text('[[commands]]\ndo = "record"\nname = "noise"\nseconds = 1.0\n')
     return tmp_path
 
 
@@ -108,6 +111,17 @@ COMMANDS = {
     "identify ragged.csv --method arx": ("ragged.csv", "columns changed from 3 to 2"),
     "identify backward.csv --method arx": ("backward.csv", "at sample 5", "--rate"),
     "identify lone.csv --method arx": ("lone.csv", "single sample"),
+    "identify sheet.csv --method arx": ("sheet.csv", "'#N/A'", "line 6", "column 2", "'u'", "write a number there"),
+    "identify gap.csv --method arx": ("gap.csv", "'u'", "1 NaN", "line 6", "empty cell"),
+    "inspect sheet.csv": ("sheet.csv", "'#N/A'", "line 6", "column 2"),
+    "run run.csv": ("run.csv", "a record of measurements", "`ultraquiet identify`", "[records]"),
+    "run run.csv --quick": ("run.csv", "a record of measurements", "`ultraquiet identify`"),
+    "run record.h5": ("record.h5", "a record of measurements", "`ultraquiet identify`"),
+    "run plant.h5": ("plant.h5", "StateSpace", "`ultraquiet design`"),
+    "run list.toml": ("list.toml", "an experiment list", "`ultraquiet experiment`"),
+    "experiment run.csv": ("run.csv", "a record of measurements", "list of commands"),
+    "experiment study.toml": ("study.toml", "a study", "`ultraquiet run`"),
+    "simulate law.h5 --bench run.csv": ("run.csv", "a record of measurements", "a study"),
     "identify run.csv --inputs u --outputs u --method arx": ("'u'", "go in and to come out"),
     "design run.csv": ("run.csv", "`identify`"),
     "deploy run.csv": ("run.csv", "`design`"),

@@ -270,7 +270,7 @@ def test_command_prints_one_table(loop, tmp_path, monkeypatch, capsys):
         "delta",
         "compared here",
         "loop: phase margin",
-        "worst direction at ",
+        "attenuation of the worst direction at ",
         "ok: All bits of 300 steps",
     ):
         assert line in said

@@ -102,7 +102,7 @@ def test_columns_of_numbers_padded_with_blanks(table):
         ("a,b,c\n1,2,3\n", (None, None), r"does not say what goes in .* a \(1\), b \(1\), c \(1\).*--inputs 1-2"),
         ("a,b\n0,5\n1,6\n2,7\n", (None, None), "does not say what goes in"),  # the first column counts samples
         ("a,b\n1,x\n", ("a", "b"), "holds no line of numbers"),
-        ("a,b\n1,2\n3,x\n", ("a", "b"), "could not convert string 'x'"),
+        ("a,b\n1,2\n3,x\n", ("a", "b"), r"'x', which is no number, stands in line 3, column 2 \('b'\)"),
         ("a,b\n1,2\n3\n", ("a", "b"), "the number of columns changed"),
         ("\n", ("a", "b"), "holds no line of numbers"),
         ("a,a\n1,2\n", ("a", "a"), "has 2 columns called 'a'; choose by number"),

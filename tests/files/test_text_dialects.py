@@ -1,5 +1,7 @@
 """Text files as programs of all kinds leave them: read for what they say, or refused with what would do."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,59 @@ def test_what_cannot_be_read_says_what_would_do(tmp_path, table, content, words)
         read_record(tmp_path / "run.csv", **WIRES)
     print(refused.value)
     assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("word", ["#N/A", "#DIV/0!", "#NV", "#WERT!", "NA", "n/a", "-", "5kg"])
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (0, 1), (7, 2), (N - 1, 3)])
+@pytest.mark.parametrize("dialect", ["commas", "decimal commas between semicolons", "tabs"])
+def test_a_cell_that_is_no_number_is_named_with_its_line_and_column(tmp_path, table, word, row, column, dialect):
+    """Whether the file would do without the column or not: nobody knows what a word stands for."""
+    settings = DIALECTS[dialect]
+    lines = text(table, **settings).splitlines()
+    mark = settings.get("mark", ",")
+    cells = lines[row + 1].split(mark)
+    cells[column] = word
+    lines[row + 1] = mark.join(cells)
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    with pytest.raises(InputError, match=re.escape(f"'{word}', which is no number")) as refused:
+        read_record(tmp_path / "run.csv", **WIRES)
+    said = str(refused.value)
+    assert f"in line {row + 2}, column {column + 1} ('{NAMES[column].split(' [')[0]}" in said
+    assert "write a number there, or leave the cell empty if the column is not used" in said
+
+
+@pytest.mark.parametrize("column", [0, 1, 3])
+def test_an_empty_cell_is_named_with_its_line(tmp_path, table, column):
+    lines = text(table).splitlines()
+    cells = lines[8].split(",")
+    cells[column] = ""
+    lines[8] = ",".join(cells)
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    name = "time column" if column == 0 else f"'{NAMES[column].split(' [')[0]}'"
+    with pytest.raises(InputError, match=rf"{name} of .* has 1 NaN.* at sample 7, in line 9 \(an empty cell"):
+        read_record(tmp_path / "run.csv", **WIRES)
+    if column == 1:  # one that nobody names may have gaps
+        assert read_record(tmp_path / "run.csv", inputs=["right coil"], outputs=["nose"]).samples == N
+
+
+def test_the_clock_is_no_signal_and_goes_by_its_name_in_other_languages(tmp_path, table):
+    """Numbers count the clock's column too: who takes it for a signal is told what the numbers are."""
+    for name in ("time [s]", "Zeit [s]", "temps (ms)"):
+        (tmp_path / "run.csv").write_text(text(table, names=[name, *NAMES[1:]]))
+        assert read_record(tmp_path / "run.csv", **WIRES).rate_hz == (500e3 if "ms" in name else 500.0)
+        with pytest.raises(InputError, match=r"is the clock of 'run.csv', no signal.* 2 left coil, 3 right coil"):
+            read_record(tmp_path / "run.csv", inputs="1-2", outputs="3-4")
+        assert read_record(tmp_path / "run.csv", inputs="2-3", outputs="4").sensors[0].name == "nose"
+        with pytest.raises(InputError, match="--inputs 2-3 --outputs 4"):
+            read_record(tmp_path / "run.csv")
+    (tmp_path / "run.csv").write_text(text(table, names=["Uhr [s]", *NAMES[1:]]))
+    with pytest.raises(InputError, match="--rate .* or name 'Uhr', which rises evenly, 'time' if it is the clock"):
+        read_record(tmp_path / "run.csv", **WIRES)
+
+
+def test_a_remark_behind_numbers_is_none_of_them(tmp_path, table):
+    lines = text(table).splitlines()
+    lines[1] += " # touched by hand"
+    lines.insert(9, "# the bench was touched")
+    (tmp_path / "run.csv").write_text("\n".join(lines))
+    assert read_record(tmp_path / "run.csv", **WIRES).samples == N

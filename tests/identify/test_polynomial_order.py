@@ -46,13 +46,17 @@ def test_command_line_python_and_study_come_to_one_order(run, tmp_path, rng, ny,
     record = recorded(rng, ny, nu, 600)
     uq.files.save(record, tmp_path / "run.h5")
     python = methods("identify")[method](order="auto").identify(record)
-    words = ("--method", method, "--order", "auto", "--hold-out", "0", "--out", "m.h5", "--json")
+    words = ("--method", method, "--order", "auto", "--out", "m.h5", "--json")
     shell = json.loads(run("identify", "run.h5", *words)[1])
     plant = parse(STUDY.format(method=method)).plant
     facts = identification.plant({"run": record}, plant).facts
     print(python.status, shell["status"], facts.status, sep="\n")
     order = python.details["order"]
     assert shell["order"] == order
+    assert (shell["samples"], shell["held_out_samples"]) == (600, 0)
+    assert list(shell["fit_percent"].values()) == list(python.fit_percent)
+    assert list(shell["loss"].values()) == list(python.loss)
+    assert uq.files.load(tmp_path / "m.h5").state_space().hash == python.model.state_space().hash
     assert f"Order {order} was chosen" in str(python.status)
     assert facts.status == str(python.status)
     assert str(python.status.sentence) in str(shell["status"])

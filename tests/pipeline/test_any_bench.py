@@ -185,6 +185,20 @@ def test_a_python_function_walks_the_whole_study(masses, run):
     assert "(m/s)/N" in visible(page)
 
 
+@pytest.mark.slow
+def test_a_publication_of_another_bench_says_what_its_own_table_says(masses, run):
+    """Figures, equations, bands and processors of a publication stand in its table of the study file alone."""
+    asked = '[paper]\nstructure = "arx"\norder = 4\nrecords = ["rough"]\nfigures = { bode = "plate 7" }\n[plant]'
+    (masses / "study.toml").write_text(STUDY.replace("[plant]", asked, 1))
+    code, _, said = run("run", "study.toml", "--out", "out", "--quick")
+    print(said[-2000:])
+    assert code == 0
+    page = visible((masses / "out" / "report.html").read_text())
+    print(*re.findall(r"[^.]*[Pp]aper[^.]*\.", page), sep="\n")
+    assert "Paper: plate 7." in page
+    assert not re.findall(r"Figs?\. \d|eq\. \(|C31|as the paper counts|the physics", page, re.IGNORECASE)
+
+
 WRONG = {
     "no such file": ("two_masses.py:make_bench", "three_masses.py:make_bench", "no file"),
     "no such function": (":make_bench", ":make_bank", "no callable 'make_bank'"),

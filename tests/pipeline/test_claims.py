@@ -1,11 +1,14 @@
 """What a publication printed, claim by claim, beside the figures of this run, which are read from its summary."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from ultraquiet.pipeline import packaged_study
 from ultraquiet.pipeline.report.claims import MISSING, _ours, at
+from ultraquiet.pipeline.report.records import noted
 from ultraquiet.pipeline.study import StudyError, parse
-from ultraquiet.pipeline.tables.paper import Claim
+from ultraquiet.pipeline.tables.paper import Claim, Paper
 
 FOUND = {"loops": {"calm": {"tones": {"2.5": {"reduction_db": 12.345}}}}, "bands": [{"db": 3}], "ok": True}
 
@@ -37,6 +40,16 @@ def test_the_packaged_claims_name_what_the_study_has():
                 assert names[0] in study.controllers, place
             if "tones" in names:
                 assert float(names[names.index("tones") + 1]) in study.closed_loop.tones_hz, place
+
+
+def test_nothing_of_a_paper_is_known_beyond_its_table():
+    bare = Paper(records=["noise"])
+    assert (bare.band_hz, bare.figures, bare.zeros, bare.counts_plant, bare.processor) == (None, {}, "", False, None)
+    result = SimpleNamespace(study=SimpleNamespace(paper=bare))
+    assert not noted(result, "bode")
+    result.study.paper = bare.model_copy(update={"figures": {"bode": "plate 7"}})
+    assert noted(result, "bode") == " (Paper: plate 7.)"
+    assert not noted(result, "excitation")
 
 
 def test_a_claim_is_checked_with_its_line():

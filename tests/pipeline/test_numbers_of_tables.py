@@ -41,7 +41,13 @@ BAD = {
     "table": "{ a = 1 }",
 }
 # Zero is a seed, filters may average nothing, and less than nothing may be required.
-LEGITIMATE = {("seed", "zero"), ("first_seed", "zero"), ("averages", "zero"), ("tune", "bool")}
+LEGITIMATE = {
+    ("seed", "zero"),
+    ("first_seed", "zero"),
+    ("averages", "zero"),
+    ("tune", "bool"),
+    ("counts_plant", "bool"),
+}
 LEGITIMATE |= {(f"{key}_db", kind) for key in ("attenuation", "payload", "tones") for kind in ("zero", "negative")}
 REQUIRED = {("requirements", "peak_db", kind) for kind in ("zero", "negative")}
 NOT_TRIED = {("records", "rate_hz")}  # a study has a bench or files; tried below

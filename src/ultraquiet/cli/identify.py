@@ -9,7 +9,7 @@ import typer
 from ultraquiet._base.constraints import between
 from ultraquiet._base.errors import InputError
 from ultraquiet.cli.exits.codes import finish
-from ultraquiet.cli.order import found_order, of_order
+from ultraquiet.cli.order import chooses, found_order, of_order
 from ultraquiet.cli.output.targets import beside, require_free
 from ultraquiet.cli.progress import bars
 from ultraquiet.cli.settings import completing
@@ -33,22 +33,32 @@ def identify(
         Path | None, typer.Option(help="Channels of the file (TOML), instead of --inputs and --outputs.")
     ] = None,
     hold_out: Annotated[
-        float, typer.Option(help="Share of the record, at its end, kept for judging the model.")
-    ] = HELD_OUT,
+        float | None,
+        typer.Option(
+            help=f"Share of the record, at its end, kept for judging the model; without it {HELD_OUT:g}, and nothing "
+            "where the order is chosen, which is judged on unseen samples by itself.",
+            show_default=False,
+        ),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Where the model goes (HDF5); default: beside the record.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing model.")] = False,
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="Another setting of the method, key=value.")
     ] = None,
 ) -> None:
-    """Identify a model and judge it on the part of the record it has not seen."""
+    """Identify a model and judge it on the part of the record it has not seen.
+
+    The model is that of the part before; --hold-out 0 takes the whole record, as a call from Python does.
+    """
     from ultraquiet import files, validate
     from ultraquiet.cli.output.screen import screen
     from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.identify.record_checks import in_and_out
     from ultraquiet.values.channel import squared
 
-    held_out_share = between("identify", "hold-out", hold_out, 0.0, 0.9)
+    settings = of_order(method, setting or (), order)
+    kept = hold_out if hold_out is not None else 0.0 if chooses(settings) else HELD_OUT
+    held_out_share = between("identify", "hold-out", kept, 0.0, 0.9)
     target = out or beside("identify", record, f"{method}.h5")
     require_free("identify", target, force)
     data = files.read_record(record, rate, _names(inputs), _names(outputs), mapping, keep_clock=True)
@@ -58,13 +68,13 @@ def identify(
     cut = data.samples - int(held_out_share * data.samples)
     show = screen()
     with bars():
-        settings = of_order(method, setting or (), order)
         result = settings.identify(data.part(0, cut))
     unseen_percent = np.full(len(data.sensors), np.nan)
     if held_out_share:
         unseen_percent = validate.compare(result.model, data.part(cut)).fit_percent
     files.save(result.model, target, overwrite=force)
-    title = f"{method} from {cut} samples at {data.rate_hz:g} Hz"
+    of_all = f" of {data.samples}" if held_out_share else ""
+    title = f"{method} from {cut}{of_all} samples at {data.rate_hz:g} Hz"
     grid = TextTable(("output", "fit, seen", "fit, held out", "loss"), title)
     for channel, seen, unseen, loss in zip(data.sensors, result.fit_percent, unseen_percent, result.loss, strict=True):
         held_out = f"{unseen:.2f} %" if held_out_share else "-"
@@ -80,6 +90,8 @@ def identify(
             "method": method,
             "order": chosen,
             "rate_hz": data.rate_hz,
+            "samples": cut,
+            "held_out_samples": data.samples - cut,
             "fit_percent": dict(zip(names, result.fit_percent, strict=True)),
             "held_out_fit_percent": dict(zip(names, unseen_percent, strict=True)),
             "loss": dict(zip(names, result.loss, strict=True)),

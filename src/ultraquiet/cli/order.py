@@ -27,6 +27,11 @@ def of_order(name: str, assignments: Sequence[str], order: str | None) -> Any:
     return make("identify", name, assignments, order=AUTO)
 
 
+def chooses(settings: Any) -> bool:
+    """Return whether a method with these settings looks for its order itself, on the whole record it is given."""
+    return isinstance(settings, SearchedOrder) and settings.given_order is None
+
+
 def found_order(settings: Any, result: Any) -> int | None:
     """Return the order that a model came to; None for a method without one."""
     order = getattr(settings, "order", None)

@@ -17,7 +17,7 @@ from ultraquiet.experiments.compile import Compiler
 from ultraquiet.experiments.making import checked_bench, make
 from ultraquiet.experiments.mistakes import ListError
 from ultraquiet.experiments.plan import Measurement, Step, duration_s
-from ultraquiet.files import reason
+from ultraquiet.files import reason, refuse_data
 
 PACKAGED = ("suite",)
 STARTED_WHEN_ASKED = (Process,)
@@ -87,6 +87,7 @@ def load(path: str | os.PathLike[str], bench: Any | None = None, seed: int | Non
     place = Path(path)
     if str(path) in PACKAGED and not place.is_file():
         place = Path(__file__).with_name(f"{path}.toml")
+    refuse_data("experiment list", place, "a list of commands (TOML)")
     try:
         text = read_regular_text(place)
     except (OSError, UnicodeDecodeError) as error:
@@ -117,6 +118,11 @@ def parse(
       line 8: there is no actuator 7; the bench has 1 to 6 (strut 1, strut 2, strut 3, strut 4, strut 5, strut 6).
     """
     content, places = read_toml(text, name, ListError)
+    if "study" in content and "commands" not in content:
+        raise InputError(
+            f"experiment list: '{name}' is a study; `ultraquiet run` takes it, and the list that it names under "
+            "[experiment] belongs here."
+        )
     mistakes = Mistakes(places)
     head = _head(content, mistakes)
     bench_given = bench is not None

@@ -9,7 +9,7 @@ from ultraquiet.files.logged import Log, finalise, read_log
 from ultraquiet.files.long_record import LongRecord
 from ultraquiet.files.long_writer import LongWriter
 from ultraquiet.files.mapping import MappingError, load_mapping, parse_mapping
-from ultraquiet.files.read import read_record
+from ultraquiet.files.read import read_record, refuse_data
 from ultraquiet.files.responses import export_frf, read_frf
 from ultraquiet.files.sep005 import from_sep005, to_sep005
 from ultraquiet.files.survey import Survey, survey
@@ -38,6 +38,7 @@ __all__ = [
     "read_log",
     "read_record",
     "reason",
+    "refuse_data",
     "save",
     "save_many",
     "survey",

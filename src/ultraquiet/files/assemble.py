@@ -76,6 +76,6 @@ def _sound(table: FileTable, c: Column, rows: slice) -> None:
     bad = np.flatnonzero(~np.isfinite(c.values[rows]))
     if bad.size:
         raise InputError(
-            f"read_record: '{c.name}' of '{table.path}' has {bad.size} NaN or infinite values, the first at sample "
-            f"{int(bad[0]) + rows.start}; fill them, or leave them out with a mapping's crop_s."
+            f"read_record: '{c.name}' of '{table.path}' has {bad.size} NaN or infinite values, the first at "
+            f"{table.place_of(int(bad[0]) + rows.start)}; fill them, or leave them out with a mapping's crop_s."
         )

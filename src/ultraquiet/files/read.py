@@ -5,10 +5,10 @@ import os
 from pathlib import Path
 
 from ultraquiet._base.constraints import positive
-from ultraquiet._base.errors import InputError
-from ultraquiet.files.archive import load_many
+from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet.files.archive import is_archive, load_many
 from ultraquiet.files.assemble import assemble
-from ultraquiet.files.formats import ARCHIVES, format_of, understood
+from ultraquiet.files.formats import ARCHIVES, FORMATS, format_of, understood
 from ultraquiet.files.mapping import Mapping, load_mapping
 from ultraquiet.files.readers.hdf5 import is_ours
 from ultraquiet.files.select import Choice, Picked, chosen, inputs_and_outputs
@@ -98,6 +98,38 @@ def _agreed(table: FileTable, picked: Picked, rate_hz: float | None) -> float | 
 def read_table(path: _Path) -> FileTable:
     """Return all columns of a file as they are, before anything is chosen; errors as in `read_record`."""
     return _opened(path)[0]
+
+
+def refuse_data(who: str, path: _Path, wanted: str) -> None:
+    """Refuse a file of measurements, or of models, where a text is wanted that somebody wrote.
+
+    Args:
+        who: opens the sentence.
+        path: the file; one that is no data, or is not there, is left to its reader.
+        wanted: what it should be.
+
+    Raises:
+        InputError: it is data; the message says which command takes it.
+    """
+    place = Path(path)
+    if place.suffix.lower() not in (suffix for form in FORMATS for suffix in form.suffixes) or not place.is_file():
+        return
+    try:
+        values = load_many(place).values() if is_archive(place) else ()
+        kinds = sorted({type(value).__name__ for value in values if not isinstance(value, Record)})
+        if not kinds and not read_table(place).columns:
+            return
+    except UltraquietError:
+        return
+    if kinds:
+        raise InputError(
+            f"{who}: '{path}' holds a {' and a '.join(kinds)}, where {wanted} is wanted; `ultraquiet design` takes a "
+            "plant, `ultraquiet deploy` a law."
+        )
+    raise InputError(
+        f"{who}: '{path}' is a record of measurements, where {wanted} is wanted; `ultraquiet identify` makes a model "
+        "of it, `ultraquiet inspect` says what it holds, and a study names it under [records] as 'files'."
+    )
 
 
 def _opened(path: _Path) -> tuple[FileTable, Record | None, tuple[str, ...]]:

@@ -16,7 +16,16 @@ def inputs_and_outputs(table: FileTable, inputs: Choice, outputs: Choice) -> Pic
     """Return the columns that go in and those that come out: as chosen, or as the file says."""
     if (inputs is None) != (outputs is None):
         raise InputError("read_record: --inputs and --outputs (inputs=, outputs=) go together; one of them is missing.")
-    return _speaking(table) if inputs is None else (chosen(table, inputs), chosen(table, outputs))
+    if inputs is None:
+        return _speaking(table)
+    picked = chosen(table, inputs), chosen(table, outputs)
+    clock = table.time
+    if clock is not None and any(c is clock for c in (*picked[0], *picked[1])):
+        raise InputError(
+            f"read_record: '{clock.name}' is the clock of '{table.path}', no signal; leave it away. Numbers count "
+            f"all columns: {', '.join(f'{k} {c.name}' for k, c in enumerate(table.columns, 1) if c is not clock)}."
+        )
+    return picked
 
 
 def chosen(table: FileTable, choice: Choice) -> list[Column]:
@@ -91,7 +100,8 @@ def _speaking(table: FileTable) -> Picked:
     one_table = len({c.variable for c in signals}) == 1
     if one_table and len(signals) == 2 and not is_ramp(signals[0].values):
         return [signals[0]], [signals[1]]
-    numbers = " or by number, as in --inputs 1-2 --outputs 3" if one_table else ""
+    first = 1 + (bool(table.columns) and table.columns[0] is table.time)
+    numbers = f" or by number, as in --inputs {first}-{first + 1} --outputs {first + 2}" if one_table else ""
     raise InputError(
         f"read_record: '{table.path}' does not say what goes in and what comes out; it holds {table.describe()}; "
         f"name them with --inputs and --outputs (inputs=, outputs=){numbers}, or in a mapping."

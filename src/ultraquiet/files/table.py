@@ -13,7 +13,7 @@ from ultraquiet._base.errors import InputError, StorageError
 
 RATE_NAMES = ("rate_hz", "fs", "fs_hz", "sample_rate", "sampling_rate", "samplerate")
 STEP_NAMES = ("dt", "ts", "sample_time")
-TIME_NAMES = ("time", "t", "time_s", "t_s", "time_ms", "time_us")
+TIME_NAMES = ("time", "t", "time_s", "t_s", "time_ms", "time_us", "zeit", "temps", "tiempo", "tempo", "tid", "tijd")
 SPEAKING = {  # names that say themselves what a column is
     "input": re.compile(r"(inputs?|u)[\W_]*\d*", re.IGNORECASE),
     "output": re.compile(r"(outputs?|y)[\W_]*\d*", re.IGNORECASE),
@@ -45,12 +45,16 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class FileTable:
-    """All columns of a file, its scalars by lower-case name, and which of its variables are no columns, with shapes."""
+    """All columns of a file, its scalars by lower-case name, and which of its variables are no columns, with shapes.
+
+    `first_line` is the line of a text file on which its first sample stands, where each next one has the next line.
+    """
 
     path: str
     columns: tuple[Column, ...]
     scalars: Mapping[str, float] = field(default_factory=dict)
     unusable: tuple[str, ...] = ()
+    first_line: int | None = None
 
     @property
     def time(self) -> Column | None:
@@ -88,8 +92,24 @@ class FileTable:
             if self.scalars.get(name):
                 return rate_of_step(self.scalars[name])
         if self.time is None:
-            raise InputError(f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=).")
+            even = next((c.name for c in self.columns if not c.role and is_ramp(c.values)), None)
+            clock = "" if even is None else f", or name '{even}', which rises evenly, 'time' if it is the clock"
+            raise InputError(
+                f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=){clock}."
+            )
+        missing = np.flatnonzero(np.isnan(self.time.values))
+        if missing.size:
+            raise InputError(
+                f"read_record: the time column of '{self.path}' has {missing.size} NaN, the first at "
+                f"{self.place_of(int(missing[0]))}; fill them, or give --rate (rate_hz=)."
+            )
         return clock_hz(self.path, self.time)
+
+    def place_of(self, sample: int) -> str:
+        """Return where a sample stands, for a message: its number, and its line in a file of text."""
+        if self.first_line is None:
+            return f"sample {sample}"
+        return f"sample {sample}, in line {self.first_line + sample} (an empty cell counts as NaN)"
 
     def agreed_hz(self, columns: Sequence[Column], given_hz: float) -> float:
         """Return a rate somebody gave, refused where it contradicts a clock that the file keeps itself."""
@@ -238,6 +258,7 @@ def tree_of(table: FileTable) -> dict[str, Any]:
         "columns": [{key: _printable(v) if key in texts else v for key, v in row.items()} for row in rows],
         "scalars": dict(table.scalars),
         "unusable": [_printable(variable) for variable in table.unusable],
+        "first_line": table.first_line,
     }
 
 
@@ -249,4 +270,4 @@ def _printable(text: Any) -> str:
 def table_of(name: str, tree: dict[str, Any]) -> FileTable:
     """Return the table that `tree_of` took apart."""
     columns = tuple(Column(**column) for column in tree["columns"])
-    return FileTable(name, columns, tree["scalars"], tuple(tree["unusable"]))
+    return FileTable(name, columns, tree["scalars"], tuple(tree["unusable"]), tree["first_line"])

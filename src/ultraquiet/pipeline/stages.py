@@ -289,7 +289,7 @@ class Stages:
         paper, held_out = self.study.paper, identification.sweep_groups(self.records, self.study.identify)[1]
         shown = tuple(paper.simulated) if paper else validation.worth_showing(self.records, held_out)
         beside_hz = self.study.validate_models.band_hz or plan.band_hz
-        judge = validation.JudgedBy(held_out, shown, paper.band_hz if paper else plan.band_hz, beside_hz)
+        judge = validation.JudgedBy(held_out, shown, (paper and paper.band_hz) or plan.band_hz, beside_hz)
         compute = partial(validation.validated, self.records, models, plant, self.bench, judge)
         key = [*self._models_key(plant), judge]
         return self.cache.stage("validate", "models", key, ValidationFacts, compute)

@@ -12,7 +12,7 @@ from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes, TableError, read_toml
 from ultraquiet._base.regular import read_regular_text
 from ultraquiet._base.tables import Method, Strict, settings_object
-from ultraquiet.files import reason
+from ultraquiet.files import reason, refuse_data
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.blending import BlendingTable
 from ultraquiet.pipeline.tables.files import with_all_records
@@ -247,6 +247,7 @@ def load_study(path: Path) -> Study:
     Raises:
         InputError: the file is missing, or a `StudyError` as of `parse`.
     """
+    refuse_data("study", path, "a study (TOML)")
     try:
         text = read_regular_text(path)
     except (OSError, UnicodeDecodeError) as error:
@@ -270,6 +271,11 @@ def parse(text: str, name: str = "study") -> Study:
       line 5: deploy: there is no key 'precison' here; did you mean 'precision'? Known are precision, limits.
     """
     content, places = read_toml(text, name, StudyError)
+    if "commands" in content and "study" not in content:
+        raise InputError(
+            f"study: '{name}' is an experiment list; `ultraquiet experiment` takes it, and a study names it under "
+            "[experiment] as 'list'."
+        )
     content, places = with_paper(content, places)
     content = with_all_records(content)
     mistakes = Mistakes(places)

@@ -30,7 +30,9 @@ def deploy(
         bool, typer.Option("--anti-windup", help="Correct the state by what the limits take away.")
     ] = False,
     plant: Annotated[Path | None, typer.Option(help="A plant (HDF5): analyse the loop with the rounded law.")] = None,
-    budget: Annotated[int | None, typer.Option(help="C31 cycles of a frame; refuse a law that needs more.")] = None,
+    budget: Annotated[
+        int | None, typer.Option(help="Cycles of a TMS320C31 that a frame may take; refuse a law that needs more.")
+    ] = None,
     target: Annotated[
         list[str] | None,
         typer.Option(help="An emulated processor (cortex-m7) or none; may be repeated; default: all."),
@@ -89,7 +91,7 @@ def deploy(
     verified = deployment.verify(steps, targets=targets)
     show = screen()
     grid = TextTable(("what", "value"), f"{folder}")
-    for row in rows(deployment, verified):
+    for row in rows(deployment, verified, c31=budget is not None):
         grid.add(*row)
     show.table(grid)
     show.say(*unsaid(limits, law.sensors, ranges, "--limits", "may come to"))

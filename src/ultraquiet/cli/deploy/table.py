@@ -17,11 +17,11 @@ def requested_targets(names: list[str] | None) -> tuple[str, ...]:
     return tuple(target_named(name).name for name in names if name != NONE)
 
 
-def rows(deployment: "Deployment", proof: "Verification") -> list[tuple[str, str]]:
-    """Return what and value of every line."""
+def rows(deployment: "Deployment", proof: "Verification", c31: bool) -> list[tuple[str, str]]:
+    """Return what and value of every line; what a TMS320C31 would take only where somebody asks for it."""
     from ultraquiet.deploy.figures import said
 
-    listed = said(deployment.tables)
+    listed = said({key: v for key, v in deployment.tables.items() if c31 or not key.startswith("c31_")})
     if proof.compiler is not None:
         listed.append(("compared here", f"{proof.steps} steps, compiled by {proof.compiler}, {proof.seconds:.1f} s"))
     listed.extend(on_targets(proof))

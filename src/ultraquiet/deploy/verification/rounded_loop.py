@@ -9,7 +9,6 @@ from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.form_choice import loop_radius
 from ultraquiet.design.plant_scale import even_plant
-from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -22,7 +21,8 @@ LOSS_DB = 0.5  # attenuation that a law may lose through its code
 class LoopFigures:
     """A loop in figures: the largest pole, peak sensitivity, worst margins over the loops, attenuation at tones.
 
-    `attenuation_db` is -20 log10 of the largest singular value of S = (I - G K)^-1, the worst direction, one per tone.
+    `attenuation_db` is -20 log10 of the largest singular value of S = (I - G K)^-1 over the directions that the
+    actuators reach (`analyse.band_attenuation`), the worst of them, one per tone; negative where it gets louder.
     Margins are the smallest of all loops, opened one at a time at the plant's output.
     """
 
@@ -71,7 +71,7 @@ class Reanalysis(Shown):
             ("disk margin", one.disk_margin, two.disk_margin, ".3f"),
         ]
         for f, a, b in zip(self.tones_hz, one.attenuation_db, two.attenuation_db, strict=True):
-            named.append((f"worst direction at {f:g} Hz, dB", a, b, ".2f"))
+            named.append((f"attenuation of the worst direction at {f:g} Hz, dB", a, b, ".2f"))
         return [(what, format(a, form), format(b, form)) for what, a, b, form in named]
 
 
@@ -112,10 +112,12 @@ def own_frequencies(plant: StateSpace) -> FloatArray:
 
 def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
     from ultraquiet.analyse import loop_margins, peak_sensitivity
+    from ultraquiet.analyse.margins import pulled_in, reached_directions
 
     radius = loop_radius(plant, law)
     S = sensitivity(plant, law)
-    size = principal_gains(S.frequency_response(f))[0]
+    reached = reached_directions(pulled_in(plant).frequency_response(f))
+    size = np.linalg.norm(np.moveaxis(S.frequency_response(f), 2, 0) @ reached, 2, axis=(1, 2))
     margins = loop_margins(plant, law)
     return LoopFigures(
         pole_radius=radius,

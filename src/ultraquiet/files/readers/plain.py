@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.confined import announce
+from ultraquiet.files.readers.cells import first_fault, is_missing, is_number, without_remark
 from ultraquiet.files.table import MOST_COLUMNS, Column, FileTable, split_unit
 from ultraquiet.values import Channel, Record
 
@@ -35,6 +37,7 @@ def read_text(name: str, data: bytes) -> FileTable:
     Cells are parted by semicolons, tabs, commas or blanks; with semicolons or tabs a comma is a decimal comma. Units
     may stand in a line of their own below the names. An empty cell counts as NaN, and delimiters at the ends of lines
     make no column. Lines that begin with `#` are remarks, and the last of them before the numbers may be the header.
+    A cell that is no number (`NA`, `#DIV/0!`, a word) is refused with its line and column.
     """
     try:
         data = data.decode("utf-16").encode() if data[:2] in UTF16 else data
@@ -47,28 +50,44 @@ def read_text(name: str, data: bytes) -> FileTable:
     start, delimiter = len(before), _delimiter(first)
     if len(_cells(first, delimiter)) > MOST_COLUMNS:
         raise InputError(f"read_record: line {start + 1} of '{name}' has more than {MOST_COLUMNS} columns.")
+    _no_row_among_names(name, before, delimiter, len(_cells(first, delimiter)))
     announce(name, LEAST_NUMBER * len(data), len(data))
     try:
         rows = _numbers(data, start, delimiter)
     except UnicodeDecodeError:
         raise InputError(f"read_record: '{name}' {NO_TEXT}.") from None
     except ValueError as error:
-        refusal = _plainly(reason(error), _commas_are_decimal(before, first))
-        raise InputError(f"read_record: '{name}', after line {start}: {refusal}.") from None
+        raise InputError(f"read_record: '{name}': {_refusal(data, before, first, reason(error))}.") from None
     if _commas_are_decimal(before, first):
         raise InputError(f"read_record: '{name}' has more numbers a line than names; {DECIMAL_COMMAS}.")
     rows = rows[:, : _named_columns(before, delimiter, rows)]
     header = _header(before, delimiter, rows.shape[1])
     columns = [Column(called, values, unit) for (called, unit), values in zip(header, rows.T, strict=True)]
-    return FileTable(name, _with_roles(columns))
+    unbroken = data.rstrip().count(b"\n") + 1 - start == len(rows)
+    return FileTable(name, _with_roles(columns), first_line=start + 1 if unbroken else None)
 
 
-def _plainly(refusal: str, decimal_commas: bool) -> str:
-    """Return what NumPy says of a table with advice on the file in place of NumPy's on its own arguments."""
-    said = refusal.partition("; use `usecols`")[0]
-    if decimal_commas:
+def _refusal(data: bytes, before: Sequence[str], first: str, said: str) -> str:
+    """Return what is wrong with a table: its first line that is no row of it, or what NumPy says, less its advice."""
+    start, delimiter = len(before), _delimiter(first)
+    said = f"after line {start}: {said.partition('; use `usecols`')[0]}"
+    if _commas_are_decimal(before, first):
         return f"{said}; {DECIMAL_COMMAS}"
-    return f"{said}; write a number there, or leave the cell empty" if "could not convert" in said else said
+    rows = (_cells(line, delimiter) for line in _rows_of_numbers(data, start, delimiter))
+    names = [called for called, _ in _header(before, delimiter, len(_cells(first, delimiter)))]
+    return first_fault(rows, start, names) or said
+
+
+def _no_row_among_names(name: str, before: Sequence[str], delimiter: str | None, count: int) -> None:
+    """Refuse a first row that a cell keeps from being one, which would else be taken for units below the names."""
+    lines = [(k, _named(line, delimiter, count)) for k, line in enumerate(before) if line.strip() and line[0] != "#"][
+        -2:
+    ]
+    if len(lines) == 2 and all(len(cells) == count for _, cells in lines):
+        (_, names), (k, cells) = lines
+        points = [cell.replace(",", ".") if delimiter in (";", "\t") else cell for cell in cells]
+        if any(map(is_number, points)) and not any(map(is_number, names)):
+            raise InputError(f"read_record: '{name}': {first_fault([points], k, names)}.")
 
 
 def _commas_are_decimal(before: Sequence[str], first: str) -> bool:
@@ -128,24 +147,31 @@ def _before(data: bytes) -> list[str] | None:
     """Return the lines up to the first one of numbers, without their ends; None when there is none."""
     lines: list[str] = []
     for line in _lines(data):
+        bare = without_remark(line.rstrip("\n"))
+        if _is_numbers(bare):
+            return [*lines, bare]
         lines.append(line.rstrip("\n"))
-        if _is_numbers(lines[-1]):
-            return lines
     return None
 
 
 def _numbers(data: bytes, start: int, delimiter: str | None) -> FloatArray:
-    def lines() -> Iterator[str]:
-        rest = islice(_lines(data), start, None)
-        return (line.replace(",", ".") for line in rest) if delimiter in (";", "\t") else rest
+    def loaded(**how: Any) -> FloatArray:
+        lines = _rows_of_numbers(data, start, delimiter)
+        return np.loadtxt(lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', **how)
 
     try:
-        return np.loadtxt(lines(), delimiter=delimiter, ndmin=2)
+        return loaded()
     except ValueError:
-        if delimiter is None or not any(_has_gap(line, delimiter) for line in lines()):
+        if delimiter is None or not any(_has_gap(line, delimiter) for line in _rows_of_numbers(data, start, delimiter)):
             raise
     # Slower, and needed only where cells are empty.
-    return np.loadtxt(lines(), delimiter=delimiter, ndmin=2, converters=lambda cell: float(cell.strip() or "nan"))
+    return loaded(converters=lambda cell: float(cell.strip() or "nan"))
+
+
+def _rows_of_numbers(data: bytes, start: int, delimiter: str | None) -> Iterator[str]:
+    """Return the lines of numbers, empty where a remark stood, with points in place of decimal commas."""
+    rest = (without_remark(line) for line in islice(_lines(data), start, None))
+    return (line.replace(",", ".") for line in rest) if delimiter in (";", "\t") else rest
 
 
 def _has_gap(line: str, delimiter: str) -> bool:
@@ -154,7 +180,7 @@ def _has_gap(line: str, delimiter: str) -> bool:
 
 def _is_numbers(line: str) -> bool:
     delimiter = _delimiter(line)
-    cells = [cell for cell in _cells(line, delimiter) if cell]
+    cells = [cell for cell in _cells(line, delimiter) if cell and not is_missing(cell)]
     if delimiter in (";", "\t"):
         cells = [cell.replace(",", ".") for cell in cells]
     try:

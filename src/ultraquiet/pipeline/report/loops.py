@@ -132,9 +132,9 @@ def _remarks(facts: DesignFacts) -> list[str]:
 
 def closed_loop(result: StudyResult) -> Section:
     """Each loop on the bench of every unit."""
-    plan, paper = result.plan, result.study.paper
+    plan, counted = result.plan, _counts_plant(result)
     low, high = plan.band_hz
-    heads = [h for t in plan.tones_hz for h in (f"{t:g} Hz", *([f"{t:g} Hz as the paper counts"] if paper else []))]
+    heads = [h for t in plan.tones_hz for h in (f"{t:g} Hz", *([f"{t:g} Hz as the paper counts"] if counted else []))]
     columns = (
         "controller",
         "unit",
@@ -181,11 +181,19 @@ def _about_tones(result: StudyResult) -> list[str]:
     paper = result.study.paper
     if paper is None:
         return [text]
+    said = [f"The paper's simulations: {sentence}." for sentence in paper.says]
+    if not paper.counts_plant:
+        return [text, *said]
     counted = (
         " As the paper counts, -20 log10(|y closed| / |d|) holds the plant's own gain as well: the row 'no control' "
         "shows how much of it is had for nothing."
     )
-    return [text + counted, *(f"The paper's simulations: {said}." for said in paper.says)]
+    return [text + counted, *said]
+
+
+def _counts_plant(result: StudyResult) -> bool:
+    """Return whether the study is that of a paper that counts the plant's own gain as attenuation."""
+    return result.study.paper is not None and result.study.paper.counts_plant
 
 
 def _requirements(facts: RequirementsFacts | None) -> list[Table]:
@@ -224,7 +232,7 @@ def _loops(result: StudyResult) -> Iterator[tuple[str, str, StableLoop | Unstabl
 
 def _loop_rows(result: StudyResult) -> list[tuple[object, ...]]:
     rows: list[tuple[object, ...]] = []
-    columns = 1 if result.study.paper is None else 2
+    columns = 1 + _counts_plant(result)
     for name, unit, loop in _loops(result):
         if isinstance(loop, UnstableLoop):
             rows.append((name, unit, loop.word, *[""] * (2 + columns * len(result.plan.tones_hz))))
@@ -232,7 +240,7 @@ def _loop_rows(result: StudyResult) -> list[tuple[object, ...]]:
         tones = [_number(db, 1) for tone in loop.tones.values() for db in (tone.reduction_db, tone.paper_db)[:columns]]
         rest = (loop.broadband_db, loop.worst_direction_band_db, loop.peak_amplification_db)
         rows.append((name, unit, *tones, *("-" if db is None else _number(db, 1) for db in rest)))
-    return [*(_idle_rows(result) if result.study.paper else []), *rows]
+    return [*(_idle_rows(result) if _counts_plant(result) else []), *rows]
 
 
 def _idle_rows(result: StudyResult) -> list[tuple[object, ...]]:
@@ -270,7 +278,7 @@ def _time_responses(result: StudyResult) -> list[Picture]:
         return []
     units = " ".join(dict.fromkeys(c.unit for c in records[0].actuators if c.unit))
     sent = f"{result.plan.amplitude:g} {units}".strip()
-    note = noted(result, "Figs. 14 and 15")
+    note = noted(result, "under_tone")
     closed, opened = records
     seen = waterfall(name, float(tone), {"open loop": opened, "closed loop": closed}, span(result))
     return [
@@ -282,7 +290,7 @@ def _time_responses(result: StudyResult) -> list[Picture]:
 
 def code(result: StudyResult) -> Section:
     """The generated code of each controller."""
-    c31 = result.study.paper is not None
+    c31 = result.study.paper is not None and result.study.paper.processor == "c31"
     columns = C31_COLUMNS if c31 else CODE_COLUMNS
     rows = [(name, *(_of_code(facts, column) for column in columns)) for name, facts in result.deployment.items()]
     heads = ("controller", *map(figure_words, columns))

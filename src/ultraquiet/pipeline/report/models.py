@@ -140,7 +140,9 @@ def validation(result: StudyResult) -> Section:
     if paper is not None and result.identification.facts.paper:
         f, k = result.analysis.facts.f_hz, paper.channel - 1
         responses = [(n, f, result.paper_model(n).frequency_response(f)) for n in paper.records]
-        figures.append(study.bode(responses, wires(result), k, k, paper.band_hz, noted(result, "Fig. 11")))
+        figures.append(
+            study.bode(responses, wires(result), k, k, paper.band_hz or result.plan.band_hz, noted(result, "bode"))
+        )
     tables = [_fits(facts.records)] if facts.records else []
     if facts.against_bench:
         tables.append(_against_bench(facts.against_bench))
@@ -167,7 +169,7 @@ def _time_figures(result: StudyResult, models: tuple[str, ...]) -> list[Figure]:
         if simulated is not None:
             rows = dict(zip((c.name for c in simulated.sensors), simulated.outputs, strict=True))
             shown = {key: rows[key] for key in models if key in rows}
-            note = noted(result, "Figs. 8 to 10")
+            note = noted(result, "simulation")
             figures.append(study.simulation(name, result.records[name], shown, fit.actuator, fit.channel, note))
     return figures
 
@@ -202,7 +204,8 @@ def analysis(result: StudyResult) -> Section:
         low = [(k + 1, _frequencies(zeros, 0.0, low_hz)) for k, zeros in enumerate(facts.paper_zeros)]
         caption = f"Zeros outside the unit circle below {low_hz:.4g} Hz, paper's structure"
         tables.insert(0, Table(caption, ("channel", "Hz"), low))
-        sentences.append(_about_low_zeros(facts, low_hz, AT_DC * nyquist))
+        said = "" if result.study.paper is None else result.study.paper.zeros
+        sentences.append(_about_low_zeros(facts, low_hz, AT_DC * nyquist, said))
     low, high = span(result)
     scene = mode_shapes(result.design_plant, (low, high), _sketch(result))
     figures: list[Picture] = [
@@ -212,7 +215,7 @@ def analysis(result: StudyResult) -> Section:
             span(result),
         ),
         *([] if scene is None else [scene]),
-        pages.singular_value_chart(facts.f_hz, bands, wires(result), noted(result, "Fig. 12")),
+        pages.singular_value_chart(facts.f_hz, bands, wires(result), noted(result, "singular_values")),
     ]
     return Section("Analysis", sentences, tables, figures)
 
@@ -235,12 +238,11 @@ def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
     )
 
 
-def _about_low_zeros(facts: AnalysisFacts, low_hz: float, dc_hz: float) -> str:
+def _about_low_zeros(facts: AnalysisFacts, low_hz: float, dc_hz: float, said: str) -> str:
     own = _frequencies(facts.transmission_zeros, dc_hz, low_hz)
     return (
         f"Outside the unit circle below {low_hz:.4g} Hz the paper's structure has the zeros of the table, the design "
-        f"plant has: {own}. The physics, eq. (10), has its zeros at 0 Hz: what a model of low order adds there comes "
-        f"from its order."
+        f"plant has: {own}. {said}".rstrip()
     )
 
 

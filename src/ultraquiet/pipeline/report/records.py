@@ -10,6 +10,7 @@ from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, frequency_axi
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.identification import group, grouped
 from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.pipeline.tables.paper import Shown
 from ultraquiet.plot import study
 from ultraquiet.plot.pages.transfer import NamedResponse, shown_lines, transfer_grid
 from ultraquiet.report import Picture, Section, Table
@@ -20,9 +21,10 @@ MOST_SIGNALS = 4  # of different test signals that are drawn
 WIDER = 5.0  # what is drawn of a response, beyond either end of the band
 
 
-def noted(result: StudyResult, where: str) -> str:
-    """Return where the paper shows the same, if this is the study of a paper."""
-    return "" if result.study.paper is None else f" (Paper: {where}.)"
+def noted(result: StudyResult, figure: Shown) -> str:
+    """Return where a paper shows the same, if this is the study of one and says so."""
+    where = "" if result.study.paper is None else result.study.paper.figures.get(figure, "")
+    return f" (Paper: {where}.)" if where else ""
 
 
 def wires(result: StudyResult) -> study.Wires:
@@ -40,12 +42,12 @@ def span(result: StudyResult) -> tuple[float, float]:
 def excitation(result: StudyResult) -> Section:
     """Test signals, how loud they were, what clipped, and how much of the readings they explain."""
     shown = _signals(result)
-    figures: list[Picture] = [study.excitation_signals(shown, noted(result, "Fig. 6"))] if shown else []
+    figures: list[Picture] = [study.excitation_signals(shown, noted(result, "excitation"))] if shown else []
     coherent = _coherence(result)
     if coherent is not None:
         figures.append(coherent)
     for name, (record, actuator) in list(shown.items())[:1]:
-        figures.append(study.responses(name, record, actuator, noted(result, "Fig. 7")))
+        figures.append(study.responses(name, record, actuator, noted(result, "responses")))
     return Section("Excitation", [_levels_in_words(result)], [_levels(result)], figures, _clipped(result))
 
 

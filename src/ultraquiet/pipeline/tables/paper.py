@@ -1,13 +1,13 @@
 """`[paper]` of a study file: what a publication did, and what it printed."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from ultraquiet._base.lines import Place
 from ultraquiet._base.tables import Strict
-from ultraquiet.pipeline.tables.numbers import Band, Order
+from ultraquiet.pipeline.tables.numbers import Band, Flag, Order
 
 
 class Claim(Strict):
@@ -29,11 +29,17 @@ class Claim(Strict):
     why: str = ""
 
 
+Shown = Literal["excitation", "responses", "bode", "simulation", "singular_values", "under_tone"]
+
+
 class Paper(Strict):
     """`[paper]`: what a publication reported of this bench, shown beside what the study finds.
 
     Its structure is fitted to each of its test signals; `channel` is the one whose functions it prints, counted from
     one; `simulated` are records that models are shown beside; `says` are sentences of the report, as they stand.
+    Over `band_hz` it compares its models; without it that is the band of `[closed_loop]`. `figures` are where it shows
+    what a figure of the report shows; `zeros` is what its physics says of them; with `counts_plant` tones are told
+    as |y| / |d| as well, the plant's own gain with them; its `processor` gives the table of code its cycles.
     """
 
     structure: str = "box-jenkins"
@@ -41,7 +47,11 @@ class Paper(Strict):
     records: list[str] = Field(min_length=1)
     channel: Annotated[int, Field(ge=1, le=10_000, strict=True)] = 1
     simulated: list[str] = Field(default=[])
-    band_hz: Band = (10.0, 250.0)
+    band_hz: Band | None = None
+    figures: dict[Shown, str] = Field(default={})
+    zeros: str = ""
+    counts_plant: Flag = False
+    processor: Literal["c31"] | None = None
     says: list[str] = Field(default=[])
     claims: list[Claim] = Field(default=[])
 

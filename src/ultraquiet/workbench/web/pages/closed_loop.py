@@ -92,7 +92,7 @@ class _ClosedLoop:
                 return
             for unit, facts in found["facts"]["units"].items():
                 words(f"{unit}: {facts['status']}").props(f'data-testid="loop-{unit}"')
-                paper = "paper" in self.view.session.state["tables"]  # of a publication beside the study
+                paper = bool(self.view.session.state["tables"].get("paper", {}).get("counts_plant"))
                 keys = ("reduction_db", "paper_db")[: 1 + paper]
                 rows = [
                     (f"{tone} Hz", *(_reduction(tone_facts.get(key)) for key in keys))
