@@ -23,8 +23,8 @@ class Played:
     def difference(self, assembly, only_states=False):
         """Return what is wrong with a text: refused, other words, registers or cycles; None when nothing is.
 
-        With `only_states` nothing but the law's states stands in the state section to begin with: a frame that read
-        another word of it before writing it is refused.
+        With `only_states` any words stand in the state section to begin with but for the law's states: what a frame
+        reads of it before writing it is nobody's.
         """
         try:
             program = Program(assembly, self.linker)
@@ -33,8 +33,9 @@ class Played:
             machine = Machine(program)
             if only_states:
                 first = program.symbols["controller_x"]
-                for at in set(program.spans["state"]) - set(range(first, first + self.counts["x"])):
-                    machine.memory.pop(at, None)
+                others = sorted(set(program.spans["state"]) - set(range(first, first + self.counts["x"])))
+                anything = np.random.default_rng(1).integers(2**32, size=len(others))
+                machine.memory |= dict(zip(others, anything.tolist(), strict=True))
             for number, row in enumerate(self.rows):
                 if found := self._frame(machine, row, row[0] and number):
                     return f"frame {number}: {found}"

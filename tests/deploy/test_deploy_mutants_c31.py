@@ -64,7 +64,7 @@ SHARE = 400  # faults planted in each law of the long run
 IDLE = "a gain needs no zero to begin with; without it the pipeline waits as long by itself"
 UNSEEN = "what is cut off a gain's command corrects no state"
 HELD = "the last command still stands there too"
-FIRST = "a word other than a state: the frame runs where none of them has been written, so it writes them first"
+FIRST = "a word other than a state: whatever these words are to begin with, the frames are the same"
 LAST = "moves a pointer that nothing uses any more"
 
 
