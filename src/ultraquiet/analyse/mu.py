@@ -12,13 +12,14 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import ByContents
 from ultraquiet.analyse.margins import default_grid, grid_given
 from ultraquiet.analyse.peaks import ends, refined, response_at
+from ultraquiet.analyse.scalings.largest import LargestBound
 from ultraquiet.analyse.scalings.lower import lower_bound
-from ultraquiet.analyse.scalings.upper import Upper, balanced_norm, highest, lowered, upper_bound
+from ultraquiet.analyse.scalings.upper import Upper, balanced_norm, upper_bound
 from ultraquiet.analyse.structure import BlockStructure, PerturbationBlock, structure
 from ultraquiet.values.frequency_response import FrequencyResponse
 from ultraquiet.values.state_space import StateSpace
 
-FINAL_ROUNDS = 3  # of narrowing with the close bound, around lines that nine rounds with the quick one found
+QUICK_ROUNDS = 3  # of narrowing with the quick bound, before the close one narrows as far as a peak is ever narrowed
 Blocks = Sequence[int | tuple[int, int] | PerturbationBlock]
 
 
@@ -117,7 +118,7 @@ def mu_bounds(
     # both stand to rounding only: where they meet, the larger is the upper one
     top = np.maximum(upper.value, lower) * size
     beside = ends(M.rate_hz) if isinstance(M, StateSpace) and f_hz is None else None
-    peak = _peak(M, f, top, block_structure, beside) if stable else (np.inf, np.nan)
+    peak = _peak(M, f, (top, upper), block_structure, beside) if stable else (np.inf, np.nan)
     D, D_in, G = _normalised(upper, block_structure)
     arrays = (D, D_in, G * size[:, None, None], perturbation)
     return MuBounds(
@@ -182,35 +183,40 @@ def _peak_of(M: ByContents[StateSpace], blocks: tuple[PerturbationBlock, ...]) -
 def _peak(
     M: StateSpace | FrequencyResponse | ComplexArray,
     f: FloatArray,
-    values: FloatArray | None,
+    known: tuple[FloatArray, Upper] | None,
     blocks: BlockStructure,
     beside: FloatArray | None,
 ) -> tuple[float, float]:
+    """Return the largest upper bound and where; `known` are bounds at all lines with their scalings."""
     if not isinstance(M, StateSpace):
-        assert values is not None
-        k = int(np.argmax(values)) if values.size else 0
-        return (float(values[k]), float(f[k])) if values.size else (0.0, np.nan)
+        assert known is not None
+        k = int(np.argmax(known[0])) if f.size else 0
+        return (float(known[0][k]), float(f[k])) if f.size else (0.0, np.nan)
     response, visited, norms = response_at(M), list[FloatArray](), list[FloatArray]()
+    bound = LargestBound(blocks)
+
+    def stack(lines: FloatArray) -> ComplexArray:
+        return np.ascontiguousarray(np.moveaxis(response(lines), 2, 0))
 
     def quick(lines: FloatArray) -> FloatArray:
         visited.append(lines)
-        norms.append(balanced_norm(np.moveaxis(response(lines), 2, 0), blocks))
+        norms.append(balanced_norm(stack(lines), blocks))
         return norms[-1]
 
-    def closely(lines: FloatArray) -> FloatArray:
-        return upper_bound(np.moveaxis(response(lines), 2, 0), blocks).value
-
     def close(lines: FloatArray) -> FloatArray:
-        return highest(np.moveaxis(response(lines), 2, 0), blocks)
+        return bound(lines, stack(lines))
 
     grid = np.sort(f)
-    if values is not None:
-        return refined(close, grid, values[np.argsort(f)], beside)
+    if known is not None:
+        bound.learn(f, known[1], known[0])
+        largest, at = refined(close, grid, known[0][np.argsort(f)], beside)
+        return max(largest, bound.highest), at
     # the quick bound leads to the peaks, where the close one then has little way to go
-    refined(quick, grid, quick(grid))
+    refined(quick, grid, quick(grid), rounds=QUICK_ROUNDS)
     lines, first = np.unique(np.concatenate(visited), return_index=True)
-    found = lowered(np.concatenate(norms)[first], lambda few: closely(lines[few]))
-    return refined(close, lines, found, beside, rounds=FINAL_ROUNDS)
+    found = bound(lines, stack(lines), np.concatenate(norms)[first])
+    largest, at = refined(close, lines, found, beside)
+    return max(largest, bound.highest), at
 
 
 def _response(

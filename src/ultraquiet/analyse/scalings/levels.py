@@ -20,6 +20,8 @@ def balanced_levels(power: Array) -> Array:
     """
     count = power.shape[1]
     power = power * (1 - np.eye(count))
+    if np.all((power > 0) | np.eye(count, dtype=bool)):
+        return _osborne(power)  # as almost always: every path is there, and returns
     x = np.zeros(power.shape[:2])
     patterns, kind = np.unique((power > 0).reshape(power.shape[0], -1), axis=0, return_inverse=True)
     for k, pattern in enumerate(patterns):
@@ -31,14 +33,17 @@ def balanced_levels(power: Array) -> Array:
 
 def _osborne(power: Array) -> Array:
     x = np.zeros(power.shape[:2])
+    left = np.arange(len(power))
     for _ in range(SWEEPS):
         rows, columns = power.sum(axis=2), power.sum(axis=1)
         safe = (rows > 0) & (columns > 0)
         change = np.where(safe, 0.125 * np.log(np.where(safe, columns, 1) / np.where(safe, rows, 1)), 0.0)
-        x += change
-        power = power * np.exp(2 * (change[:, :, None] - change[:, None, :]))
-        if np.abs(change).max(initial=0.0) < SETTLED:
+        x[left] += change
+        moving = np.abs(change).max(axis=1, initial=0.0) >= SETTLED
+        if not moving.any():
             break
+        left, factor = left[moving], np.exp(2 * change[moving])
+        power = power[moving] * factor[:, :, None] / factor[:, None, :]
     return x
 
 
