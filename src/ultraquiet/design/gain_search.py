@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count, takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -95,19 +96,29 @@ class _Tried:
 
     def largest(self, first: float, sketch: Callable[[EvenPlant, float], StateSpace | None] | None) -> _Loop | None:
         """Return the loop of the largest gain that keeps the margin and quietens, else the best there is."""
-        quietest, passed, g = None, [], first
-        while g >= LAST:
+        halvings = (first / 2**k for k in count())
+        quietest, passed = self._quiet(list(takewhile(lambda g: g >= LAST, halvings)), sketch)
+        if quietest is None and passed:
+            quietest, _ = self._quiet(passed, None)  # what a sketch is worth is not known
+        return quietest or self._firmest()
+
+    def _quiet(
+        self, gains: list[float], sketch: Callable[[EvenPlant, float], StateSpace | None] | None
+    ) -> tuple[_Loop | None, list[float]]:
+        """Return the first loop that keeps the margin and quietens, else the quietest, and the gains passed over."""
+        quietest: _Loop | None = None
+        passed: list[float] = []
+        for g in gains:
             drawn = None if sketch is None else sketch(self._even, g)
             if drawn is not None and surely_less(self._even.plant, drawn, CLEARLY_LESS * self._enough):
                 passed.append(g)
-            else:
-                loop = self._kept(g)
-                if loop is not None and (quietest is None or loop.quieter > quietest.quieter):
-                    quietest = loop
-                if loop is not None and loop.quieter >= LITTLE_DB:
-                    return loop
-            g /= 2
-        return quietest or self._firmest(passed)
+                continue
+            loop = self._kept(g)
+            if loop is not None and (quietest is None or loop.quieter > quietest.quieter):
+                quietest = loop
+            if loop is not None and loop.quieter >= LITTLE_DB:
+                return loop, passed
+        return quietest, passed
 
     def _kept(self, g: float) -> _Loop | None:
         """Return the loop at a gain where it keeps the margin."""
@@ -122,12 +133,8 @@ class _Tried:
         self._fragile.append(loop)
         return None
 
-    def _firmest(self, passed: list[float]) -> _Loop | None:
-        """Return the loop that keeps most, of those that keep less than the margin: one passed over may, too."""
-        for g in passed:
-            loop = self._kept(g)
-            if loop is not None:
-                return loop  # its sketch was wrong
+    def _firmest(self) -> _Loop | None:
+        """Return the loop that keeps most, of those that keep less than the margin."""
         best: tuple[tuple[float, float], _Loop] | None = None
         for loop in sorted(self._fragile, key=lambda loop: -loop.gain):
             assert loop.found.controller is not None
