@@ -208,6 +208,12 @@ WRONG = {
     "both": ('object = "two', 'method = "hexapod"\nobject = "two', "not both"),
     "a unit it does not have": ("[closed_loop]", '[closed_loop]\nunits = ["ground"]', "knows no units"),
     "no list": ('list = "list.toml"', "", "names no 'list'"),
+    "records of one actuator each": ("\nperiod_samples = 1000", "", "these are 2 records (sines-1, sines-2)"),
+    "a period without responses": (
+        'method = "rational"',
+        'method = "subspace"',
+        "leave 'period_samples' away",
+    ),
     "a tone too fast": ("[11.0]", "[260.0]", "half the bench's rate"),
     "files and a list": ("[experiment]", '[records]\nfiles = ["run.csv"]\n[experiment]', "leave one"),
 }

@@ -1,7 +1,7 @@
 """The stages that turn records into models: channel by channel as the paper did, and whole for design."""
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,8 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
     method = settings.make("identify")
     if settings.period_samples is None:
         if len(settings.records) > 1 or len(group(records, settings.records[0])) > 1:
-            raise InputError("plant: without 'period_samples' one record that excites all actuators is needed.")
+            groups = grouped(records)
+            raise InputError(f"plant: {one_record_of([n for g in settings.records for n in groups.get(g, [g])])}")
         result = method.identify(group(records, settings.records[0])[0])
         system = result.state_space()
         facts = RecordPlant(status=str(result.status), fit_percent=result.fit_percent, states=system.states)
@@ -151,6 +152,15 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
         },
     )
     return Outcome(facts, {stored.PLANT: fit.model, stored.RESPONSE: response})
+
+
+def one_record_of(names: Sequence[str]) -> str:
+    """Return what would do where several records are named and one model is to come from one of them."""
+    return (
+        f"these are {len(names)} records ({', '.join(names[:3])}{', ...' if len(names) > 3 else ''}), and without "
+        "'period_samples' the plant is identified from one in which all actuators move: name a record of "
+        "actuator = \"all\", or excite with a periodic signal and give its 'period_samples'."
+    )
 
 
 def measured_response(records: Mapping[str, Record], settings: Plant) -> FrequencyResponse:

@@ -1,6 +1,6 @@
 """What a study asks of its bench and of its experiment list, checked before anything moves."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -10,11 +10,12 @@ from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
+from ultraquiet._base.registry import lookup
 from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
-from ultraquiet.pipeline.identification import grouped
-from ultraquiet.pipeline.study import Band, ClosedLoop, Study, StudyError
+from ultraquiet.pipeline.identification import grouped, one_record_of
+from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
 
@@ -268,3 +269,14 @@ def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:
         if name not in known:
             fault = f"there are no records '{name}'; there are {', '.join(groups)}."
             mistakes.add(place, f"{place[0]}.{place[1]}: {fault}")
+    _plant_records(study.plant, groups, mistakes)
+
+
+def _plant_records(settings: Plant, groups: Mapping[str, Sequence[str]], mistakes: Mistakes) -> None:
+    """Note several records where the plant's method takes one, and a period where it takes no responses."""
+    taken = [member for name in settings.records for member in groups.get(name, [name])]
+    if settings.period_samples is None and len(taken) > 1:
+        mistakes.add(("plant", "records"), f"plant.records: {one_record_of(taken)}")
+    elif settings.period_samples is not None and not hasattr(lookup("identify", settings.method), "identify_response"):
+        fault = f"'{settings.method}' does not fit responses; leave 'period_samples' away."
+        mistakes.add(("plant", "period_samples"), f"plant.period_samples: {fault}")
