@@ -170,7 +170,9 @@ def test_a_circle_is_round_at_any_width_and_zoom(browser, width):
     angle = np.linspace(0, 2 * np.pi, 91)
     circle = Curve("unit circle", np.cos(angle), np.sin(angle), kind="path")
     plain = ChartPanel(Axis("real part"), Axis("imaginary part"), [circle], equal=True)
-    sized = ChartPanel(Axis("re", range=(-3, 1)), Axis("im", range=(-1, 1)), [circle], height=400, aspect=1.2, equal=True)
+    sized = ChartPanel(
+        Axis("re", range=(-3, 1)), Axis("im", range=(-1, 1)), [circle], height=400, aspect=1.2, equal=True
+    )
     for panel in (plain, sized):
         page = shown(browser, Chart("c", "C", "", [panel]), width)
         for zoomed in (False, True, True):

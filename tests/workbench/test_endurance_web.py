@@ -53,6 +53,7 @@ def test_a_server_killed_while_it_writes_leaves_the_study_intact(tmp_path, at):
     for board in ("data", "models", "laws", "codes"):
         for item in again.items(board):
             assert item.ready == (item.name != "run-flat"), item.name
+    left = {path for path in folder.rglob(".*") if path.name.endswith((".part", ".part.npz"))}
     wait_until(lambda: not [pid for pid in workers if Path(f"/proc/{pid}").exists()], "workers end with their server")
     with served(folder) as made, browser(made) as seen:
         seen.go("records?data=run")
@@ -60,6 +61,8 @@ def test_a_server_killed_while_it_writes_leaves_the_study_intact(tmp_path, at):
         seen.click("detrend-mean")
         seen.made("data", "run-flat")
         assert seen.errors == []
+    assert at == 2 or left, "it was killed while it wrote"
+    assert not [path for path in left if path.exists()]
     compile((folder / "study.py").read_text(), "study.py", "exec")
     assert abs(float(np.mean(Session(folder).item("data", "run-flat").value().outputs))) < 1e-6
 

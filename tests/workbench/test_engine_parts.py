@@ -49,6 +49,12 @@ def test_how_many_states_a_method_makes_is_asked_for_at_once(family, method):
     assert {"order", "states"} & set(first), first
 
 
+@pytest.mark.parametrize(("family", "method"), METHODS, ids=lambda word: word)
+def test_no_two_fields_of_a_form_have_one_name(family, method):
+    labels = ["method", *(one.label for one in settings_of(family, method))]
+    assert len(set(labels)) == len(labels)
+
+
 def test_a_form_says_what_it_means_and_what_it_takes():
     form = {one.name: one for one in settings_of("design", "mixed-sensitivity")}
     assert form["disk_margin"].allowed == "between 0 and 2"

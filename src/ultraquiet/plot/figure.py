@@ -56,8 +56,8 @@ class Coloured:
 class Panel:
     """Lines that share axes. `x_log` for frequencies, `y_log` for levels; `spans` are shaded bands (low, high) of x.
 
-    `x_names` stand at 0, 1, 2 ... in place of numbers, `words` are lines of text for a panel without curves; `equal`: one
-    unit is as long up as across.
+    `x_names` stand at 0, 1, 2 ... in place of numbers, `words` are lines of text for a panel without curves; `equal`:
+    one unit is as long up as across.
     """
 
     lines: Sequence[Line]

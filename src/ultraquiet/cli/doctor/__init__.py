@@ -26,7 +26,7 @@ PYTHON_PARTS = (
 )
 OPTIONAL_PARTS = (
     ("npTDMS", "TDMS files", "pip install npTDMS"),
-    ("nicegui", "the workbench", "pip install nicegui"),
+    ("nicegui", "the workbench", "pip install 'ultraquiet[workbench]'"),
     ("distributed", "campaigns on a Dask cluster", "pip install distributed"),
     ("control", "python-control conversion", "pip install control"),
 )
@@ -44,7 +44,7 @@ def doctor() -> None:
     for name in PYTHON_PARTS:
         grid.add(name, _version(name) or "missing", "needed", "" if _version(name) else "make demo")
     for name, use, mend in OPTIONAL_PARTS:
-        grid.add(name, _version(name) or "missing", use, "" if _version(name) else mend)
+        grid.add(name, _version(name) or "not installed", use, "" if _version(name) else mend)
     for name, use, mend in TOOLS:
         path = shutil.which(name)
         grid.add(name, path or "missing", use, "" if path else mend)

@@ -17,6 +17,14 @@ FILE = "study.lock"
 PATIENCE_S, DYING_S, PAUSE_S = 0.5, 20.0, 0.05
 
 
+class HeldError(StorageError):
+    """Another run holds a folder; `by` says which, as the end of a clause, and is empty where that is not known."""
+
+    def __init__(self, sentence: str, by: str) -> None:
+        super().__init__(sentence)
+        self.by = by
+
+
 @contextmanager
 def locked(folder: Path, say: Callable[[str], object]) -> Generator[int | None]:
     """Keep every other run out of a folder for the length of a block.
@@ -32,7 +40,7 @@ def locked(folder: Path, say: Callable[[str], object]) -> Generator[int | None]:
         The open file, for a process that works for this run; None where there are no locks.
 
     Raises:
-        StorageError: another run holds the folder, and the sentence says which; the folder cannot be made.
+        StorageError: another run holds the folder (`HeldError`), and the sentence says which; it cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -96,10 +104,9 @@ def _try(handle: int) -> bool:
 
 def _refuse_or_wait(folder: Path, holder: dict[str, object], waited_s: float) -> None:
     if waited_s > (DYING_S if _is_gone(holder) else PATIENCE_S):
-        raise StorageError(
-            f"study: another run is at work in '{folder}'{_named(holder)}; wait until it has ended, or choose another "
-            "--out."
-        )
+        by = _named(holder)
+        sentence = f"study: another run is at work in '{folder}'{by}; wait until it has ended, or choose another --out."
+        raise HeldError(sentence, by)
     time.sleep(PAUSE_S)
 
 

@@ -1,6 +1,7 @@
 """`ultraquiet serve`: one study, one port of this machine, one token, until it is stopped."""
 
 import contextlib
+import os
 import signal
 import socket
 import webbrowser
@@ -15,6 +16,7 @@ from nicegui import ui
 
 from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.chart.assets import script, style
+from ultraquiet.workbench.engine.leftovers import alone
 from ultraquiet.workbench.engine.making.imports import inside
 from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.jobs.board import Jobs
@@ -60,8 +62,13 @@ def serve(folder: Path, port: int = 0, opens: bool = False) -> None:
         opens: whether the browser is told to show it.
 
     Raises:
-        StorageError: the port is taken, or the folder cannot be used.
+        StorageError: the port is taken, another workbench is open on the folder, or it cannot be used.
     """
+    with alone(Path(os.path.realpath(folder))):
+        _serve(folder, port, opens)
+
+
+def _serve(folder: Path, port: int, opens: bool) -> None:
     session = Session(folder)
     listener = _listener(port)
     number = listener.getsockname()[1]
