@@ -142,9 +142,12 @@ def _separated(A: Array) -> tuple[Array, tuple[int, ...]]:
     values, vectors = np.linalg.eig(A)
     groups = _clusters(values, vectors)
     try:
-        S, U = real_schur(A) if any(_tangled(values, g) for g in groups) else (A, A)
+        form, along = (A, A), values
+        if any(_tangled(values, g) for g in groups):
+            form = real_schur(A)
+            along = diagonal_eigenvalues(form[0])
         bases = [
-            _invariant(S, U, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g])
+            _invariant(form, along, values, g) if _tangled(values, g) else _real_basis(values[g], vectors[:, g])
             for g in groups
         ]
     except np.linalg.LinAlgError:
@@ -188,9 +191,9 @@ def _real_basis(values: Array, vectors: Array) -> Array:
     return np.column_stack([v.real, v.imag]) * ROOT_TWO
 
 
-def _invariant(T: Array, Q: Array, values: Array, group: list[int]) -> Array:
-    """Return an orthonormal basis of the invariant subspace of a group of eigenvalues of Q T Q'."""
-    along = diagonal_eigenvalues(T)
+def _invariant(form: tuple[Array, Array], along: Array, values: Array, group: list[int]) -> Array:
+    """Return an orthonormal basis of the invariant subspace of a group of eigenvalues; `along` are the form's."""
+    T, Q = form
     wanted, others = values[group], np.delete(values, group)
     if not others.size:
         return Q

@@ -26,6 +26,8 @@ LARGEST_G = 1e4  # in units of D times the norm of M: keeps the centre bounded w
 LEAST_D = 1e-10  # of the mean of D: scalings further apart than this are beyond double precision
 RIDGE = 1e-13
 LINE = 6  # Newton steps of a line search
+LENGTH = 1e-3  # of a step, which it need not know more closely
+TINY = np.finfo(float).tiny
 START = 1.5  # t at the start, in units of the first eigenvalue
 
 
@@ -105,12 +107,15 @@ def _bounded(M: Array, blocks: BlockStructure, basis: _Basis, enough: float) -> 
 
 def _balance(M: Array, blocks: BlockStructure) -> tuple[Array, Array, Array]:
     """Return M scaled to norm one, the levels log d `(nf, blocks)` that scaled it, and its norm `(nf,)` before."""
-    largest = np.abs(M).max(axis=(1, 2), initial=0.0)
-    unit = M / np.where(largest > 0, largest, 1.0)[:, None, None]
+    sizes = np.abs(M)
+    largest = sizes.max(axis=(1, 2), initial=0.0)
+    scale = np.where(largest > 0, largest, 1.0)[:, None, None]
     out, into = blocks.members()
-    power = np.einsum("zb,fzw,wc->fbc", out, np.abs(unit) ** 2, into, optimize=True)
+    power = (sizes / scale) ** 2
+    if blocks.shape != (len(blocks.blocks), len(blocks.blocks)):
+        power = np.einsum("zb,fzw,wc->fbc", out, power, into, optimize=True)
     levels = balanced_levels(power)
-    N = np.exp(levels @ out.T)[:, :, None] * unit / np.exp(levels @ into.T)[:, None, :]
+    N = M / scale * np.exp(levels @ out.T)[:, :, None] * np.exp(-levels @ into.T)[:, None, :]
     size = norms(N)
     return N / np.where(size > 0, size, 1.0)[:, None, None], levels, size * largest
 
@@ -329,10 +334,13 @@ def _solved(hessian: Array, gradient: Array) -> Array:
 
 def _line(moves: Array, pull: Array) -> Array:
     """Return the length that minimises `pull` a - sum log(1 + a moves), `(nf,)`, inside the cone."""
-    longest = 1.0 / np.maximum(-moves.min(axis=1), np.finfo(float).tiny)
+    longest = 1.0 / np.maximum(-moves.min(axis=1), TINY)
     a = np.minimum(1.0, 0.5 * longest)
     for _ in range(LINE):
         share = moves / (1 + a[:, None] * moves)
-        curve = np.maximum((share**2).sum(axis=1), np.finfo(float).tiny)
-        a = np.clip(a + (share.sum(axis=1) - pull) / curve, 0.1 * a, 0.5 * (a + longest))
+        curve = np.maximum(np.einsum("fm,fm->f", share, share), TINY)
+        before, a = a, a + (share.sum(axis=1) - pull) / curve
+        a = np.minimum(np.maximum(a, 0.1 * before), 0.5 * (before + longest))
+        if np.all(np.abs(a - before) <= LENGTH * before):
+            break
     return a
