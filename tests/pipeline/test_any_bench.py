@@ -140,6 +140,29 @@ def test_a_table_of_another_program_becomes_verified_code(table, run):
         one["deployment"]["quiet"].pop("seconds", None)
     assert again == summary
     by_hand(table, summary)
+    by_commands(table, run)
+
+
+def by_commands(table, run):
+    """The same walk by one command a stage: the same law to the bit, and code that was proved."""
+    wires = ("--rate", "2000", "--inputs", "f1,f2,f3", "--outputs", "v1,v2,v3,v4")
+    model = ("--method", "subspace", "--order", "8", "--hold-out", "0", "--out", "plant.h5")
+    u = uq.files.read_record(table / "run.csv", 2000.0, ["f1", "f2", "f3"], ["v1", "v2", "v3", "v4"]).inputs
+    limits = ",".join(repr(float(size)) for size in np.abs(u).max(axis=1))
+    code = ("--plant", "plant.h5", "--limits", limits, "--steps", "2000", "--target", "none", "--out", "by-stages")
+    for words in (
+        ("identify", "run.csv", *wires, *model),
+        ("design", "plant.h5", "--method", "lqg", "--out", "law.h5"),
+        ("deploy", "law.h5", *code),
+    ):
+        ended, out, said = run(*words)
+        print(out[-600:], said[-300:])
+        assert ended in ((0, 1) if words[0] == "identify" else (0,))  # a model that is not white is used all the same
+    law, stored = (uq.files.load(table / place) for place in ("law.h5", "by-command/controllers/quiet.h5"))
+    for name in "ABCD":
+        assert np.array_equal(getattr(law, name), getattr(stored, name)), name
+    assert "All bits of 2000 steps" in out
+    assert "v4 (m/s)" in out
 
 
 def by_hand(table, summary):
