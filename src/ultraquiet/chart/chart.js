@@ -9,7 +9,7 @@
 var Uq = (() => {
   "use strict";
   const shared = {}, drawn = new Set();
-  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, NUMBERS = 24, NARROW = 130;
+  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, FINE = 50, NUMBERS = 24, NARROW = 130;
   const STEPS = {
     dB: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 3, 6, 10, 20, 40, 60, 100, 200, 500, 1000],
     int: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000],
@@ -130,8 +130,14 @@ var Uq = (() => {
       [lo, hi] = extent(c.x, lo, hi);
       if (c.kind === "bars") [lo, hi] = [lo - c.width / 2, hi + c.width / 2];
     }
-    const free = curves.some((c) => !aligned(c));
-    return widened([lo, hi], panel.x.scale === "log", lo === hi || free ? MARGIN : 0);
+    const free = curves.some((c) => !aligned(c)), log = panel.x.scale === "log";
+    return lo === hi || free || log ? widened([lo, hi], log, lo === hi || free ? MARGIN : 0) : rounded(lo, hi);
+  }
+  /* Ends that all but reach a round number reach it: a record of 30 s ends one sample before. */
+  function rounded(lo, hi) {
+    const step = Math.pow(10, Math.floor(Math.log10(hi - lo))) / 2;
+    const down = Math.round(lo / step) * step, up = Math.round(hi / step) * step, near = (hi - lo) / 200;
+    return hi > lo ? [lo - down >= 0 && lo - down < near ? down : lo, up - hi >= 0 && up - hi < near ? up : hi] : widened([lo, hi], false, 0);
   }
   function first(x, value) {
     let [lo, hi] = [0, x.length];
@@ -234,12 +240,15 @@ var Uq = (() => {
       return [ticks, ticks.map((v) => written(Math.abs(v) < step * 1e-6 ? 0 : v, step))];
     }
     const decades = Math.log10(hi / lo), ticks = [], words = [];
-    const every = Math.max(1, Math.ceil(decades / room));
+    const [below, above] = [Math.floor(Math.log10(lo)), Math.ceil(Math.log10(hi))];
+    const powers = Array.from({ length: above - below + 1 }, (_, k) => +("1e" + (below + k))).filter((v) => v >= lo && v <= hi);
+    const longest = across ? Math.max(14, ...powers.map((v) => long(written(v, v)))) + APART : 30;
+    const every = Math.max(1, Math.ceil((decades * longest) / length));
     const spoken = length / decades > (across ? 150 : 90) ? [1, 2, 5] : [1];
-    for (let e = Math.floor(Math.log10(lo)); e <= Math.ceil(Math.log10(hi)); e++) {
+    for (let e = below; e <= above; e++) {
       for (let m = 1; m < 10; m++) {
         const v = +(m + "e" + e);
-        if (v < lo * 0.9999 || v > hi * 1.0001 || (every > 1 && m > 1)) continue;
+        if (v < lo * 0.9999 || v > hi * 1.0001 || (m > 1 && (every > 1 || length / decades < FINE))) continue;
         ticks.push(v);
         words.push(spoken.includes(m) && e % every === 0 ? written(v, v) : "");
       }
@@ -892,10 +901,10 @@ var Uq = (() => {
   }
 
   // ---- shapes in space, moving ------------------------------------------------------------------------------------
-  const TURN_S = 2.4, SWING = 0.22, PIXELS_A_RADIAN = 160;
+  const TURN_S = 2.4, SWING = 0.22, PIXELS_A_RADIAN = 160, TILT = 0.35, LOW = 110, HIGH = 220;
   class Scene {
     constructor(root, spec) {
-      Object.assign(this, { root, turn: 0.6, tilt: 0.35, visible: false, still: matchMedia("(prefers-reduced-motion: reduce)").matches });
+      Object.assign(this, { root, turn: 0.6, tilt: TILT, visible: false, still: matchMedia("(prefers-reduced-motion: reduce)").matches });
       root.classList.add("uq");
       this.seenBy = new IntersectionObserver((rows) => { this.visible = rows[rows.length - 1].isIntersecting; this.play(); });
       this.sized = new ResizeObserver(() => this.paint());
@@ -936,7 +945,12 @@ var Uq = (() => {
       const n = this.points.length / 3;
       this.middle = [0, 1, 2].map((a) => { let sum = 0; for (let k = 0; k < n; k++) sum += this.points[3 * k + a] / n; return sum; });
       this.reach = 1e-300;
-      for (let k = 0; k < n; k++) this.reach = Math.max(this.reach, Math.hypot(...[0, 1, 2].map((a) => this.points[3 * k + a] - this.middle[a])));
+      let [across, up] = [0, 0];
+      for (let k = 0; k < n; k++) {
+        const [x, y, z] = [0, 1, 2].map((a) => this.points[3 * k + a] - this.middle[a]);
+        [this.reach, across, up] = [Math.max(this.reach, Math.hypot(x, y, z)), Math.max(across, Math.hypot(x, y)), Math.max(up, Math.abs(z))];
+      }
+      this.half = [across, up].map((size) => size + SWING * this.reach); // whatever moves stays within
       this.paint();
     }
     turned(canvas) {
@@ -963,11 +977,14 @@ var Uq = (() => {
     }
     paint() {
       const angle = this.still ? 0 : (2 * Math.PI * performance.now()) / 1000 / TURN_S, ratio = devicePixelRatio || 1;
+      const [across, up] = this.half, tall = (tilt) => Math.cos(tilt) * up + Math.abs(Math.sin(tilt)) * across;
       this.places.forEach((canvas, j) => {
-        const [w, h] = [canvas.clientWidth, canvas.clientHeight];
-        if (!w || !h) return;
-        if (canvas.width !== Math.round(w * ratio)) [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
-        const ctx = canvas.getContext("2d"), scale = (0.42 * Math.min(w, 1.4 * h)) / this.reach;
+        const w = canvas.clientWidth, wanted = Math.round(Math.max(LOW, Math.min(HIGH, (w * tall(TILT)) / across)));
+        if (!w) return;
+        if (canvas.style.height !== wanted + "px") canvas.style.height = wanted + "px"; // no more than it needs as it stands
+        const h = wanted;
+        if (canvas.width !== Math.round(w * ratio) || canvas.height !== Math.round(h * ratio)) [canvas.width, canvas.height] = [Math.round(w * ratio), Math.round(h * ratio)];
+        const ctx = canvas.getContext("2d"), scale = 0.47 * Math.min(w / across, h / tall(this.tilt));
         ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
         ctx.clearRect(0, 0, w, h);
         for (const [shape, paint, wide] of [[null, "open", 1], [this.shapes[j], "chosen", 2]]) {

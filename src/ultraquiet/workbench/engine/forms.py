@@ -15,6 +15,7 @@ from ultraquiet._base.tables import settings_object
 from ultraquiet.signals import Signal
 
 UNITS = {"hz": "Hz", "v": "V", "s": "s", "db": "dB", "deg": "deg", "percent": "%", "samples": "samples"}
+LEVEL = "unit"
 SIMPLE = (bool, int, float, str)
 # What no text field can hold: systems, records, tables of a method's own.
 CLOSED = ("StateSpace", "Record", "Callable", "Specification", "Channel", "_Line", "_Unpacked")
@@ -44,6 +45,8 @@ class Setting:
         'variant'
         """
         bare = "variant" if self.name == "method" else said(self.name)
+        if self.unit == LEVEL and bare in ("start", "stop"):  # a signal's frequencies are called so too
+            bare = f"{bare} level"
         return f"{bare} ({self.unit})" if self.unit else bare
 
 
@@ -110,7 +113,7 @@ def _closed(field: "Field[Any]") -> bool:
 def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
     unit = UNITS.get(field.name.rpartition("_")[2], "")
     if unit == "V" and issubclass(kind, Signal):
-        unit = "unit"  # that of the actuator which sends it
+        unit = LEVEL  # that of the actuator which sends it
     allowed, choices = _allowed(kind, field)
     if choices and _shown(field) not in choices:
         choices = (_shown(field), *choices)

@@ -9,6 +9,7 @@ from ultraquiet.workbench.engine.forms import Setting, entered, offered, setting
 from ultraquiet.workbench.web.controls import choice
 
 FEW = 6
+CHOSEN = {"bench": "bench", "signals": "signal"}  # as it is called where there is more than one form; else the method
 
 
 class MethodForm:
@@ -33,7 +34,7 @@ class MethodForm:
         self.family, self.method, self._changed = family, method, changed
         self._fields: dict[str, Any] = {}
         known = offered(family)
-        choice("method", names or list(known), f"{family}-method", method, self._choose)
+        choice(CHOSEN.get(family, "method"), names or list(known), f"{family}-method", method, self._choose)
         self._told = ui.label(known[method]).classes("uq-meaning")
         self._place = ui.element("div").style("width: 100%")
         self._build(values or {})
