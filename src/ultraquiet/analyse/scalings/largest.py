@@ -11,6 +11,7 @@ BELOW = 1e-12  # relative: what keeps them apart
 MOST_AT_ONCE = 64  # lines that are bounded closely side by side
 WORK_AT_ONCE = 60_000  # and their channels, cubed: of many channels each line costs more than what lines share
 FIRST = 8  # share of that many while no line is bounded yet
+FAINT = 1e-200  # least scaling that is kept
 REACH = 0.5  # in the logarithm of frequency: scalings from further away are not asked
 
 
@@ -34,6 +35,8 @@ class Scalings:
         """Keep the scalings of lines at `f` `(nf,)`."""
         out, into = upper.out, upper.into
         size = np.einsum("faa->f", out).real / out.shape[-1]
+        # where paths never return, scalings may be too far apart for a number to hold; any other bounds as well
+        out, into = (D + FAINT * size[:, None, None] * np.eye(D.shape[-1]) for D in (out, into))
         if self._diagonal:
             out, into = (np.einsum("faa->fa", D).real for D in (out, into))
         order = np.argsort(np.concatenate([self._at, _place(f)]), kind="stable")
@@ -135,7 +138,7 @@ class LargestBound:
 
     def _ranked(self, f: Array, values: Array) -> Array:
         """Return bounds among which none is as high as the best line's for being known less closely."""
-        self.highest = max([self.highest, *values])
+        self.highest = max(self.highest, float(values.max(initial=0.0)))
         level = self._best if self._best > 0 else np.inf
         ranked = np.where(self._open(values), values, np.minimum(values, level * (1 - BELOW)))
         return np.where(f == self._best_at, np.minimum(values, level), ranked)
