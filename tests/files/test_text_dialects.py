@@ -123,7 +123,7 @@ def test_the_clock_is_no_signal_and_goes_by_its_name_in_other_languages(tmp_path
         with pytest.raises(InputError, match="--inputs 2-3 --outputs 4"):
             read_record(tmp_path / "run.csv")
     (tmp_path / "run.csv").write_text(text(table, names=["Uhr [s]", *NAMES[1:]]))
-    with pytest.raises(InputError, match="--rate .* or name 'Uhr', which rises evenly, 'time' if it is the clock"):
+    with pytest.raises(InputError, match=r"--rate .* or name 'Uhr', which rises evenly, 'time' if it is the clock"):
         read_record(tmp_path / "run.csv", **WIRES)
 
 
