@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Region, Scene
+from ultraquiet.plot import legend
 from ultraquiet.plot.figure import Coloured, Figure, Line, Panel
 
 # Colour words of the page in the order of the paper's palette; what has no place there is drawn black.
@@ -18,6 +19,7 @@ MARKS = {".": ".", "o": "o", "x": "x", "+": "+", "s": "s"}
 PIXELS_PER_IN = 110.0
 STILL_IN = 8.0  # width of a still
 STILL_PANEL_IN = 1.9
+NAMES_IN = 0.4  # names below an axis
 SWING, TURN, TILT = 0.22, 0.6, 0.35  # of a shape: its size over the scene's, and from where it is seen
 DASHES: dict[str, Literal["-", "--", ":", "-."]] = {"-": "-", "--": "--", ":": ":", "-.": "-."}
 
@@ -53,7 +55,10 @@ def figure_of(chart: Chart) -> Figure:
     tall = max((p.height for p in chart.panels), default=0) / PIXELS_PER_IN
     each = STILL_IN / columns * 0.75 if any(p.aspect for p in chart.panels) else max(STILL_PANEL_IN, 0.9 * tall)
     size = (STILL_IN, min(each * rows if columns < 4 else 1.3 * rows, 11.0))
-    return Figure(chart.name, chart.title, chart.caption, panels, columns, size)
+    figure = Figure(chart.name, chart.title, chart.caption, panels, columns, size)
+    if rows == 1 and any(panel.x_names for panel in panels):  # what stands above and below takes nothing from the bars
+        return replace(figure, size_in=(STILL_IN, size[1] + legend.height_above_in(figure) + NAMES_IN))
+    return figure
 
 
 def still_of(scene: Scene) -> Figure:

@@ -52,7 +52,7 @@ def loop_grid(
             shown = scale.y(bound.sizes[member])
             curves.append(Curve("bound of the weight", scale.x(bound.f_hz), shown, "chosen", "--"))
         regions, marks = _asked(asked, scale) if member == "S" else ([], [])
-        axis = scale.gains(member, unit if member == "KS" else "")
+        axis = scale.gains(member, unit if member == "KS" and unit != "1/1" else "")
         height = 250 if member == "S" else 200
         panels.append(ChartPanel(scale.frequencies(), axis, curves, words, regions, marks, height))
     return Chart("loops", title, caption, panels, columns=1, legend="below")

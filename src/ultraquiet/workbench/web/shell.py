@@ -104,9 +104,10 @@ def _bridge(view: View) -> None:
 def _header(view: View) -> None:
     with ui.element("header").classes("uq-header"):
         ui.label("Ultraquiet").classes("uq-brand")
-        study = ui.label(view.session.state["title"]).classes("uq-study")
-        study.props('data-testid="study"').props["title"] = view.session.state["title"]  # whole where it is cut
-        busy = ui.label("").classes("uq-study").props('data-testid="busy" aria-live="polite"')
+        with ui.element("div").classes("uq-whose"):
+            study = ui.label(view.session.state["title"]).classes("uq-study")
+            study.props('data-testid="study"').props["title"] = view.session.state["title"]  # whole where it is cut
+            busy = ui.label("").classes("uq-study busy").props('data-testid="busy" aria-live="polite"')
         with ui.element("nav").classes("uq-pages").props('aria-label="pages"') as pages:
             pass
         with (
@@ -182,15 +183,16 @@ def _entry(view: View, item: Item, label: str, members: list[str]) -> None:
     with row:
         ui.element("span").classes("uq-dot").style(f"background: var(--uq-{colour})")
         text = label if len(members) == 1 else f"{label} ×{len(members)}"
-        ui.label(text).classes("uq-item-name").tooltip(", ".join(members))
-        if item.board in ("models", "laws") and session.state[item.board[:-1]] == item.name:
-            ui.label("★").classes("uq-star").tooltip("the study's own")
-        if stale is not None:
-            ui.label("stale").classes("uq-chip fragile").tooltip(f"made before: {stale[1]}")
-        elif not item.ready:
-            ui.label("not made").classes("uq-chip none")
-        elif item.facts.get("status"):
-            chip(loop_status(item.facts))
+        with ui.element("span").classes("uq-item-words"):
+            ui.label(text.replace("_", "_\u200b")).classes("uq-item-name").tooltip(", ".join(members))
+            if item.board in ("models", "laws") and session.state[item.board[:-1]] == item.name:
+                ui.label("★").classes("uq-star").tooltip("the study's own")
+            if stale is not None:
+                ui.label("stale").classes("uq-chip fragile").tooltip(f"made before: {stale[1]}")
+            elif not item.ready:
+                ui.label("not made").classes("uq-chip none")
+            elif item.facts.get("status"):
+                chip(loop_status(item.facts))
         _item_menu(view, item)
 
 
@@ -240,7 +242,8 @@ def _job(view: View, job: WorkItem) -> None:
             ui.label(job.sentence).classes(f"uq-words {'doubt' if job.status == 'failed' else 'caption'}")
             return
         ui.linear_progress(job.progress, show_value=False).props("instant-feedback rounded").classes("uq-progress")
-        ui.label(f"{job.title} — {job.note or job.status}").classes("uq-words caption")
+        note = job.note or job.status
+        ui.label(job.title if note == job.title else f"{job.title} — {note}").classes("uq-words caption")
         button("Cancel", lambda: view.jobs.cancel(job), f"cancel-{job.number}")
 
 

@@ -52,6 +52,10 @@ class _Design:
         models = list(self.view.session.state["models"])
         self.model = choice("for the model", models, "design-model", self.view.session.state["model"], lambda _: None)
         self.form = MethodForm("design", USUAL, lambda _: self._move())
+        words(
+            "Name the band that is to be quiet; a method that takes one takes the plant's whole range without it.",
+            "caption",
+        )
         self.name = field("name of the law", "law-name", "", "the method")
         button("Design", self._design, "design", main=True)
 

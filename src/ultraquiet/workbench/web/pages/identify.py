@@ -12,6 +12,7 @@ from ultraquiet.pipeline.identification import grouped
 from ultraquiet.plot.pages.modes import mode_shapes
 from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.values.sketch import Sketch
+from ultraquiet.workbench.engine.forms import settings_of
 from ultraquiet.workbench.figures.responses import Modelled, SeenResponse, pole_map, response_grid
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, field, heading, table, words
@@ -37,6 +38,7 @@ class _Identify:
         self.view, self._drawn = view, None
         self._measured: Any = None
         self._looker, self._orders, self._lines, self._shape = (Looker(view) for _ in range(4))
+        self._orders.failed(self._untried)
         self._lines.failed(lambda _: None)  # a record too short for it is told of by the orders beside it
         self._sketch: Sketch | None = None
         self._asks_bench = True
@@ -45,6 +47,7 @@ class _Identify:
             self._settings()
         with columns.main:
             self._candidates = ui.element("div")
+            self._trying = ui.label("").classes("uq-words caption").props('data-testid="trying" aria-live="polite"')
             with ui.element("div").classes("uq-figures").style(HALVES):  # what a button leads to stands in sight
                 self.orders = ChartElement(view.frames, "orders-chart", on_point=self._picked)
                 self.stable = ChartElement(view.frames, "stabilisation-chart", on_point=self._stood)
@@ -103,7 +106,7 @@ class _Identify:
         except ValueError:
             say("identify: write the period as a whole number of samples.")
             return
-        name = name or f"{method['method']}-{method.get('order', 'auto')}"
+        name = name or f"{method['method']}-{_order(method)}"
         named = [each.strip() for each in str(self.units.value or "").split(",") if each.strip()]
         units = {"units": named} if named else {}
         step = {"op": "identify", "name": name, "records": names, "period_samples": period, "method": method, **units}
@@ -118,12 +121,17 @@ class _Identify:
         if made is None or not members:
             return
         bare = {key: value for key, value in made.items() if key != "order"}
-        ui.notify(f"Trying orders {TRIED[0]} to {TRIED[-1]} of {bare['method']} …", timeout=3000)
+        self._trying.text = f"Trying orders {TRIED[0]} to {TRIED[-1]} of {bare['method']}; they are drawn here …"
         self._tried = bare
         self._orders.ask("orders", "orders", self._show_orders, data=members[0], method=bare, tried=TRIED)
         self._lines.ask("modes", "poles by order", self._show_stable, data=members[0])
 
+    def _untried(self, sentence: str) -> None:
+        self._trying.text = ""
+        say(sentence)
+
     def _show_orders(self, found: dict[str, Any], _: Any) -> None:
+        self._trying.text = ""
         rows = [row for row in found["rows"] if "unseen" in row]
         if not rows:
             say(found["rows"][0].get("refused", "identify: no order could be identified."))
@@ -249,6 +257,16 @@ class _Identify:
             heading("Candidates; a click chooses the study's model")
             columns = ("model", "method", "from", "states", "fit %", "white p", "status")
             table(columns, rows, "candidates", lambda k: doing(self.view, {"op": "choose", "model": names[k]}), strong)
+
+
+def _order(method: dict[str, Any]) -> str:
+    """Return the order that a method takes: what is given, its default, or that of the record.
+
+    >>> _order({"method": "arx", "order": 4}), _order({"method": "box-jenkins"}), _order({"method": "subspace"})
+    ('4', '5', 'auto')
+    """
+    default = next((one.default for one in settings_of("identify", method["method"]) if one.name == "order"), "")
+    return str(method.get("order", default if default.isdigit() else "auto"))
 
 
 def _row(item: Any) -> tuple[str, ...]:

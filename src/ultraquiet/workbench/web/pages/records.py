@@ -16,6 +16,7 @@ ROLES = ("input", "output", "leave out")
 SUFFIXES = "CSV, text, MAT, HDF5, UFF, TDMS, WAV, Parquet, NPZ"
 TRAIN_SHARE = 0.6
 MOST_BYTES = 4 << 30
+NO_RECORD = "records: there is no record yet; drop a file first, or click one on the board."
 
 
 def build(view: View, columns: Columns) -> None:
@@ -81,9 +82,9 @@ class _Drop:
 
     def _columns(self, channels: list[dict[str, Any]]) -> None:
         self.rows = []
-        with ui.element("table").classes("uq-table uq-channels"):
+        with ui.element("div").classes("uq-table-box"), ui.element("table").classes("uq-table uq-channels"):
             with ui.element("tr"):
-                for title in ("column", "what it is", "name", "unit", "lowest", "highest", "rms", "clipped"):
+                for title in ("column", "what it is", "name", "unit", "low limit", "high limit", "rms", "clipped"):
                     with ui.element("th"):
                         ui.label(title)
             for k, channel in enumerate(channels):
@@ -97,10 +98,10 @@ class _Drop:
         with ui.element("td").style("min-width: 120px"):
             made["role"] = choice("", ROLES, f"role-{k}", role, lambda _: None)
         for key, value, width in (
-            ("name", channel["name"], 130),
-            ("unit", channel["unit"], 80),
-            ("low", "", 80),
-            ("high", "", 80),
+            ("name", channel["name"], 124),
+            ("unit", channel["unit"], 70),
+            ("low", "", 74),
+            ("high", "", 74),
         ):
             with ui.element("td"):
                 made[key] = field("", f"{key}-{k}", value, width=f"{width}px")
@@ -162,6 +163,12 @@ class _Shown:
         self._facts: dict[str, Any] = {}
         self.chart = ChartElement(view.frames, "record-chart", on_zoom=self._zoomed)
         self._advice = ui.element("div")
+        with ui.element("div").classes("uq-empty").props('data-testid="begin"') as self._begin:
+            words("A study begins with a record: drop a file above, and say which of its columns are commands.")
+            words("Then Identify makes a model of it, Design a law for the model, Deploy its C code.", "caption")
+            ui.link("No file at hand? Measure on a bench, or open the demo's study", view.link("Bench")).props(
+                'data-testid="to-bench"'
+            )
         view.watch(self._refresh)
 
     def settings(self) -> None:
@@ -193,6 +200,7 @@ class _Shown:
 
     def _refresh(self) -> None:
         name = self.name
+        self._begin.set_visibility(name is None)
         if name is None:
             return
         item = self.view.session.item("data", name)
@@ -216,7 +224,7 @@ class _Shown:
         name = self.name
         with self._words:
             if name is None:
-                words("Drop a file, or open the records of a bench; the demo's stand on the page Bench.", "caption")
+                words("No record yet.", "caption")
                 return
             facts = self.view.session.item("data", name).facts
             if facts:
@@ -233,6 +241,7 @@ class _Shown:
 
     def _cut(self) -> None:
         if self.name is None:
+            say(NO_RECORD)
             return
         try:
             rate = self._facts["rate_hz"]
@@ -250,14 +259,17 @@ class _Shown:
     def _split(self) -> None:
         name, samples = self.name, self._facts.get("samples", 0)
         if name is None or samples < 2:
+            say(NO_RECORD)
             return
         at = int(TRAIN_SHARE * samples)
         self._derive(f"{name}-judge", {"op": "cut", "start": at, "stop": samples})
         self._derive(f"{name}-fit", {"op": "cut", "start": 0, "stop": at}, of=name)
 
     def _detrend(self, kind: str) -> None:
-        if self.name is not None:
-            self._derive(f"{self.name}-flat", {"op": "detrend", "kind": kind})
+        if self.name is None:
+            say(NO_RECORD)
+            return
+        self._derive(f"{self.name}-flat", {"op": "detrend", "kind": kind})
 
     def _derive(self, name: str, step: dict[str, Any], of: str | None = None) -> None:
         if doing(self.view, {**step, "name": name, "of": of or self.name}):
