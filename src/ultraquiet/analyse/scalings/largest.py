@@ -110,9 +110,9 @@ class LargestBound:
         self._known.learn(f, upper)
         self._raise(f, values)
 
-    def __call__(self, f: Array, M: Array, values: Array | None = None) -> Array:
-        """Return bounds `(nf,)` of `(nf, nz, nw)` at `f` in Hz; `values` are bounds that are known already."""
-        values = np.full(f.size, np.inf) if values is None else values.copy()
+    def __call__(self, f: Array, M: Array, quick: Array | None = None) -> Array:
+        """Return bounds `(nf,)` of `(nf, nz, nw)` at `f` in Hz; `quick` are bounds that are known already."""
+        values: Array = np.full(f.size, np.inf) if quick is None else quick.copy()
         fresh, closed = np.isinf(values), np.zeros(f.size, dtype=bool)
         self._borrow(f, M, values)
         some = np.flatnonzero(fresh & self._open(values))
