@@ -51,3 +51,12 @@ def test_the_component_asks_nothing_of_any_other_machine():
     addresses = set(re.findall(r"https?://[^\s\"'`)]+", without_notes))
     assert addresses <= {"http://www.w3.org/2000/svg"}
     assert not re.search(r"\b(fetch|XMLHttpRequest|WebSocket|import)\s*\(|@import", without_notes)
+
+
+def test_a_mark_at_zero_is_kept_and_what_is_not_set_is_not():
+    panel = chart.ChartPanel(
+        chart.Axis("x"), chart.Axis("y"), [], marks=[chart.Mark("edge", y=0.0), chart.Mark("start", x=0.0)]
+    )
+    packed = chart.Packing().spec(panel)
+    assert [(mark.get("x"), mark.get("y")) for mark in packed["marks"]] == [(None, 0.0), (0.0, None)]
+    assert not {"height", "aspect", "equal", "tinted", "title"} & set(packed)

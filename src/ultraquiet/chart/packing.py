@@ -56,7 +56,9 @@ class Packing:
             return self._shown(value)
         if is_dataclass(value):
             plain = {f.name: self._plain(getattr(value, f.name)) for f in fields(value)}
-            return {k: v for k, v in plain.items() if v is not None and v is not False and v not in ("", [], 0)}
+            unset = {f.name for f in fields(value) if f.default == 0}  # where zero says nothing; a mark may stand at it
+            kept = {k: v for k, v in plain.items() if v is not None and v is not False and v not in ("", [])}
+            return {k: v for k, v in kept.items() if v != 0 or k not in unset}
         if isinstance(value, list | tuple):
             return [self._plain(each) for each in value]
         return value.item() if isinstance(value, np.generic) else value

@@ -238,8 +238,9 @@ def _slider(label: str, mark: str, low: float, high: float, step: float, move: A
 
 def _caption(loops: dict[str, LiveLoop]) -> str:
     said = [
-        f"{name}: at most {loop.peak_db:.1f} dB louder, at {loop.peak_hz:.4g} Hz; disk margin of all channels at least "
-        f"{loop.disk['input']:.2f} at the input, {loop.disk['output']:.2f} at the output"
+        f"{name}: at most {loop.peak_db:.1f} dB louder in the directions that the inputs reach, at {loop.peak_hz:.4g} "
+        f"Hz; disk margin of all channels at least {loop.disk['input']:.2f} at the input, {loop.disk['output']:.2f} at "
+        "the output"
         for name, loop in loops.items()
     ]
     return ". ".join(said)
