@@ -144,3 +144,11 @@ def test_blocks_that_cannot_be_written_out_are_solved(rng):
     assert terms.rest is not None
     assert len(terms.rest[0]) == 14
     np.testing.assert_allclose(terms.at(z), slow, atol=1e-12 * np.abs(slow).max())
+
+
+def test_a_point_on_a_pole_is_beside_it_by_rounding():
+    """A mode without damping whose own frequency is a point: large, and no warning."""
+    A = np.array([[0.6, 0.8], [-0.8, 0.6]])
+    form = balance.Coordinates(A, np.ones((2, 1)), np.ones((1, 2)), np.eye(2), np.eye(2), (2,))
+    at = modal_response.split(form, np.zeros((1, 1))).at(np.array([0.6 + 0.8j]))
+    assert 1e14 < np.abs(at).max() < 1e17

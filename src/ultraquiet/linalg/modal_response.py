@@ -15,6 +15,7 @@ from ultraquiet.linalg.response import triangular_response
 CONDITION = 1e6
 APART = 1e3  # the same for poles and their conjugates: what a pair loses beside a triangular block is not worth it
 TIED = 8  # states of a block whose terms are written out; of more, triangular solves take less work
+ROUNDING = np.finfo(float).eps
 LINES = 4096  # points taken at a time
 
 
@@ -103,7 +104,9 @@ def _inverse(T: Array, z: Array) -> Array:
     q = T.shape[-1]
     found = np.empty((q, q, len(T), z.size), dtype=np.complex128)
     for j in range(q):
-        found[j, j] = 1.0 / (z - T[:, j, j, None])
+        pole = T[:, j, j, None]
+        # a point that meets a pole in every digit is beside it by what rounding leaves of both
+        found[j, j] = 1.0 / np.where(z == pole, ROUNDING * pole, z - pole)
         for i in range(j - 1, -1, -1):
             known = sum(T[:, i, k, None] * found[k, j] for k in range(i + 1, j + 1))
             found[i, j] = found[i, i] * known
