@@ -122,6 +122,7 @@ def table(tmp_path, rng):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_table_of_another_program_becomes_verified_code(table, run):
     code, _, said = run("run", "study.toml", "--out", "by-command")
     print(said[-2000:])
@@ -192,6 +193,7 @@ def test_without_a_bench_nothing_that_one_measures_is_asked(table):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_python_function_walks_the_whole_study(masses, run):
     code, _, said = run("run", "study.toml", "--out", "out")
     print(said[-2000:])
@@ -209,6 +211,7 @@ def test_a_python_function_walks_the_whole_study(masses, run):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_publication_of_another_bench_says_what_its_own_table_says(masses, run):
     """Figures, equations, bands and processors of a publication stand in its table of the study file alone."""
     asked = '[paper]\nstructure = "arx"\norder = 4\nrecords = ["rough"]\nfigures = { bode = "plate 7" }\n[plant]'

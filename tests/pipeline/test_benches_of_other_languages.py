@@ -62,6 +62,7 @@ def fmu(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize(("bench", "rate_hz"), [(cpp, 2000), (fmu, 4096)])
 def test_a_bench_of_another_language_walks_the_whole_study(bench, rate_hz, tmp_path, run):
     (tmp_path / "list.toml").write_text(LIST)

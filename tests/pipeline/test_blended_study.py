@@ -74,6 +74,7 @@ method = "mixed-sensitivity"
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_a_study_in_modes_leaves_the_dead_sensor_out(tmp_path, run):
     shapes = np.array([[0.6, 0.8], [0.8, -0.6], [0.5, 0.5], [0.3, -0.7]])
     (tmp_path / "four.py").write_text(BENCH)
