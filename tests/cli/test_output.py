@@ -183,7 +183,7 @@ def test_order_auto_finds_the_order_of_the_truth(run, tmp_path, rng, method):
         y = y + 0.02 * lfilter([1.0], np.poly([z, z.conjugate()]).real, e)
     uq.files.save(uq.Record(u, y + noise * e, RATE), tmp_path / "two.h5")
     words = () if method != "subspace" else ("--set", "feedthrough=false")
-    words = ("--method", method, "--order", "auto", "--out", "m.h5", "--json", *words)
+    words = ("--method", method, "--order", "auto", "--hold-out", "0.3", "--out", "m.h5", "--json", *words)
     code, out, err = run("identify", "two.h5", *words)
     said = json.loads(out)
     print(said["order"], said["status"])

@@ -39,8 +39,9 @@ title = "drawn"
 [bench]
 method = "hexapod"
 [plant]
-method = "subspace"
+method = "rational"
 records = ["low"]
+period_samples = 7000
 [controllers.quiet.design]
 method = "lqg"
 """
