@@ -129,9 +129,9 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
     """Identify the model that controllers are designed from."""
     method = settings.make("identify")
     if settings.period_samples is None:
-        if len(settings.records) > 1 or len(group(records, settings.records[0])) > 1:
-            groups = grouped(records)
-            raise InputError(f"plant: {one_record_of([n for g in settings.records for n in groups.get(g, [g])])}")
+        taken = recorded(settings.records, grouped(records))
+        if len(taken) > 1:
+            raise InputError(f"plant: {one_record_of(taken)}")
         result = method.identify(group(records, settings.records[0])[0])
         system = result.state_space()
         facts = RecordPlant(status=str(result.status), fit_percent=result.fit_percent, states=system.states)
@@ -152,6 +152,11 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
         },
     )
     return Outcome(facts, {stored.PLANT: fit.model, stored.RESPONSE: response})
+
+
+def recorded(names: Sequence[str], groups: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the records that names stand for: those of a group, or the one that is called so."""
+    return [member for name in names for member in groups.get(name, [name])]
 
 
 def one_record_of(names: Sequence[str]) -> str:

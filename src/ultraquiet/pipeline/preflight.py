@@ -14,7 +14,7 @@ from ultraquiet._base.registry import lookup
 from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
-from ultraquiet.pipeline.identification import grouped, one_record_of
+from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
 from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
@@ -274,7 +274,7 @@ def _records(study: Study, names: Sequence[str], mistakes: Mistakes) -> None:
 
 def _plant_records(settings: Plant, groups: Mapping[str, Sequence[str]], mistakes: Mistakes) -> None:
     """Note several records where the plant's method takes one, and a period where it takes no responses."""
-    taken = [member for name in settings.records for member in groups.get(name, [name])]
+    taken = recorded(settings.records, groups)
     if settings.period_samples is None and len(taken) > 1:
         mistakes.add(("plant", "records"), f"plant.records: {one_record_of(taken)}")
     elif settings.period_samples is not None and not hasattr(lookup("identify", settings.method), "identify_response"):
