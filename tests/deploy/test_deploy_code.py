@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from deploy_laws import RATE_HZ
 
+from ultraquiet._base.errors import InputError
+from ultraquiet.bench import Hexapod
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.c_code.compiled import CompiledController, Library
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain.compiler import FLAGS
 from ultraquiet.deploy.verification.verify import compare, measurements
+from ultraquiet.simulate.payload.wires import on_all_channels
 from ultraquiet.values import Controller, StateSpace, SteppedController
 
 pytestmark = pytest.mark.usefixtures("cc")
@@ -240,6 +243,35 @@ def test_code_closes_the_loop_as_the_law_does(law_of, rng, tmp_path):
     effect, error = (np.linalg.norm(one - outputs[1]) / np.linalg.norm(outputs[1]) for one in (outputs[0], outputs[2]))
     print(f"closed loop: the law changes {effect:.1e} of the output, float32 code differs from it by {error:.1e}")
     assert error < 1e-3 * effect
+
+
+class Asked:
+    """A controller that offers no machine code of its own: the bench steps it through Python."""
+
+    def __init__(self, code):
+        self.code, self.rate_hz, self.library = code, code.rate_hz, code.library
+
+    def reset(self):
+        self.code.reset()
+
+    def step(self, y):
+        return self.code.step(y)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_a_bench_that_calls_the_code_itself_changes_no_bit(law_of, rng, tmp_path, precision):
+    """On the bench's own channels and, with all instruments wired, on some of them; limits are met."""
+    code = generate(law_of(8), tmp_path / "code", precision, limits_v=5.0).instance()
+    own, full = Hexapod(unit="flight", seed=1), Hexapod(unit="flight", seed=1).instrumented()
+    for bench in (own, full):
+        sent = rng.uniform(-25.0, 25.0, (2, len(bench.actuators), 700))
+        laws = [on_all_channels(law, own, bench, (), "test") for law in (Asked(code), code)]
+        plain, called = (bench.run(sent[0], sent[1], controller=law, run_index=3) for law in laws)
+        assert np.array_equal(plain.inputs, called.inputs)
+        assert np.array_equal(plain.outputs, called.outputs)
+        assert laws[1].machine_step().channels == (len(bench.sensors), len(bench.actuators))
+    with pytest.raises(InputError, match="at sample 0 the controller must return 6 finite commands"):
+        own.run(sent[0][:6], controller=generate(law_of(4, 6, 5), tmp_path / "other").instance())
 
 
 def test_compiled_steps_are_fast_enough_for_a_simulation(law_of, tmp_path):

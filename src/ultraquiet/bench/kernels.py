@@ -3,6 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.compiled import compiled
+from ultraquiet._base.compiled_calls import call_step
 
 FAINTEST = 1e-200
 
@@ -78,6 +79,25 @@ def move(plant, state, disturbance, limits, driven, work, counts):
 
 
 @compiled
+def send(plant, asked, sent, limits, state, spaces, results):
+    """Apply what was held and hold what is asked for, both `(nu,)` before they fade by `gain`; see `loop`.
+
+    sent = (disturbance, gain), spaces = (driven, pushed, work) to compute in, results = (command, counts).
+    """
+    disturbance, gain = sent
+    driven, pushed, work = spaces
+    command, limited = results
+    held = state[1]
+    for i in range(asked.size):
+        asked[i] *= gain
+        pushed[i] = gain * disturbance[i]
+    move(plant, state, pushed, limits[1], driven, work, limited[1])
+    clip(asked, limits[0], held, limited[0])
+    for i in range(asked.size):
+        command[i] = held[i] + 0.0 * asked[i]  # no number where none was asked for
+
+
+@compiled
 def loop(plant, law, signals, limits, state, xk, results):
     """Run on from `state` and the law's state `xk`, both left where the samples end.
 
@@ -90,9 +110,8 @@ def loop(plant, law, signals, limits, state, xk, results):
     actuation, disturbance, noise, gain = signals
     command, outputs, limited = results
     nu = actuation.shape[1]
-    x, held, _ = state
-    work, workk = np.empty(x.size), np.empty(xk.size)
-    asked, driven, pushed = np.empty(nu), np.empty(nu), np.empty(nu)
+    x, workk, asked = state[0], np.empty(xk.size), np.empty(nu)
+    spaces = np.empty(nu), np.empty(nu), np.empty(x.size)
     for k in range(actuation.shape[0]):
         read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
         for i in range(nu):
@@ -104,10 +123,29 @@ def loop(plant, law, signals, limits, state, xk, results):
         add_product(KA, xk, workk)
         add_product(KB, outputs[k], workk)
         take(workk, xk)
+        send(plant, asked, (disturbance[k], gain[k]), limits, state, spaces, (command[k], limited))
+
+
+@compiled
+def loop_of_code(plant, law, signals, limits, state, results):
+    """Run on from `state` under a law of machine code, which keeps its own; else as `loop`.
+
+    law = (addresses of its step, of its state, of what it reads and gives, the arrays `(ny,)` and `(nu,)` at the last
+    two in the code's precision, and the places of these channels among the bench's).
+    """
+    step, law_state, at_readings, at_commands, readings, commands, reads, drives = law
+    actuation, disturbance, noise, gain = signals
+    command, outputs, limited = results
+    nu = actuation.shape[1]
+    x, asked = state[0], np.empty(nu)
+    spaces = np.empty(nu), np.empty(nu), np.empty(x.size)
+    for k in range(actuation.shape[0]):
+        read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
+        for i in range(readings.size):
+            readings[i] = outputs[k, reads[i]]
+        call_step(step, law_state, at_readings, at_commands)
         for i in range(nu):
-            asked[i] *= gain[k]
-            pushed[i] = gain[k] * disturbance[k, i]
-        move(plant, state, pushed, limits[1], driven, work, limited[1])
-        clip(asked, limits[0], held, limited[0])
-        for i in range(nu):
-            command[k, i] = held[i] + 0.0 * asked[i]  # no number where none was asked for
+            asked[i] = actuation[k, i]
+        for i in range(commands.size):
+            asked[drives[i]] += commands[i]
+        send(plant, asked, (disturbance[k], gain[k]), limits, state, spaces, (command[k], limited))

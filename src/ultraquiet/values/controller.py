@@ -1,6 +1,7 @@
 """A controller: anything that turns one sample of measurements into one sample of commands."""
 
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -25,6 +26,29 @@ class Controller(Protocol):
     def step(self, y: FloatArray) -> FloatArray:
         """Return the commands `(nu,)` for the measurements `(ny,)` of this sample."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class MachineStep:
+    """One step of a controller as machine code, for a bench whose loop is machine code too.
+
+    `function` is the address of `void step(void *state, const real *readings, real *commands)`, `state` that of its
+    state. `readings` `(ny,)` and `commands` `(nu,)` are the arrays that a step reads and fills, in the code's
+    precision. `reads` and `drives` are the places of these channels among those that the controller takes and gives,
+    `(ny, nu)` in `channels`. `owner` keeps all of it alive.
+
+    A controller offers it by a method `machine_step()`, None where it cannot; a loop that calls it does what as many
+    calls of the controller's `step` would.
+    """
+
+    function: int
+    state: int
+    readings: FloatArray
+    commands: FloatArray
+    reads: np.ndarray[Any, np.dtype[np.int64]]
+    drives: np.ndarray[Any, np.dtype[np.int64]]
+    channels: tuple[int, int]
+    owner: Any
 
 
 class SteppedController:

@@ -11,6 +11,7 @@ from ultraquiet.bench._abstract import checked_controller, checked_law, commands
 from ultraquiet.bench.columns import Spanned, spanned
 from ultraquiet.linalg.balance import modal
 from ultraquiet.values import Controller, StateSpace
+from ultraquiet.values.controller import MachineStep
 
 WHO = "Hexapod.run"
 LAWS_KEPT = 16  # in the coordinates of a run, while a study measures them
@@ -57,9 +58,7 @@ class LinearLaw:
         from ultraquiet.bench import kernels
 
         kernels.loop(plant, self._law, signals, limits.arrays, state, self._x, results)
-        finite = np.isfinite(results[0])
-        if not finite.all():
-            raise LostError(int(np.flatnonzero(~finite.all(axis=1))[0]))
+        _require_finite(results[0])
 
 
 class SteppedLaw:
@@ -90,6 +89,28 @@ class SteppedLaw:
             self._k += 1
 
 
+class CodeLaw:
+    """A controller of machine code, called by the compiled loop: what `SteppedLaw` does, without Python between."""
+
+    def __init__(self, law: MachineStep) -> None:
+        at = law.readings.ctypes.data, law.commands.ctypes.data
+        self._law = law.function, law.state, *at, law.readings, law.commands, law.reads, law.drives
+        self._owner = law.owner
+
+    def advance(self, plant: Plant, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
+        """Run the loop on over all samples of `signals`."""
+        from ultraquiet.bench import kernels
+
+        kernels.loop_of_code(plant, self._law, signals, limits.arrays, state, results)
+        _require_finite(results[0])
+
+
+def _require_finite(command: FloatArray) -> None:
+    finite = np.isfinite(command)
+    if not finite.all():
+        raise LostError(int(np.flatnonzero(~finite.all(axis=1))[0]))
+
+
 class LostError(Exception):
     """The controller failed at a sample of the block, counted from its start."""
 
@@ -113,7 +134,11 @@ def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float
     if isinstance(controller, StateSpace):
         checked_law(WHO, controller, rate_hz, ny, nu)
         return LinearLaw(controller, sensors, actuators)
-    return SteppedLaw(checked_controller(WHO, controller, rate_hz, ny, nu), ny, nu)
+    law = checked_controller(WHO, controller, rate_hz, ny, nu)
+    machine: MachineStep | None = getattr(law, "machine_step", lambda: None)()
+    if machine is None or machine.channels != (ny, nu):
+        return SteppedLaw(law, ny, nu)  # one of other channels is refused when it answers
+    return CodeLaw(machine)
 
 
 def _linear_part(controller: Any) -> Any:

@@ -13,6 +13,7 @@ from ultraquiet._base.errors import InputError, ToolError
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.law import Law, Rounded
 from ultraquiet.deploy.toolchain.compiler import FLAGS, compile_c
+from ultraquiet.values.controller import MachineStep
 
 
 class Library:
@@ -78,6 +79,19 @@ class CompiledController(Shown):
         self._y[:] = y
         self._step(self._state, *self._at)
         return self._u.astype(np.float64)
+
+    def machine_step(self) -> MachineStep:
+        """Return the step as a loop of machine code calls it."""
+        return MachineStep(
+            function=ctypes.cast(self._step, ctypes.c_void_p).value or 0,
+            state=ctypes.addressof(self._state),
+            readings=self._y,
+            commands=self._u,
+            reads=np.arange(self._y.size),
+            drives=np.arange(self._u.size),
+            channels=(self._y.size, self._u.size),
+            owner=self,
+        )
 
     def run(self, y: ArrayLike) -> Rounded:
         """Return the commands `(nu, n)` in the code's precision for measurements `(ny, n)`."""

@@ -1,6 +1,7 @@
 """A law that was made for some of a bench's channels, on a bench that shows more of them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.bench import Bench, Blended, Decimated
 from ultraquiet.values import Channel, StateSpace
-from ultraquiet.values.controller import Controller
+from ultraquiet.values.controller import Controller, MachineStep
 
 
 def instrumented(bench: Bench, names: Sequence[str], who: str) -> Bench:
@@ -82,7 +83,7 @@ def on_all_channels(
         return _padded(law, read, drives, every)
     if not (hasattr(law, "step") and hasattr(law, "reset")):
         raise InputError(f"{who}: a law is a StateSpace or has step(y) and reset(), got {type(law).__name__}.")
-    return _OnSome(law, np.array(read), np.array(drives), every[0], full.rate_hz)
+    return _OnSome(law, np.array(read), np.array(drives), every, full.rate_hz)
 
 
 def _padded(law: StateSpace, reads: list[int], drives: list[int], every: tuple[int, int]) -> StateSpace:
@@ -96,16 +97,23 @@ def _padded(law: StateSpace, reads: list[int], drives: list[int], every: tuple[i
 class _OnSome:
     """A controller of some of a bench's channels, stepped with all of them."""
 
-    def __init__(self, law: Controller, reads: Any, drives: Any, commands: int, rate_hz: float) -> None:
-        self._law, self._reads, self._drives, self._nu, self.rate_hz = law, reads, drives, commands, rate_hz
+    def __init__(self, law: Controller, reads: Any, drives: Any, every: tuple[int, int], rate_hz: float) -> None:
+        self._law, self._reads, self._drives, self._every, self.rate_hz = law, reads, drives, every, rate_hz
 
     def reset(self) -> None:
         self._law.reset()
 
     def step(self, y: FloatArray) -> FloatArray:
-        u = np.zeros(self._nu)
+        u = np.zeros(self._every[0])
         u[self._drives] = self._law.step(y[self._reads])
         return u
+
+    def machine_step(self) -> MachineStep | None:
+        inner: MachineStep | None = getattr(self._law, "machine_step", lambda: None)()
+        if inner is None or inner.channels != (self._reads.size, self._drives.size):
+            return None
+        reads, drives = self._reads[inner.reads], self._drives[inner.drives]
+        return replace(inner, reads=reads, drives=drives, channels=self._every[::-1], owner=(self, inner.owner))
 
 
 def _shape(law: StateSpace | Controller) -> tuple[int, int] | None:
