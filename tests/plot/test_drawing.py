@@ -9,7 +9,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from ultraquiet.plot import Figure, Line, Panel, draw_svg
-from ultraquiet.plot.draw import STYLE, _laid_out
+from ultraquiet.plot.draw import STYLE, _laid_out, panel_on
 from ultraquiet.plot.legend import MOST_ABOVE
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -63,6 +63,23 @@ def test_a_fixed_range_is_kept():
     wide = {t for t in words(drawn(panel(y_range=(-100.0, 100.0)))) if re.fullmatch(r"[−-]?\d+", t)}
     assert "100" in wide or "50" in wide
     assert not {"50", "100"} & set(words(drawn(panel())))
+
+
+def test_ranges_of_equal_axes_are_the_least_that_is_shown(caplog):
+    """A unit is as long up as across: one axis becomes wider, and nobody is told of it on a terminal."""
+    from matplotlib.figure import Figure as Canvas
+
+    canvas = Canvas(figsize=(6.0, 3.0))
+    on = canvas.subplots()
+    panel_on(on, panel(x_range=(1.0, 10.0), y_range=(-2.0, 2.0), equal=True))
+    FigureCanvasAgg(canvas).draw()
+    across, up = on.get_xlim(), on.get_ylim()
+    assert across[0] <= 1.0
+    assert across[1] >= 10.0
+    assert up[0] <= -2.0
+    assert up[1] >= 2.0
+    assert (across[1] - across[0], up[1] - up[0]) != (9.0, 4.0)
+    assert not caplog.records
 
 
 def test_many_names_stand_beside_the_curves():

@@ -267,10 +267,11 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
         axes.xaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.5, 0.5)))
     if panel.y_log:
         axes.set_yscale("log")
+    # where both axes have one scale a range is the least that is shown: one of the two becomes wider
     if panel.x_range:
-        axes.set_xlim(*panel.x_range)
+        axes.set_xlim(*panel.x_range, auto=panel.equal)
     if panel.y_range:
-        axes.set_ylim(*panel.y_range)
+        axes.set_ylim(*panel.y_range, auto=panel.equal)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
     if panel.x_names:
