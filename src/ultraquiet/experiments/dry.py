@@ -71,7 +71,7 @@ def dry_run(listed: ExperimentList) -> DryRun:
 
     >>> from ultraquiet.experiments import parse
     >>> text = '[bench]\nmethod = "hexapod"\n[[commands]]\ndo = "excite"\nname = "sine"\nactuator = "strut 2"\n'
-    >>> planned = dry_run(parse(text + 'signal = { method = "tone", frequency_hz = 60.0, amplitude_v = 10.0 }'))
+    >>> planned = dry_run(parse(text + 'signal = { method = "tone", frequency_hz = 60.0, amplitude = 10.0 }'))
     >>> step = planned.steps[0]
     >>> step.name, round(step.lasts_s, 2), step.excitation[0].actuator, round(step.excitation[0].rms, 2)
     ('sine', 1.17, 'strut 2', 7.07)

@@ -172,6 +172,8 @@ def prepared(
             store = Records(listed, bench, describe, folder, say)
             store.claim(record_again)
             _write_study(settings, folder, beside)
+            for sentence in listed.said:
+                say(sentence)
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if blending is not None:
