@@ -92,8 +92,8 @@ def _pause_s(step: Pause | Thermometer) -> float:
     return step.seconds if isinstance(step, Pause) else 0.0
 
 
-def volts(drives: Iterable[Drive], actuators: int, samples: int, rate_hz: float) -> FloatArray:
-    """Return the drives as `(actuators, samples)` volts."""
+def sent(drives: Iterable[Drive], actuators: int, samples: int, rate_hz: float) -> FloatArray:
+    """Return the drives as `(actuators, samples)`, each row in its actuator's unit."""
     u = np.zeros((actuators, samples))
     for drive in drives:
         u[drive.actuator] += drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed)

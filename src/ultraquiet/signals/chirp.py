@@ -14,7 +14,7 @@ from ultraquiet.signals._abstract import Signal, below_nyquist, clock, level_of_
 @formerly(start_v="start_level", stop_v="stop_level")
 @dataclass(frozen=True)
 class Chirp(Signal):
-    """u(t) = a(t) sin(2 pi int f dt), f and a linear in time: the paper's Fig. 6.
+    """u(t) = a(t) sin(2 pi int f dt), f and a linear in time.
 
     Args:
         start_hz, stop_hz: first and last frequency in Hz; falling sweeps are allowed. One period of the whole signal

@@ -17,7 +17,7 @@ EDGES = (0.1, 0.6)  # of the signal, where none are named
 @formerly(level_v="level")
 @dataclass(frozen=True)
 class Step(Signal):
-    """u(t) = level for rise_s <= t < fall_s, else zero: the paper's Fig. 8.
+    """u(t) = level for rise_s <= t < fall_s, else zero.
 
     Args:
         level: in the actuator's unit; one when absent, in a list

@@ -16,7 +16,7 @@ UNNAMED = 0.01  # of the rate: the frequency of a tone that names none
 @formerly(amplitude_v="amplitude")
 @dataclass(frozen=True)
 class Tone(Signal):
-    """u(t) = amplitude sin(2 pi f t + phase): the paper's Fig. 10 at 60 Hz and 25 V.
+    """u(t) = amplitude sin(2 pi f t + phase).
 
     Args:
         frequency_hz: in Hz; a hundredth of the sampling rate when absent.
