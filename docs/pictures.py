@@ -20,7 +20,7 @@ def what_a_record_holds():
 
 def a_test_signal():
     """A chirp in time, and where its power goes"""
-    return uq.signals.Chirp(start_hz=5, stop_hz=100, start_v=25, stop_v=5)
+    return uq.signals.Chirp(start_hz=5, stop_hz=100, start_level=25, stop_level=5)
 
 
 def a_spectrum_with_its_confidence():

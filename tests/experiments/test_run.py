@@ -25,7 +25,7 @@ def test_commands_in_order_and_records_that_reopen(bench, tmp_path):
     assert listed.groups == {"chirp": ("chirp-1", "chirp-2"), "tone": ("tone",), "quiet": ("quiet",)}
     assert slept == [2.5]
     assert listed.duration_s == pytest.approx((3 * 256 + 100) / 1000 + 2.5)
-    sweep = Chirp(start_hz=5.0, stop_hz=100.0).generate(256, 1000.0)
+    sweep = Chirp(start_hz=5.0, stop_hz=100.0).at(2.5).generate(256, 1000.0)
     assert np.array_equal(bench.calls[0][0], [sweep, 0 * sweep])
     assert np.array_equal(bench.calls[1][0], [0 * sweep, sweep])
     tone = Tone(frequency_hz=60.0, amplitude_v=10.0).generate(100, 1000.0)

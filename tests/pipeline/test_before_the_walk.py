@@ -9,7 +9,7 @@ import ultraquiet as uq
 from ultraquiet import pipeline
 from ultraquiet._base.errors import InputError
 from ultraquiet.pipeline import preflight
-from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.store import entry as entries
 from ultraquiet.pipeline.store.contents import hashes_of
 from ultraquiet.pipeline.study import StudyError, parse
@@ -140,10 +140,10 @@ def test_a_stage_reads_back_nothing_from_outside_its_folder(path, tmp_path):
 
     def compute():
         computed.append(1)
-        return Outcome({}, {"plant": record})
+        return Outcome({"plant": record}, {})
 
     def take():
-        return cache.stage("plant", "models", "key", dict, compute)
+        return cache.stage("plant", "models", "key", compute)
 
     take(), take()
     assert len(computed) == 1

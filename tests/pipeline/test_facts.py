@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ultraquiet as uq
-from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.control import generated
 from ultraquiet.pipeline.facts.limits import BandLimit, LimitFacts, RefusedBand
 from ultraquiet.pipeline.facts.loops import CodeFacts, DeploymentFacts, LoopFacts, NoCode, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.models import PlantFacts, RecordFit, RecordPlant, ResponsePlant, Root, SingularValues
 from ultraquiet.pipeline.facts.typed import finite, from_plain, to_plain
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.summary import schema_text
 
 ROOT = Path(__file__).parents[2]
@@ -77,10 +77,10 @@ def test_a_stage_file_of_another_shape_is_computed_again(tmp_path):
 
     def compute():
         computed.append(1)
-        return Outcome(RecordFit(channel=1, fit_percent={"plant": 90.0}, clipped_samples=0))
+        return Outcome({}, RecordFit(channel=1, fit_percent={"plant": 90.0}, clipped_samples=0))
 
     def stage():
-        return Cache(tmp_path).stage("fit", "models", "key", RecordFit, compute).facts
+        return Cache(tmp_path).stage("fit", "models", "key", compute, RecordFit).facts
 
     assert stage().fit_percent == stage().fit_percent == {"plant": 90.0}
     assert len(computed) == 1

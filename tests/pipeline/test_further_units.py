@@ -10,10 +10,10 @@ from ultraquiet.bench import Hexapod
 from ultraquiet.design import Lqg, PeakBounded
 from ultraquiet.pipeline import identification as module
 from ultraquiet.pipeline import packaged_study
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.further_units import further_plants
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.walk import bench_key_of, bench_of, bench_table
 from ultraquiet.values import StateSpace
@@ -32,7 +32,7 @@ def test_the_same_signals_go_to_the_other_unit_and_its_model_has_a_name_of_its_o
 
     def identified(again, settings):
         seen.update(again)
-        return Outcome(SimpleNamespace(states=1), {stored.PLANT: one(), stored.RESPONSE: None})
+        return Outcome({stored.PLANT: one(), stored.RESPONSE: None}, SimpleNamespace(states=1))
 
     monkeypatch.setattr(module, "plant", identified)
     settings = packaged_study("suite").plant.model_copy(update={"records": ["low"]})
@@ -52,7 +52,7 @@ def test_a_unit_made_by_itself_has_the_key_of_the_walk(tmp_path):
     class Noted:
         def stage(self, name, folder, key, facts, compute):
             keys.append(key)
-            return Outcome(SimpleNamespace(), {"plant-flight": one()})
+            return Outcome({"plant-flight": one()}, SimpleNamespace())
 
     further_plants(study, {}, tmp_path, Noted())
     described = identity(bench_of(study, tmp_path), bench_table(study), tmp_path)
@@ -64,6 +64,6 @@ def test_a_unit_made_by_itself_has_the_key_of_the_walk(tmp_path):
 
 @pytest.mark.parametrize(("method", "given"), [(PeakBounded(), 2), (Lqg(), 1)])
 def test_only_designs_that_hold_on_several_plants_are_given_them(method, given):
-    others = {"flight": Outcome(SimpleNamespace(), {"plant-flight": one()})}
+    others = {"flight": Outcome({"plant-flight": one()}, SimpleNamespace())}
     plants = module.for_method(method, one(), others)
     assert (len(plants) if isinstance(plants, list) else 1) == given

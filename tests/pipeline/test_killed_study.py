@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -32,15 +33,45 @@ MILESTONES = {
 }
 
 
-def walked(study, folder, death=0, after=None):
-    """Run the study as a process of its own; killed at its `death`-th change of the folder, or after some seconds."""
-    words = [sys.executable, str(SCRIPT), str(study), str(folder), *([str(death)] if death else [])]
-    with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=ENVIRONMENT) as process:
-        if after is not None:
-            time.sleep(after)
-            process.send_signal(signal.SIGKILL)
-        _, said = process.communicate()
-    return process.returncode, said.decode()[-500:]
+@pytest.fixture
+def study(tmp_path):
+    return small_study.written(tmp_path)
+
+
+@pytest.fixture
+def walked(study, tmp_path):
+    """Has the study run in a process of its own, killed at its `death`-th change of the folder or after some seconds.
+
+    All of them are children of one that has run it before: a run takes what the study takes, and no start of Python.
+    """
+    with (
+        (tmp_path / "said").open("w+") as said,
+        subprocess.Popen(
+            [sys.executable, str(SCRIPT), str(study)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=said,
+            text=True,
+            env=ENVIRONMENT,
+        ) as server,
+    ):
+        assert server.stdin is not None
+        assert server.stdout is not None
+        assert server.stdout.readline() == "ready\n", (tmp_path / "said").read_text()
+
+        def one(folder, death=0, after=None, told=None):
+            server.stdin.write(json.dumps([str(folder), death, told and str(told)]) + "\n")
+            server.stdin.flush()
+            pid = int(server.stdout.readline())
+            if after is not None:
+                time.sleep(after)
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            return int(server.stdout.readline()), (tmp_path / "said").read_text()[-500:]
+
+        yield one
+        server.stdin.close()
+        server.wait(30)
 
 
 def numbers(folder):
@@ -69,28 +100,28 @@ def moment(folder):
 @pytest.mark.slow
 @pytest.mark.timeout(5400)
 @pytest.mark.parametrize("count", [40])
-def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, tmp_path, rng):
+def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, walked, tmp_path, rng):
     """Half of the kills strike at a change of the folder, evenly spread over all of them, half at any time."""
-    study, told = small_study.written(tmp_path), tmp_path / "told"
     begun = time.monotonic()
-    code, said = walked(study, tmp_path / "whole", death=1 << 30)
+    code, said = walked(tmp_path / "whole", death=1 << 30, told=tmp_path / "told")
     took = time.monotonic() - begun
     assert code == 0, said
     wanted, files = numbers(tmp_path / "whole"), names(tmp_path / "whole")
-    changes = count_changes(study, tmp_path / "counted", told)
+    changes = len((tmp_path / "told").read_text().splitlines())
     deaths = [1 + k * changes // (count // 2) for k in range(count // 2)]
     kills = [{"death": death} for death in deaths] + [{"after": after} for after in rng.uniform(0, took, count // 2)]
     struck, identifying, wrong = Counter(), 0, []
     for number, kill in enumerate(kills):
         folder = tmp_path / str(number)
-        killed, _ = walked(study, folder, **kill)
+        killed, _ = walked(folder, **kill)
         assert killed in (-9, 0)
         at = moment(folder) if folder.exists() else "before it began"
         struck[at if killed else "too late"] += 1
         identifying += (folder / "records/all.h5").exists() and not (folder / "stages/identify.json").exists()
-        code, said = walked(study, folder)
+        code, said = walked(folder)
         if code != 0 or names(folder) != files or numbers(folder) != wanted:
             wrong.append((kill, at, code, said, sorted(names(folder) ^ files)))
+        print(f"{number + 1}: killed at {kill}, about {at}; wrong so far: {len(wrong)}", flush=True)
     print(
         f"{count} kills within {changes} changes and {took:.0f} s: {dict(struck)}, of these {identifying} while models "
         f"were identified; wrong afterwards: {len(wrong)}"
@@ -98,13 +129,6 @@ def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, tmp_path, 
     assert not wrong, wrong
     assert set(struck) >= STRUCK
     assert identifying > 0
-
-
-def count_changes(study, folder, told):
-    """How often a run changes its folder."""
-    words = [sys.executable, str(SCRIPT), str(study), str(folder), str(1 << 30), str(told)]
-    subprocess.run(words, check=True, stdout=subprocess.DEVNULL, env=ENVIRONMENT)
-    return len(told.read_text().splitlines())
 
 
 @pytest.mark.slow

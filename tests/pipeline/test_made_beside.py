@@ -10,11 +10,11 @@ import pytest
 import ultraquiet as uq
 from ultraquiet._base.beside import SENTENCE
 from ultraquiet.pipeline import load_study
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.limits import stage as limits
 from ultraquiet.pipeline.making.designs import by_need, design_key, design_stage
 from ultraquiet.pipeline.preflight import LoopPlan
+from ultraquiet.pipeline.stage import Cache
 
 pytestmark = pytest.mark.slow  # two processes and limits of three seconds each
 PLAN = LoopPlan(("bench",), (12.0,), 1.0, 2.0, (8.0, 40.0))

@@ -14,7 +14,8 @@ import pytest
 import small_study
 
 import ultraquiet as uq
-from ultraquiet.pipeline.cache import Cache, Outcome
+from ultraquiet.pipeline import stage as pipeline_stage
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.store.lock import FILE, locked
 from ultraquiet.pipeline.store.sweep import sweep
 from ultraquiet.pipeline.walk import _on_a_disk
@@ -39,9 +40,9 @@ def stage(folder, gain, say=print, computed=None):
         (place / "sub").mkdir(parents=True)
         (place / "controller.c").write_text(f"double gain = {gain};\n")
         (place / "sub" / "README").write_text("the same whatever the gain\n")
-        return Outcome({"gain": gain}, {"plant": law(gain), "law": law(2 * gain)})
+        return Outcome({"plant": law(gain), "law": law(2 * gain)}, {"gain": gain})
 
-    kept = cache.stage("make", "code", {"gain": gain}, dict, compute, writes="calm")
+    kept = cache.stage("make", "code", {"gain": gain}, compute, writes="calm")
     assert kept.facts == {"gain": gain}
     assert (kept.values["plant"].C[0, 0], kept.values["law"].C[0, 0]) == (gain, 2 * gain)
     assert uq.files.load(folder / "code" / "plant.h5").C[0, 0] == gain
@@ -127,6 +128,23 @@ def test_a_stage_killed_between_its_values_and_its_facts_is_not_trusted(die, tmp
     assert found["made again"] > 0
 
 
+def test_a_stage_is_valid_from_the_writing_of_its_entry_on(tmp_path, monkeypatch):
+    """What dies there has written the new values, and the old ones are read with the old facts."""
+
+    def settings(gain):
+        return Cache(tmp_path).stage("plant", "models", gain, lambda: Outcome({"plant": law(gain)}, {"gain": gain}))
+
+    assert not settings(1.0).reused
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline_stage, "write_bytes", lambda *_: sys.exit(9))
+        with pytest.raises(SystemExit):
+            settings(2.0)
+    waiting = [uq.files.load(path).C[0, 0] for path in (tmp_path / "models").glob(".*.h5.part")]
+    back = settings(1.0)
+    assert waiting == [2.0]
+    assert (back.reused, back.facts["gain"], back.values["plant"].C[0, 0]) == (True, 1.0, 1.0)
+
+
 HANDS = {
     "edited": (lambda f: (f / "code/calm/controller.c").write_text("mine\n"), "controller.c edited", True),
     "added": (lambda f: (f / "code/calm/mine.c").write_text("mine\n"), "mine.c added", True),
@@ -180,9 +198,7 @@ def test_what_a_stage_leaves_no_more_goes_and_what_a_hand_made_of_it_stays(tmp_p
     cache = Cache(tmp_path)
 
     def stage_of(*tones):
-        return cache.stage(
-            "loop", "loops", tones, dict, lambda: Outcome({}, {f"{tone}hz": law(tone) for tone in tones})
-        )
+        return cache.stage("loop", "loops", tones, lambda: Outcome({f"{tone}hz": law(tone) for tone in tones}, {}))
 
     stage_of(5, 25, 100)
     uq.files.save(law(1.0), tmp_path / "loops" / "25hz.h5")
@@ -224,7 +240,7 @@ def test_a_full_disk_is_a_sentence_and_no_finding_about_the_law(tmp_path, monkey
         raise uq.errors.StorageError("deploy: cannot write (no space left on device).")
 
     with pytest.raises(uq.errors.StorageError):
-        Cache(tmp_path).stage("deploy", "code", "key", dict, code)
+        Cache(tmp_path).stage("deploy", "code", "key", code)
 
 
 def test_what_a_disk_refuses_is_one_sentence_wherever_it_does(tmp_path):

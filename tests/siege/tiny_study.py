@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from ultraquiet import pipeline
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.registry import register
-from ultraquiet.pipeline.cache import Cache
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.report import figures
 from ultraquiet.values import Channel, Record
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from ultraquiet import signals
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import methods
+from ultraquiet._base.tables import Method
 from ultraquiet.signals.prbs import TAPS, sequence
 
 RATE = 3500.0
@@ -229,3 +230,44 @@ def test_a_signal_that_names_nothing_fits_any_bench(kind, seed):
         print(f"{kind.__name__}: peak {np.abs(one).max():.3f}, at {rate:g} Hz off that at 1 Hz by {gap:.1e}")
         assert gap < 1e-9
     assert 0.9 < np.abs(one).max() <= 1.0
+
+
+OLDER = [
+    ("chirp", {"start_v": 3.0, "stop_v": 2.0}, {"start_level": 3.0, "stop_level": 2.0}),
+    ("multisine", {"peak_v": 3.0}, {"peak": 3.0}),
+    ("noise", {"peak_v": 3.0}, {"peak": 3.0}),
+    ("prbs", {"level_v": 3.0}, {"level": 3.0}),
+    ("step", {"level_v": 3.0}, {"level": 3.0}),
+    ("tone", {"amplitude_v": 3.0}, {"amplitude": 3.0}),
+]
+
+
+@pytest.mark.parametrize(("name", "older", "newer"), OLDER)
+def test_a_level_answers_to_its_older_name(name, older, newer):
+    """As an argument, as an attribute and in a table; what is shown has the newer name, a refusal the one given."""
+    kind = methods("signals")[name]
+    signal = kind(**older)
+    assert signal == kind(**newer) == Method(method=name, **older).make("signals")
+    assert [getattr(signal, key) for key in older] == list(older.values())
+    assert not any(key in repr(signal) for key in older)
+    for key, value in older.items():
+        with pytest.raises(InputError, match=f"'{key}' must be finite"):
+            kind(**{key: np.nan})
+        with pytest.raises(InputError, match=f"'{key}' should be a valid number"):
+            Method(method=name, **{key: "loud"}).make("signals")
+        with pytest.raises(InputError, match=f"'{key}' is an older name of"):
+            kind(**newer, **{key: value})
+        with pytest.raises(InputError, match=f"'{key}' is an older name of"):
+            Method(method=name, **newer, **{key: value}).make("signals")
+
+
+@pytest.mark.parametrize(("name", "older", "newer"), OLDER)
+def test_a_level_that_nobody_named_is_one_or_what_it_is_told(name, older, newer):
+    kind = methods("signals")[name]
+    unnamed, told = kind().generate(512, RATE), kind().at(2.5)
+    assert set(kind().unnamed_levels()) == set(newer)
+    assert not told.unnamed_levels()
+    assert np.array_equal(unnamed, kind(**dict.fromkeys(newer, 1.0)).generate(512, RATE))
+    assert np.allclose(told.generate(512, RATE), 2.5 * unnamed, rtol=1e-12)
+    named = kind(**newer)
+    assert named.at(2.5) is named

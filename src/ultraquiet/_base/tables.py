@@ -13,6 +13,7 @@ from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes, TableError, sentence
 from ultraquiet._base.registry import known_are, lookup
+from ultraquiet._base.renamed import as_given, older_names
 
 # Types of settings that a value of a table can be held against; what else a method takes, it judges itself.
 _SCALARS = (bool, int, float, str, NoneType, object)
@@ -69,11 +70,11 @@ def settings_object(
         pending: settings whose values are not known, which has been noted already.
 
     >>> mistakes = Mistakes()
-    >>> settings = {"frequenzy_hz": 5.0, "amplitude_v": float("nan"), "phase_deg": "zero"}
+    >>> settings = {"frequenzy_hz": 5.0, "amplitude": float("nan"), "phase_deg": "zero"}
     >>> settings_object("signals", "tone", settings, (), mistakes)
     >>> for _, sentence in mistakes.by_line():
     ...     print(sentence[:69])
-    Tone: 'amplitude_v' must be finite, got nan.
+    Tone: 'amplitude' must be finite, got nan.
     signals 'tone' has no setting 'frequenzy_hz'; did you mean 'frequency
     signals 'tone': 'phase_deg' should be a valid number, unable to parse
     """
@@ -84,22 +85,28 @@ def settings_object(
         return None
     who = f"{family} '{name}'"
     known = {field.name: field for field in fields(kind) if field.init}
+    older = older_names(kind)
+    for key in older.keys() & settings.keys():
+        if older[key] in settings:
+            mistakes.add((*place, key), f"{who}: '{key}' is an older name of '{older[key]}'; give one of them.")
+    given = {older.get(key, key): key for key in settings}
+    settings = {older.get(key, key): value for key, value in settings.items()}
     for key in settings.keys() - known.keys():
-        mistakes.add((*place, key), f"{who} has no setting '{key}'{known_are(key, known)}.")
+        mistakes.add((*place, given[key]), f"{who} has no setting '{key}'{known_are(key, known)}.")
     values = {key: value for key, value in settings.items() if key in known}
     misfits = _misfits(kind, values)
     for key, words in misfits.items():
-        mistakes.add((*place, key), f"{who}: {words}")
+        mistakes.add((*place, given[key]), as_given(f"{who}: {words}", given))
         del values[key]
-    for key in known.keys() - settings.keys() - set(pending):
+    for key in known.keys() - settings.keys() - {older.get(key, key) for key in pending}:
         if _needed(known[key]):
             mistakes.add(place, f"{who} lacks its setting '{key}'.")
     if any(_needed(field) and key not in values for key, field in known.items()):
         return None
-    method = _built(kind, values, known, place, mistakes)
+    method = _built(kind, values, known, given, place, mistakes)
     unfit = {} if method is None else {key: words for key in values if (words := _no_number(key, values[key]))}
     for key, words in unfit.items():
-        mistakes.add((*place, key), f"{who}: {words}")
+        mistakes.add((*place, given[key]), as_given(f"{who}: {words}", given))
     return None if misfits or unfit else method
 
 
@@ -108,9 +115,17 @@ def _needed(field: "Field[Any]") -> bool:
 
 
 def _built(
-    kind: type[Any], settings: dict[str, Any], known: Mapping[str, "Field[Any]"], place: Place, mistakes: Mistakes
+    kind: type[Any],
+    settings: dict[str, Any],
+    known: Mapping[str, "Field[Any]"],
+    given: Mapping[str, str],
+    place: Place,
+    mistakes: Mistakes,
 ) -> Any | None:
-    """Return the object; when it refuses a value, note that, and try its default for the sake of the others."""
+    """Return the object; when it refuses a value, note that, and try its default for the sake of the others.
+
+    `given` are the names that the settings go by in the table, which stands at `place`.
+    """
     left_out: set[str] = set()
     while True:
         try:
@@ -121,7 +136,7 @@ def _built(
                 return None  # it may be the default that is refused now
             # The sentence names its setting; the line of that setting is where it is mended.
             refused = next((key for key in settings if f"'{key}'" in words), None)
-            mistakes.add(place if refused is None else (*place, refused), words)
+            mistakes.add(place if refused is None else (*place, given[refused]), as_given(words, given))
             if refused is None or _needed(known[refused]):
                 return None
             left_out.add(refused)

@@ -34,7 +34,7 @@ class Checks:
         self._mistakes = mistakes
 
     def signals(
-        self, drives: Sequence[Drive], place: Place, samples: int, limit_v: float, under: Disturbance | None = None
+        self, drives: Sequence[Drive], place: Place, samples: int, limit: float, under: Disturbance | None = None
     ) -> None:
         """Check the signals of one command, alone and together with the disturbance that is on.
 
@@ -45,23 +45,23 @@ class Checks:
         base: dict[int, FloatArray] = {}
         line = self._mistakes.line(under.place) if under else 0
         for drive in under.drives if under else ():
-            volts = self._sent(drive, under.place if under else (), samples, limit_v)
-            if volts is None:
+            u = self._sent(drive, under.place if under else (), samples, limit)
+            if u is None:
                 break
-            base[drive.actuator] = volts
+            base[drive.actuator] = u
         for drive in drives:
-            volts = self._sent(drive, place, samples, limit_v)
-            if volts is None:
+            u = self._sent(drive, place, samples, limit)
+            if u is None:
                 return
             if drive.actuator in base:
                 # A command acts one sample after it was formed, a disturbance at once: Bench.run.
-                volts = base[drive.actuator] + np.concatenate([[0.0], volts[:-1]])
-                fault = self._beyond(volts, drive.actuator, limit_v)
+                u = base[drive.actuator] + np.concatenate([[0.0], u[:-1]])
+                fault = self._beyond(u, drive.actuator, limit)
                 if fault:
                     self._mistakes.add(place, f"with the disturbance of line {line} {fault}")
                     return
 
-    def _sent(self, drive: Drive, place: Place, samples: int, limit_v: float) -> FloatArray | None:
+    def _sent(self, drive: Drive, place: Place, samples: int, limit: float) -> FloatArray | None:
         """Return what a drive sends; None when it cannot, with the mistake noted."""
         if drive.signal is None:
             return None
@@ -70,25 +70,25 @@ class Checks:
         for key, sentence in late:
             self._mistakes.add((*place, key), sentence)
         try:
-            volts = np.asarray(drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed), np.float64)
+            u = np.asarray(drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed), np.float64)
         except UltraquietError as error:
             self._mistakes.add(place, str(error))
             return None
         except Exception as error:  # a signal may be anybody's
             self._mistakes.add(place, f"'{drive.method}' cannot be generated ({type(error).__name__}: {error}).")
             return None
-        if volts.shape != (samples,):
-            self._mistakes.add(place, f"'{drive.method}' comes in shape {volts.shape}, {samples} samples are needed.")
+        if u.shape != (samples,):
+            self._mistakes.add(place, f"'{drive.method}' comes in shape {u.shape}, {samples} samples are needed.")
             return None
-        fault = self._beyond(volts, drive.actuator, limit_v)
+        fault = self._beyond(u, drive.actuator, limit)
         if fault:
             self._mistakes.add(place, fault)
-        return None if fault or late else volts
+        return None if fault or late else u
 
-    def _beyond(self, volts: FloatArray, actuator: int, limit_v: float) -> str:
+    def _beyond(self, u: FloatArray, actuator: int, limit: float) -> str:
         # An actuator that does not exist is told elsewhere; its signal is checked but for the limits.
         assert self._bench is not None
-        return _beyond(volts, self._bench.actuators[actuator], limit_v) if actuator >= 0 else ""
+        return _beyond(u, self._bench.actuators[actuator], limit) if actuator >= 0 else ""
 
     def misfit(self, law: Any) -> str:
         """Return why a controller cannot run on the bench, or nothing."""
@@ -120,10 +120,10 @@ def _late(signal: Any, samples: int, rate_hz: float) -> Iterator[tuple[str, str]
             yield field.name, f"'{field.name}' of {value} is longer than the measurement of {samples} samples."
 
 
-def _beyond(volts: FloatArray, channel: Channel, limit_v: float) -> str:
-    low, high = max(channel.low, -limit_v), min(channel.high, limit_v)
-    if low <= volts.min() and volts.max() <= high:
+def _beyond(u: FloatArray, channel: Channel, limit: float) -> str:
+    low, high = max(channel.low, -limit), min(channel.high, limit)
+    if low <= u.min() and u.max() <= high:
         return ""
-    whose = "the list's own limit" if limit_v < min(-channel.low, channel.high) else f"the limits of '{channel.name}'"
-    spans = f"the signal spans {volts.min():g} to {volts.max():g} {channel.unit}"
+    whose = "the list's own limit" if limit < min(-channel.low, channel.high) else f"the limits of '{channel.name}'"
+    spans = f"the signal spans {u.min():g} to {u.max():g} {channel.unit}"
     return f"{spans}, beyond {whose}, {low:g} to {high:g}; lower it."

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field
 
 from ultraquiet._base.tables import Method, Strict
 
@@ -61,7 +61,7 @@ class Configure(Strict):
     do: Literal["configure"]
     samples: Samples | None = None
     seed: Seed | None = None
-    limit_v: Limit | None = None
+    limit: Limit | None = Field(default=None, validation_alias=AliasChoices("limit", "limit_v"))
     max_duration_s: Limit | None = None
 
 

@@ -3,6 +3,7 @@
 import inspect
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from ultraquiet.experiments.making import make
 from ultraquiet.experiments.mistakes import UNDEFINED, add_command_refusal
 from ultraquiet.experiments.plan import Drive, Measurement, Pause, Step, Thermometer, duration_s
 from ultraquiet.files import load as load_value
-from ultraquiet.values import StateSpace
+from ultraquiet.signals import Signal
+from ultraquiet.values import Channel, StateSpace
+from ultraquiet.values.channel import usual_level
 
 DEFAULT_SAMPLES = 4096  # the paper's record length, section 3.4
 # Rounds within rounds multiply; a slip of the pen must not keep the check busy for days.
@@ -44,7 +47,8 @@ class Compiler:
         self._checks = Checks(bench, mistakes)
         self._seed = seed
         self._samples = DEFAULT_SAMPLES
-        self._limit_v = float("inf")
+        self._limit = float("inf")
+        self._levels: dict[str, dict[str, list[str]]] = {}
         self._longest: tuple[float, Place] | None = None
         self._variables: dict[str, Any] = {}
         self._controller: tuple[StateSpace | None, str] = (None, "")
@@ -82,6 +86,15 @@ class Compiler:
         if total_s > longest_s:
             self._mistakes.add(place, f"the list takes {total_s:.1f} s on the bench, more than {longest_s:g} s.")
 
+    @property
+    def said(self) -> tuple[str, ...]:
+        """What was settled that the list leaves open, a sentence each."""
+        told: list[str] = []
+        for who, levels in self._levels.items():
+            shares = "; ".join(f"{level} on {', '.join(names)}" for level, names in levels.items())
+            told.append(f"{who} names no level: {shares}.")
+        return tuple(told)
+
     def _look_inside(self, raw: Any, filled: Any, place: Place) -> None:
         """Check the parts of a refused command that can be checked on their own."""
         word = _word(filled)
@@ -98,7 +111,7 @@ class Compiler:
             method = Method.model_validate(signal)
             excitation = make("signals", method, (*place, "signal"), self._mistakes)
             drive = Drive(method.method, excitation, _NOWHERE, 0)
-            self._checks.signals([drive], (*place, "signal"), self._samples, self._limit_v)
+            self._checks.signals([drive], (*place, "signal"), self._samples, self._limit)
 
     def _fill(self, raw: Any, place: Place) -> Any:
         """Return a command with "$name" replaced; the body of a repeat is filled in its own turn."""
@@ -124,7 +137,7 @@ class Compiler:
     def _configure(self, command: c.Configure, place: Place) -> None:
         self._samples = command.samples or self._samples
         self._seed = self._seed if command.seed is None else command.seed
-        self._limit_v = command.limit_v or self._limit_v
+        self._limit = command.limit or self._limit
         if command.max_duration_s is not None:
             self._longest = (command.max_duration_s, (*place, "max_duration_s"))
 
@@ -151,8 +164,9 @@ class Compiler:
         selected = self._rows(command.actuator, (*place, "actuator"))
         samples = command.samples or self._samples
         seeds = self._seeds(command.seed, self._count)
-        drives = [Drive(command.signal.method, signal, row, seeds(row)) for row in selected]
-        tried = drives or [Drive(command.signal.method, signal, _NOWHERE, 0)]
+        method, who = command.signal.method, f"'{command.name}'"
+        drives = [Drive(method, self._levelled(signal, row, who), row, seeds(row)) for row in selected]
+        tried = drives or [Drive(method, signal, _NOWHERE, 0)]
         self._check(tried, (*place, "signal"), samples)
         if command.actuator == "each":
             for drive in drives or [None]:
@@ -167,7 +181,7 @@ class Compiler:
         self._measure(command, "", samples, (), place)
 
     def _check(self, drives: Sequence[Drive], place: Place, samples: int) -> None:
-        self._checks.signals(drives, place, samples, self._limit_v, self._disturbance)
+        self._checks.signals(drives, place, samples, self._limit, self._disturbance)
         self._met = True
 
     def _measure(
@@ -216,7 +230,8 @@ class Compiler:
         signal = make("signals", command.signal, (*place, "signal"), self._mistakes)
         selected = self._rows("all" if meant is None else meant, (*place, key))
         seeds = self._seeds(command.seed, self._count, _DISTURBANCE)
-        drives = [Drive(command.signal.method, signal, row, seeds(row)) for row in selected]
+        method, who = command.signal.method, f"the disturbance of line {self._mistakes.line(place)}"
+        drives = [Drive(method, self._levelled(signal, row, who), row, seeds(row)) for row in selected]
         self._disturbance = Disturbance(tuple(drives), (*place, "signal"))
         self._met = False
 
@@ -239,6 +254,19 @@ class Compiler:
         for fault in faults:
             self._mistakes.add(place, fault)
         return selected
+
+    def _levelled(self, signal: Any, row: int, who: str) -> Any:
+        """Return the signal with what its actuator takes wherever it names no level; that is said of `who` once."""
+        if self._bench is None or not isinstance(signal, Signal) or not signal.unnamed_levels():
+            return signal
+        channel: Channel = self._bench.actuators[row]
+        within = replace(channel, low=max(channel.low, -self._limit), high=min(channel.high, self._limit))
+        level = usual_level([within])
+        why = "without limits" if within.high == -within.low == float("inf") else "a tenth of the swing"
+        names = self._levels.setdefault(who, {}).setdefault(f"{level:g} {channel.unit} ({why})", [])
+        if channel.name not in names:
+            names.append(channel.name)
+        return signal.at(level)
 
     def _seeds(self, own: int | None, index: int, branch: int = _EXCITATION) -> Any:
         """Return row -> seed: independent for every actuator, and for every command without a seed of its own."""

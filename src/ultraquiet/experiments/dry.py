@@ -71,7 +71,7 @@ def dry_run(listed: ExperimentList) -> DryRun:
 
     >>> from ultraquiet.experiments import parse
     >>> text = '[bench]\nmethod = "hexapod"\n[[commands]]\ndo = "excite"\nname = "sine"\nactuator = "strut 2"\n'
-    >>> planned = dry_run(parse(text + 'signal = { method = "tone", frequency_hz = 60.0, amplitude_v = 10.0 }'))
+    >>> planned = dry_run(parse(text + 'signal = { method = "tone", frequency_hz = 60.0, amplitude = 10.0 }'))
     >>> step = planned.steps[0]
     >>> step.name, round(step.lasts_s, 2), step.excitation[0].actuator, round(step.excitation[0].rms, 2)
     ('sine', 1.17, 'strut 2', 7.07)
@@ -108,22 +108,22 @@ def _steps(steps: tuple[Step, ...], actuators: tuple[Channel, ...], rate_hz: flo
 
 
 def _sent(drive: Drive, actuators: tuple[Channel, ...], samples: int, rate_hz: float) -> Sent:
-    volts = drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed)
+    u = drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed)
     channel = actuators[drive.actuator]
-    peak, rms = float(np.abs(volts).max()), float(np.sqrt(np.mean(np.square(volts))))
-    return Sent(drive.method, channel.name, channel.unit, peak, rms, band_hz(volts, rate_hz))
+    peak, rms = float(np.abs(u).max()), float(np.sqrt(np.mean(np.square(u))))
+    return Sent(drive.method, channel.name, channel.unit, peak, rms, band_hz(u, rate_hz))
 
 
-def band_hz(volts: FloatArray, rate_hz: float) -> tuple[float, float]:
+def band_hz(u: FloatArray, rate_hz: float) -> tuple[float, float]:
     """Return the band in Hz that holds 99 % of a signal's power, `(0, 0)` of a silent one.
 
     >>> t = np.arange(1000) / 1000.0
     >>> band_hz(np.sin(2 * np.pi * 50.0 * t) + np.sin(2 * np.pi * 80.0 * t), 1000.0)
     (50.0, 80.0)
     """
-    power = np.square(np.abs(np.fft.rfft(volts)))
+    power = np.square(np.abs(np.fft.rfft(u)))
     total = np.cumsum(power)
     if total[-1] == 0.0:
         return 0.0, 0.0
     low, high = np.searchsorted(total, [total[-1] * LEFT_OUT / 2, total[-1] * (1 - LEFT_OUT / 2)])
-    return float(low * rate_hz / volts.size), float(high * rate_hz / volts.size)
+    return float(low * rate_hz / u.size), float(high * rate_hz / u.size)

@@ -29,7 +29,7 @@ class ExperimentList:
     """A checked list: its text, the bench it names (or None) and the plan it comes to on that bench.
 
     `steps` are measurements and pauses in order; they are empty as long as no bench is known. `seed` is one given
-    instead of the list's own.
+    instead of the list's own. `said` are sentences on what was settled that the list leaves open.
     """
 
     name: str
@@ -39,6 +39,7 @@ class ExperimentList:
     bench: Any | None
     steps: tuple[Step, ...]
     seed: int | None = None
+    said: tuple[str, ...] = ()
 
     @property
     def measurements(self) -> tuple[Measurement, ...]:
@@ -145,7 +146,7 @@ def parse(
         mistakes.add((), NO_BENCH)
     mistakes.refuse(ListError, name)
     steps = () if bench is None else tuple(compiler.steps)
-    return ExperimentList(name, head.title, text, folder, bench, steps, seed)
+    return ExperimentList(name, head.title, text, folder, bench, steps, seed, compiler.said)
 
 
 def _compiled(commands: list[Any], compiler: Compiler) -> Compiler:

@@ -16,7 +16,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet.bench import Block, Streaming, Tally
 from ultraquiet.experiments import journal
 from ultraquiet.experiments.listed import ExperimentList
-from ultraquiet.experiments.plan import Measurement, volts
+from ultraquiet.experiments.plan import Measurement, sent
 from ultraquiet.files import LogWriter, finalise, log_header, read_log
 from ultraquiet.files.names import inside
 from ultraquiet.values import Record
@@ -226,8 +226,8 @@ class _Run:
 
 def _signals(bench: Any, step: Measurement) -> tuple[FloatArray, FloatArray | None]:
     channels, rate_hz = len(bench.actuators), bench.rate_hz
-    actuation = volts(step.drives, channels, step.samples, rate_hz)
-    disturbance = volts(step.disturbances, channels, step.samples, rate_hz) if step.disturbances else None
+    actuation = sent(step.drives, channels, step.samples, rate_hz)
+    disturbance = sent(step.disturbances, channels, step.samples, rate_hz) if step.disturbances else None
     return actuation, disturbance
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import content_hash, plain
+from ultraquiet._base.renamed import older_names
 from ultraquiet.values import StateSpace
 
 
@@ -21,8 +22,10 @@ class Drive:
     seed: int
 
     def describe(self) -> dict[str, Any]:
-        """Return what makes this drive, in plain types."""
-        return {"method": self.method, **plain(self.signal), "actuator": self.actuator + 1, "seed": self.seed}
+        """Return what makes this drive, in plain types: what is on a disk keeps the names that it was written with."""
+        written = {newer: name for name, newer in older_names(type(self.signal)).items()}
+        settings = {written.get(name, name): value for name, value in plain(self.signal).items()}
+        return {"method": self.method, **settings, "actuator": self.actuator + 1, "seed": self.seed}
 
 
 @dataclass(frozen=True)
@@ -89,8 +92,8 @@ def _pause_s(step: Pause | Thermometer) -> float:
     return step.seconds if isinstance(step, Pause) else 0.0
 
 
-def volts(drives: Iterable[Drive], actuators: int, samples: int, rate_hz: float) -> FloatArray:
-    """Return the drives as `(actuators, samples)` volts."""
+def sent(drives: Iterable[Drive], actuators: int, samples: int, rate_hz: float) -> FloatArray:
+    """Return the drives as `(actuators, samples)`, each row in its actuator's unit."""
     u = np.zeros((actuators, samples))
     for drive in drives:
         u[drive.actuator] += drive.signal.generate(samples=samples, rate_hz=rate_hz, seed=drive.seed)

@@ -62,7 +62,7 @@ def run(
     >>> from ultraquiet.bench import Wrapped
     >>> listed = parse(
     ...     '[[commands]]\ndo = "excite"\nname = "push"\nsamples = 300\n'
-    ...     'signal = { method = "step", level_v = 10, fall_s = 0.08 }'
+    ...     'signal = { method = "step", level = 10, fall_s = 0.08 }'
     ... )
     >>> bench = Wrapped(lambda u, d: 2.0 * u, lambda: None, 3500.0, ["force"], ["speed"])
     >>> with tempfile.TemporaryDirectory() as folder:

@@ -17,7 +17,6 @@ from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.design import DesignResult
 from ultraquiet.design.verification import judged
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.loops import (
     CodeFacts,
@@ -36,6 +35,7 @@ from ultraquiet.pipeline.facts.loops import (
 )
 from ultraquiet.pipeline.identification import for_method
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import Band, Deploy, Design
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
@@ -64,11 +64,11 @@ def designed(
         progress.advance(note=str(result.status))
         law = result.controller
         if law is None:
-            return Outcome(_design_facts(result, settings, None, 0, {"design": {}, "law": {}}))
+            return Outcome({}, _design_facts(result, settings, None, 0, {"design": {}, "law": {}}))
         if settings.reduce is None:
             margins = _at_ends(result.margins, plant)
             at_ends = {"design": margins, "law": margins}
-            return Outcome(_design_facts(result, settings, None, law.states, at_ends), {name: law})
+            return Outcome({name: law}, _design_facts(result, settings, None, law.states, at_ends))
         at_ends = {"design": _at_ends(result.margins, plant)}
         reduced = _reduced(law, plant, result, settings.reduce, loop)
         reduction = _reduction_facts(law, reduced)
@@ -83,7 +83,7 @@ def designed(
     if not reduced.status.ok:
         result = replace(result, status=reduced.status)
     at_ends["law"] = _at_ends(result.margins, plant)
-    return Outcome(_design_facts(result, settings, reduction, law.states, at_ends), {name: law})
+    return Outcome({name: law}, _design_facts(result, settings, reduction, law.states, at_ends))
 
 
 def _reduced(
@@ -215,7 +215,7 @@ def closed(
             for f, opened, run in zip(settings.tones_hz, tones.opened, tones.closed, strict=True):
                 values[stored.under_tone(name, f)] = run
                 values[stored.open_under_tone(name, f)] = opened
-    return Outcome(LoopFacts(units={unit: on_units[unit][0] for unit in settings.units}), values)
+    return Outcome(values, LoopFacts(units={unit: on_units[unit][0] for unit in settings.units}))
 
 
 def _closed_on(
@@ -328,8 +328,8 @@ def deployed(
     except StorageError:
         raise  # a full disk says nothing of the law
     except UltraquietError as error:
-        return Outcome(NoCode(status=f"refused: {error}"))
-    return Outcome(generated(code.tables, str(code.status), str(verified.status)))
+        return Outcome({}, NoCode(status=f"refused: {error}"))
+    return Outcome({}, generated(code.tables, str(code.status), str(verified.status)))
 
 
 def generated(tables: Mapping[str, Any], status: str, verification: str) -> CodeFacts:

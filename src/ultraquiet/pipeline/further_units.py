@@ -5,11 +5,11 @@ from functools import partial
 from pathlib import Path
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.models import PlantFacts
 from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.making.designs import plant_key
 from ultraquiet.pipeline.preflight import as_unit
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.study import Study
 from ultraquiet.pipeline.tables.blending import blended
@@ -41,6 +41,6 @@ def further_plants(
     for unit in study.plant.units:
         compute = partial(further, as_unit(bench, unit), unit, records, study.plant)
         key = [*plant_key(hashes, study.plant), bench_key, unit]
-        outcome = compute() if cache is None else cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
+        outcome = compute() if cache is None else cache.stage(f"plant-{unit}", "models", key, compute, PlantFacts)
         found[unit] = outcome.values[of_unit(unit)]
     return found

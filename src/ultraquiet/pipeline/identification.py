@@ -11,7 +11,6 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
 from ultraquiet.identify.successive_orders import frequency_and_damping
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
     IdentificationFacts,
@@ -22,6 +21,7 @@ from ultraquiet.pipeline.facts.models import (
     RecordPlant,
     ResponsePlant,
 )
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import IdentifyTable, Paper, Plant
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
 
@@ -77,7 +77,7 @@ def identified(
     """
     fitted, judged = sweep_groups(records, settings)
     if fitted is None:
-        return Outcome(IdentificationFacts(table=(), preferred=None, paper={}))
+        return Outcome({}, IdentificationFacts(table=(), preferred=None, paper={}))
     driven = group(records, fitted)
     ranking = identify.sweep(
         driven,
@@ -110,7 +110,7 @@ def identified(
         verdicts={word: words.count(word) for word in dict.fromkeys(words)},
     )
     table = tuple(RankedModel(**row) for row in ranking.table())
-    return Outcome(IdentificationFacts(table=table, preferred=preferred, paper=fits), values)
+    return Outcome(values, IdentificationFacts(table=table, preferred=preferred, paper=fits))
 
 
 def _paper_fit(result: identify.MatrixResult, seconds: float) -> PaperFit:
@@ -135,7 +135,7 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
         result = method.identify(group(records, settings.records[0])[0])
         system = result.state_space()
         facts = RecordPlant(status=str(result.status), fit_percent=result.fit_percent, states=system.states)
-        return Outcome(facts, {stored.PLANT: system})
+        return Outcome({stored.PLANT: system}, facts)
     if not hasattr(method, "identify_response"):
         raise InputError(f"plant: '{settings.method}' does not fit responses; leave 'period_samples' out.")
     response = measured_response(records, settings)
@@ -151,7 +151,7 @@ def plant(records: Mapping[str, Record], settings: Plant) -> Outcome[PlantFacts]
             n: frequency_and_damping(poles, rate_hz) for n, poles in getattr(fit, "poles_by_order", {}).items()
         },
     )
-    return Outcome(facts, {stored.PLANT: fit.model, stored.RESPONSE: response})
+    return Outcome({stored.PLANT: fit.model, stored.RESPONSE: response}, facts)
 
 
 def recorded(names: Sequence[str], groups: Mapping[str, Sequence[str]]) -> list[str]:
@@ -205,7 +205,7 @@ def further(bench: Any, unit: str, records: Mapping[str, Record], settings: Plan
             again[name] = bench.run(records[name].inputs)
             progress.advance(note=name)
     found = plant(again, settings)
-    return Outcome(found.facts, {of_unit(unit): found.values[stored.PLANT]})
+    return Outcome({of_unit(unit): found.values[stored.PLANT]}, found.facts)
 
 
 def of_unit(unit: str) -> str:

@@ -12,8 +12,8 @@ from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import in_threads
 from ultraquiet.analyse import singular_values
 from ultraquiet.limits.directions import moved
-from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, LimitFacts, NoDistance, RefusedBand
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Band, LimitsTable
 from ultraquiet.values import StateSpace, StatusWord
 
@@ -29,7 +29,7 @@ def stage(
 ) -> Outcome[LimitFacts]:
     """Return what `bounded` finds, from the folder where it was found before."""
     key = [plant.hash, band_hz, settings, {name: law.hash for name, law in laws.items()}]
-    return cache.stage("limits", "models", key, LimitFacts, partial(bounded, plant, laws, band_hz, settings))
+    return cache.stage("limits", "models", key, partial(bounded, plant, laws, band_hz, settings), LimitFacts)
 
 
 def bounded(
@@ -45,7 +45,7 @@ def bounded(
     jobs |= {name: partial(beside_its_limit, plant, law, band_hz) for name, law in laws.items()}
     found = in_threads("limits", lambda name: jobs[name](), list(jobs))
     designs = {name: found[name] for name in laws}
-    return Outcome(LimitFacts(bands=tuple(found[band] for band in bands), designs=designs))
+    return Outcome({}, LimitFacts(bands=tuple(found[band] for band in bands), designs=designs))
 
 
 def _inverting(plant: StateSpace, band_hz: Band) -> float:

@@ -4,8 +4,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
@@ -18,10 +16,10 @@ from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
 from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
+from ultraquiet.values.channel import usual_level
 
 ONLY = "bench"  # the name of the one unit of a bench that knows no units
 SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of the lowest
-AMPLITUDE_SHARE = 0.1  # of the smallest range of an actuator
 MOST_SAMPLES = 1e8  # of all channels of one run; 0.8 GB
 
 
@@ -123,10 +121,8 @@ def as_unit(bench: Any, unit: str) -> Any:
 
 
 def usual_amplitude(bench: Any) -> float:
-    """Return a share of the smallest range of the actuators; one where none has limits."""
-    ranges = [(c.high - c.low) / 2 for c in getattr(bench, "actuators", ())]
-    finite = [r for r in ranges if np.isfinite(r) and r > 0]
-    return AMPLITUDE_SHARE * min(finite) if finite else 1.0
+    """Return a tenth of what its actuators may swing; one where none has limits."""
+    return usual_level(getattr(bench, "actuators", ()))
 
 
 def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
@@ -12,6 +11,7 @@ from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, Com
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.preflight import LoopPlan
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import Study
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
 

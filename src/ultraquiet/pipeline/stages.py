@@ -13,7 +13,6 @@ from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, requirements, validation
 from ultraquiet.pipeline import limits as attainable
-from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
@@ -37,6 +36,7 @@ from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
 from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
@@ -142,7 +142,7 @@ class Stages:
             return None
         key = [laws[name].hash, self.bench_key, plan.units, plan.band_hz, table]
         compute = partial(commissioned, name, laws[name], self.bench, plan, table)
-        outcome = self.cache.stage("commission", "loops", key, CommissioningFacts, compute)
+        outcome = self.cache.stage("commission", "loops", key, compute, CommissioningFacts)
         for unit, found in outcome.facts.units.items():
             self.say(f"commissioned {name}, {unit}: {found.status}")
         return outcome
@@ -223,7 +223,7 @@ class Stages:
             acting = law if adapting is None else adapting() or law
             return listened(name, acting, payloads, loop.units, limits, as_code)
 
-        return self.cache.stage(f"payload-{name}", "loops", key, PayloadFacts, compute)
+        return self.cache.stage(f"payload-{name}", "loops", key, compute, PayloadFacts)
 
     def _required_hz(self, name: str, plan: LoopPlan) -> Band | None:
         """Return the band of the requirements of a law where it is not the one that is measured anyway."""
@@ -261,7 +261,7 @@ class Stages:
         settings = self.study.plant
         compute = partial(identification.plant, self.records, settings)
         key = plant_key(self._record_hashes, settings)
-        outcome = self.cache.stage("plant", "models", key, PlantFacts, compute)
+        outcome = self.cache.stage("plant", "models", key, compute, PlantFacts)
         self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
         return outcome
 
@@ -274,7 +274,7 @@ class Stages:
         for unit in settings.units:
             compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
             key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
-            outcome = self.cache.stage(f"plant-{unit}", "models", key, PlantFacts, compute)
+            outcome = self.cache.stage(f"plant-{unit}", "models", key, compute, PlantFacts)
             self.say(f"plant for design, {unit}: {outcome.facts.states} states, {outcome.facts.status}")
             found[unit] = outcome.values[of_unit(unit)]
         return found
@@ -292,7 +292,7 @@ class Stages:
         judge = validation.JudgedBy(held_out, shown, (paper and paper.band_hz) or plan.band_hz, beside_hz)
         compute = partial(validation.validated, self.records, models, plant, self.bench, judge)
         key = [*self._models_key(plant), judge]
-        return self.cache.stage("validate", "models", key, ValidationFacts, compute)
+        return self.cache.stage("validate", "models", key, compute, ValidationFacts)
 
     def _analyse(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[AnalysisFacts]:
         asked = self.study.paper
@@ -301,7 +301,7 @@ class Stages:
         f_hz = validation.shown_hz(rate_hz, max(record.duration_s for record in self.records.values()))
         compute = partial(validation.analysed, plant, paper, f_hz)
         key = [*self._models_key(plant), self.study.paper]
-        return self.cache.stage("analyse", "models", key, AnalysisFacts, compute)
+        return self.cache.stage("analyse", "models", key, compute, AnalysisFacts)
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         return self.cache.holds(f"design-{name}", design_key(plant, self.study.controllers[name], plan, self._further))
@@ -325,7 +325,7 @@ class Stages:
             acting = control.adapting(plant, design) if adaptive else None
             return control.closed(name, acting or law, opened, required_hz)
 
-        return self.cache.stage(f"loop-{name}", "loops", key, LoopFacts, compute)
+        return self.cache.stage(f"loop-{name}", "loops", key, compute, LoopFacts)
 
     def _deploy(self, name: str, law: StateSpace, plant: StateSpace, plan: LoopPlan, adaptive: bool) -> DeploymentFacts:
         """Turn it into code, unless it adapts."""
@@ -342,7 +342,7 @@ class Stages:
             place = self.cache.workplace("code", name)
             return control.deployed(name, law, plant, limits, place, settings, plan.tones_hz)
 
-        facts = self.cache.stage(f"deploy-{name}", "code", key, DeploymentFacts, compute, writes=name).facts
+        facts = self.cache.stage(f"deploy-{name}", "code", key, compute, DeploymentFacts, writes=name).facts
         self.say(f"closed and deployed {name}: {facts.verdict}")
         return facts
 

@@ -9,7 +9,6 @@ import numpy as np
 from ultraquiet import analyse, validate
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
     Agreement,
@@ -21,6 +20,7 @@ from ultraquiet.pipeline.facts.models import (
     ValidationFacts,
 )
 from ultraquiet.pipeline.identification import group
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import Band
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, StateSpace
 
@@ -63,7 +63,7 @@ def validated(
         residuals=None if reference is None else _residuals(reference, records, judge),
         against_bench=None if truth is None else _against_bench(truth(), candidates, judge.bench_hz),
     )
-    return Outcome(facts, values)
+    return Outcome(values, facts)
 
 
 def worth_showing(records: Mapping[str, Record], held_out: str | None) -> tuple[str, ...]:
@@ -153,7 +153,7 @@ def analysed(plant: StateSpace, paper: PolynomialMatrix | None, f_hz: FloatArray
         threefold_error=analyse.threefold_error(G) if paper is not None and G.shape[:2] == (6, 6) else None,
         dominance_db=_dominance(G) if square and G.shape[0] > 1 else None,
     )
-    return Outcome(facts)
+    return Outcome({}, facts)
 
 
 def _diagonal(model: PolynomialMatrix) -> list[PolynomialModel]:

@@ -19,12 +19,12 @@ from ultraquiet.bench.from_file import from_file
 from ultraquiet.files import read_record, reason, write_bytes
 from ultraquiet.identify.record_checks import in_and_out
 from ultraquiet.pipeline import preflight, study
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.mission.campaign import How
 from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.stages import Say, Stages
 from ultraquiet.pipeline.store.copies import Copies
 from ultraquiet.pipeline.store.identity import identity
@@ -172,6 +172,8 @@ def prepared(
             store = Records(listed, bench, describe, folder, say)
             store.claim(record_again)
             _write_study(settings, folder, beside)
+            for sentence in listed.said:
+                say(sentence)
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if blending is not None:

@@ -1,10 +1,12 @@
-"""What every test signal shares: the checks and the spectrum.
+"""What every test signal shares: its levels, the checks and the spectrum.
 
-Settings that end in `_v` are in the unit of the actuator that is driven, whatever it is; what an actuator can take is
-known by its channel, and an experiment that exceeds it is refused before anything moves.
+Levels are in the unit of the actuator that is driven, whatever it is; what an actuator can take is known by its
+channel, and an experiment that exceeds it is refused before anything moves.
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -15,16 +17,39 @@ from ultraquiet._base.errors import InputError
 MAXIMUM_V = 25.0
 
 
+UNNAMED_LEVEL = 1.0  # of an actuator that nothing is known of, in its unit
+
 # Share of the sampling rate below which anti-alias filters usually pass: the band of a signal that names no edge.
 ALIAS_FREE = 0.4
 
 
 class Signal(ABC):
-    """A test signal. Subclasses are frozen dataclasses of settings."""
+    """A test signal. Subclasses are frozen dataclasses of settings; `levels` names those in the actuator's unit."""
+
+    levels: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def generate(self, samples: int, rate_hz: float, seed: int = 0) -> FloatArray:
         """Return the signal in the actuator's unit, `(samples,)`."""
+
+    def unnamed_levels(self) -> tuple[str, ...]:
+        """Return the names of the levels that nobody named."""
+        return tuple(name for name in self.levels if getattr(self, name) is None)
+
+    def at(self, level: float) -> Self:
+        """Return the signal with `level`, in the actuator's unit, wherever it names none.
+
+        >>> from ultraquiet.signals import Chirp
+        >>> Chirp(start_level=5.0).at(2.0)
+        Chirp(start_level=5, stop_level=2)
+        """
+        unnamed = dict.fromkeys(self.unnamed_levels(), level)
+        return replace(self, **unnamed) if unnamed else self  # type: ignore[type-var]
+
+    def level_of(self, name: str) -> float:
+        """Return a level; one of the actuator's unit where it has none."""
+        level = getattr(self, name)
+        return UNNAMED_LEVEL if level is None else float(level)
 
     def spectrum(self, samples: int, rate_hz: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return frequencies in Hz and the one-sided power spectral density in unit^2/Hz, `(samples // 2 + 1,)` each.
@@ -32,7 +57,7 @@ class Signal(ABC):
         S(f_k) = 2 |U_k|^2 / (rate n), the periodogram without window; its sum times rate / n is the mean square.
 
         >>> from ultraquiet.signals import Tone
-        >>> f_hz, psd = Tone(frequency_hz=50.0, amplitude_v=2.0).spectrum(samples=3500, rate_hz=3500.0)
+        >>> f_hz, psd = Tone(frequency_hz=50.0, amplitude=2.0).spectrum(samples=3500, rate_hz=3500.0)
         >>> float(f_hz[psd.argmax()]), round(float(psd.sum() * (f_hz[1] - f_hz[0])), 6)
         (50.0, 2.0)
         """
@@ -43,9 +68,16 @@ class Signal(ABC):
         return np.asarray(np.arange(psd.size) * (rate_hz / u.size), dtype=np.float64), psd.astype(np.float64)
 
 
-def amplitude(who: str, name: str, value: float) -> float:
-    """Return a finite number, of either sign."""
-    return between(who, name, value, -np.inf, np.inf)
+def level_of_either_sign(who: str, name: str, value: float | None) -> None:
+    """Refuse a level that is no finite number; one that is not named comes later."""
+    if value is not None:
+        between(who, name, value, -np.inf, np.inf)
+
+
+def level_above_zero(who: str, name: str, value: float | None) -> None:
+    """Refuse a level that is not above zero; one that is not named comes later."""
+    if value is not None:
+        positive(who, name, value)
 
 
 def clock(who: str, samples: int, rate_hz: float) -> tuple[int, float]:

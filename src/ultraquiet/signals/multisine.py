@@ -4,13 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, one_of, positive, whole
+from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, upper_hz
+from ultraquiet._base.renamed import formerly
+from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, level_above_zero, upper_hz
 
 
 @register("signals", "multisine")
+@formerly(peak_v="peak")
 @dataclass(frozen=True)
 class Multisine(Signal):
     """u(t) = sum_k cos(2 pi k t rate / period + phi_k), equal amplitudes, scaled to its largest peak.
@@ -19,7 +21,8 @@ class Multisine(Signal):
         start_hz, stop_hz: band in Hz, up to 0.4 of the rate when no edge is named; every harmonic of
             rate / period_samples inside it is excited (not zero).
         period_samples: length of one period.
-        peak_v: the largest absolute value, in the actuator's unit.
+        peak: the largest absolute value, in the actuator's unit; one when absent, in a list
+            a tenth of the actuator's range.
         odd: excite odd harmonics only, so that even distortion shows on the even lines.
         detection_group: of every so many neighbouring harmonics one is left out, at random, so that odd distortion
             shows there; 0 leaves none out. Four is usual.
@@ -40,16 +43,18 @@ class Multisine(Signal):
     start_hz: float = 0.0
     stop_hz: float | None = None
     period_samples: int = 4096
-    peak_v: float = 1.0
+    peak: float | None = None
     odd: bool = False
     phases: str = "random"
     detection_group: int = 0
     detection_seed: int = 0
 
+    levels = ("peak",)
+
     def __post_init__(self) -> None:
         band("Multisine", self.start_hz, self.stop_hz)
         whole("Multisine", "period_samples", self.period_samples, 2)
-        positive("Multisine", "peak_v", self.peak_v)
+        level_above_zero("Multisine", "peak", self.peak)
         one_of("Multisine", "phases", self.phases, ("random", "schroeder"))
         if self.detection_group:
             whole("Multisine", "detection_group", self.detection_group, 2)
@@ -93,5 +98,6 @@ class Multisine(Signal):
         lines = np.zeros(self.period_samples // 2 + 1, dtype=np.complex128)
         lines[k] = np.exp(1j * phase)
         u = np.fft.irfft(lines, self.period_samples)
-        u = np.clip(u * (self.peak_v / np.abs(u).max()), -self.peak_v, self.peak_v)
+        peak = self.level_of("peak")
+        u = np.clip(u * (peak / np.abs(u).max()), -peak, peak)
         return np.tile(u, -(-n // self.period_samples))[:n]

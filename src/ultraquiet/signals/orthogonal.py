@@ -40,6 +40,7 @@ def orthogonal_multisines(signal: Multisine, inputs: int, samples: int, rate_hz:
     lines[:, :, k] = turn[:, :, np.newaxis] * np.exp(1j * phase)
     u = np.fft.irfft(lines, period, axis=2)
     # One scale for each input over all experiments: another would be another size of excitation.
-    u *= signal.peak_v / np.abs(u).max(axis=(0, 2))[np.newaxis, :, np.newaxis]
-    u = np.clip(u, -signal.peak_v, signal.peak_v)
+    peak = signal.level_of("peak")
+    u *= peak / np.abs(u).max(axis=(0, 2))[np.newaxis, :, np.newaxis]
+    u = np.clip(u, -peak, peak)
     return np.tile(u, (1, 1, -(-n // period)))[:, :, :n]

@@ -7,7 +7,8 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, clock, draws, upper_hz
+from ultraquiet._base.renamed import formerly
+from ultraquiet.signals._abstract import Signal, clock, draws, level_above_zero, upper_hz
 
 # Feedback taps of shift registers of maximal length, by number of stages: primitive polynomials over GF(2).
 # Reference: W. Stahnke, Math. Comp. 27 (1973) 977-980, doi:10.1090/S0025-5718-1973-0327722-7.
@@ -34,20 +35,22 @@ HALF_POWER = 0.4429
 
 
 @register("signals", "prbs")
+@formerly(level_v="level")
 @dataclass(frozen=True)
 class Prbs(Signal):
-    """Switches between -level_v and +level_v by a maximal-length sequence, each bit held for whole samples.
+    """Switches between -level and +level by a maximal-length sequence, each bit held for whole samples.
 
     S(f) ~ sinc^2(f / clock), half power at `stop_hz` with clock = stop_hz / 0.4429, rounded to whole samples a bit.
 
     Args:
         stop_hz: bandwidth (half power) in Hz, at most 0.4429 times the sampling rate; 0.4 times it when absent.
-        level_v: the level, in the actuator's unit.
+        level: in the actuator's unit; one when absent, in a list
+            a tenth of the actuator's range.
 
     Raises:
         InputError: a level not above zero, a bandwidth that would need bits shorter than a sample.
 
-    >>> u = Prbs(stop_hz=150, level_v=25).generate(4096, 3500.0, seed=3)
+    >>> u = Prbs(stop_hz=150, level=25).generate(4096, 3500.0, seed=3)
     >>> sorted(set(u.tolist()))
     [-25.0, 25.0]
 
@@ -55,12 +58,14 @@ class Prbs(Signal):
     """
 
     stop_hz: float | None = None
-    level_v: float = 1.0
+    level: float | None = None
+
+    levels = ("level",)
 
     def __post_init__(self) -> None:
         if self.stop_hz is not None:
             positive("Prbs", "stop_hz", self.stop_hz, "Hz")
-        positive("Prbs", "level_v", self.level_v)
+        level_above_zero("Prbs", "level", self.level)
 
     def hold_samples(self, rate_hz: float) -> int:
         """Return for how many samples each bit is held."""
@@ -82,7 +87,7 @@ class Prbs(Signal):
         bits = -(-n // hold)
         stages = next((k for k in TAPS if 2**k - 1 >= bits), max(TAPS))
         start = 1 + int(draws("Prbs", seed).integers(2**stages - 1))
-        return self.level_v * (2.0 * np.repeat(sequence(stages, bits, start), hold)[:n] - 1.0)
+        return self.level_of("level") * (2.0 * np.repeat(sequence(stages, bits, start), hold)[:n] - 1.0)
 
 
 def sequence(stages: int, bits: int, start: int) -> FloatArray:

@@ -7,35 +7,40 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, between
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
-from ultraquiet.signals._abstract import Signal, amplitude, clock
+from ultraquiet._base.renamed import formerly
+from ultraquiet.signals._abstract import Signal, clock, level_of_either_sign
 
 EDGES = (0.1, 0.6)  # of the signal, where none are named
 
 
 @register("signals", "step")
+@formerly(level_v="level")
 @dataclass(frozen=True)
 class Step(Signal):
-    """u(t) = level for rise_s <= t < fall_s, else zero: the paper's Fig. 8.
+    """u(t) = level for rise_s <= t < fall_s, else zero.
 
     Args:
-        level_v: the level, in the actuator's unit.
+        level: in the actuator's unit; one when absent, in a list
+            a tenth of the actuator's range.
         rise_s, fall_s: times of the edges in seconds; an edge beyond the last sample does not appear. A tenth and six
             tenths of the signal when absent.
 
     Raises:
         InputError: a level that is not finite, edges out of order.
 
-    >>> u = Step(level_v=10.0, rise_s=0.057, fall_s=0.687).generate(4096, 3500.0)
+    >>> u = Step(level=10.0, rise_s=0.057, fall_s=0.687).generate(4096, 3500.0)
     >>> float(u[199]), float(u[200]), float(u[2404]), float(u[2405])
     (0.0, 10.0, 10.0, 0.0)
     """
 
-    level_v: float = 1.0
+    level: float | None = None
     rise_s: float | None = None
     fall_s: float | None = None
 
+    levels = ("level",)
+
     def __post_init__(self) -> None:
-        amplitude("Step", "level_v", self.level_v)
+        level_of_either_sign("Step", "level", self.level)
         if self.rise_s is not None:
             between("Step", "rise_s", self.rise_s, 0.0, float("inf"), "s")
         if self.rise_s is not None and self.fall_s is not None:
@@ -49,7 +54,7 @@ class Step(Signal):
         )
         _in_order(rise, fall)
         t = np.arange(n) / rate
-        return np.where((t >= rise) & (t < fall), float(self.level_v), 0.0)
+        return np.where((t >= rise) & (t < fall), self.level_of("level"), 0.0)
 
 
 def _in_order(rise_s: float, fall_s: float) -> None:

@@ -73,7 +73,7 @@ def attenuation(
     """
     rate, n = bench.rate_hz, int(positive("attenuation", "duration_s", duration_s, "s") * bench.rate_hz)
     lowest = 1.0 / (MEASURED_SHARE * duration_s)
-    positive("attenuation", "amplitude_v", amplitude_v, "V")
+    positive("attenuation", "amplitude_v", amplitude_v)
     if np.ndim(tones_hz) != 1 or not len(tones_hz):
         raise InputError(f"attenuation: 'tones_hz' must be a list of tones, got {tones_hz!r}.")
     rows: list[tuple[FloatArray, FloatArray, FloatArray]] = []

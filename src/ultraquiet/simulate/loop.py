@@ -10,7 +10,7 @@ from ultraquiet.values.controller import Controller
 
 
 def disturb(bench: Bench, disturbance: FloatArray, controller: StateSpace | Controller | None = None) -> Record:
-    """Run the bench with a disturbance `(nu, n)` in volts at the plant's input and no command of its own."""
+    """Run the bench with a disturbance `(nu, n)`, in the actuators' units at the plant's input, and no own command."""
     d = np.asarray(disturbance, dtype=np.float64)
     if d.ndim != 2 or d.shape[0] != len(bench.actuators):
         raise InputError(f"simulate: the disturbance must be ({len(bench.actuators)}, n), got shape {d.shape}.")

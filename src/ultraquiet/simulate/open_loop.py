@@ -24,6 +24,7 @@ LOWEST_PERIODS, HIGHEST, SPLIT, FASTER = 64.0, 0.96, 0.33, 4
 FINER, FINER_FAST = 4, 2
 # It rings on when the last part of a run has so many times the power of its noise.
 LAST, RINGS = 8, 10.0
+ROUNDED = 1e-6  # of a run's size: what is smaller at its end may be rounding
 OVERLAP = 1.1  # of the bands, where each fades
 BELOW = 0.7  # where a band below begins, over where the one above does
 FEWEST_PERIODS = 20.0  # of its lowest line in a run: fewer, and the short runs do not tell the lines of a band apart
@@ -104,13 +105,16 @@ class OpenBand:
         return np.where(finite, own, own[finite].min() if finite.any() else 1.0)
 
     def last_power(self, outputs: FloatArray) -> FloatArray:
-        """Return the power in this band of the last part of a run, each sensor, `(ny,)`."""
+        """Return the power in this band of the last part of a run, each sensor, `(ny,)`; none where rounding leaves it.
+
+        A bench without noise hums with nothing: what its readings still hold would ring by any measure.
+        """
         last = outputs[:, -(outputs.shape[1] // LAST) :]
         f = np.fft.rfftfreq(last.shape[1], 1 / self.sweep.rate_hz)
         spectrum = np.fft.rfft((last - last.mean(axis=1, keepdims=True)) * np.hanning(last.shape[1]), axis=1)
-        size = np.abs(outputs).max(axis=1) * last.shape[1]  # of which rounding leaves so much
+        size = np.abs(outputs).max(axis=1) * last.shape[1]
         power = np.sum(np.abs(spectrum[:, (f >= self.sweep.low_hz) & (f <= self.sweep.high_hz)]) ** 2, axis=1)
-        return np.maximum(power, (1e-6 * size) ** 2)
+        return np.where(power > (ROUNDED * size) ** 2, power, 0.0)
 
     @cached_property
     def quiet_rms(self) -> FloatArray:

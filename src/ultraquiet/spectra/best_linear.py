@@ -78,7 +78,7 @@ def best_linear(
             make whole realisations, inputs that cannot be told apart.
 
     >>> import ultraquiet as uq
-    >>> signal = uq.signals.Multisine(start_hz=5, stop_hz=40, period_samples=100, peak_v=10)
+    >>> signal = uq.signals.Multisine(start_hz=5, stop_hz=40, period_samples=100, peak=10)
     >>> u = [signal.generate(500, rate_hz=100.0, seed=k) for k in range(3)]
     >>> result = best_linear([uq.Record(v, v + 1e-3 * v**3, 100.0) for v in u], period_samples=100)
     >>> bool((result.noise < 1e-20).all()), bool((result.distortion > 1e-6).any()), result.realisations

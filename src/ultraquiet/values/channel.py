@@ -1,6 +1,6 @@
 """A channel: one wire with a name, a unit and limits."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,21 @@ class Channel:
     def __post_init__(self) -> None:
         if not self.low < self.high:
             raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.high:g} {self.unit}.")
+
+
+LEVEL_SHARE = 0.1  # of what an actuator may swing: loud enough for most, far from its limits
+
+
+def usual_level(wires: Iterable[Channel]) -> float:
+    """Return a level for commands around zero that nobody named: a tenth of the smallest swing that the limits allow.
+
+    The swing is the smaller side of a range; without a limit on any wire the level is one.
+
+    >>> usual_level([Channel("push", "N", -40.0, 25.0), Channel("pull", "N")]), usual_level([Channel("pull", "N")])
+    (2.5, 1.0)
+    """
+    swings = [swing for c in wires if 0 < (swing := min(-c.low, c.high)) < float("inf")]
+    return LEVEL_SHARE * min(swings) if swings else 1.0
 
 
 def squared(unit: str) -> str:

@@ -59,7 +59,7 @@ def four_block(
         plant: G.
         on_output: W1.
         on_control: W2.
-        disturbance: Vd `(nu, nu)`, volts of disturbance at the plant's input.
+        disturbance: Vd `(nu, nu)`, disturbance at the plant's input, in the actuators' units.
         noise: Vn `(ny, ny)`, output units of disturbance and noise at the sensors.
 
     Raises:

@@ -41,7 +41,10 @@ class StatusWord(StrEnum):
         "The model leaves something of the record unexplained; its deviations are too small.",
     )
     POOR_FIT = "poor fit", "The model's own output misses the data by more than noise explains."
-    NOT_SYMMETRIC = "not symmetric", "The struts differ by more than noise explains; identify each function by itself."
+    NOT_SYMMETRIC = (
+        "not symmetric",
+        "What should be alike differs by more than noise; identify each function by itself.",
+    )
     UNKNOWN_IN_PART = "unknown in part", "The model's error reaches its whole size somewhere; nothing is known there."
 
     FRAGILE = (

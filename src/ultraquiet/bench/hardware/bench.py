@@ -38,8 +38,8 @@ class Hardware(Stepped):
     It is not registered, since a list cannot hold callbacks: hand it over, `uq.experiments.run(listed, folder, bench)`.
 
     Args:
-        write: takes `(nu,)` volts, puts them out at once.
-        read: returns the readings `(ny,)`, volts.
+        write: takes `(nu,)` commands in the actuators' units, puts them out at once.
+        read: returns the readings `(ny,)`, in the sensors' units.
         rate_hz: frames per second.
         actuators, sensors: channels or names; actuators need finite limits here or in `interlocks`.
         interlocks: what ends a run; see `Interlocks`.

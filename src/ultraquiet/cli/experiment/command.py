@@ -36,6 +36,8 @@ def experiment(
 
     listed = experiments.load(commands)
     show = screen()
+    for sentence in listed.said:
+        show.say(sentence)
     if dry_run:
         _show(experiments.dry_run(listed))
         return

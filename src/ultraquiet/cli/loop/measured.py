@@ -128,7 +128,7 @@ def _tones(text: str, rate_hz: float) -> tuple[float, ...]:
     try:
         tones = tuple(float(word) for word in text.split(","))
     except ValueError:
-        raise InputError(f"{WHO}: '--tones' must be frequencies in Hz, 5,25,100 say, got '{text}'.") from None
+        raise InputError(f"{WHO}: '--tones' must be frequencies in Hz, 20,47.5 say, got '{text}'.") from None
     for f in tones:
         if not 0 < f < rate_hz / 2:
             raise InputError(f"{WHO}: '--tones' must lie between 0 and {rate_hz / 2:g} Hz, got {f:g}.")

@@ -67,7 +67,9 @@ def spectra(
     unit: Annotated[
         str | None, typer.Option(help="Unit of the outputs, when the file does not say: m/s, g, ...")
     ] = None,
-    sensitivity: Annotated[float | None, typer.Option(help="Volts per unit; the outputs are divided by it.")] = None,
+    sensitivity: Annotated[
+        float | None, typer.Option(help="What a sensor reads per unit; the outputs are divided by it.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Where the picture goes (.svg or .png).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over an existing picture.")] = False,
 ) -> None:
@@ -100,7 +102,7 @@ def _scaled(data: "Record", unit: str | None, sensitivity: float | None) -> "Rec
 
     divisor = 1.0 if sensitivity is None else positive("spectra", "sensitivity", sensitivity)
     if sensitivity is not None and unit is None:
-        raise InputError("spectra: '--sensitivity' needs '--unit', the unit it turns volts into (for instance m/s).")
+        raise InputError("spectra: '--sensitivity' needs '--unit', the unit it turns readings into (for instance m/s).")
     sensors = [c if unit is None else Channel(c.name, unit) for c in data.sensors]
     return Record(data.inputs, data.outputs / divisor, data.rate_hz, data.actuators, sensors, data.provenance)
 

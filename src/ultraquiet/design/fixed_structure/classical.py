@@ -1,4 +1,4 @@
-"""Classical sections on each strut: lead-lag, notch, corners and a gain, in numbers or tuned."""
+"""Classical sections on each channel: lead-lag, notch, corners and a gain, in numbers or tuned."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -184,7 +184,7 @@ def _gains_heard(plant: StateSpace, wanted: Specification) -> FloatArray:
 @register("design", "lead-lag")
 @dataclass(frozen=True)
 class LeadLag(ClassicalMethod):
-    """Lead-lag sections on each strut, K = gain prod (1 + s/z) / (1 + s/p) with corners, for each channel alone.
+    """Lead-lag sections, K = gain prod (1 + s/z) / (1 + s/p) with corners, for each channel alone.
 
     Args:
         gain: of each channel, or one for all, its sign inside; None seeks the best within the specification.
@@ -225,7 +225,7 @@ class LeadLag(ClassicalMethod):
 @register("design", "notch")
 @dataclass(frozen=True)
 class Notch(ClassicalMethod):
-    """Notches on each strut, K = gain prod (s^2 + 2 zeta_z w s + w^2) / (s^2 + 2 zeta_p w s + w^2).
+    """Notches on each channel, K = gain prod (s^2 + 2 zeta_z w s + w^2) / (s^2 + 2 zeta_p w s + w^2).
 
     Args:
         gain, high_pass_hz, low_pass_hz, tune, structure, specification, starts, seed: as in `LeadLag`.

@@ -1,4 +1,4 @@
-"""Controllers of a structure given beforehand: few states, one law for all struts, or a law for each."""
+"""Controllers of a structure given beforehand: few states, one law for all channels, or a law for each."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

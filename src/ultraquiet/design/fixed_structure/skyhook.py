@@ -1,4 +1,4 @@
-"""Skyhook damping: a force against the absolute velocity of each strut, the geophone's corner taken back."""
+"""Skyhook damping: a force against the absolute velocity at each sensor, the geophone's corner taken back."""
 
 from dataclasses import dataclass
 

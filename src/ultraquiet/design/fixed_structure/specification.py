@@ -61,7 +61,7 @@ class Specification:
         band_hz: band to be quiet, Hz; the plant's own when absent (`even_plant`).
         attenuation_db: by how much in the worst direction, -20 log10 of the largest singular value of S there.
         peak_db: largest amplification of S anywhere.
-        control_limit: largest singular value of K S, volts at the actuators a volt at the sensors; absent, 130 times
+        control_limit: largest singular value of K S, units of the actuators a unit of the sensors; absent, 130 times
             what inverts the plant's strongest direction where it is weakest in the band.
         disk_margin: least 1 / ||S - I/2||, for gains and phases that change in all loops at once; None asks nothing.
         roll_off_hz, roll_off_db: from here on, |T| = |G K S| is to be at most -roll_off_db; None asks nothing.

@@ -55,9 +55,9 @@ class Lqg(StatedRobustness):
     gets exactly what these numbers ask for, in the plant's own units, the others as stated below.
 
     Args:
-        control_weight: rho = Wu^2, squared output units per squared volt; 1e-8 where only others are given.
+        control_weight: rho = Wu^2, squared output units per squared input unit; 1e-8 where only others are given.
         control_hz: corner from which on Wu rises, tenfold at most; None for a constant.
-        disturbance: variance of d per input (volts squared) when it enters at the plant's input, of the output
+        disturbance: variance of d per input (in its unit squared) when it enters at the plant's input, of the output
             disturbance (output units squared) when `disturbance_at` is `output`; 1 where only others are given.
         disturbance_at: `output` or `input`; absent, at the input by default and at the output where numbers are given
             for a plant without poles on or beyond the stability boundary, whose state nothing at the output moves.

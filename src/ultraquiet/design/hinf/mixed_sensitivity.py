@@ -78,11 +78,11 @@ class MixedSensitivity(StatedRobustness):
         tones_hz: frequencies at which W1 has peaks besides, Hz, also a W1 that is given.
         tone_height: extra gain of W1 at each tone.
         tone_zeta: half the relative width of the peaks.
-        control_limit: allowed gain from sensor to actuator at low frequency, V/V, 1000 where only others are given; W2
-            is its inverse there and rises.
+        control_limit: allowed gain from sensor to actuator at low frequency, in their units, 1000 where only others are
+            given; W2 is its inverse there and rises.
         roll_off_hz: where control is to end, Hz, 500 likewise (`skst`; the four-block weight rises from 30 Hz with two
             slopes).
-        disturbance: Vd, volts at every input, 0.3 where only others are given. At a third of a volt and above, W2 also
+        disturbance: Vd at every input, in its unit, 0.3 where only others are given. At a third and above, W2 also
             weights T at the plant's input.
         noise: Vn, disturbance and noise at every sensor, output units, 1 likewise.
         margin: the controller is formed at margin times the smallest norm.

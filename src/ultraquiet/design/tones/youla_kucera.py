@@ -67,7 +67,7 @@ def central_law(plant: StateSpace, control_weight: float, sensor_noise: float) -
 
     Args:
         plant: G, discrete.
-        control_weight: squared output units per squared volt, over the largest squared gain of the plant.
+        control_weight: squared output units per squared input unit, over the largest squared gain of the plant.
         sensor_noise: variance of the readings' noise, in the same units.
 
     Raises:

@@ -7,10 +7,10 @@ from typing import Any
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
 from ultraquiet.pipeline import control, identification
-from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts.loops import DesignFacts
 from ultraquiet.pipeline.facts.models import IdentificationFacts
 from ultraquiet.pipeline.preflight import LoopPlan
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Design, Plant, Study
 from ultraquiet.values import Record, StateSpace
 
@@ -24,7 +24,7 @@ def identify_stage(cache: Cache, study: Study, records: Mapping[str, Record]) ->
     """Identify channel by channel."""
     key = identify_key({name: record.hash for name, record in records.items()}, study)
     compute = partial(identification.identified, records, study.identify, study.paper)
-    return cache.stage("identify", "models", key, IdentificationFacts, compute)
+    return cache.stage("identify", "models", key, compute, IdentificationFacts)
 
 
 def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
@@ -49,7 +49,7 @@ def design_stage(
 ) -> Outcome[DesignFacts]:
     """Design and reduce one controller; `others` are models of further units, for designs that hold on several."""
     compute = partial(control.designed, name, plant, settings, plan, others)
-    return cache.stage(f"design-{name}", "controllers", design_key(plant, settings, plan, others), DesignFacts, compute)
+    return cache.stage(f"design-{name}", "controllers", design_key(plant, settings, plan, others), compute, DesignFacts)
 
 
 def by_need(study: Study) -> list[str]:

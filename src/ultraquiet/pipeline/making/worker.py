@@ -16,12 +16,12 @@ from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.progress import listening
 from ultraquiet._base.threads import one_blas_thread
 from ultraquiet.pipeline import limits
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.typed import from_plain
 from ultraquiet.pipeline.identification import of_unit
 from ultraquiet.pipeline.making.designs import by_need, design_stage, identify_stage
 from ultraquiet.pipeline.preflight import LoopPlan
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.store.recorded import finished_names
 from ultraquiet.pipeline.study import reload_study
 from ultraquiet.values import Record, StateSpace

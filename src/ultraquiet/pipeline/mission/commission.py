@@ -4,9 +4,9 @@ from typing import Any
 
 from ultraquiet import simulate
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts.mission import CommissionedStep, CommissionedUnit, CommissioningFacts
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.tables.mission import CommissionTable
 from ultraquiet.values import StateSpace
 
@@ -16,7 +16,7 @@ def commissioned(
 ) -> Outcome[CommissioningFacts]:
     """Put a law on at every gain of the table, on every unit; what cannot be is told, not raised."""
     units = {unit: _on(as_unit(bench, unit), law, plan, table) for unit in plan.units}
-    return Outcome(CommissioningFacts(law=name, margin=table.margin, units=units))
+    return Outcome({}, CommissioningFacts(law=name, margin=table.margin, units=units))
 
 
 def _on(bench: Any, law: StateSpace, plan: LoopPlan, table: CommissionTable) -> CommissionedUnit:

@@ -10,10 +10,10 @@ from ultraquiet import simulate
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.threads import in_threads
-from ultraquiet.pipeline.cache import Outcome
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.mission import NoPayload, PayloadCurves, PayloadFacts, PayloadForce, PayloadLoop
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
+from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import Deploy
 from ultraquiet.pipeline.tables.mission import PayloadTable
 from ultraquiet.values import StateSpace
@@ -69,7 +69,7 @@ def listened(
         found = in_threads(f"payload, {name}", on_unit, payloads.units, None if isinstance(acting, StateSpace) else 1)
     units = {unit: found[unit][0] for unit in payloads.units}
     curves = {unit: drawn for unit in payloads.units if (drawn := found[unit][1]) is not None}
-    return Outcome(PayloadFacts(units=units, curves=curves))
+    return Outcome({}, PayloadFacts(units=units, curves=curves))
 
 
 def _as_code(

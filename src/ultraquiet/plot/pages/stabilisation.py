@@ -50,7 +50,7 @@ def stabilisation(
         f_hz, size, unit = gain
         line = Curve("largest singular value", f_hz, 20 * np.log10(np.maximum(size, np.finfo(float).tiny)), "open")
         panels.append(ChartPanel(x, decibel_axis("gain", unit), [line], height=140))
-    return Chart("stabilisation", "Stabilisation diagram", _told(roots, kept, limits_hz), panels)
+    return Chart("stabilisation", "Stabilisation diagram", _told(roots, limits_hz), panels)
 
 
 def _step(orders: list[int]) -> int:
@@ -61,29 +61,34 @@ def _kept(now: FloatArray, before: FloatArray | None) -> list[int]:
     """Return of each pole 0 where it is new, 1 where the order before had its frequency, 2 where its damping too."""
     if before is None or not len(before):
         return [0] * len(now)
-    found = []
-    for f, zeta in now:
-        near = before[np.abs(before[:, 0] - f) <= SAME_HZ * f]
-        same = len(near) and np.abs(near[:, 1] - zeta).min() <= SAME_DAMPING * abs(zeta)
-        found.append(0 if not len(near) else 2 if same else 1)
-    return found
+    return [2 if _stands(pole, before) else 1 if len(_near(pole, before)) else 0 for pole in now]
 
 
-def _told(roots: Mapping[int, FloatArray], kept: Mapping[int, list[int]], limits_hz: tuple[float, float]) -> str:
+def _near(pole: FloatArray, roots: FloatArray) -> FloatArray:
+    """Return those of an order's poles that have the frequency of this one."""
+    return roots[np.abs(roots[:, 0] - pole[0]) <= SAME_HZ * pole[0]]
+
+
+def _stands(pole: FloatArray, roots: FloatArray) -> bool:
+    """Return whether one of an order's poles has this one's frequency and damping."""
+    return bool((np.abs(_near(pole, roots)[:, 1] - pole[1]) <= SAME_DAMPING * abs(pole[1])).any())
+
+
+def _told(roots: Mapping[int, FloatArray], limits_hz: tuple[float, float]) -> str:
     """Say which modes stand in line at the highest orders."""
     orders = sorted(roots)
     last = orders[-IN_LINE:]
     lines = [
-        (f, zeta)
-        for (f, zeta), level in zip(roots[orders[-1]], kept[orders[-1]], strict=True)
-        if level and limits_hz[0] <= f <= limits_hz[1] and 0 < zeta < 1
-        if all(np.abs(roots[n][:, 0] - f).min(initial=np.inf) <= SAME_HZ * f for n in last)
+        (float(pole[0]), float(pole[1]))
+        for pole in roots[orders[-1]]
+        if limits_hz[0] <= pole[0] <= limits_hz[1] and 0 < pole[1] < 1
+        if all(_stands(pole, roots[n]) for n in last)
     ]
     least = sorted(sorted(dict.fromkeys(lines), key=lambda each: each[1])[:MOST_NAMED])
     named = ", ".join(f"{f:.4g} Hz ({100 * zeta:.2g} %)" for f, zeta in least)
     rule = (
         f"A pole that keeps its frequency within {100 * SAME_HZ:g} % and its damping within {100 * SAME_DAMPING:g} % "
-        f"from one order to the next belongs to the plant; one that wanders belongs to noise."
+        f"from one order to the next is likely the plant's; one that wanders is noise."
     )
     if not least:
         return f"{rule} None stands still over the last {len(last)} orders."

@@ -45,8 +45,6 @@ class Setting:
         'variant'
         """
         bare = "variant" if self.name == "method" else said(self.name)
-        if self.unit == LEVEL and bare in ("start", "stop"):  # a signal's frequencies are called so too
-            bare = f"{bare} level"
         return f"{bare} ({self.unit})" if self.unit else bare
 
 
@@ -111,9 +109,9 @@ def _closed(field: "Field[Any]") -> bool:
 
 
 def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
-    unit = UNITS.get(field.name.rpartition("_")[2], "")
-    if unit == "V" and issubclass(kind, Signal):
-        unit = LEVEL  # that of the actuator which sends it
+    level = issubclass(kind, Signal) and field.name in kind.levels
+    # a level has the unit of the actuator which sends it
+    unit = LEVEL if level else UNITS.get(field.name.rpartition("_")[2], "")
     allowed, choices = _allowed(kind, field)
     if choices and _shown(field) not in choices:
         choices = (_shown(field), *choices)
@@ -122,7 +120,8 @@ def _setting(kind: type[Any], field: "Field[Any]", meaning: str) -> Setting:
     written = _written(field.type)
     plain = field.type in SIMPLE or any(each in written for each in ("int |", "float |", "tuple[float, float]"))
     simple = plain and "StateSpace" not in written and "Sequence" not in written
-    return Setting(field.name, unit, form, _shown(field), meaning, allowed, choices, simple)
+    shown = "from the actuator" if level and field.default is None else _shown(field)
+    return Setting(field.name, unit, form, shown, meaning, allowed, choices, simple)
 
 
 def _written(kind: Any) -> str:

@@ -16,6 +16,8 @@ from ultraquiet.pipeline.facts.typed import finite, to_plain
 from ultraquiet.pipeline.preflight import loop_plan
 from ultraquiet.pipeline.study import ClosedLoop
 from ultraquiet.pipeline.walk import bench_of, measure
+from ultraquiet.signals import Signal
+from ultraquiet.values.channel import usual_level
 from ultraquiet.values.sketch import sketch_of
 from ultraquiet.workbench.engine.items import FOLDER
 from ultraquiet.workbench.engine.making import work
@@ -53,7 +55,10 @@ def live(folder: Path, state: Mapping[str, Any], signal: dict[str, Any], actuato
     bench = bench_of(study_of(state), folder)
     block = max(1, int(FRAME_S * bench.rate_hz))
     seconds = min(LIVE_S, 10.0)
-    one = Method.model_validate(signal).make("signals").generate(int(seconds * bench.rate_hz), bench.rate_hz)
+    made = Method.model_validate(signal).make("signals")
+    if isinstance(made, Signal):
+        made = made.at(usual_level([bench.actuators[actuator]]))
+    one = made.generate(int(seconds * bench.rate_hz), bench.rate_hz)
     actuation = np.zeros((len(bench.actuators), one.size))
     actuation[actuator] = one
     began, sent = time.monotonic(), 0

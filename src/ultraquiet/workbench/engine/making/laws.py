@@ -7,11 +7,11 @@ from typing import Any
 from ultraquiet._base.errors import InputError
 from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.pipeline import control
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.loops import NoCode
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making.designs import design_stage
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.study import Design
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made, Tables

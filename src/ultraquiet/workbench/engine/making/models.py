@@ -9,11 +9,11 @@ from ultraquiet import validate
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.result import Result
 from ultraquiet.pipeline import identification
-from ultraquiet.pipeline.cache import Cache, Outcome
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import PlantFacts, RecordPlant
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making.designs import plant_key
+from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Plant
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made
@@ -52,12 +52,12 @@ def identified(
     settings = Plant.model_validate(plant_table(recipe))
     key = plant_key(hashes or {name: record.hash for name, record in records.items()}, settings)
     if stages is not None and stages.holds(PLANT_STAGE, key):
-        outcome = stages.stage(PLANT_STAGE, "models", key, PlantFacts, lambda: identification.plant(records, settings))
+        outcome = stages.stage(PLANT_STAGE, "models", key, lambda: identification.plant(records, settings), PlantFacts)
         evidence, values = {}, {k: v for k, v in outcome.values.items() if k == stored.RESPONSE}
     else:
         outcome, evidence, values = _outcome(records, settings)
         if stages is not None:
-            stages.stage(PLANT_STAGE, "models", key, PlantFacts, lambda: outcome)
+            stages.stage(PLANT_STAGE, "models", key, lambda: outcome, PlantFacts)
     model: StateSpace = outcome.values[stored.PLANT]
     poles = model.poles()
     facts = {
@@ -93,7 +93,7 @@ def _outcome(records: Mapping[str, Record], settings: Plant) -> tuple[Outcome[An
         "statuses": [str(status) for status in result.statuses],
     }
     polynomial = {} if isinstance(result.model, StateSpace) else {POLYNOMIAL: result.model}
-    return Outcome(facts, {stored.PLANT: system}), evidence, polynomial
+    return Outcome({stored.PLANT: system}, facts), evidence, polynomial
 
 
 def judged(model: StateSpace, record: Record) -> dict[str, Any]:

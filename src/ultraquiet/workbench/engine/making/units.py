@@ -6,9 +6,9 @@ from typing import Any
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.pipeline import Study
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.further_units import further_plants
 from ultraquiet.pipeline.identification import of_unit
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.laws import design_table
 from ultraquiet.workbench.engine.making.models import plant_table

@@ -13,10 +13,10 @@ from ultraquiet import files
 from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet._base.progress import noted
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.pipeline.cache import Cache
 from ultraquiet.pipeline.facts.typed import finite
 from ultraquiet.pipeline.identification import of_unit
 from ultraquiet.pipeline.making.designs import takes_several
+from ultraquiet.pipeline.stage import Cache
 from ultraquiet.pipeline.store.lock import locked
 from ultraquiet.pipeline.study import Design
 from ultraquiet.validate import advise

@@ -9,6 +9,7 @@ from typing import Any
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import lookup
+from ultraquiet._base.renamed import older_names
 from ultraquiet.pipeline.making.designs import takes_several
 from ultraquiet.pipeline.study import Design
 from ultraquiet.workbench.engine.items import item_of
@@ -122,11 +123,12 @@ def _code(variable: str, name: str, recipe: Mapping[str, Any], state: State, fol
 
 def _settings(family: str, method: Mapping[str, Any]) -> str:
     """Return the settings object of a table as Python: `uq.identify.BoxJenkins(order=5)`."""
-    settings = {key: tuple(v) if isinstance(v, list) else v for key, v in method.items() if key != "method"}
     try:
         kind = lookup(family, method["method"])
     except UltraquietError:
         return f"uq.{family}.{method['method']}"
+    older, given = older_names(kind), {key: value for key, value in method.items() if key != "method"}
+    settings = {older.get(key, key): tuple(v) if isinstance(v, list) else v for key, v in given.items()}
     known = [field.name for field in fields(kind)]
     words = [f"{key}={settings[key]!r}" for key in known if key in settings and not iskeyword(key)]
     return f"uq.{family}.{kind.__name__}({', '.join(words)})"

@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -28,10 +28,11 @@ def _to_nobody(_: str) -> None: ...
 
 @dataclass(frozen=True)
 class Outcome(Generic[Facts]):
-    """What a stage leaves: its facts, and values by the names of their files (`stored.py`)."""
+    """What a stage leaves: values by the names of their files (`stored.py`), its facts, and whether it was reused."""
 
+    values: Mapping[str, Any]
     facts: Facts
-    values: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    reused: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,8 @@ class Cache:
         name: str,
         room: str,
         key: Any,
-        kind: Any,
         compute: Callable[[], Outcome[Facts]],
+        kind: Any = dict,
         writes: str | None = None,
     ) -> Outcome[Facts]:
         """Return the stage's outcome, computed unless a finished one with the same key is there.
@@ -67,8 +68,9 @@ class Cache:
             name: of the stage; its facts go to `stages/NAME.json`.
             room: sub-folder of its values (`records`, `models`, ...).
             key: everything the outcome depends on; versions of the libraries and this package's code are added.
-            kind: type of the facts, perhaps a union; a stage whose file holds another shape is computed again.
             compute: called when there is nothing to reuse.
+            kind: type of the facts, perhaps a union; a stage whose file holds another shape is computed again. Of a
+                plain dictionary every shape will do.
             writes: name of a folder in the room that `compute` leaves in `workplace(room, writes)`.
 
         Raises:
@@ -124,7 +126,8 @@ class Cache:
                     self.say(f"study: {left} is not what stage '{name}' left{_how(hashes, found)}; it is made again.")
                     return None
             facts = from_plain(kind, entry.facts)
-            return Outcome(facts, {k: archive.load(place(self.folder, f)) for k, f in entry.values.items()})
+            values = {key: archive.load(place(self.folder, file)) for key, file in entry.values.items()}
+            return Outcome(values, facts, reused=True)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, UltraquietError):
             return None  # a stage that cannot be read back is computed again
 
