@@ -4,7 +4,7 @@ import re
 from collections import Counter
 
 import pytest
-from deploy_laws import RATE_HZ, random_law
+from deploy_laws import RANGES, RATE_HZ, random_law
 from test_deploy_mutants import survivors
 
 from ultraquiet.deploy import generate_fixed
@@ -136,7 +136,9 @@ def unnoticed(folder, cc, law, planted):
 
 def test_self_test_of_whole_numbers_notices_planted_faults(rng, tmp_path, cc):
     law = random_law(rng, 4, 2, 2)
-    made = generate_fixed(law, tmp_path / "code", "q15", form="modal", scaling="l2", tolerance=1.0, ramp_s=0.004)
+    made = generate_fixed(
+        law, tmp_path / "code", "q15", form="modal", scaling="l2", tolerance=1.0, ramp_s=0.004, **RANGES
+    )
     every = mutants((tmp_path / "code" / "controller.c").read_text())
     drawn = [every[k] for k in rng.choice(len(every), 20, replace=False)]
     assert unnoticed(tmp_path / "code", cc, made.law, drawn) == []
@@ -151,7 +153,9 @@ def test_self_test_of_whole_numbers_notices_planted_faults(rng, tmp_path, cc):
 def test_self_test_of_whole_numbers_notices_every_planted_fault(rng, tmp_path, cc, word, form, scaling, loud):
     law = random_law(rng, 4, 2, 2)
     law = StateSpace(law.A, law.B, loud * law.C, loud * law.D, rate_hz=RATE_HZ)
-    made = generate_fixed(law, tmp_path / "code", word, form=form, scaling=scaling, tolerance=1.0, ramp_s=0.004)
+    made = generate_fixed(
+        law, tmp_path / "code", word, form=form, scaling=scaling, tolerance=1.0, ramp_s=0.004, **RANGES
+    )
     every = mutants((tmp_path / "code" / "controller.c").read_text())
     assert len(every) >= 250
     assert unnoticed(tmp_path / "code", cc, made.law, every) == []
