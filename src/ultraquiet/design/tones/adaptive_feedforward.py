@@ -45,8 +45,8 @@ class AdaptiveFeedforward(StatedRobustness):
         settling_s: time of the amplitudes to within two per cent.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
         find_s: how long the bank listens.
-        limit_v: largest command of the law per actuator, in its unit; its own when absent, 10 without one, as the result
-            says. Amplitudes that would exceed it are shrunk together.
+        limit_v: largest command of the law per actuator, in its unit; its own when absent, 10 without one, as the
+            result says. Amplitudes that would exceed it are shrunk together.
         depth_db, peak_db, weakest, around: as those of `Resonators`.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
