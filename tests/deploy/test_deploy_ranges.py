@@ -29,7 +29,7 @@ def test_a_law_is_held_to_the_limits_of_its_own_actuators_alone(law, tmp_path):
     assert made.law.known_limits.tolist() == [[-3.0, 4.0], [-np.inf, np.inf]]
     assert made.tables["commands"] == ["left coil -3 to 4 N", "right coil (N), not limited"]
     assert made.tables["measurements"] == ["speed (m/s)"]
-    said = "No limit of 'right coil' is known, so the code keeps none; limits_v (--limits) sets it."
+    said = "No limit of 'right coil' is known, and the code keeps no other; limits_v (--limits) sets it."
     assert made.status.ok
     assert made.status.sentence.endswith(said)
     read_me = (tmp_path / "code" / "README.md").read_text()
@@ -45,6 +45,7 @@ def test_one_end_may_be_known_alone(tmp_path):
     made = generate(StateSpace([[0.5]], [[0.1]], [[1.0], [2.0]], np.zeros((2, 1)), 2e3, sensors=coils), tmp_path / "c")
     assert made.law.known_limits.tolist() == [[-3.0, np.inf], [-np.inf, 4.0]]
     assert made.tables["commands"] == ["up (N), limited below at -3 only", "down (N), limited above at 4 only"]
+    assert "One limit alone of 'up', 'down' is known" in made.status.sentence
     table = (tmp_path / "c" / "controller_coefficients.h").read_text()
     assert "/* actuator limits, low and high; 0x1.0000000000000p+64f where none is known */" in table
     aside = (Channel("x", "N", low=1.0), Channel("y", "N"))

@@ -241,13 +241,16 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
 
 
 def _with_open_ends(status: Status, controller: StateSpace, law: Law) -> Status:
-    """Return the status of a law with the commands added that nothing limits."""
-    ends = np.isfinite(law.known_limits)
-    names = ", ".join(f"'{wire.name}'" for wire, known in zip(controller.sensors, ends, strict=True) if not known.all())
-    if not names:
-        return status
-    more = f"No limit of {names} is known, so the code keeps none; limits_v (--limits) sets it."
-    return Status(status.word, f"{status.sentence} {more}")
+    """Return the status of a law with the commands added that nothing limits, or only on one side."""
+    known = np.isfinite(law.known_limits).sum(axis=1)
+    for count, what in ((0, "No limit"), (1, "One limit alone")):
+        names = ", ".join(
+            f"'{wire.name}'" for wire, ends in zip(controller.sensors, known, strict=True) if ends == count
+        )
+        if names:
+            more = f"{what} of {names} is known, and the code keeps no other; limits_v (--limits) sets it."
+            status = Status(status.word, f"{status.sentence} {more}")
+    return status
 
 
 def _wires(controller: StateSpace, law: Law) -> dict[str, list[str]]:
