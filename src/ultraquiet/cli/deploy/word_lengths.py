@@ -43,8 +43,8 @@ def show_word_lengths(
     from ultraquiet.values.status import StatusWord
 
     grid = TextTable(HEADS, "word lengths")
-    ranges = {"input_v": requested_range(reading), "output_v": requested_size(limits, law)}
-    compared = deploy.word_lengths(law, plant, **ranges)
+    span, full = requested_range(reading), requested_size(limits, law)
+    compared = deploy.word_lengths(law, plant, input_v=span, output_v=full)
     for row in compared:
         figures = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
         cells = [
