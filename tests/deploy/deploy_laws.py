@@ -6,6 +6,7 @@ from scipy.linalg import block_diag, qr
 from ultraquiet.values import StateSpace
 
 RATE_HZ = 3500.0
+RANGES = {"input_v": 10.0, "output_v": 25.0}  # of whole numbers, where no channel states one
 
 
 def block(pole):

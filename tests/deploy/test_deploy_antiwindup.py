@@ -47,7 +47,7 @@ def test_slow_law_leaves_the_limit_at_once(tmp_path):
     y = np.concatenate([np.full(3500, 50.0), np.full(3500, -50.0)])[None]
     wait = {}
     for aware in (False, True):
-        twin = Twin(generate(law, tmp_path / str(aware), "float64", anti_windup=aware).law)
+        twin = Twin(generate(law, tmp_path / str(aware), "float64", limits_v=25.0, anti_windup=aware).law)
         twin.reset()
         u = twin.run(y)[0, 3500:]
         wait[aware] = int(np.argmax(u < 24.99))

@@ -250,7 +250,7 @@ def test_words_are_counted_as_emitted(rng):
 
 
 def test_assembly_stands_in_the_folder_when_asked(law_of, tmp_path):
-    made = generate(law_of(10), tmp_path / "code", form="modal", targets=("c99", "c31"))
+    made = generate(law_of(10), tmp_path / "code", form="modal", limits_v=25.0, targets=("c99", "c31"))
     text, linker = ((tmp_path / "code" / f"controller_c31.{kind}").read_text() for kind in ("asm", "cmd"))
     machine = Machine(Program(text, linker))
     feed(machine, [0] * 6)
@@ -266,7 +266,7 @@ def test_assembly_stands_in_the_folder_when_asked(law_of, tmp_path):
     ("settings", "sentence"),
     [
         (
-            {"form": "schur", "targets": ("c99", "c31")},
+            {"form": "schur", "limits_v": 5.0, "targets": ("c99", "c31")},
             "C31 assembly is written for modal, delta and bank form, not for schur",
         ),
         ({"targets": ("c31",)}, "'targets' must list 'c99'"),

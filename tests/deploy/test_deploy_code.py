@@ -183,7 +183,7 @@ def test_bad_measurement_latches_and_ramps_the_last_command_out(law_of, rng, tmp
 
 def test_unstable_law_is_generated_with_a_warning_and_never_leaves_the_limits(rng, tmp_path):
     law = StateSpace([[1.02]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
-    made = generate(law, tmp_path / "code", ramp_s=0.01)
+    made = generate(law, tmp_path / "code", limits_v=25.0, ramp_s=0.01)
     assert made.status.word == "unstable"
     runs = made.controller
     u = np.array([runs.step(np.array([1.0]))[0] for _ in range(20_000)])

@@ -8,7 +8,7 @@ import subprocess
 import numpy as np
 import pytest
 from compilers_here import compiler
-from deploy_laws import random_law
+from deploy_laws import RANGES, random_law
 
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.fixed_point.generation import generate_fixed
@@ -122,7 +122,7 @@ def test_the_object_calls_nothing_that_it_does_not_define(law_of, tmp_path, stat
     if shutil.which("nm") is None:
         pytest.skip("no nm on this machine")
     generate(law_of(states), tmp_path / "float", form="modal", anti_windup=True)
-    generate_fixed(law_of(8, 2, 2), tmp_path / "fixed", "q31", tolerance=1.0)
+    generate_fixed(law_of(8, 2, 2), tmp_path / "fixed", "q31", tolerance=1.0, **RANGES)
     for folder in ("float", "fixed"):
         for name in filter(compiler, ("gcc", "clang")):
             for flags in levels:
@@ -280,7 +280,7 @@ def test_the_self_test_covers_every_line_branch_and_condition(law_of, tmp_path, 
         pytest.skip("no gcc with gcov on this machine")
     folder = tmp_path / "code"
     if form.startswith("q"):
-        generate_fixed(law_of(8, 2, 3), folder, form, tolerance=1.0, scaling="l2" if aware else "l1")
+        generate_fixed(law_of(8, 2, 3), folder, form, tolerance=1.0, scaling="l2" if aware else "l1", **RANGES)
     else:
         generate(law_of(7, 3, 2), folder, form=form, anti_windup=aware)
     (lines, of_lines), (branches, of_branches) = covered(folder, "controller.c")

@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 import uq_command
-from deploy_laws import RATE_HZ, block, random_law
+from deploy_laws import RANGES, RATE_HZ, block, random_law
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError, NumericalError, ToolError
@@ -186,9 +186,10 @@ def test_a_loop_that_rounding_upsets_is_refused(tmp_path, monkeypatch, capsys):
     law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-1.5 + 1e-9]], RATE_HZ)
     files.save(law, tmp_path / "law.h5")
     files.save(plant, tmp_path / "plant.h5")
-    for make, words in ((generate, ()), (generate_fixed, ("--precision", "q15"))):
+    ranged = ("--precision", "q15", "--range", "10", "--limits", "25")
+    for make, words, settings in ((generate, (), {}), (generate_fixed, ranged, {"word": "q15", **RANGES})):
         with pytest.raises(NumericalError, match="unstable, rounded, not as designed"):
-            make(law, tmp_path / "code", *(["q15"] if words else []), plant=plant)
+            make(law, tmp_path / "code", plant=plant, **settings)
         call = ("deploy", tmp_path / "law.h5", "--plant", tmp_path / "plant.h5", "--out", tmp_path / "code", *words)
         code, _, err = uq_command.called(monkeypatch, capsys, *call)
         print(err)

@@ -12,7 +12,7 @@ import subprocess
 import numpy as np
 import pytest
 from compilers_here import versions
-from deploy_laws import RATE_HZ, block, random_law
+from deploy_laws import RANGES, RATE_HZ, block, random_law
 
 from ultraquiet.deploy import generate, generate_fixed
 from ultraquiet.values import StateSpace
@@ -97,6 +97,7 @@ FLOATING = {
     "one": (lambda _: one_state(), {}),
     "one step of ramp": (lambda _: one_state(), {"ramp_s": 1 / RATE_HZ, "overrun_limit": 1}),
     "one side": (lambda rng: random_law(rng, 4, 2, 2), {"limits_v": [[0.0, 5.0], [-3.0, 0.0]]}),
+    "no limit": (lambda rng: random_law(rng, 4, 2, 3), {"form": "modal", "anti_windup": True}),
     "no command": (lambda _: StateSpace([[0.9]], [[1.0]], [[0.0]], [[0.0]], rate_hz=RATE_HZ), {"form": "modal"}),
     "no state": (lambda _: StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[2.0]], RATE_HZ), {}),
 }
@@ -136,5 +137,5 @@ def test_mcdc_of_whole_number_code_under_its_self_test(rng, tmp_path, case):
     quiet = StateSpace(law.A, law.B, 1e-3 * law.C, 1e-3 * law.D, rate_hz=RATE_HZ)
     for loudness, controller in (("as it is", law), ("a thousandth", quiet), ("one state", one_state())):
         folder = tmp_path / loudness.replace(" ", "_")
-        generate_fixed(controller, folder, word, tolerance=1.0, ramp_s=0.02, **settings)
+        generate_fixed(controller, folder, word, tolerance=1.0, ramp_s=0.02, **RANGES, **settings)
         judged(f"{case}, {loudness}", folder)

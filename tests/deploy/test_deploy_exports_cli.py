@@ -82,7 +82,7 @@ def test_what_is_there_is_written_over_only_when_that_was_asked_for(rng, tmp_pat
 @pytest.mark.parametrize("precision", ["q31", pytest.param("float32", marks=pytest.mark.slow)])
 def test_code_is_written_over_only_when_that_was_asked_for(rng, tmp_path, monkeypatch, capsys, precision):
     source, code = files.save(random_law(rng, 2, 1, 1), tmp_path / "law.h5"), tmp_path / "law"
-    words = (source, "--precision", precision)
+    words = (source, "--precision", precision, "--limits", "25", *(["--range", "10"] if precision == "q31" else []))
     assert called(monkeypatch, *words) == 0
     written = code / "controller.c"
     written.write_text(written.read_text() + "/* by hand */\n")

@@ -4,7 +4,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from deploy_laws import RATE_HZ, block, random_law
+from deploy_laws import RANGES, RATE_HZ, block, random_law
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import FixedTwin, fixed_law, generate_fixed, word_lengths
@@ -34,7 +34,9 @@ def damped(rng, states, inputs=3, outputs=2):
 @pytest.mark.parametrize(("word", "form", "scaling"), EVERY)
 def test_words_of_the_code_are_the_twin_s(rng, seed, tmp_path, word, form, scaling):
     law = damped(rng, int(rng.integers(1, 8)) * 2, int(rng.integers(1, 7)), int(rng.integers(1, 7)))
-    made = generate_fixed(law, tmp_path / "code", word, form=form, scaling=scaling, ramp_s=0.02, tolerance=1.0)
+    made = generate_fixed(
+        law, tmp_path / "code", word, form=form, scaling=scaling, ramp_s=0.02, tolerance=1.0, **RANGES
+    )
     found = made.verify(steps=2000, seed=seed)
     print(f"{word} {form} {scaling}: {found.status}")
     assert found.ok, found.status
@@ -43,7 +45,7 @@ def test_words_of_the_code_are_the_twin_s(rng, seed, tmp_path, word, form, scali
 
 @pytest.mark.parametrize(("word", "form"), [(w, f) for w in ("q31", "q15") for f in ("modal", "delta")])
 def test_the_worst_measurements_reach_the_bound_and_do_not_pass_it(rng, word, form):
-    law = fixed_law(damped(rng, 8), word, form)
+    law = fixed_law(damped(rng, 8), word, form, **RANGES)
     A, B, _, _ = law.fractions()
     top = 2 ** (law.bits - 1) - 1
     steps, share = 600, []
@@ -68,7 +70,9 @@ def test_laws_of_any_loudness_are_written_or_refused_in_a_sentence(rng, tmp_path
         law = random_law(rng, int(rng.integers(1, 7)), 2, 2)
         law = StateSpace(law.A, law.B, loudness * law.C, loudness * law.D, rate_hz=RATE_HZ)
         try:
-            made = generate_fixed(law, tmp_path / "code", word, form=form, scaling=scaling, tolerance=1.0, ramp_s=0.01)
+            made = generate_fixed(
+                law, tmp_path / "code", word, form=form, scaling=scaling, tolerance=1.0, ramp_s=0.01, **RANGES
+            )
             fates.append(int((made.law.shift_u + made.law.bits - 2).max()))
         except InputError as refusal:
             refusals.append(str(refusal))
@@ -82,7 +86,7 @@ def test_laws_of_any_loudness_are_written_or_refused_in_a_sentence(rng, tmp_path
 @pytest.mark.parametrize(("word", "form", "scaling"), EVERY)
 def test_noise_of_rounding_is_what_is_stated(rng, word, form, scaling):
     law = damped(rng, 8)
-    made = fixed_law(law, word, form, scaling=scaling, output_v=400.0)
+    made = fixed_law(law, word, form, scaling=scaling, output_v=400.0, input_v=10.0)
     twin = FixedTwin(made)
     twin.reset()
     y = words(rng.uniform(-0.5, 0.5, (3, 4000)) * made.input_v / 8, made.input_v, made.bits)
@@ -100,7 +104,7 @@ def test_noise_of_rounding_is_what_is_stated(rng, word, form, scaling):
 
 def test_sums_stay_within_the_accumulator(rng):
     for word, form, scaling in EVERY:
-        law = fixed_law(damped(rng, 12), word, form, scaling=scaling)
+        law = fixed_law(damped(rng, 12), word, form, scaling=scaling, **RANGES)
         half = 2 ** (law.bits - 1)
         for rows in (law.A.reshape(-1, 2), law.B, np.concatenate([law.D.T, law.C]).T):
             assert np.abs(rows).sum(axis=1).max() * half <= 2 ** (2 * law.bits - 2)
@@ -110,7 +114,7 @@ def test_sums_stay_within_the_accumulator(rng):
 @pytest.mark.parametrize("word", ["q31", "q15"])
 def test_no_undefined_arithmetic_whatever_comes_in(rng, seed, tmp_path, cc, word):
     """The sanitizer sees every signed overflow and bad shift: full-range squares, noise and silence."""
-    made = generate_fixed(damped(rng, 10), tmp_path / "code", word, tolerance=1.0, ramp_s=0.02)
+    made = generate_fixed(damped(rng, 10), tmp_path / "code", word, tolerance=1.0, ramp_s=0.02, **RANGES)
     law = made.law
     y = measurements(law, 3000, seed).T
     main = tmp_path / "main.c"
@@ -136,7 +140,7 @@ def test_no_undefined_arithmetic_whatever_comes_in(rng, seed, tmp_path, cc, word
 
 @pytest.mark.parametrize("word", ["q31", "q15"])
 def test_code_has_no_floating_point_and_no_warning(rng, tmp_path, cc, word):
-    made = generate_fixed(damped(rng, 6), tmp_path / "code", word, tolerance=1.0)
+    made = generate_fixed(damped(rng, 6), tmp_path / "code", word, tolerance=1.0, **RANGES)
     text = (made.folder / "controller.c").read_text().split("*/", 1)[1]
     assert "float" not in text
     assert "double" not in text
@@ -167,7 +171,7 @@ def test_code_has_no_floating_point_and_no_warning(rng, tmp_path, cc, word):
 def test_self_test_catches_a_mutant(rng, tmp_path, cc, change):
     law = damped(rng, 6)
     loud = StateSpace(law.A, law.B, 20.0 * law.C, 20.0 * law.D, rate_hz=RATE_HZ)
-    made = generate_fixed(loud, tmp_path / "code", "q15", scaling="l2", ramp_s=0.02, tolerance=1.0)
+    made = generate_fixed(loud, tmp_path / "code", "q15", scaling="l2", ramp_s=0.02, tolerance=1.0, **RANGES)
     source = made.folder / "controller.c"
     text = source.read_text()
     assert change[0] in text
@@ -179,7 +183,7 @@ def test_self_test_catches_a_mutant(rng, tmp_path, cc, change):
 
 def test_controller_runs_the_law_in_volts(rng, tmp_path):
     law = damped(rng, 8)
-    made = generate_fixed(law, tmp_path / "code", "q31", output_v=100.0)
+    made = generate_fixed(law, tmp_path / "code", "q31", output_v=100.0, input_v=10.0)
     y = rng.uniform(-5.0, 5.0, (400, 3))
     made.controller.reset()
     got = np.stack([made.controller.step(k) for k in y], axis=1)
@@ -210,21 +214,21 @@ def test_refusals_say_what_would_do(law_of, rng, tmp_path):
     folder = tmp_path / "code"
     integrator = StateSpace([[1.0]], [[0.1]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
     with pytest.raises(InputError, match=r"a pole of magnitude 1.000000000 gives states no bound"):
-        generate_fixed(integrator, folder)
+        generate_fixed(integrator, folder, **RANGES)
     slow = StateSpace(np.diag([1 - 1e-7, 0.5]), [[1e-3], [0.1]], [[1e-3, 0.1]], [[0.0]], rate_hz=RATE_HZ)
     with pytest.raises(InputError, match=r"coefficients in modal form are not; take form='delta' or q31"):
-        generate_fixed(slow, folder, "q15", form="modal")
+        generate_fixed(slow, folder, "q15", form="modal", **RANGES)
     with pytest.raises(InputError, match=r"coefficients in delta form are not; take q31"):
-        generate_fixed(slow, folder, "q15")
+        generate_fixed(slow, folder, "q15", **RANGES)
     # forty lightly damped states cannot be held by 16 bits; which of the limits is met first depends on the draw
     limits = ("rounding alone could carry .*", "form are not", "too much for a word of 16 bits", "more than 0.005")
     with pytest.raises(InputError, match=rf"({'|'.join(limits)}); take q31"):
-        generate_fixed(law_of(40), folder, "q15")
+        generate_fixed(law_of(40), folder, "q15", **RANGES)
     loud = StateSpace([[0.5]], [[0.1]], [[1.0]], [[1e5]], rate_hz=RATE_HZ)
     with pytest.raises(InputError, match=r"too much for a word of 16 bits; take q31 or a larger output_v"):
-        generate_fixed(loud, folder, "q15")
+        generate_fixed(loud, folder, "q15", **RANGES)
     with pytest.raises(InputError, match="'word' must be one of"):
-        generate_fixed(law_of(4), folder, "q7")
+        generate_fixed(law_of(4), folder, "q7", **RANGES)
     with pytest.raises(InputError, match="discrete time"):
         fixed_law(StateSpace([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
     assert not folder.exists()
@@ -232,7 +236,7 @@ def test_refusals_say_what_would_do(law_of, rng, tmp_path):
 
 def test_q31_holds_what_the_bench_gets(law_of):
     law = law_of(48)
-    made = fixed_law(law, "q31", "modal")
+    made = fixed_law(law, "q31", "modal", **RANGES)
     error = error_of(made.state_space(), law)
     print(f"48 lightly damped states from 0.5 Hz: error {error:.1e}, noise {made.noise_v.max():.1e} V, {made.peak:.4f}")
     assert error < 5e-3
@@ -248,7 +252,7 @@ def test_word_lengths_rank_and_judge_the_loop(rng, law_of):
     with pytest.raises(InputError, match="the loop with the controller as it is has a pole of magnitude"):
         word_lengths(louder, plant)
     law = StateSpace(law.A, law.B, -0.05 / size * law.C, -0.05 / size * law.D, rate_hz=RATE_HZ)
-    rows = word_lengths(law, plant, output_v=0.1)
+    rows = word_lengths(law, plant, input_v=10.0, output_v=0.1)
     print("\n".join(map(str, rows)))
     best = {p: next(r for r in rows if r.precision == p) for p in ("float64", "float32", "q31", "q15")}
     assert all(best[p].status.ok for p in ("float64", "float32"))
@@ -269,7 +273,7 @@ def test_unstable_rounded_loop_is_said_to_be(rng):
     # 0.9999999 becomes 1 in float32.
     law = StateSpace(np.diag([1 - 1e-8, 0.5]), [[1e-4], [0.1]], [[1e-4, 0.1]], [[0.0]], rate_hz=RATE_HZ)
     plant = StateSpace([[0.5]], [[0.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
-    rows = {(r.precision, r.form): r for r in word_lengths(law, plant, precisions=("float32", "q15"))}
+    rows = {(r.precision, r.form): r for r in word_lengths(law, plant, precisions=("float32", "q15"), **RANGES)}
     print("\n".join(map(str, rows.values())))
     assert rows["float32", "modal"].status.word == "unstable"
     assert rows["float32", "modal"].degradation_db == np.inf

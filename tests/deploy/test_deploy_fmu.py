@@ -241,7 +241,7 @@ def test_it_controls_a_bench_and_is_one(version, law_of, rng, tmp_path):
 
 
 def test_a_unit_s_whole_life_under_sanitizers(cc, unit, tmp_path):
-    _, path = unit("2.0")
+    _, path = unit("2.0", limits_v=25.0)
     fmpy.extract(str(path), str(tmp_path / "unpacked"))
     token, sources = fmpy.read_model_description(str(path)).guid, tmp_path / "unpacked" / "sources"
     names = [sources / f"controller{end}.c" for end in ("", "_host", "_fmi2")]

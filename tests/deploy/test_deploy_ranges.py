@@ -7,8 +7,10 @@ import pytest
 import uq_command
 
 from ultraquiet import files
-from ultraquiet.cli.deploy.ranges import requested_limits, requested_range, requested_size, unsaid
-from ultraquiet.deploy import C31Budget, generate
+from ultraquiet._base.errors import InputError
+from ultraquiet.cli.deploy.ranges import requested_limits, requested_range, requested_size
+from ultraquiet.deploy import C31Budget, fixed_law, generate, generate_fixed, word_lengths
+from ultraquiet.deploy.c_code.self_test import ScriptPlayer, script_calls
 from ultraquiet.values import Channel, StateSpace
 
 COILS = (Channel("left coil", "N", -3.0, 4.0), Channel("right coil", "N"))
@@ -21,30 +23,85 @@ def law():
     return StateSpace([[0.5]], [[0.1]], [[1.0], [2.0]], D, 2000.0, actuators=SPEEDS, sensors=COILS)
 
 
-def test_a_law_is_held_to_the_limits_of_its_own_actuators(law, tmp_path):
+def test_a_law_is_held_to_the_limits_of_its_own_actuators_alone(law, tmp_path):
     made = generate(law, tmp_path / "code")
-    assert made.law.limits.tolist() == [[-3.0, 4.0], [-25.0, 25.0]]
-    assert made.tables["commands"] == ["left coil -3 to 4 N", "right coil -25 to 25 N"]
+    assert made.law.limits.tolist() == [[-3.0, 4.0], [-(2.0**64), 2.0**64]]
+    assert made.law.known_limits.tolist() == [[-3.0, 4.0], [-np.inf, np.inf]]
+    assert made.tables["commands"] == ["left coil -3 to 4 N", "right coil (N), not limited"]
     assert made.tables["measurements"] == ["speed (m/s)"]
+    said = "No limit of 'right coil' is known, and the code keeps no other; limits_v (--limits) sets it."
+    assert made.status.ok
+    assert made.status.sentence.endswith(said)
     read_me = (tmp_path / "code" / "README.md").read_text()
-    assert "left coil -3 to 4 N, right coil -25 to 25 N" in read_me
-    assert generate(law, tmp_path / "stated", limits_v=2.0).law.limits.tolist() == [[-2.0, 2.0]] * 2
+    assert "left coil -3 to 4 N, right coil (N), not limited" in read_me
+    assert said in read_me
+    stated = generate(law, tmp_path / "stated", limits_v=2.0)
+    assert stated.law.limits.tolist() == [[-2.0, 2.0]] * 2
+    assert "No limit" not in str(stated.status)
+
+
+def test_one_end_may_be_known_alone(tmp_path):
+    coils = (Channel("up", "N", low=-3.0), Channel("down", "N", high=4.0))
+    made = generate(StateSpace([[0.5]], [[0.1]], [[1.0], [2.0]], np.zeros((2, 1)), 2e3, sensors=coils), tmp_path / "c")
+    assert made.law.known_limits.tolist() == [[-3.0, np.inf], [-np.inf, 4.0]]
+    assert made.tables["commands"] == ["up (N), limited below at -3 only", "down (N), limited above at 4 only"]
+    assert "One limit alone of 'up', 'down' is known" in made.status.sentence
+    table = (tmp_path / "c" / "controller_coefficients.h").read_text()
+    assert "/* actuator limits, low and high; 0x1.0000000000000p+64f where none is known */" in table
+    aside = (Channel("x", "N", low=1.0), Channel("y", "N"))
+    with pytest.raises(InputError, match="range in the channels of the law must hold 0, where the ramp ends"):
+        generate(StateSpace([[0.5]], [[0.1]], [[1.0], [2.0]], np.zeros((2, 1)), 2e3, sensors=aside), tmp_path / "c")
+
+
+@pytest.mark.usefixtures("cc")
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("anti_windup", [False, True])
+def test_code_without_limits_has_every_guard_and_its_proof(tmp_path, precision, anti_windup):
+    """The self-test still meets the end that stands where none is known, and nothing overflows on the way there."""
+    law = StateSpace([[0.9, 0.2], [-0.2, 0.9]], [[1e-3], [0.0]], [[1.0, 0.0]], [[0.1]], rate_hz=2000.0)
+    made = generate(law, tmp_path / "code", precision, anti_windup=anti_windup, ramp_s=0.005)
+    assert made.verify(steps=3000, targets=(), fuzz_steps=0).ok
+    player, calls = ScriptPlayer(made.law), script_calls(made.law, made.plan.quiet, made.plan.loud)
+    loud = next(k for k, call in enumerate(calls) if call[0] == "RUN" and call[2] == made.plan.loud)
+    for call in calls[: loud + 1]:
+        player.play(*call)
+    assert player.twin.clipped > 10
+    assert player.twin.faults == 0
+    u = made.instance().step(np.array([1e9]))  # what another bench's range would have cut
+    assert u[0] == np.float32(1e8) if precision == "float32" else u[0] == 1e8
+
+
+def test_a_converter_needs_a_range(law, tmp_path):
+    asked = {"form": "modal", "targets": ("c99", "c31")}
+    with pytest.raises(InputError, match="nobody says how far they may go; state the actuators' range, or the conv"):
+        generate(law, tmp_path / "code", **asked)
+    assert not (tmp_path / "code").exists()
+    assert (generate(law, tmp_path / "code", limits_v=3.0, **asked).folder / "controller_c31.asm").exists()
+
+
+def test_whole_numbers_need_ranges(law, tmp_path):
+    with pytest.raises(InputError, match=r"nobody says what 'right coil' may come to; state it with output_v \(--lim"):
+        generate_fixed(law, tmp_path / "code")
+    bare = StateSpace(law.A, law.B, law.C, law.D, law.rate_hz)
+    with pytest.raises(InputError, match=r"nobody says what 'input 1' can come to; state it with input_v \(--range\)"):
+        fixed_law(bare, output_v=1.0)
+    rows = word_lengths(law, precisions=("float32", "q31"))
+    assert rows[0].status.ok
+    assert all(row.status.word == "refused" and "--limits" in str(row.status) for row in rows if row.precision == "q31")
+    known = StateSpace(law.A, law.B, law.C, law.D, law.rate_hz, SPEEDS, (COILS[0], Channel("right coil", "N", -5, 6)))
+    made = fixed_law(known)
+    assert (made.input_v, made.output_v) == (2e-3, 3.0)
+    pushing = StateSpace(law.A, law.B, law.C, law.D, law.rate_hz, SPEEDS, (COILS[0], Channel("right coil", "N", 0, 6)))
+    with pytest.raises(InputError, match="one size on both sides of zero, and 'right coil' goes from 0 to 6 N"):
+        fixed_law(pushing)
 
 
 def test_limits_are_stated_for_all_or_for_each(law):
-    assert requested_limits(None, law).tolist() == [[-3.0, 4.0], [-25.0, 25.0]]
+    assert requested_limits(None, law) is None
     assert requested_limits("7", law).tolist() == [[-7.0, 7.0]] * 2
     assert requested_limits("-1:2,5", law).tolist() == [[-1.0, 2.0], [-5.0, 5.0]]
-    assert (requested_size(None, law), requested_size("7", law)) == (3.0, 7.0)
-    assert (requested_range(None, law), requested_range("1e-4", law)) == (2e-3, 1e-4)
-
-
-def test_what_nobody_stated_is_said(law):
-    ranges = requested_limits(None, law)
-    said = unsaid(None, law.sensors, ranges, "--limits", "may come to")
-    assert said == ("nobody says what right coil may come to: taken as -25 to 25 N; state it with --limits",)
-    assert not unsaid("7", law.sensors, ranges, "--limits", "may come to")
-    assert not unsaid(None, law.actuators, ranges[:1], "--range", "can come to")
+    assert (requested_size(None, law), requested_size("7", law)) == (None, 7.0)
+    assert (requested_range(None), requested_range("1e-4")) == (None, 1e-4)
 
 
 def test_the_budget_of_a_frame_is_that_of_the_law_s_own_rate(law, tmp_path):
@@ -60,11 +117,23 @@ def test_the_budget_of_a_frame_is_that_of_the_law_s_own_rate(law, tmp_path):
 def test_the_command_states_its_limits(law, tmp_path, monkeypatch, capsys, precision):
     files.save(law, tmp_path / "law.h5")
     words = ["--precision", precision, "--steps", "100", *([] if precision == "q31" else ["--target", "none"])]
-    code, out, _ = uq_command.called(monkeypatch, capsys, "deploy", tmp_path / "law.h5", *words)
-    assert code == 0
-    assert "right coil may come to: taken as" in out
+    code, out, err = uq_command.called(monkeypatch, capsys, "deploy", tmp_path / "law.h5", *words)
+    assert code == (2 if precision == "q31" else 0)
+    assert "'right coil'" in out + err
+    assert "--limits" in out + err
     asked = ("deploy", tmp_path / "law.h5", "--out", tmp_path / "new", *words, "--limits", "6", "--json")
     code, out, _ = uq_command.called(monkeypatch, capsys, *asked)
     assert code == 0
     held = json.loads(out)["tables"].get("commands", ["left coil -6 to 6 N"])
     assert held[0] == "left coil -6 to 6 N"
+
+
+def test_the_table_of_word_lengths_takes_ranges(law, tmp_path, monkeypatch, capsys):
+    files.save(law, tmp_path / "law.h5")
+    asked = ("deploy", tmp_path / "law.h5", "--word-lengths")
+    code, out, err = uq_command.called(monkeypatch, capsys, *asked)
+    assert code == 0
+    assert "nobody says what 'right coil' may come to" in " ".join((out + err).split())
+    code, out, err = uq_command.called(monkeypatch, capsys, *asked, "--limits", "6")
+    assert code == 0
+    assert "refused" not in out + err

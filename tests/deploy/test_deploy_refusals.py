@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from deploy_laws import RATE_HZ
+from deploy_laws import RANGES, RATE_HZ
 
 from ultraquiet._base.errors import InputError, NumericalError, StorageError
 from ultraquiet.deploy import Frame, Processor, c31_code, generate, generate_fixed, word_lengths
@@ -156,7 +156,7 @@ def damped():
 )
 def test_bad_settings_of_whole_numbers(tmp_path, settings, sentence):
     with pytest.raises(InputError, match=sentence):
-        generate_fixed(damped(), tmp_path / "code", **settings)
+        generate_fixed(damped(), tmp_path / "code", **RANGES, **settings)
     assert not list(tmp_path.iterdir())
 
 
@@ -169,14 +169,14 @@ def test_whole_numbers_need_a_discrete_law_with_channels(tmp_path):
 
 def test_a_loop_that_is_unstable_as_designed_is_refused(tmp_path):
     plant = StateSpace([[1.1]], [[1.0]], [[1.0]], [[0.0]], rate_hz=RATE_HZ)
-    for make in (generate, generate_fixed):
+    for make, ranges in ((generate, {}), (generate_fixed, RANGES)):
         with pytest.raises(NumericalError, match=r"unstable, as designed already: its largest pole is 1\."):
-            make(damped(), tmp_path / "code", plant=plant)
+            make(damped(), tmp_path / "code", plant=plant, **ranges)
     assert not list(tmp_path.iterdir())
 
 
 def test_what_needs_a_deployment_in_floating_point(tmp_path):
-    whole = generate_fixed(damped(), tmp_path / "whole")
+    whole = generate_fixed(damped(), tmp_path / "whole", **RANGES)
     made = generate(damped(), tmp_path / "code")
     calls = [
         lambda: Frame().simulate(whole, 10),

@@ -142,7 +142,9 @@ def fuzz(made, cc, seed, steps):
 def test_random_bits_leave_commands_within_limits(law_of, seed, tmp_path, cc, form, precision):
     if not supported(cc, tmp_path):
         pytest.skip(f"{cc} has no address and undefined-behaviour sanitizers")
-    made = generate(law_of(12), tmp_path / "code", precision, form=form, anti_windup=form == "modal", ramp_s=0.005)
+    made = generate(
+        law_of(12), tmp_path / "code", precision, form=form, limits_v=25.0, anti_windup=form == "modal", ramp_s=0.005
+    )
     fuzz(made, cc, seed, 100_000)
 
 
@@ -151,5 +153,5 @@ def test_random_bits_leave_commands_within_limits(law_of, seed, tmp_path, cc, fo
 def test_two_million_steps_of_random_bits(law_of, seed, tmp_path, cc, anti_windup):
     if not supported(cc, tmp_path):
         pytest.skip(f"{cc} has no address and undefined-behaviour sanitizers")
-    made = generate(law_of(60), tmp_path / "code", form="modal", anti_windup=anti_windup, ramp_s=0.005)
+    made = generate(law_of(60), tmp_path / "code", form="modal", limits_v=25.0, anti_windup=anti_windup, ramp_s=0.005)
     fuzz(made, cc, seed, 2_000_000)

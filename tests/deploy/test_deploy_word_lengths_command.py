@@ -33,7 +33,7 @@ def test_table_of_word_lengths(saved):
 
 
 def test_whole_number_code(saved, cc):
-    text = said(saved, "--precision", "q15", "--steps", "500")
+    text = said(saved, "--precision", "q15", "--steps", "500", "--range", "10", "--limits", "25")
     print(text)
     assert "All words of 500 steps and of the self-test are the twin's" in text
     assert (saved.with_suffix("") / "controller.c").exists()

@@ -11,7 +11,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.design import AdaptiveFeedforward, FilteredXLms, Resonators, YoulaKucera
 from ultraquiet.testing.problems import damped_plant
-from ultraquiet.values import StateSpace
+from ultraquiet.values import Channel, StateSpace
 from ultraquiet.values.interconnect import append, feedback
 
 EVERYWHERE = np.geomspace(1, 1749, 3000)
@@ -162,7 +162,14 @@ def test_spans_that_overlap_or_pass_nyquist_are_refused():
     ids=lambda m: type(m).__name__,
 )
 def test_laws_refuse_another_number_of_readings(method):
-    law = method.design(LAG).law
+    assert method.design(LAG).status.sentence.endswith(
+        "No limit of 'input 1' is known: the law holds 10 there; limit_v sets it."
+    )
+    assert "is known" not in str(replace(method, limit_v=3.0).design(LAG).status)
+    held = StateSpace(LAG.A, LAG.B, LAG.C, LAG.D, LAG.rate_hz, actuators=[Channel("coil", "N", -2.0, 3.0)])
+    assert "is known" not in str(method.design(held).status)
+    law = method.design(held).law
+    assert law.limit_v.tolist() == [2.0]
     assert law.rate_hz == 1000.0
     with pytest.raises(InputError, match="takes 1 readings, got 2"):
         law.step(np.zeros(2))

@@ -26,6 +26,7 @@ from ultraquiet.deploy.law.kind import require_law
 from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, own_limits, require_discrete, require_plant, rounded
 from ultraquiet.deploy.law.realisation import realisation
 from ultraquiet.deploy.options import C31Budget, CodeOptions, options_and_budget
+from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -54,7 +55,8 @@ def generate(
         precision: `float32` or `float64`, of coefficients, states and arithmetic.
         name: prefix of every file and symbol.
         limits_v: actuator limits in volts, or in the unit of the law's commands: a number, `(nu,)`, or `(nu, 2)` low
-            and high; when absent, those of the law's own channels, 25 where these have none.
+            and high; when absent, those of the law's own channels. Where these have none the code keeps none, and the
+            status says so.
         plant: G of the loop u = K y, y = G u; when given, forms are judged by the loop's sensitivity.
         options: how the law becomes code: form, anti-windup, ramp and more.
         c31: what the law may take of a TMS320C31's frame.
@@ -62,11 +64,12 @@ def generate(
             `budget_share` instead of `c31`.
 
     Returns:
-        A `Deployment`; its `status` warns of a law that is itself unstable or of a large rounding error.
+        A `Deployment`; its `status` warns of a law that is itself unstable, of a large rounding error, and names the
+        commands that nothing limits.
 
     Raises:
         InputError: a plant in place of a law, a law in continuous time, a coefficient beyond the precision, an
-            impossible budget, bad settings.
+            impossible budget, bad settings, a target with converters while a command has no limit.
         NumericalError: the loop with the plant is unstable with the rounded law, or rounding makes a stable law
             unstable.
         ToolError: the compilers at hand refuse the code.
@@ -86,13 +89,13 @@ def generate(
     require_plant(plant)
     require_law(controller, plant)
     even, loop = balanced(controller), None if plant is None else balanced(plant)
-    limits = own_limits(controller) if limits_v is None else limits_v
+    limits = own_limits(controller) if limits_v is None else actuator_limits(limits_v, controller.D.shape[0])
     maker = _maker(even, precision, name, limits, loop, options)
     require_ours(folder)
     choice, why = maker.choice(c31)
     if c31.binding:
         cycles.require_fit(choice.law, c31.cycles_at(choice.law.rate_hz), 1.0 if c31.share is None else c31.share)
-    status = maker.status(choice)
+    status = _with_open_ends(maker.status(choice), controller, choice.law)
     plan = plan_code(choice.law, controller.hash)
     files = render.sources(plan)
     tables = _tables(choice, c31) | {"anti_windup_because": why} | footprint(plan.law, files)
@@ -178,8 +181,9 @@ class _LawMaker:
         require_stable(law.state_space(), controller, self.plant, what, delta + more)
         plant = self.plant
         if not controller.is_stable():
+            where = "to its limits" if np.isfinite(law.known_limits).all() else "to whatever ends it"
             return Status(
-                StatusWord.UNSTABLE, "The controller itself is unstable: it runs to its limits whenever the loop opens."
+                StatusWord.UNSTABLE, f"The controller itself is unstable: it runs {where} whenever the loop opens."
             )
         more = f" (eigenvector condition {choice.condition:.1e})" if law.form in ("schur", "dense") else ""
         what = "the response" if plant is None else "the loop's sensitivity"
@@ -194,12 +198,11 @@ def _maker(
     controller: StateSpace,
     precision: str,
     name: str,
-    limits_v: ArrayLike,
+    limits: FloatArray,
     plant: StateSpace | None,
     options: CodeOptions,
 ) -> _LawMaker:
     one_of("deploy", "precision", precision, tuple(DTYPES))
-    limits = actuator_limits(limits_v, controller.D.shape[0])
     excitation_v = options.excitation_v
     excitation = None if excitation_v is None else actuator_limits(excitation_v, len(limits), "excitation_v")
     steps = options.ramp_steps(float(controller.rate_hz or 0))
@@ -237,15 +240,36 @@ def _tables(choice: FormChoice, c31: C31Budget) -> dict[str, Any]:
     }
 
 
+def _with_open_ends(status: Status, controller: StateSpace, law: Law) -> Status:
+    """Return the status of a law with the commands added that nothing limits, or only on one side."""
+    known = np.isfinite(law.known_limits).sum(axis=1)
+    for count, what in ((0, "No limit"), (1, "One limit alone")):
+        names = ", ".join(
+            f"'{wire.name}'" for wire, ends in zip(controller.sensors, known, strict=True) if ends == count
+        )
+        if names:
+            more = f"{what} of {names} is known, and the code keeps no other; limits_v (--limits) sets it."
+            status = Status(status.word, f"{status.sentence} {more}")
+    return status
+
+
 def _wires(controller: StateSpace, law: Law) -> dict[str, list[str]]:
     """Return what each measurement and command is, in the code's order, with the limits that the code keeps."""
     return {
         "measurements": [f"{wire.name} ({wire.unit})" for wire in controller.actuators],
         "commands": [
-            f"{wire.name} {low:g} to {high:g} {wire.unit}".rstrip()
-            for wire, (low, high) in zip(controller.sensors, law.limits.tolist(), strict=True)
+            _within(wire, low, high)
+            for wire, (low, high) in zip(controller.sensors, law.known_limits.tolist(), strict=True)
         ],
     }
+
+
+def _within(wire: Channel, low: float, high: float) -> str:
+    """Return a command with the limits that the code keeps."""
+    if np.isfinite([low, high]).all():
+        return f"{wire.name} {low:g} to {high:g} {wire.unit}".rstrip()
+    ends = [f"{word} {end:g} only" for word, end in (("below at", low), ("above at", high)) if np.isfinite(end)]
+    return f"{wire.name} ({wire.unit}), {'not limited' if not ends else f'limited {ends[0]}'}"
 
 
 def _finite(value: float) -> float | None:

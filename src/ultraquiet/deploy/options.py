@@ -34,7 +34,8 @@ class CodeOptions(Shown):
         overrun_limit: overruns in a row that latch a fault and ramp the command out.
         ramp_s: seconds from zero to full command, and back.
         tolerance: largest relative error that `auto` accepts.
-        targets: `c99` alone, or with `c31` for TMS320C31 assembly of a modal or delta law beside it.
+        targets: `c99` alone, or with `c31` for TMS320C31 assembly of a modal or delta law beside it, whose commands
+            need limits.
 
     Raises:
         InputError: the setting and what it may be.

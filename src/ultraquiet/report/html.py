@@ -1,12 +1,16 @@
 """Turn a report into one HTML file that needs nothing beside it."""
 
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ultraquiet import chart
 from ultraquiet.files import write_bytes
 from ultraquiet.report.content import Report, Span, Table, Verdict
 from ultraquiet.report.figures import named_apart, on_page, pictures_of
+
+if TYPE_CHECKING:
+    import jinja2
 
 LONGEST = 40  # letters of a cell that stands on one line
 SHAPES = {"ok": "●", "fragile": "▲", "bad": "■"}  # beside the colour, for readers and printers that see none
@@ -14,15 +18,11 @@ SHAPES = {"ok": "●", "fragile": "▲", "bad": "■"}  # beside the colour, for
 
 def render(report: Report) -> str:
     """Return the report as one HTML text: its figures as numbers and stills, its script and its style; no address."""
-    import jinja2
-
-    loader = jinja2.PackageLoader("ultraquiet.report", ".")
-    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.tests.update(verdict=_is_verdict, span=_is_span)
-    environment.globals["prose"] = _prose
     apart, packing = named_apart(report), chart.Packing()
     figures = on_page(pictures_of(apart), packing)
-    source = loader.get_source
+    environment = _environment()
+    assert environment.loader is not None
+    source = environment.loader.get_source
     return environment.get_template("page.html.j2").render(
         report=apart,
         figures=figures,
@@ -32,6 +32,18 @@ def render(report: Report) -> str:
         script=chart.script() if figures else "",
         behaviour=source(environment, "page.js")[0],
     )
+
+
+@cache
+def _environment() -> "jinja2.Environment":
+    """Return what fills the page, its template compiled once in a process."""
+    import jinja2
+
+    loader = jinja2.PackageLoader("ultraquiet.report", ".")
+    environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
+    environment.tests.update(verdict=_is_verdict, span=_is_span)
+    environment.globals["prose"] = _prose
+    return environment
 
 
 def _is_verdict(cell: Any) -> bool:

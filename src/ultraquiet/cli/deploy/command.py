@@ -8,7 +8,7 @@ import typer
 from ultraquiet._base.constraints import one_of
 from ultraquiet.cli.deploy.exports import require_place, require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
-from ultraquiet.cli.deploy.ranges import refuse_range, requested_limits, require_steps, unsaid
+from ultraquiet.cli.deploy.ranges import refuse_range, requested_limits, require_steps
 from ultraquiet.cli.deploy.table import requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
 from ultraquiet.cli.exits.codes import finish
@@ -77,7 +77,7 @@ def deploy(
         refuse_others(precision, word_lengths, anti_windup, budget, target, fmu, export, project, frame)
         system = None if plant is None else loaded_plant(plant)
         if word_lengths:
-            finish(show_word_lengths(law, system))
+            finish(show_word_lengths(law, system, limits, reading))
         else:
             finish(*deploy_fixed(law, folder, precision, form, system, steps, limits, reading))
         return
@@ -94,7 +94,6 @@ def deploy(
     for row in rows(deployment, verified, c31=budget is not None):
         grid.add(*row)
     show.table(grid)
-    show.say(*unsaid(limits, law.sensors, ranges, "--limits", "may come to"))
     show.say(deployment.status, verified.status)
     ends = {} if system is None else both_ends(system, deployment.quantised)
     if system is not None:

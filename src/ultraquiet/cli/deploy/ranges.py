@@ -8,19 +8,19 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 
 if TYPE_CHECKING:
-    from ultraquiet.values import Channel, StateSpace
+    from ultraquiet.values import StateSpace
 
 
-def requested_limits(text: str | None, law: "StateSpace") -> FloatArray:
-    """Return the limits of the commands, `(nu, 2)`: as written, else as the law's channels have them.
+def requested_limits(text: str | None, law: "StateSpace") -> FloatArray | None:
+    """Return the limits of the commands, `(nu, 2)`, as written; None where nothing is: the law's channels have them.
 
     Raises:
         InputError: anything but one size, or one size or LOW:HIGH for each command.
     """
-    from ultraquiet.deploy.law.law import actuator_limits, own_limits
+    from ultraquiet.deploy.law.law import actuator_limits
 
     if text is None:
-        return own_limits(law)
+        return None
     words = text.split(",")
     try:
         pairs = [[float(end) for end in word.split(":")] for word in words]
@@ -35,22 +35,20 @@ def requested_limits(text: str | None, law: "StateSpace") -> FloatArray:
     return actuator_limits(np.broadcast_to(ranges, (len(law.sensors), 2)), len(law.sensors), "--limits")
 
 
-def requested_size(text: str | None, law: "StateSpace") -> float:
-    """Return the full range of the commands in whole numbers, one size for all: the least of their limits."""
-    return float(np.abs(requested_limits(text, law)).min())
+def requested_size(text: str | None, law: "StateSpace") -> float | None:
+    """Return the full range of the commands in whole numbers, one size for all: the least of the limits as written."""
+    limits = requested_limits(text, law)
+    return None if limits is None else float(np.abs(limits).min())
 
 
-def requested_range(text: str | None, law: "StateSpace") -> float:
-    """Return the full range of the readings, one size for all: as written, else the largest of their channels.
+def requested_range(text: str | None) -> float | None:
+    """Return the full range of the readings, one size for all, as written; None where nothing is.
 
     Raises:
         InputError: no size above zero.
     """
-    from ultraquiet.deploy import FixedOptions
-
-    own = np.abs([[wire.low, wire.high] for wire in law.actuators])
     if text is None:
-        return float(own.max()) if np.isfinite(own).all() else FixedOptions().input_v
+        return None
     try:
         size = float(text)
     except ValueError:
@@ -71,16 +69,3 @@ def refuse_range(text: str | None, precision: str) -> None:
     """Refuse a range of the readings that code in floating point has no use for."""
     if text is not None:
         raise InputError(f"deploy: --range is for code of whole numbers; code in {precision} takes any reading.")
-
-
-def unsaid(
-    text: str | None, wires: "tuple[Channel, ...]", ranges: FloatArray, option: str, what: str
-) -> tuple[str, ...]:
-    """Return the sentence on ranges, `(channels, 2)` or one for all, that nobody stated; none where all are known."""
-    unknown = [] if text is not None else [w for w in wires if not np.isfinite([w.low, w.high]).all()]
-    if not unknown:
-        return ()
-    names = ", ".join(wire.name for wire in unknown)
-    low, high = np.broadcast_to(ranges, (len(wires), 2))[wires.index(unknown[0])]
-    taken = f"{low:g} to {high:g} {unknown[0].unit}".strip()
-    return (f"nobody says what {names} {what}: taken as {taken}; state it with {option}",)

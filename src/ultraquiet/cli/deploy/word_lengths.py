@@ -3,10 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.deploy.ranges import requested_range, requested_size, unsaid
+from ultraquiet.cli.deploy.ranges import requested_range, requested_size
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -37,12 +35,16 @@ def refuse_others(precision: str, table: bool, *others: object) -> None:
         )
 
 
-def show_word_lengths(law: "StateSpace", plant: "StateSpace | None") -> "Status":
+def show_word_lengths(
+    law: "StateSpace", plant: "StateSpace | None", limits: str | None, reading: str | None
+) -> "Status":
     """Print what each precision and form would make of the law, in the loop when a plant is given; return the best."""
     from ultraquiet import deploy
+    from ultraquiet.values.status import StatusWord
 
     grid = TextTable(HEADS, "word lengths")
-    compared = deploy.word_lengths(law, plant)
+    span, full = requested_range(reading), requested_size(limits, law)
+    compared = deploy.word_lengths(law, plant, input_v=span, output_v=full)
     for row in compared:
         figures = (row.error, row.degradation_db, row.overflow, row.noise_v, row.multiply_adds, row.coefficient_bytes)
         cells = [
@@ -50,6 +52,7 @@ def show_word_lengths(law: "StateSpace", plant: "StateSpace | None") -> "Status"
         ]
         grid.add(row.precision, row.form, row.status.word, *cells)
     screen().table(grid)
+    screen().say(*dict.fromkeys(row.status.sentence for row in compared if row.status.word == StatusWord.REFUSED))
     screen().result(compared)
     return min((row.status for row in compared), key=lambda status: not status.ok)
 
@@ -69,7 +72,7 @@ def deploy_fixed(
     from ultraquiet.deploy.figures import said
 
     full = requested_size(limits, law)
-    span = requested_range(reading, law)
+    span = requested_range(reading)
     deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant, input_v=span, output_v=full)
     verified = deployment.verify(steps)
     grid = TextTable(("what", "value"), f"{folder}")
@@ -77,8 +80,6 @@ def deploy_fixed(
         grid.add(*row)
     show = screen()
     show.table(grid)
-    show.say(*unsaid(reading, law.actuators, np.array([-span, span]), "--range", "can come to"))
-    show.say(*unsaid(limits, law.sensors, np.array([-full, full]), "--limits", "may come to"))
     show.say(deployment.status, verified.status)
     facts = {"folder": folder, "status": deployment.status, "verified": verified.status}
     show.result({**facts, "tables": deployment.tables})

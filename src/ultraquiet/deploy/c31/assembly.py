@@ -55,13 +55,14 @@ def c31_code(law: Law, model_hash: str = "") -> C31Code:
         model_hash: named in the header.
 
     Raises:
-        InputError: another form, a coefficient beyond the C31's numbers, or a law beyond its internal memory.
+        InputError: another form, a command without a limit, a coefficient beyond the C31's numbers, or a law beyond
+            its internal memory.
 
     >>> from ultraquiet.deploy import generate
     >>> from ultraquiet.values import StateSpace
     >>> import tempfile
     >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
-    >>> code = c31_code(generate(law, tempfile.mkdtemp() + "/code", form="modal").law)
+    >>> code = c31_code(generate(law, tempfile.mkdtemp() + "/code", form="modal", limits_v=5.0).law)
     >>> code.coefficient_words, "RPTB    controller_last" in code.assembly
     (9, True)
     """
@@ -115,6 +116,11 @@ def table_sum(law: Law) -> int:
 def _require(law: Law) -> None:
     if not isinstance(law, Law):
         raise InputError(f"deploy: C31 assembly needs the rounded law, `generate(...).law`, got {type(law).__name__}.")
+    if not np.isfinite(law.known_limits).all():
+        raise InputError(
+            "deploy: C31 assembly turns commands into counts of a converter, and nobody says how far they may go;"
+            " state the actuators' range, or the converter's where that is narrower, with limits_v."
+        )
     if law.form not in FORMS:
         raise InputError(
             f"deploy: C31 assembly is written for modal, delta and bank form, not for {law.form}; take form='modal' or"

@@ -10,7 +10,7 @@ import numpy as np
 from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, ScriptRow, planted
 from ultraquiet.deploy.figures import said
-from ultraquiet.deploy.law.law import Law
+from ultraquiet.deploy.law.law import Law, open_end
 from ultraquiet.deploy.law.twin import Twin
 from ultraquiet.deploy.toolchain.compiler import FLAGS
 from ultraquiet.deploy.toolchain.targets import TARGETS, families
@@ -129,7 +129,7 @@ def _context(plan: CodePlan) -> dict[str, Any]:
     def table(matrix: Any) -> list[list[str]]:
         return [[constant(v, law.precision) for v in row] for row in matrix]
 
-    bits = 8 * np.dtype(law.dtype).itemsize
+    bits, end = 8 * np.dtype(law.dtype).itemsize, open_end(law.precision)
     suffix = "U" if bits == 32 else "ULL"
     special = {op: f"0x{value:X}{suffix}" for op, value in SPECIAL[law.precision].items()}
     ends = np.cumsum([0, *law.channels]).tolist()
@@ -146,6 +146,9 @@ def _context(plan: CodePlan) -> dict[str, Any]:
         "turn_output": _turn(law.states, 1),
         "turn_update": _turn(law.states, 2),
         "limits": table(law.limits),
+        "open_ends": ""
+        if np.isfinite(law.known_limits).all()
+        else f"; {constant(end, law.precision)} where none is known",
         "excitation": table(law.excitation),
         "bits": bits,
         "ops": OPS,

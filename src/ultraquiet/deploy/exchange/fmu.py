@@ -185,7 +185,7 @@ def _context(
     y, u = wires
     names = [(c.name, c.unit) for c in (*y, *u)]
     reals = [_variable(c, 1 + j, "input", c.low, c.high) for j, c in enumerate(y)]
-    limits = [[float(v) for v in row] for row in law.limits]
+    limits = law.known_limits.tolist()
     first = 1 + law.inputs
     reals += [_variable(c, first + i, "output", *limits[i]) for i, c in enumerate(u)]
     after = first + law.outputs

@@ -16,6 +16,7 @@ from ultraquiet.deploy.c_code.self_test import FNV_BASIS, FNV_PRIME, LCG_FACTOR,
 from ultraquiet.deploy.figures import said
 from ultraquiet.deploy.fixed_point.deployment import FixedDeployment
 from ultraquiet.deploy.fixed_point.law import FixedLaw
+from ultraquiet.deploy.fixed_point.ranges import full_ranges
 from ultraquiet.deploy.fixed_point.reach import all_corners, largest_commands, limited_commands, state_corners
 from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.fixed_point.self_test import self_test
@@ -46,8 +47,8 @@ class FixedOptions(Shown):
     Args:
         form: `modal`, `delta`, or `auto`: the one that changes the loop less.
         scaling: `l1` (no overflow possible) or `l2` (finer states, limited in the code).
-        input_v: full range of a measurement, volts.
-        output_v: full range of a command, volts.
+        input_v: full range of a measurement, volts; the largest of the law's own channels when absent.
+        output_v: full range of a command, volts; the smallest of the law's own channels when absent.
         ramp_s: about this many seconds from zero to full command: the nearest power of two of samples.
         tolerance: largest relative error of coefficients, and largest rounding noise as a share of the range.
 
@@ -60,8 +61,8 @@ class FixedOptions(Shown):
 
     form: str = "auto"
     scaling: str = "l1"
-    input_v: float = 10.0
-    output_v: float = 25.0
+    input_v: float | None = None
+    output_v: float | None = None
     ramp_s: float = 0.5
     tolerance: float = TOLERANCE
 
@@ -107,14 +108,14 @@ def generate_fixed(
 
     Raises:
         InputError: a plant in place of a law, a law in continuous time, one that loses more than `tolerance`, one
-            whose commands would never move, bad settings.
+            whose commands would never move, a range that nobody states, bad settings.
         NumericalError: the loop with the plant is unstable with the rounded law, or rounding makes a stable law
             unstable.
         StorageError: the folder cannot be written or holds something else.
 
     >>> import tempfile
     >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
-    >>> generate_fixed(law, tempfile.mkdtemp() + "/code", "q15").status.word
+    >>> generate_fixed(law, tempfile.mkdtemp() + "/code", "q15", input_v=10.0, output_v=5.0).status.word
     'ok'
     """
     folder = Path(folder).absolute()
@@ -184,7 +185,8 @@ def _best(
 ) -> tuple[FixedLaw, float]:
     tried: list[tuple[FixedLaw, float]] = []
     last_refusal = None
-    settings: dict[str, Any] = {"scaling": options.scaling, "input_v": options.input_v, "output_v": options.output_v}
+    input_v, output_v = full_ranges("generate_fixed", controller, options.input_v, options.output_v)
+    settings: dict[str, Any] = {"scaling": options.scaling, "input_v": input_v, "output_v": output_v}
     settings |= {"name": name, "ramp_bits": ramp_bits}
     for form in ("modal", "delta") if options.form == "auto" else (options.form,):
         try:

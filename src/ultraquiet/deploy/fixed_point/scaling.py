@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, frozen, one_of, positive
+from ultraquiet._base.constraints import FloatArray, frozen, one_of
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.fixed_point.law import WORDS, FixedLaw, Whole
+from ultraquiet.deploy.fixed_point.ranges import full_ranges
 from ultraquiet.deploy.fixed_point.state_bounds import energies, peaks, rounding_peaks, rounding_powers
 from ultraquiet.deploy.law.realisation import Realisation, realisation
 from ultraquiet.values.state_space import StateSpace
@@ -27,8 +28,8 @@ def fixed_law(
     form: str = "modal",
     *,
     scaling: str = "l1",
-    input_v: float = 10.0,
-    output_v: float = 25.0,
+    input_v: float | None = None,
+    output_v: float | None = None,
     name: str = "controller",
     ramp_bits: int = 0,
 ) -> FixedLaw:
@@ -40,24 +41,25 @@ def fixed_law(
         form: `modal` or `delta`.
         scaling: `l1`: no state or sum can overflow while measurements stay in range; `l2`: states keep more bits, and
             are limited where noise at full range would carry them past four times its root mean square.
-        input_v: full range of every measurement, volts.
-        output_v: full range of every command, volts; commands saturate there.
+        input_v: full range of every measurement, volts; the largest of the law's own channels when absent.
+        output_v: full range of every command, volts; commands saturate there. The smallest of the law's own channels
+            when absent.
         name: prefix of every file and symbol.
         ramp_bits: the ramp takes 2^ramp_bits steps.
 
     Raises:
-        InputError: a law or a rounded law that is not stable, or states that rounding alone could fill.
+        InputError: a law or a rounded law that is not stable, a range that nobody states, or states that rounding alone
+            could fill.
 
     >>> law = StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
-    >>> made = fixed_law(law, "q15")
+    >>> made = fixed_law(law, "q15", input_v=10.0, output_v=5.0)
     >>> made.A.tolist(), made.peak <= 1.0
     ([[14746, 1638, -1638, 14746]], True)
 
     Reference: Jackson, IEEE Trans. Audio Electroacoust. 18 (1970), doi:10.1109/TAU.1970.1162084.
     """
     _check(controller, word, form, scaling)
-    positive("fixed_law", "input_v", input_v, "V")
-    positive("fixed_law", "output_v", output_v, "V")
+    input_v, output_v = full_ranges("fixed_law", controller, input_v, output_v)
     try:
         parts = _normalised(realisation(controller, form), input_v, output_v)
     except InputError as refusal:

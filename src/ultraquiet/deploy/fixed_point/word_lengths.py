@@ -57,8 +57,8 @@ def word_lengths(
     plant: StateSpace | None = None,
     *,
     precisions: Sequence[str] = PRECISIONS,
-    input_v: float = 10.0,
-    output_v: float = 25.0,
+    input_v: float | None = None,
+    output_v: float | None = None,
     tolerance: float = TOLERANCE,
 ) -> tuple[WordLength, ...]:
     """Return what rounding costs, for each precision and each form the law has; best first within a precision.
@@ -67,12 +67,13 @@ def word_lengths(
         controller: discrete law from measurements to commands, u = K y.
         plant: G of the loop y = G u; when given the loop is judged, not the law alone.
         precisions: some of `float64`, `float32`, `q31`, `q15`.
-        input_v: full range of a measurement in fixed point, volts.
-        output_v: full range of a command, volts.
+        input_v: full range of a measurement in fixed point, volts; the largest of the law's own channels when absent.
+        output_v: full range of a command there; the smallest of the law's own channels when absent.
         tolerance: largest relative error, and largest rounding noise over the range, that counts as `ok`.
 
     Returns:
-        Rows of status `ok`, `inexact`, `unstable` or `refused`, each with a sentence.
+        Rows of status `ok`, `inexact`, `unstable` or `refused`, each with a sentence; fixed point is refused where
+        nobody states a range.
 
     Raises:
         InputError: a law in continuous time, a loop that is not stable to begin with, ranges that are not positive.
@@ -83,8 +84,8 @@ def word_lengths(
     """
     if not isinstance(controller, StateSpace) or controller.rate_hz is None:
         raise InputError("word_lengths: the controller must be a StateSpace in discrete time.")
-    positive("word_lengths", "input_v", input_v, "V")
-    positive("word_lengths", "output_v", output_v, "V")
+    for name, size in (("input_v", input_v), ("output_v", output_v)):
+        positive("word_lengths", name, 1.0 if size is None else size)
     require_plant(plant)
     if not isinstance(precisions, Sequence):
         raise InputError(f"word_lengths: 'precisions' must list some of {', '.join(PRECISIONS)}, got {precisions!r}.")
@@ -103,7 +104,7 @@ def word_lengths(
         if precision in WORDS:
             each = [_fixed(judge, precision, form, s, input_v, output_v) for form, s in FIXED_FORMS]
         else:
-            each = [_floating(judge, precision, form, output_v) for form in FORMS]
+            each = [_floating(judge, precision, form) for form in FORMS]
         rows += sorted(each, key=_order)
     return tuple(rows)
 
@@ -139,8 +140,8 @@ def degradation_db(rounded: StateSpace, controller: StateSpace, plant: StateSpac
     return float(20.0 * np.log10(np.linalg.norm(after, 2, axis=(1, 2)) / np.linalg.norm(before, 2, axis=(1, 2))).max())
 
 
-def _floating(judge: _Judge, precision: str, form: str, output_v: float) -> WordLength:
-    limits = np.tile([-output_v, output_v], (judge.controller.D.shape[0], 1))
+def _floating(judge: _Judge, precision: str, form: str) -> WordLength:
+    limits = np.tile([-np.inf, np.inf], (judge.controller.D.shape[0], 1))
     try:
         parts = realisation(judge.controller, form)
         order = judge.controller.states
@@ -168,7 +169,9 @@ def multiply_adds(law: Law) -> int:
     return sum(block.size for block in law.blocks) + gains
 
 
-def _fixed(judge: _Judge, word: str, form: str, scaling: str, input_v: float, output_v: float) -> WordLength:
+def _fixed(
+    judge: _Judge, word: str, form: str, scaling: str, input_v: float | None, output_v: float | None
+) -> WordLength:
     name = form if scaling == "l1" else f"{form} {scaling}"
     try:
         law: FixedLaw = fixed_law(judge.controller, word, form, scaling=scaling, input_v=input_v, output_v=output_v)
@@ -179,7 +182,7 @@ def _fixed(judge: _Judge, word: str, form: str, scaling: str, input_v: float, ou
         word,
         name,
         law.state_space(),
-        noise / output_v,
+        noise / law.output_v,
         overflow=law.peak,
         noise_v=noise,
         multiply_adds=law.multiply_adds,

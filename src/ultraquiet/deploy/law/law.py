@@ -22,9 +22,6 @@ OVERRUN_LIMIT = 4
 # Of each actuator's range: identification in closed loop leaves nine tenths to the control.
 EXCITATION_SHARE = 0.1
 
-# The largest test signal of the paper, volts: what a command is held to where neither caller nor actuator says.
-UNSAID = 25.0
-
 DTYPES = {"float32": np.float32, "float64": np.float64}
 
 
@@ -70,6 +67,12 @@ class Law(Shown):
     def turned(self) -> bool:
         """True for a bank between transforms, u = S v, z = T y; B, C and D are then those between z and v."""
         return self.turn_in is not None
+
+    @property
+    def known_limits(self) -> FloatArray:
+        """Low and high of each command as stated, `(nu, 2)`, infinite where nobody stated one."""
+        limits = self.limits.astype(np.float64)
+        return np.where(np.abs(limits) == open_end(self.precision), np.copysign(np.inf, limits), limits)
 
     @property
     def states(self) -> int:
@@ -127,6 +130,18 @@ class Law(Shown):
         return turned(A, self.B, self.C, self.D, self.turn_in, self.turn_out, self.rate_hz)
 
 
+def open_end(precision: str) -> float:
+    """Return the limit that stands where none is known: the root of the type's largest number, 2^64 or 2^512.
+
+    No actuator comes near it, and the arithmetic around it does not overflow: the self-test still goes there, so that
+    no guard is left without its proof.
+
+    >>> open_end("float32") == 2.0**64
+    True
+    """
+    return float(2.0 ** (np.finfo(DTYPES[precision]).maxexp // 2))
+
+
 def rounded(
     parts: Realisation,
     L: FloatArray | None,
@@ -142,7 +157,8 @@ def rounded(
 ) -> Law:
     """Return the realisation rounded to `precision`, to nearest; `excitation` is a tenth of the limits when absent.
 
-    What is smaller than every normal number of the type becomes zero.
+    `limits` may be infinite: `open_end` stands there. What is smaller than every normal number of the type becomes
+    zero.
 
     Raises:
         InputError: a coefficient that overflows in that precision.
@@ -160,6 +176,7 @@ def rounded(
         # A denormal number is zero on a processor that flushes them, and another one elsewhere: here it is zero.
         return frozen(np.where(np.abs(numbers) < np.finfo(dtype).tiny, dtype(0.0), numbers))
 
+    limits = np.where(np.isfinite(limits), limits, np.copysign(open_end(precision), limits))
     largest = float(np.finfo(dtype).max)
     limits = np.clip(limits, -largest, largest)  # what lies beyond all numbers of the type limits none of them
     if not np.all(cast(limits)[:, 0] < cast(limits)[:, 1]):
@@ -186,13 +203,17 @@ def rounded(
 
 
 def own_limits(controller: StateSpace) -> FloatArray:
-    """Return the limits of a law's commands as its channels have them, `(nu, 2)`; `UNSAID` where they have none.
+    """Return the limits of a law's commands as its channels have them, `(nu, 2)`; infinite where they have none.
+
+    Raises:
+        InputError: a range without zero, where every ramp ends.
 
     >>> own_limits(StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=10.0)).tolist()
-    [[-25.0, 25.0]]
+    [[-inf, inf]]
     """
     own = np.array([[wire.low, wire.high] for wire in controller.sensors], dtype=np.float64)
-    return np.where(np.isfinite(own), own, [-UNSAID, UNSAID])
+    require_zero(own, "the channels of the law")
+    return own
 
 
 def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -> FloatArray:
@@ -211,12 +232,20 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
     limits = real_array("deploy", what, values, 2)
     if limits.shape != (outputs, 2):
         raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {limits.shape}.")
-    if np.any(limits[:, 0] > 0) or np.any(limits[:, 1] < 0) or np.any(limits[:, 0] >= limits[:, 1]):
-        zero = "0 V" if what.endswith("_v") else "0"
-        raise InputError(
-            f"deploy: each actuator's range in '{what}' must hold {zero}, where the ramp ends, got {limits.tolist()}."
-        )
+    require_zero(limits, f"'{what}'", "0 V" if what.endswith("_v") else "0")
     return limits
+
+
+def require_zero(limits: FloatArray, where: str, zero: str = "0") -> None:
+    """Refuse ranges, `(nu, 2)`, that are empty or do not hold zero.
+
+    Raises:
+        InputError: with all of them.
+    """
+    if np.any(limits[:, 0] > 0) or np.any(limits[:, 1] < 0) or np.any(limits[:, 0] >= limits[:, 1]):
+        raise InputError(
+            f"deploy: each actuator's range in {where} must hold {zero}, where the ramp ends, got {limits.tolist()}."
+        )
 
 
 def require_discrete(controller: StateSpace, name: str) -> None:

@@ -45,8 +45,8 @@ class AdaptiveFeedforward(StatedRobustness):
         settling_s: time of the amplitudes to within two per cent.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
         find_s: how long the bank listens.
-        limit_v: largest command of the law per actuator, in its unit; its own when absent, 10 without one. Amplitudes
-            that would exceed it are shrunk together.
+        limit_v: largest command of the law per actuator, in its unit; its own when absent, 10 without one, as the
+            result says. Amplitudes that would exceed it are shrunk together.
         depth_db, peak_db, weakest, around: as those of `Resonators`.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
@@ -109,7 +109,7 @@ class AdaptiveFeedforward(StatedRobustness):
         if result.status.word not in STABLE_WORDS or result.controller is None:
             return result
         law = FeedforwardLaw(self, inner, result.controller, tones, edges, speeds, limit)
-        return adapting(result, law)
+        return adapting(result, law, self.limit_v, plant.actuators)
 
     def _edges(self, tones_hz: FloatArray, rate_hz: float) -> FloatArray:
         edges = np.stack([tones_hz * (1 - self.span), tones_hz * (1 + self.span)], axis=1)

@@ -15,7 +15,7 @@ from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-UNSAID = 10.0  # the largest command of an actuator whose limits nothing states
+UNSAID = 10.0  # where a law is watched whose actuator has no limit that anybody states; the design's sentence says so
 BELIEVED_V = 1e6  # no reading is larger
 RAMP_S = 0.1  # from the last good command to zero
 PATIENCE_S = 1.0  # at a limit, before the law is doubted
@@ -153,9 +153,14 @@ class AdaptiveLaw:
         return share * last
 
 
-def adapting(result: DesignResult, law: AdaptiveLaw) -> DesignResult:
+def adapting(
+    result: DesignResult, law: AdaptiveLaw, limit_v: float | tuple[float, ...] | None, actuators: Sequence[Channel]
+) -> DesignResult:
     """Return a result that holds a law that adapts beside the linear one it is at rest, and says so."""
     sentence = f"Adaptive, to be run as `law`. While its parameters stand still: {result.status.sentence}"
+    unknown = ", ".join(f"'{c.name}'" for c in actuators if not np.isfinite(_nearer_end(c)))
+    if limit_v is None and unknown:
+        sentence += f" No limit of {unknown} is known: the law holds {UNSAID:g} there; limit_v sets it."
     return replace(result, law=law, status=Status(result.status.word, sentence))
 
 
@@ -172,12 +177,16 @@ def limits_v(who: str, limit_v: float | tuple[float, ...] | None, actuators: Seq
     """
     nu = len(actuators)
     if limit_v is None:
-        own = np.array([min(abs(c.low), abs(c.high)) for c in actuators], dtype=np.float64)
+        own = np.array([_nearer_end(c) for c in actuators], dtype=np.float64)
         return np.where(np.isfinite(own), own, UNSAID)
     limits = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
     if limits.size not in (1, nu) or not np.all(limits > 0):
         raise InputError(f"{who}: 'limit_v' must be one number above zero, or {nu}, got {limit_v!r}.")
     return np.ascontiguousarray(np.broadcast_to(limits, (nu,)), dtype=np.float64)
+
+
+def _nearer_end(wire: Channel) -> float:
+    return min(abs(wire.low), abs(wire.high))
 
 
 def without_faint_states(system: StateSpace) -> StateSpace:

@@ -46,7 +46,7 @@ class FilteredXLms(StatedRobustness):
         taps: length of each filter, samples.
         step: share of the error that goes in each sample, below 2.
         leak: share of the weights forgotten per second.
-        limit_v: largest command per actuator, in its unit; its own when absent, 10 without one.
+        limit_v: largest command per actuator, in its unit; its own when absent, 10 without one, as the result says.
         around: K0, a `StateSpace` or the name of a design method.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0], [0.0]], [[0.0], [0.0]], rate_hz=1000.0)
@@ -114,7 +114,7 @@ class FilteredXLms(StatedRobustness):
         if result.controller is None or result.status.word not in STABLE_WORDS:
             return result
         law = FilteredXLaw(self, inner, model, (errors, references, drives), limit, result.controller)
-        return adapting(result, law)
+        return adapting(result, law, self.limit_v, plant.actuators)
 
     def _channels(self, ny: int, nu: int) -> tuple[list[int], list[int], list[int]]:
         references = _indices("reference", self.reference, ny) or [ny - 1]

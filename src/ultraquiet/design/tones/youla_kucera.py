@@ -109,9 +109,9 @@ class YoulaKucera(StatedRobustness):
         central: `lqg`, or `none`: the plant's own stability, K = 0.
         control_weight, sensor_noise: of `central_law`.
         update_every: samples between two steps of theta.
-        limit_v: largest |v| per actuator, in its unit; its own when absent, 10 without one. A law that is brought to
-            rest takes its state feedback along: a plant that is unstable by itself should get its stabiliser as
-            `around`.
+        limit_v: largest |v| per actuator, in its unit; its own when absent, 10 without one, as the result says. A law
+            that is brought to rest takes its state feedback along: a plant that is unstable by itself should get its
+            stabiliser as `around`.
         around: K0, a `StateSpace` or the name of a design method; Q then works on the loop that it closes.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
@@ -184,7 +184,7 @@ class YoulaKucera(StatedRobustness):
         result = judged(plant, whole_law, self, float("nan"), float("nan"), {}, details)
         if result.status.word in STABLE_WORDS and result.controller is not None:
             law = YoulaLaw(self, inner, form, regressors, filters, limit, result.controller)
-            return adapting(result, law)
+            return adapting(result, law, self.limit_v, plant.actuators)
         return result
 
     def filters(self, rate_hz: float) -> tuple[FloatArray, FloatArray]:

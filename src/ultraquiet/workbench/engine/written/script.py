@@ -114,7 +114,7 @@ def _code(variable: str, name: str, recipe: Mapping[str, Any], state: State, fol
     law = recipe["law"]
     model = state["laws"][law]["model"]
     precision = tables_of(state).deploy.precision
-    limits: Any = item_of(folder, state, "codes", name).facts.get("limits", 25.0)
+    limits: Any = item_of(folder, state, "codes", name).facts.get("limits")
     return [
         f"{variable} = uq.deploy.generate({_variable('laws', law)}, {f'code/{law}'!r}, {precision!r}, "
         f"limits_v={limits!r}, plant={_variable('models', model)})"
