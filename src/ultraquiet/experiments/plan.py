@@ -24,7 +24,7 @@ class Drive:
     def describe(self) -> dict[str, Any]:
         """Return what makes this drive, in plain types: what is on a disk keeps the names that it was written with."""
         written = {newer: name for name, newer in older_names(type(self.signal)).items()}
-        settings = {written.get(name, name): value for name, value in plain(self.signal).items()}
+        settings: dict[str, Any] = {written.get(name) or name: value for name, value in plain(self.signal).items()}
         return {"method": self.method, **settings, "actuator": self.actuator + 1, "seed": self.seed}
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
@@ -43,10 +44,10 @@ class MachineStep:
 
     function: int
     state: int
-    readings: FloatArray
-    commands: FloatArray
-    reads: np.ndarray[Any, np.dtype[np.int64]]
-    drives: np.ndarray[Any, np.dtype[np.int64]]
+    readings: NDArray[Any]
+    commands: NDArray[Any]
+    reads: NDArray[np.int64]
+    drives: NDArray[np.int64]
     channels: tuple[int, int]
     owner: Any
 

@@ -56,17 +56,25 @@ def command_corners(law: FixedLaw) -> Whole:
 def touching_corners(law: FixedLaw) -> Whole:
     """Return states and measurements, `(corners, n + ny)`, that carry a command just to its end and one count beyond.
 
-    At the end a limit must change nothing and count nothing, one count further it must. They are those of the first
-    command for which such words are found; none where the words of no command are fine enough.
+    At the end a limit must change nothing and count nothing, one count further it must. The count is that of all
+    commands, so that a step in which another one goes beyond its range shows nothing: they are those of a command,
+    the loudest first, for which words are found that leave all others inside; of any command where there are none
+    such, and none where the words of no command are fine enough.
     """
     top = 2 ** (law.bits - 1) - 1
-    rows = np.hstack([law.C.T, law.D])
-    for row, down in zip(rows, (law.shift_u + law.bits - 2).tolist(), strict=True):
-        ends = [(end, sign) for end in (top, top + 1) for sign in (1, -1)]
-        found = [_touching(sign * row, _at(sign * row[None, :], law)[0], down, end, sign) for end, sign in ends]
-        if all(corner is not None for corner in found):
-            return np.array(found, np.int64)
-    return np.zeros((0, rows.shape[1]), np.int64)
+    rows, downs = np.hstack([law.C.T, law.D]), law.shift_u + law.bits - 2
+    ends = [(end, sign) for end in (top, top + 1) for sign in (1, -1)]
+    found = np.zeros((0, rows.shape[1]), np.int64)
+    for k in np.argsort(-largest_commands(law), kind="stable"):
+        row, down = rows[k], int(downs[k])
+        corners = [_touching(sign * row, _at(sign * row[None, :], law)[0], down, end, sign) for end, sign in ends]
+        if any(corner is None for corner in corners):
+            continue
+        words = np.array(corners, np.int64)
+        if (np.abs(_rounded(np.delete(words @ rows.T, k, axis=1), np.delete(downs, k))) <= top).all():
+            return words
+        found = found if found.size else words
+    return found
 
 
 def _touching(row: Whole, corner: Whole, down: int, end: int, sign: int) -> Whole | None:
