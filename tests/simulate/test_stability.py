@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drawn_loops import RATE_HZ, drawn_loop
+from drawn_loops import RATE_HZ, LinearBench, drawn_loop, modal, wrapped
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
@@ -128,3 +128,21 @@ def test_drawn_loops_are_never_judged_wrongly(rng):
             )
     print(f"{LOOPS} loops: {false_ok} false ok, {false_unstable} false unstable, {unknown} not known")
     assert false_ok == false_unstable == wrongly_unknown == 0
+
+
+def test_the_compiled_bench_is_the_stepped_one(rng):
+    """Commands at their limits, noise on: both draw the same."""
+    A, B, C = modal(rng, 3, 5)
+    law = uq.StateSpace(
+        np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((5, 0)), 0.1 * rng.standard_normal((5, 3)), RATE_HZ
+    )
+    d, seed = rng.standard_normal((5, 500)), rng.integers(2**32)
+    slow, fast = (
+        bench(A, B, C, 0.1, np.random.default_rng(seed), (0.1, 10.0)).run(
+            np.zeros_like(d), disturbance=d, controller=law
+        )
+        for bench in (wrapped, LinearBench)
+    )
+    assert np.abs(fast.inputs).max() == 0.1
+    assert fast.inputs == pytest.approx(slow.inputs, abs=1e-12)
+    assert fast.outputs == pytest.approx(slow.outputs, abs=1e-12)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.frames import FOLD, Frames
@@ -19,11 +20,11 @@ LARGEST = 1e12  # of ratios of powers
 STANDS_OUT, BROAD, COHERENT = 8.0, 16, 0.45
 RISES = 3.0  # the noise above its surroundings, or the response above the noise: a line where a mode may hide
 REFINEMENTS = 4
-# A mode that shrinks by this from frame to frame is none that rings.
-DEAD = 1e-3
+# A mode that shrinks by this from frame to frame is none that rings, one that grows by this many e-folds within its
+# record none that numbers hold.
+DEAD, WILD = 1e-3, 600.0
 # Two modes are one when they are nearer than this share of a line of the whole record, and their growths agree.
 RESOLVED, CERTAIN = 10.0, 4.0
-BETTER = 9.0  # what five more records are together whose bursts are at the modes in doubt alone, four times as loud
 # An error may be as smooth as the modes themselves: a random walk of what noise feeds them, or a mode left out.
 # A deviation is this share of the largest that an error of the size seen could make, whatever its shape.
 ALIGNED = 0.5
@@ -56,11 +57,6 @@ class Mode:
     def decays(self) -> bool:
         """Whether noise alone would hardly feign this decay."""
         return self.growth_per_s < -CERTAIN * self.growth_std
-
-    @property
-    def may_be_told(self) -> bool:
-        """Whether a few more records could decide between growth and decay: so many times better than one."""
-        return abs(self.growth_per_s) > CERTAIN / BETTER * self.growth_std
 
 
 @dataclass(frozen=True)
@@ -152,7 +148,7 @@ def _coherent(frames: Frames, noise: FloatArray, line: int) -> tuple[float, floa
     powers = np.sum(np.abs(np.fft.fft(late, 4 * steps, axis=1)) ** 2, axis=0)
     most = int(np.argmax(powers))
     share = float(powers[most] / (steps * np.sum(np.abs(late) ** 2)))
-    return share, _hz(frames, line, np.exp(2j * np.pi * most / powers.size))
+    return share, hz_of(frames, line, np.exp(2j * np.pi * most / powers.size))
 
 
 def _settled(frames: int) -> int:
@@ -203,17 +199,17 @@ def _band_modes(
         for i in range(z.size)
     ]
     # what is further away than this many lines the next band has, and better
-    return [mode for mode, pole in found if mode is not None and abs(_turned(frames, line, pole)) <= within * np.pi / 2]
+    return [mode for mode, pole in found if mode is not None and abs(turned(frames, line, pole)) <= within * np.pi / 2]
 
 
-def _turned(frames: Frames, line: int, z: complex) -> float:
+def turned(frames: Frames, line: int, z: complex) -> float:
     """Return by how much a mode turns from frame to frame against the middle of its band; a line is a quarter turn."""
     return float(np.angle(z * np.exp(-2j * np.pi * line * FOLD / frames.length * frames.hop)))
 
 
-def _hz(frames: Frames, line: int, z: complex) -> float:
+def hz_of(frames: Frames, line: int, z: complex) -> float:
     """Return the frequency of a mode near the middle of a band, folded into 0..Nyquist."""
-    f_hz = frames.line_hz(line) + _turned(frames, line, z) * frames.rate_hz / (2 * np.pi * frames.hop)
+    f_hz = frames.line_hz(line) + turned(frames, line, z) * frames.rate_hz / (2 * np.pi * frames.hop)
     folded = abs((float(f_hz) + frames.rate_hz / 2) % frames.rate_hz - frames.rate_hz / 2)
     return 0.0 if folded < REAL * frames.rate_hz else folded
 
@@ -228,7 +224,12 @@ def _realised(b: ComplexArray, e: ComplexArray, floor: float) -> ComplexArray:
     u = left[:, :order]
     q = b.shape[0]
     z = np.linalg.eigvals(np.linalg.lstsq(u[:-q], u[q:])[0]).astype(np.complex128)
-    return z[np.abs(z) > DEAD]
+    return z[(np.abs(z) > DEAD) & _tame(z, b.shape[1])]
+
+
+def _tame(z: ComplexArray, frames: int) -> NDArray[np.bool_]:
+    """Return of each pole whether its powers over so many frames are numbers."""
+    return np.log(np.maximum(np.abs(z), DEAD)) * frames < WILD
 
 
 def _hankel(b: ComplexArray) -> ComplexArray:
@@ -253,6 +254,8 @@ def _refined(
         if not np.abs(change).max() < 1.0:
             break
         tried = z * np.exp(change)
+        if not _tame(tried, step.size).all():
+            break
         c_tried, error_tried = _fitted(tried, b, step)
         if not error_tried < error:
             break
@@ -298,4 +301,4 @@ def _mode(
     if seen < VISIBLE:
         return None
     per_s = frames.rate_hz / frames.hop
-    return Mode(rate * per_s, float(deviation * per_s), _hz(frames, line, z), float(seen))
+    return Mode(rate * per_s, float(deviation * per_s), hz_of(frames, line, z), float(seen))

@@ -104,19 +104,20 @@ class FreeResponse:
     @property
     def before_limits(self) -> int:
         """How many samples pass before a command first stands at its limit, in either run."""
+        return self.before(1.0)
+
+    def before(self, share: float) -> int:
+        """Return how many samples pass before a command first uses this share of its range, in either run."""
         samples = self.response.shape[1]
-        plus, minus = (stands_at_limits(run.inputs[:, -samples:], run.actuators) for run in self.runs)
-        first = np.flatnonzero((plus | minus).any(axis=0))
-        return int(first[0]) if first.size else self.response.shape[1]
+        reach = share * ranges(self.runs[0].actuators)[:, None]
+        first = np.flatnonzero(
+            np.any([(np.abs(run.inputs[:, -samples:]) >= reach).any(axis=0) for run in self.runs], axis=0)
+        )
+        return int(first[0]) if first.size else samples
 
     def until(self, samples: int) -> "FreeResponse":
         """Return its first samples; `runs` stay as they are."""
         return FreeResponse(self.response[:, :samples], self.noise[:, :samples], self.runs)
-
-    def beside(self, other: "FreeResponse") -> "FreeResponse":
-        """Return both as one: further channels that ring with the same modes."""
-        response, noise = (np.vstack([getattr(x, part) for x in (self, other)]) for part in ("response", "noise"))
-        return FreeResponse(response, noise, other.runs)
 
 
 def ranges(channels: Sequence[Channel]) -> FloatArray:
@@ -176,8 +177,10 @@ def _rise(bench: Bench, found: FreeResponse, levels: FloatArray) -> float:
     """Return by how much the burst may be raised; what is below the noise yet may rise as far as one step goes."""
     a, b = (np.vstack([run.outputs, run.inputs]) for run in found.runs)
     noise, size = (np.abs(x).max(axis=1) / 2 for x in (a + b, a - b))
-    reached = np.concatenate([np.maximum(size - noise, 0.0), levels])
     allowed = USED_RANGE * np.concatenate([ranges(c) for c in (bench.sensors, bench.actuators, bench.actuators)])
+    # what may hide in the noise is taken to be half of it: a burst raised as if it were nothing ends at the limits
+    hidden = np.minimum(noise / 2, allowed[: noise.size] / NEAR)
+    reached = np.concatenate([np.maximum(np.sqrt(np.maximum(size**2 - noise**2, 0.0)), hidden), levels])
     if np.isfinite(allowed).any():
         return 1.0 / max(float(np.max(reached / allowed)), 0.1 / RAISED_BY)
     heard = noise > 0

@@ -1,0 +1,106 @@
+"""What one record of a loop's free response says of its stability."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+from ultraquiet.bench import Bench
+from ultraquiet.simulate.free_response import Mode, ringing
+from ultraquiet.simulate.kick import FreeResponse
+from ultraquiet.simulate.together import powers, rise
+from ultraquiet.values import StatusWord
+
+# A record shorter than this shows nothing; each next one is so many times longer.
+SHORTEST_SAMPLES, LONGER = 128, 4
+# Shares of a free response that a command stands at its limit: a loop that ran away does so for more than the first;
+# one that does for more than the second is no longer the linear loop whose modes could be judged.
+LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
+# Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
+GROWTH_LIMIT = 3.0
+# Tones of one burst at most.
+MOST_TONES = 12
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one record said: a word, or None where it takes a longer one; the slowest mode, and a sentence."""
+
+    word: StatusWord | None
+    mode: Mode | None
+    sentence: str
+    record: FreeResponse
+    modes: tuple[Mode, ...]
+    doubtful_hz: tuple[float, ...]
+    hidden_hz: tuple[float, ...] = ()
+    slow: bool = False
+    records: int = 1
+    longest: int = 0
+
+
+def judged(bench: Bench, record: FreeResponse) -> Seen:
+    """Return what one record says: growth, decay, limits met, or what is in doubt."""
+    rate, span = bench.rate_hz, record.response.shape[1] / bench.rate_hz
+    heard = ringing(record.response, record.noise, rate)
+    modes = heard.modes
+    slowest = modes[0] if modes else slowest_before(record, rate)
+    doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *heard.tones_hz)
+    said = "" if slowest is None else told(slowest)
+    seen = Seen(None, slowest, said, record, modes, doubtful, hidden_hz=heard.hidden_hz)
+    growing = next((mode for mode in modes if mode.grows), None)
+    grown = rise(powers(record.noise))
+    doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
+    if record.limited > LIMITED_SHARE:
+        sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
+        seen = replace(seen, word=StatusWord.UNSTABLE, sentence=sentence)
+    elif record.limited > CLIPPED_SHARE:
+        sentence = f"Noise alone drove a command to its limit for {record.limited:.1%} of the last quarter."
+        seen = replace(seen, sentence=sentence)
+    elif growing is not None:
+        slow = growing.growth_per_s * span < 1.0
+        seen = replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing), slow=slow)
+    elif grown > GROWTH_LIMIT:
+        # where every mode decays, more records show whether that was chance
+        seen = replace(seen, sentence=risen(grown), doubtful_hz=doubtful or _loudest_hz(slowest, heard.hidden_hz))
+    elif heard.tones_hz:
+        hz = ", ".join(f"{f:.4g}" for f in heard.tones_hz[:3])
+        seen = replace(seen, sentence=f"It rings near {hz} Hz by itself, no burst allowed is heard above that.")
+    elif not doubtful:
+        seen = replace(seen, word=StatusWord.OK)
+    else:
+        seen = replace(seen, mode=doubted, sentence="" if doubted is None else told(doubted))
+    return seen
+
+
+def slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
+    """Return the slowest mode of a response that died within its record, from its shorter beginning."""
+    samples = record.response.shape[1] // 2
+    while samples >= SHORTEST_SAMPLES:
+        modes = ringing(record.response[:, :samples], record.noise[:, :samples], rate_hz).modes
+        known = next((mode for mode in modes if mode.decays), None)  # what only rises at first is no mode
+        if known is not None:
+            return known
+        samples //= 2
+    return None
+
+
+def told(mode: Mode) -> str:
+    """Return a sentence on a mode."""
+    verb = "grows" if mode.growth_per_s > 0 else "decays"
+    return f"A mode at {mode.f_hz:.4g} Hz {verb} by {abs(mode.growth_per_s):.3g} +- {mode.growth_std:.1g} a second."
+
+
+def risen(times: float) -> str:
+    """Return a sentence on noise that grew."""
+    return f"What noise does to it grew {times:.3g} times within the record."
+
+
+def _loudest_hz(slowest: Mode | None, hidden_hz: tuple[float, ...]) -> tuple[float, ...]:
+    return hidden_hz[:1] if slowest is None else (slowest.f_hz,)
+
+
+def apart(f_hz: Iterable[float], width_hz: float) -> tuple[float, ...]:
+    """Return the first frequencies that lie apart: one tone as wide as its burst is short serves all nearer ones."""
+    found: list[float] = []
+    for f in f_hz:
+        if len(found) < MOST_TONES and all(abs(f - other) > width_hz / 2 for other in found):
+            found.append(float(f))
+    return tuple(found)
