@@ -1,5 +1,6 @@
 """How far one step carries a command or a state of a whole-number law: where its code needs a limit and where not."""
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -66,36 +67,41 @@ def touching_corners(law: FixedLaw) -> Whole:
     ends = [(end, sign) for end in (top, top + 1) for sign in (1, -1)]
     found = np.zeros((0, rows.shape[1]), np.int64)
     for k in np.argsort(-largest_commands(law), kind="stable"):
-        row, down = rows[k], int(downs[k])
-        corners = [_touching(sign * row, _at(sign * row[None, :], law)[0], down, end, sign) for end, sign in ends]
-        if any(corner is None for corner in corners):
-            continue
-        words = np.array(corners, np.int64)
-        if (np.abs(_rounded(np.delete(words @ rows.T, k, axis=1), np.delete(downs, k))) <= top).all():
-            return words
-        found = found if found.size else words
+        for drawn in (_drawn_back, _others_at_rest):
+            corners = [_touching(drawn, sign * rows, k, downs, law, end, sign) for end, sign in ends]
+            if any(corner is None for corner in corners):
+                continue
+            words = np.array(corners, np.int64)
+            if (np.abs(_rounded(np.delete(words @ rows.T, k, axis=1), np.delete(downs, k))) <= top).all():
+                return words
+            found = found if found.size else words
     return found
 
 
-def _touching(row: Whole, corner: Whole, down: int, end: int, sign: int) -> Whole | None:
-    """Return words whose sum rounds to `end` on its own side, or None where none were found.
+def _touching(
+    drawn: Callable[..., Whole | None], rows: Whole, k: int, downs: Whole, law: FixedLaw, end: int, sign: int
+) -> Whole | None:
+    """Return words whose sum in row k rounds to `end` on its own side, or None where none were found.
 
-    All products with the corner are positive. The two words of the smallest gains are sought among `TRIED` pairs, all
-    others are drawn back together so that half of those two is about what is missing.
+    All products with the row's corner are positive. The two words of the smallest gains are sought among `TRIED` pairs,
+    those nearest to half of what they may be first; all others are `drawn` so that these halves are about what is
+    missing.
     """
-    fine = [k for k in np.argsort(np.abs(row)) if row[k] != 0][:2]
+    row, down = rows[k], int(downs[k])
+    corner = _at(rows[k : k + 1], law)[0]
+    fine = [i for i in np.argsort(np.abs(row)) if row[i] != 0][:2]
     if len(fine) < 2:
         return None
-    products, (last, other) = row * corner, fine
-    rest = int(products.sum() - products[fine].sum())
+    last, other = fine
     wanted = (end << down) - (1 << (down - 1))
-    if wanted > int(products.sum()):
+    if wanted > int((row * corner).sum()):
         return None  # out of every word's reach, and where the sum goes down by many places out of 64 bits too
-    share = (wanted - int(products[fine].sum()) // 2) / rest if rest else 0.0
-    words = np.trunc(corner * min(max(share, 0.0), 1.0)).astype(np.int64)
-    words[fine] = 0
+    words = drawn(rows, k, downs, corner, fine, wanted)
+    if words is None:
+        return None
     missing = wanted - int((row * words).sum())
-    first = np.unique(np.linspace(0, abs(int(corner[other])), TRIED).astype(np.int64))
+    most = abs(int(corner[other]))
+    first = np.unique(np.linspace(0, most, TRIED).astype(np.int64))
     # a sign may take half a count to the other side: one more than the least that reaches the end does no harm
     second = -((abs(int(row[other])) * first - missing) // abs(int(row[last])))
     for more in (0, 1):
@@ -103,10 +109,35 @@ def _touching(row: Whole, corner: Whole, down: int, end: int, sign: int) -> Whol
         held = (second + more >= 0) & (second + more <= abs(int(corner[last])))
         good = np.flatnonzero(held & (sign * _rounded(sign * (sums + wanted), down) == end))
         if good.size:
-            words[other], words[last] = first[good[0]], second[good[0]] + more
+            best = good[np.argmin(np.abs(first[good] - most // 2))]
+            words[other], words[last] = first[best], second[best] + more
             words[fine] *= np.sign(corner[fine])
             return words
     return None
+
+
+def _drawn_back(rows: Whole, k: int, downs: Whole, corner: Whole, fine: list[int], wanted: int) -> Whole:
+    """Return the corner of a row with all words but the fine ones, which are zero, drawn back together."""
+    products = rows[k] * corner
+    rest = int(products.sum() - products[fine].sum())
+    share = (wanted - int(products[fine].sum()) // 2) / rest if rest else 0.0
+    words = np.trunc(corner * min(max(share, 0.0), 1.0)).astype(np.int64)
+    words[fine] = 0
+    return words
+
+
+def _others_at_rest(rows: Whole, k: int, downs: Whole, corner: Whole, fine: list[int], wanted: int) -> Whole | None:
+    """Return the least words that carry the other rows nowhere, the fine ones zero; None where that takes too much."""
+    scale = np.exp2(-downs.astype(np.float64))
+    target = -(rows[:, fine] @ (corner[fine] // 2)).astype(np.float64)
+    target[k] += wanted
+    rest = np.delete(np.arange(rows.shape[1]), fine)
+    found = np.linalg.lstsq(rows[:, rest] * scale[:, None], target * scale)[0]
+    if not rest.size or np.abs(found).max() > np.abs(corner).max():
+        return None
+    words = np.zeros(rows.shape[1], np.int64)
+    words[rest] = np.trunc(found).astype(np.int64)
+    return words
 
 
 def largest_commands(law: FixedLaw) -> Whole:
