@@ -1,11 +1,11 @@
-"""Growth of one mode from many records, where noise drives it as much as it blurs it: unbiased, and as well known as said."""
+"""Growth of one mode from many records, where noise drives it as much as it blurs it: as well known as is said."""
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from ultraquiet.simulate.frames import Frames
-from ultraquiet.simulate.together import growths
+from ultraquiet.simulate.growth.together import growths
 
 RATE_HZ, SAMPLES = 1000.0, 4096
 

@@ -8,10 +8,8 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
-from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
-from ultraquiet.simulate.loop import disturb
-from ultraquiet.simulate.repeated import repeated
-from ultraquiet.simulate.verdict import (
+from ultraquiet.simulate.growth.repeated import repeated
+from ultraquiet.simulate.growth.verdict import (
     CLIPPED_SHARE,
     LIMITED_SHARE,
     LONGER,
@@ -21,6 +19,8 @@ from ultraquiet.simulate.verdict import (
     judged,
     told,
 )
+from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
+from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import StateSpace, Status, StatusWord
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.interconnect import feedback
@@ -142,7 +142,9 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
         burst, found = _within_limits(bench, law, burst, found)
         if found.limited > LIMITED_SHARE:
             seen = _at_limits(bench, law, burst, found, before)
-            return seen if seen.word is not None or before is None else _before_limits(bench, law, burst, seen, before)
+            if seen.word is not None or (before is None and found.before_limits < SHORTEST_SAMPLES):
+                return seen
+            return _before_limits(bench, law, burst, seen, before or _so_far(bench, found))
         seen = _heard(bench, law, burst, found)
         if seen.word is StatusWord.OK:
             seen = _assured(bench, law, replace(burst, samples=first), seen)
@@ -196,6 +198,13 @@ def _at_limits(
         return replace(seen, mode=mode)
     sentence = f"Noise alone drives a command to its limit, where it stays for {found.limited:.0%} of the last quarter."
     return replace(seen, word=None, mode=mode, sentence=sentence)
+
+
+def _so_far(bench: Bench, found: FreeResponse) -> Seen:
+    """Return what a record showed before a command first touched its limit: at least where to look."""
+    seen = judged(bench, found.until(found.before_limits))
+    shown = () if seen.mode is None else (seen.mode.f_hz,)
+    return replace(seen, word=None, doubtful_hz=seen.doubtful_hz or shown or seen.hidden_hz[:1])
 
 
 def _before_limits(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: Seen, before: Seen) -> Seen:

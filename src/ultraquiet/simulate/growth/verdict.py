@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import Mode, ringing
+from ultraquiet.simulate.growth.together import powers, rise
 from ultraquiet.simulate.kick import FreeResponse
-from ultraquiet.simulate.together import powers, rise
 from ultraquiet.values import StatusWord
 
 # A record shorter than this shows nothing; each next one is so many times longer.

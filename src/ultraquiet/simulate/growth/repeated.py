@@ -7,9 +7,9 @@ import numpy as np
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.free_response import CERTAIN
+from ultraquiet.simulate.growth.together import Together
+from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, risen, told
 from ultraquiet.simulate.kick import Burst, kicked, tones_alone
-from ultraquiet.simulate.together import Together
-from ultraquiet.simulate.verdict import GROWTH_LIMIT, LONGER, Seen, apart, risen, told
 from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
