@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.compiled import compiled
-from ultraquiet._base.compiled_calls import call_step
+from ultraquiet.bench.machine_code import call_step
 
 FAINTEST = 1e-200
 

@@ -1,5 +1,6 @@
 """`ultraquiet deploy --limits` and `--range`: what the commands may come to, and what the readings can."""
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -69,3 +70,12 @@ def refuse_range(text: str | None, precision: str) -> None:
     """Refuse a range of the readings that code in floating point has no use for."""
     if text is not None:
         raise InputError(f"deploy: --range is for code of whole numbers; code in {precision} takes any reading.")
+
+
+def as_typed(sentence: str) -> str:
+    """Return a sentence of the package with the option that is typed here in place of the setting that it stands for.
+
+    >>> as_typed("fixed_law: state it with input_v (--range).")
+    'state it with --range.'
+    """
+    return re.sub(r"\b\w+_v \((--\w+)\)", r"\1", re.sub(r"^\w+_\w+: ", "", sentence))

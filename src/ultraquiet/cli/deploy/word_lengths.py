@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.cli.deploy.ranges import requested_range, requested_size
+from ultraquiet.cli.deploy.ranges import as_typed, requested_range, requested_size
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
 
@@ -52,7 +52,8 @@ def show_word_lengths(
         ]
         grid.add(row.precision, row.form, row.status.word, *cells)
     screen().table(grid)
-    screen().say(*dict.fromkeys(row.status.sentence for row in compared if row.status.word == StatusWord.REFUSED))
+    refused = (as_typed(row.status.sentence) for row in compared if row.status.word == StatusWord.REFUSED)
+    screen().say(*dict.fromkeys(refused))
     screen().result(compared)
     return min((row.status for row in compared), key=lambda status: not status.ok)
 
