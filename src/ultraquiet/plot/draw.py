@@ -273,6 +273,7 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
         axes.set_ylim(*panel.y_range)
     if panel.equal:
         axes.set_aspect("equal", adjustable="datalim")
+        axes.set_autoscale_on(True)  # limits give way to the aspect; fixed ones do so too, with a word on the terminal
     if panel.x_names:
         _named(axes, panel)
     _titled(axes, panel.title)
