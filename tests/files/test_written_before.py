@@ -11,7 +11,7 @@ import pytest
 
 from ultraquiet import bench, experiments, files
 from ultraquiet._base import registry
-from ultraquiet._base.renamed import older_names
+from ultraquiet._base.registry import older_names
 from ultraquiet.files.packing import pack
 from ultraquiet.pipeline import load_study
 

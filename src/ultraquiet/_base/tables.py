@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes, TableError, sentence
-from ultraquiet._base.registry import known_are, lookup
-from ultraquiet._base.renamed import as_given, older_names
+from ultraquiet._base.registry import as_given, known_are, lookup, older_names
 
 # Types of settings that a value of a table can be held against; what else a method takes, it judges itself.
 _SCALARS = (bool, int, float, str, NoneType, object)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import content_hash, plain
-from ultraquiet._base.renamed import older_names
+from ultraquiet._base.registry import older_names
 from ultraquiet.values import StateSpace
 
 
@@ -24,7 +24,8 @@ class Drive:
     def describe(self) -> dict[str, Any]:
         """Return what makes this drive, in plain types: what is on a disk keeps the names that it was written with."""
         written = {newer: name for name, newer in older_names(type(self.signal)).items()}
-        settings: dict[str, Any] = {written.get(name) or name: value for name, value in plain(self.signal).items()}
+        content: dict[str, Any] = plain(self.signal)
+        settings = {written.get(name, name): value for name, value in content.items()}
         return {"method": self.method, **settings, "actuator": self.actuator + 1, "seed": self.seed}
 
 

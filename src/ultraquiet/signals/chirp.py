@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.registry import register
-from ultraquiet._base.renamed import formerly
+from ultraquiet._base.registry import formerly, register
 from ultraquiet.signals._abstract import Signal, below_nyquist, clock, level_of_either_sign, upper_hz
 
 

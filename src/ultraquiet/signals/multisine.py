@@ -6,8 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import register
-from ultraquiet._base.renamed import formerly
+from ultraquiet._base.registry import formerly, register
 from ultraquiet.signals._abstract import Signal, band, below_nyquist, clock, draws, level_above_zero, upper_hz
 
 

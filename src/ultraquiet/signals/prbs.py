@@ -6,8 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import register
-from ultraquiet._base.renamed import formerly
+from ultraquiet._base.registry import formerly, register
 from ultraquiet.signals._abstract import Signal, clock, draws, level_above_zero, upper_hz
 
 # Feedback taps of shift registers of maximal length, by number of stages: primitive polynomials over GF(2).

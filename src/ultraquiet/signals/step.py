@@ -6,8 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import register
-from ultraquiet._base.renamed import formerly
+from ultraquiet._base.registry import formerly, register
 from ultraquiet.signals._abstract import Signal, clock, level_of_either_sign
 
 EDGES = (0.1, 0.6)  # of the signal, where none are named

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive
-from ultraquiet._base.registry import register
-from ultraquiet._base.renamed import formerly
+from ultraquiet._base.registry import formerly, register
 from ultraquiet.signals._abstract import Signal, below_nyquist, clock, level_of_either_sign
 
 UNNAMED = 0.01  # of the rate: the frequency of a tone that names none

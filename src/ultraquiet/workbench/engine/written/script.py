@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.registry import lookup
-from ultraquiet._base.renamed import older_names
+from ultraquiet._base.registry import lookup, older_names
 from ultraquiet.pipeline.making.designs import takes_several
 from ultraquiet.pipeline.study import Design
 from ultraquiet.workbench.engine.items import item_of
