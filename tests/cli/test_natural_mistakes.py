@@ -153,7 +153,7 @@ COMMANDS = {
     "simulate law.h5": ("neither", "--bench", "--plant"),
     f"{LOOP} --bench study.toml": ("both", "--bench", "--plant"),
     f"{LOOP} --unit flight": ("flight", "--bench"),
-    f"{LOOP} --tones 5,a": ("5,a", "5,25,100"),
+    f"{LOOP} --tones 5,a": ("5,a", "20,47.5"),
     f"{LOOP} --tones 700": ("700", "500 Hz"),
     f"{LOOP} --tones 5 --duration 0.1": ("tones_hz", "20"),
     f"{LOOP} --amplitude 0": ("--amplitude", "above zero"),
