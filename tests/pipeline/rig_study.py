@@ -9,6 +9,7 @@ import numpy as np
 import ultraquiet as uq
 
 W = 2 * np.pi * np.array([12.0, 37.0])
+INTERLOCKS = uq.bench.Interlocks(frame_s=600.0)  # a card without a clock: a busy machine trips nothing
 SHAPES = np.array([[0.6, 0.8], [0.8, -0.6]])
 
 
@@ -32,7 +33,7 @@ def make(rate_hz=500.0):
     card = Card(rate_hz)
     forces = [uq.Channel(f"{side} force", "N", -30.0, 30.0) for side in ("left", "right")]
     speeds = [uq.Channel(f"{side} mass", "m/s") for side in ("left", "right")]
-    return uq.bench.Hardware(card.put, card.get, rate_hz, forces, speeds, wait=lambda: 0)
+    return uq.bench.Hardware(card.put, card.get, rate_hz, forces, speeds, INTERLOCKS, wait=lambda: 0)
 
 
 def played(folder):

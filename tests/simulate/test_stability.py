@@ -7,7 +7,7 @@ import pytest
 from drawn_loops import RATE_HZ, LinearBench, drawn_loop, modal, wrapped
 
 import ultraquiet as uq
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, InterlockError
 
 LAW = Path(__file__).parents[1] / "data" / "slow_growth_law.npz"
 LOOPS = 200
@@ -159,3 +159,16 @@ def test_the_compiled_bench_is_the_stepped_one(rng):
     assert np.abs(fast.inputs).max() == 0.1
     assert fast.inputs == pytest.approx(slow.inputs, abs=1e-12)
     assert fast.outputs == pytest.approx(slow.outputs, abs=1e-12)
+
+
+def test_a_machine_that_comes_too_late_is_no_law_that_runs_away():
+    reading = [0.0]
+    push, speed = uq.Channel("push", "N", -1.0, 1.0), uq.Channel("speed", "m/s")
+
+    def write(u):
+        reading[0] = 0.1 * float(u[0])
+
+    bench = uq.bench.Hardware(write, lambda: reading, 500.0, [push], [speed], wait=lambda: 1)
+    law = uq.StateSpace([[0.5]], [[1.0]], [[-0.1]], [[0.0]], rate_hz=500.0)
+    with pytest.raises(InterlockError, match="late frames"):
+        uq.simulate.check_stability(bench, law)

@@ -48,5 +48,10 @@ class InterlockError(BenchError):
         super().__init__(sentence)
         self.interlock, self.sample, self.value = interlock, sample, value
 
+    @property
+    def of_time(self) -> bool:
+        """Whether it was the clock and not a level: frames that came too late, or a run that took too long."""
+        return self.interlock in ("frame", "late frames", "duration")
+
     def __reduce__(self) -> tuple[type["InterlockError"], tuple[str, str, int, float]]:
         return InterlockError, (str(self), self.interlock, self.sample, self.value)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError, StorageError, UltraquietError
+from ultraquiet._base.errors import InputError, InterlockError, StorageError, UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
@@ -232,6 +232,8 @@ def _closed_on(
             tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude, settings.duration_s)
         matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop)
     except UltraquietError as error:
+        if isinstance(error, InterlockError) and error.of_time:
+            raise
         # A law that runs away under a stronger disturbance is a finding about the law.
         return UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}"), (None, None)
     return _measured(check, tones, matrix, settings, required_hz), (tones, matrix)

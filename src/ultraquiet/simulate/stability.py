@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
 from ultraquiet.simulate.growth.repeated import repeated
@@ -102,6 +102,7 @@ def check_stability(
 
     Raises:
         InputError: a duration too short to see anything; a law or model that does not fit.
+        InterlockError: a bench in real time came too late, which is no fault of the law.
     """
     longest = _longest(bench.rate_hz, duration_s)
     disturb(bench, np.zeros((len(bench.actuators), 2)), controller)  # a law that does not fit is refused, not judged
@@ -109,6 +110,8 @@ def check_stability(
     try:
         seen = _watched(bench, controller, longest, seed)
     except UltraquietError as error:
+        if isinstance(error, InterlockError) and error.of_time:
+            raise  # a machine that came too late says nothing of the law
         silent = [np.full(len(c), np.nan) for c in (bench.sensors, bench.actuators)]
         status = Status(StatusWord.UNSTABLE, f"The loop runs away on this bench: {error}")
         return LoopCheck(status, silent[0], silent[1], np.nan, np.nan, np.nan, 0.0, *beside)
