@@ -41,7 +41,9 @@ def reduction_db(plant: uq.StateSpace, law: uq.StateSpace, f_hz: np.ndarray) -> 
 def measure() -> Iterator[tuple[str, str, str, bool]]:
     designed = laws()
     for unit in ("ground", "flight"):
-        bench = uq.bench.Hexapod(unit=unit, seed=int(np.random.default_rng().integers(2**30)))
+        seed = int(np.random.default_rng().integers(2**30))
+        print(f"# {unit}: seed {seed}", flush=True)
+        bench = uq.bench.Hexapod(unit=unit, seed=seed)
         opened, plant = OpenLoop(bench), bench.linear_model()
         for name, law in designed.items():
             watched = uq.simulate.check_stability(bench, law)
