@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import brentq
+from scipy.special import erfc
 
 import ultraquiet as uq
 from ultraquiet._base.compiled import compiled
@@ -15,12 +17,17 @@ SHAPES = ((1, 1), (2, 2), (4, 3), (3, 5))
 
 @dataclass(frozen=True)
 class DrawnLoop:
-    """A bench, a law that closes it, and the truth: growth per second and frequency of the slowest pole."""
+    """A bench, a law that closes it, and the truth.
+
+    `growth_per_s` and `f_hz` are those of the slowest pole; `clipped` is the share of the time for which the noise of
+    the readings alone asks a command of the linear loop for more than its range, NaN where the loop is unstable.
+    """
 
     bench: "LinearBench"
     law: uq.StateSpace
     growth_per_s: float
     f_hz: float
+    clipped: float
 
 
 def drawn_loop(rng, modulus, noise=0.0, limited=True, unit=1.0):
@@ -43,7 +50,16 @@ def drawn_loop(rng, modulus, noise=0.0, limited=True, unit=1.0):
         (25.0, 10.0 * unit) if limited else (np.inf, np.inf),
     )
     f_hz = abs(np.angle(slowest)) * RATE_HZ / (2 * np.pi)
-    return DrawnLoop(bench, law, np.log(np.abs(slowest)) * RATE_HZ, f_hz)
+    clipped = clipped_share(A, B, C, gain * K, noise, bench.actuators[0].high) if modulus < 1 else np.nan
+    return DrawnLoop(bench, law, np.log(np.abs(slowest)) * RATE_HZ, f_hz, clipped)
+
+
+def clipped_share(A, B, C, K, noise, limit):
+    """Return the share of the time for which noise alone drives the loudest command of a stable loop over a limit."""
+    fed = noise * np.vstack([np.zeros((A.shape[0], C.shape[0])), K])
+    states = solve_discrete_lyapunov(closed(A, B, C, K), fed @ fed.T)
+    rms = float(np.sqrt(np.diag(states)[A.shape[0] :].max()))
+    return float(erfc(limit / rms / np.sqrt(2))) if rms > 0 else 0.0
 
 
 def modal(rng, ny, nu):
@@ -83,6 +99,8 @@ def gain_for(A, B, C, K, modulus):
 
 class LinearBench:
     """What `wrapped` makes, stepped by compiled code and under laws without memory alone: a minute in milliseconds."""
+
+    real_time = False
 
     def __init__(self, A, B, C, noise, rng, limits):
         self._plant, self._noise, self._rng = (A, B, C), noise, rng

@@ -8,6 +8,7 @@ from drawn_loops import RATE_HZ, LinearBench, drawn_loop, modal, wrapped
 
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError, InterlockError
+from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE
 
 LAW = Path(__file__).parents[1] / "data" / "slow_growth_law.npz"
 LOOPS = 200
@@ -121,7 +122,11 @@ def test_refusals(slow_growth_law):
 
 @pytest.mark.slow
 def test_drawn_loops_are_never_judged_wrongly(rng):
-    """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records."""
+    """200 loops with pairs of modulus 1 +- 1e-6 to 1e-3; not known only where an e-fold takes ten records.
+
+    Or where noise alone holds a stable loop at its limits for more than the hundredth of the time up to which it is
+    taken for the linear one: to say that such a loop settles would be false, and it is printed.
+    """
     false_ok = false_unstable = unknown = wrongly_unknown = 0
     for _ in range(LOOPS):
         apart = 10 ** rng.uniform(-6, -3) * rng.choice([-1, 1])
@@ -134,10 +139,11 @@ def test_drawn_loops_are_never_judged_wrongly(rng):
         false_ok += word == "ok" and apart > 0
         false_unstable += word == "unstable" and apart < 0
         unknown += word == "not known"
-        wrongly_unknown += word == "not known" and records < 10
-        if (word == "unstable") != (apart > 0):
+        wrongly_unknown += word == "not known" and records < 10 and not loop.clipped > CLIPPED_SHARE
+        if word == "not known" or (word == "unstable") != (apart > 0):
             print(
-                f"1 {apart:+.1e}, {loop.f_hz:.3g} Hz at {RATE_HZ:g} Hz, {records:.3g} records an e-fold: {check.status}"
+                f"1 {apart:+.1e}, {loop.f_hz:.3g} Hz at {RATE_HZ:g} Hz, {records:.3g} records an e-fold, "
+                f"{loop.clipped:.2g} of the time at its limits: {check.status}"
             )
     print(f"{LOOPS} loops: {false_ok} false ok, {false_unstable} false unstable, {unknown} not known")
     assert false_ok == false_unstable == wrongly_unknown == 0

@@ -86,8 +86,8 @@ def check_stability(
     * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does.
 
     A record that does not tell is made four times longer, with a burst at the modes in doubt; the longest is repeated,
-    or more shorter ones where noise drives commands to their limits within it, as long as so many could tell
-    (`repeated.py`, `together.py`).
+    or more shorter ones where noise drives commands to their limits within it, as long as so many could tell, up to
+    sixty times on a bench in real time and 400 on a simulated one (`repeated.py`, `together.py`).
 
     Args:
         bench: any bench.

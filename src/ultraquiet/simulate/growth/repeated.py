@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet.bench import Bench
+from ultraquiet.experiments import real_time
 from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.free_response import CERTAIN
 from ultraquiet.simulate.growth.together import Together
@@ -14,8 +15,9 @@ from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
 # Records of the greatest length that are judged together before nothing is known, as long as so many could tell, or
-# more shorter ones; the share of them after which nothing that lasts must be heard.
-REPEATS, UNHEARD = 60, 0.25
+# more shorter ones: an hour of a bench that takes its time, more where time is computed; the share of them after which
+# nothing that lasts must be heard.
+REPEATS_WAITED, REPEATS_COMPUTED, UNHEARD = 60, 400, 0.25
 # Bursts of so many phases, in turn: all at the modes in doubt alone, so many times as loud as a first one may be, for
 # these modes hardly grow within the record; where that touches the limits, no louder, then less.
 PHASES, LOUDER = 4, (2.0, 1.0, 0.5)
@@ -45,11 +47,12 @@ def repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: See
     """
     if seen.word is not None or not seen.doubtful_hz:
         return seen
+    repeats = REPEATS_WAITED if real_time(bench) else REPEATS_COMPUTED
     samples = longest = seen.record.response.shape[1]
     seen = replace(seen, longest=longest)
     while samples:
         for louder in LOUDER:
-            found = _so_often(bench, law, replace(burst, samples=samples), seen, REPEATS * longest // samples, louder)
+            found = _so_often(bench, law, replace(burst, samples=samples), seen, repeats * longest // samples, louder)
             if found is not None:
                 return found
         # the shortest is tried too, be it more or less than this share
