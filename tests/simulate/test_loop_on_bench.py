@@ -10,6 +10,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.bench.linear import LinearBench
 from ultraquiet.simulate.open_loop import OpenLoop
+from ultraquiet.simulate.sensitivity import _may_peak_below
 from ultraquiet.testing.problems import RATE_HZ, damped_plant, loop_poles, observer_law
 
 
@@ -223,3 +224,16 @@ def test_a_bench_without_noise_is_listened_to_for_longer_only_where_it_rings(mod
     bands = OpenLoop(bench, seconds=16.0).bands
     print([(band.runs.length, band.runs.last.max()) for band in bands])
     assert [band.runs.length for band in bands] == lengths
+
+
+def test_noise_in_the_lowest_line_hides_no_peak_below_it(rng):
+    """Lines a twentieth apart from what is true, as resolved ones are: one at the end may read a tenth too low."""
+    f_hz = np.geomspace(4.2, 1600.0, 400)
+    rises = 1 + (f_hz / 4.2) ** -2.0  # as many hertz below it may be anything
+    falls = 1 / (1 + (f_hz / 8.0) ** -2.0) + 0.2
+    for _ in range(50):
+        noise = 1 + 0.05 * rng.standard_normal(f_hz.size)
+        low = noise.copy()
+        low[0] = 0.85
+        assert _may_peak_below(f_hz, (rises * low)[None, None])
+        assert not _may_peak_below(f_hz, (falls * noise)[None, None])

@@ -29,9 +29,10 @@ ROUNDING = 1e-9  # what is left of a deviation without noise
 EDGE = 1.05  # where a sweep fades in and out
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
-# A loop that amplifies by more than this at its lowest line, and there nearly as much as anywhere else, may amplify
-# most below: it is measured further down, as long as it does, the open loop is heard and a run is long enough.
-AMPLIFIES, NEARLY = 1.06, 0.9
+# A loop that amplifies by more than this at its lowest lines, and there nearly as much as anywhere else, may amplify
+# most below: it is measured further down, as long as it does, the open loop is heard and a run is long enough. So many
+# lines count that noise in one of them cannot hide a peak: those up to so much above the lowest.
+AMPLIFIES, NEARLY, LOWEST = 1.06, 0.9, 1.1
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def measure_sensitivity(
             parts.append(pair.at(lines))
             progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
         below = opened.below(opened.bands[0]) if f_hz is None else None
-        while below is not None and _may_peak_below([part.S for part in parts]):
+        while below is not None and parts[0].f_hz.size and _may_peak_below(*_all_lines(parts)):
             parts.insert(0, _Pair(below, controller).at(None, most_hidden=0.0))
             below = opened.below(below)
     found = _joined(opened, parts)
@@ -276,18 +277,25 @@ class _Pair:
 
 
 def _rises_below(found: MeasuredSensitivity) -> str:
-    if found.hidden[0] or not _may_peak_below([found.S.values]):
+    if found.hidden[0] or not _may_peak_below(found.f_hz, found.S.values):
         return ""
-    lowest_db = 20 * np.log10(float(_largest(found.S.values[:, :, :1])[0]))
-    return f"The loop amplifies by {lowest_db:.1f} dB at the lowest, {found.f_hz[0]:.3g} Hz, and perhaps more below."
+    lowest_db = 20 * np.log10(_near_lowest(found.f_hz, _largest(found.S.values)))
+    return f"The loop amplifies by {lowest_db:.1f} dB near the lowest, {found.f_hz[0]:.3g} Hz, and perhaps more below."
 
 
-def _may_peak_below(parts: list[ComplexArray]) -> bool:
-    """Return whether the loop amplifies near the lowest line nearly as much as anywhere above it; `(ny, ny, lines)`."""
-    if not parts[0].size:
-        return False
-    lowest = float(_largest(parts[0][:, :, :1])[0])
-    return lowest > max(AMPLIFIES, NEARLY * max(float(_largest(S).max(initial=0.0)) for S in parts))
+def _all_lines(parts: list[_Part]) -> tuple[FloatArray, ComplexArray]:
+    """Return the lines of all parts and S there."""
+    return np.concatenate([part.f_hz for part in parts]), np.concatenate([part.S for part in parts], axis=2)
+
+
+def _may_peak_below(f_hz: FloatArray, S: ComplexArray) -> bool:
+    """Return whether the loop amplifies at its lowest lines nearly as much as anywhere above; `(ny, ny, lines)`."""
+    size = _largest(S)
+    return _near_lowest(f_hz, size) > max(AMPLIFIES, NEARLY * float(size.max()))
+
+
+def _near_lowest(f_hz: FloatArray, size: FloatArray) -> float:
+    return float(size[f_hz <= LOWEST * f_hz[0]].max())
 
 
 def _largest(S: ComplexArray) -> FloatArray:
