@@ -98,23 +98,35 @@ def gain_for(A, B, C, K, modulus):
 
 
 class LinearBench:
-    """What `wrapped` makes, stepped by compiled code and under laws without memory alone: a minute in milliseconds."""
+    """What `wrapped` makes, stepped by compiled code and under laws without memory alone: a minute in milliseconds.
+
+    `hum`: size, Hz and offset of what every reading holds besides, in its unit; the phase is another one in every run.
+    """
 
     real_time = False
+    hum = (0.0, 0.0, 0.0)
 
     def __init__(self, A, B, C, noise, rng, limits):
         self._plant, self._noise, self._rng = (A, B, C), noise, rng
         self.rate_hz = RATE_HZ
         self.actuators, self.sensors = wires(B.shape[1], C.shape[0], limits)
+        ny, nu = C.shape[0], B.shape[1]
+        self._open = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), np.zeros((nu, ny)), RATE_HZ)
 
     def run(self, actuation, disturbance=None, controller=None):
         """Return the record of one run from rest."""
-        u, law = np.asarray(actuation, dtype=float), controller
+        u = np.asarray(actuation, dtype=float)
+        law = self._open if controller is None else controller
         d = np.zeros_like(u) if disturbance is None else np.asarray(disturbance, dtype=float)
         ny, nu = len(self.sensors), len(self.actuators)
         if not isinstance(law, uq.StateSpace) or law.states or law.D.shape != (nu, ny):
             raise InputError(f"LinearBench.run: the law must be a matrix ({nu}, {ny}).")
         noise = self._noise * self._rng.standard_normal((u.shape[1], ny)) if self._noise else np.zeros((u.shape[1], ny))
+        size, f_hz, offset = self.hum
+        if size:
+            angle = 2 * np.pi * f_hz * np.arange(u.shape[1]) / RATE_HZ + self._rng.uniform(0, 2 * np.pi)
+            noise = noise + size * np.sin(angle)[:, None]
+        noise = noise + offset
         low, high = (np.array([getattr(c, end) for c in self.actuators]) for end in ("low", "high"))
         given = [np.ascontiguousarray(x) for x in (*self._plant, law.D, u.T, d.T, noise, low, high)]
         commands, readings = stepped(*given)

@@ -112,6 +112,38 @@ def test_growth_that_noise_drives_to_the_limits_within_every_record_is_known():
     assert check.growth_per_s == pytest.approx(loop.growth_per_s, abs=4 * check.growth_std_per_s)
 
 
+@pytest.mark.parametrize("hz", ["mains", "the mode's"])
+@pytest.mark.parametrize("apart", [-1e-3, 1e-4])
+def test_what_hums_without_the_law_too_is_no_mode_of_the_loop(rng, apart, hz):
+    """Mains of any phase and offsets, also at the very frequency of the slowest mode."""
+    loop = drawn_loop(rng, 1 + apart, 0.003)
+    loop.bench.hum = (0.05, 50.0 if hz == "mains" else loop.f_hz, 0.1)
+    check = uq.simulate.check_stability(loop.bench, loop.law)
+    print(f"{check.status}; true {loop.growth_per_s:.4g} at {loop.f_hz:.4g} Hz")
+    assert check.status.word == ("unstable" if apart > 0 else "ok")
+    if apart > 0:
+        assert check.growth_hz == pytest.approx(loop.f_hz, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hum", [(0.05, 50.0, 0.0), (0.0, 0.0, 0.2), (0.05, None, 0.2)])
+def test_loops_that_hum_are_never_judged_wrongly(rng, hum):
+    """40 loops with mains, offsets, and a hum at the slowest mode, as those above."""
+    false = unknown = 0
+    for _ in range(LOOPS // 5):
+        apart = 10 ** rng.uniform(-6, -3) * rng.choice([-1, 1])
+        loop = drawn_loop(rng, 1 + apart, rng.choice([0.0, 0.003, 0.03]), rng.random() < 0.7, 1.0)
+        loop.bench.hum = (hum[0], loop.f_hz if hum[1] is None else hum[1], hum[2])
+        check = uq.simulate.check_stability(loop.bench, loop.law)
+        word = check.status.word
+        false += word in ("ok", "unstable") and (word == "unstable") != (apart > 0)
+        unknown += word == "not known"
+        if word == "not known" or (word == "unstable") != (apart > 0):
+            print(f"1 {apart:+.1e}, {loop.f_hz:.3g} Hz at {RATE_HZ:g} Hz: {check.status}")
+    print(f"{LOOPS // 5} loops, hum {hum}: {false} false, {unknown} not known")
+    assert false == 0
+
+
 def test_refusals(slow_growth_law):
     bench = uq.bench.Hexapod()
     with pytest.raises(InputError, match="holds 35 samples; it takes 128"):

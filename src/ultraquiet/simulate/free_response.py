@@ -14,6 +14,7 @@ VISIBLE = 3.0
 ROUNDING = 1e-12
 MOST_MODES, MOST_BANDS = 40, 24
 LARGEST = 1e12  # of ratios of powers
+LEAKED = 1e-19  # of the power of the loudest line: what is less may have leaked from it through the window
 # A line of the noise stands out when its power is so many times the median of so many lines to either side, which white
 # noise never reaches; it is a tone when one of constant size has this share of its power: a mode that noise rings has
 # less unless it is slow. How far a slow one stands out says nothing of it: others that noise rings stand around it.
@@ -117,13 +118,23 @@ def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
     return Ringing(tuple(_each_once(modes, apart)), *_unheard(frames, level, settled, hum))
 
 
+def tones_hz(noise: FloatArray, rate_hz: float) -> tuple[float, ...]:
+    """Return where a record `(channels, samples)` of noise holds tones of constant size, Hz, clearest first."""
+    frames = Frames(noise.shape[1], rate_hz)
+    _, level = _scaled(noise, noise)
+    if not level.size:
+        return ()
+    hum = np.maximum(frames.power(level, frames.count // 2), frames.power(level, 0))
+    return _unheard(frames, level, np.zeros_like(hum), hum)[0]
+
+
 def _unheard(
     frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return where the noise holds a tone that the response does not, and where it may hide one, Hz, clearest first."""
     padded = np.pad(hum, BROAD, mode="reflect") if hum.size > BROAD else hum
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, padded.size - hum.size + 1), axis=1)
-    noisy = np.flatnonzero((hum > 0) & (heard < VISIBLE**2 * hum))
+    noisy = np.flatnonzero((hum > LEAKED * hum.max()) & (heard < VISIBLE**2 * hum))
     rises = np.zeros(hum.size)
     rises[noisy] = np.maximum(hum[noisy] / np.maximum(around[noisy], hum[noisy] / LARGEST), heard[noisy] / hum[noisy])
     found = noisy[rises[noisy] > RISES]

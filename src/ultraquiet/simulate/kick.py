@@ -1,12 +1,13 @@
 """What sets a loop ringing: a short burst on all actuators, its level and colour from the bench's limits and noise."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench import Bench
+from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits, stands_at_limits
@@ -35,6 +36,8 @@ class Burst:
         random_share, tone_share: the peaks of both parts when there are tones, in `levels`.
         colour: amplitudes at `colour_hz`; white when empty.
         seed: of the signs.
+        hums_hz: tones that the bench holds without a law too.
+        outside_hz: those of them that are known to be no modes of the loop.
     """
 
     levels: FloatArray
@@ -47,6 +50,8 @@ class Burst:
     colour_hz: tuple[float, ...] = ()
     colour: tuple[float, ...] = ()
     seed: int = 0
+    hums_hz: tuple[float, ...] = ()
+    outside_hz: tuple[float, ...] = ()
 
     def signal(self) -> FloatArray:
         """Return the disturbance `(nu, length + samples)`."""
@@ -72,15 +77,18 @@ def _peak_one(signal: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class FreeResponse:
-    """Two runs with opposite bursts: half their difference is the response, half their sum the noise.
+    """Two runs with opposite bursts: half their difference is the response, half their sum the noise, less its mean.
 
-    Readings and commands `(ny + nu, samples)` after the burst. What does not turn with the burst, an offset or a hum,
-    is counted as noise; both have half the power of the noise of one run.
+    Readings and commands `(ny + nu, samples)` after the burst. What does not turn with the burst is counted as noise;
+    both have half the power of the noise of one run. A hum may begin anew with every run and stand in the response as
+    well: where there are `hums_hz`, the noise is that of a whole run without a burst, which no such hum exceeds.
     """
 
     response: FloatArray
     noise: FloatArray
     runs: tuple[Record, Record]
+    hums_hz: tuple[float, ...] = ()
+    outside_hz: tuple[float, ...] = ()
 
     @property
     def limited(self) -> float:
@@ -117,7 +125,20 @@ class FreeResponse:
 
     def until(self, samples: int) -> "FreeResponse":
         """Return its first samples; `runs` stay as they are."""
-        return FreeResponse(self.response[:, :samples], self.noise[:, :samples], self.runs)
+        return replace(self, response=self.response[:, :samples], noise=self.noise[:, :samples])
+
+    def hums_at(self, f_hz: float) -> bool:
+        """Return whether the bench hums at a frequency without a law too, as far as the record tells two apart."""
+        return near(f_hz, self.hums_hz, self.response.shape[1], self.runs[0].rate_hz)
+
+    def from_outside(self, f_hz: float) -> bool:
+        """Return whether what is heard at a frequency is known to be no mode of the loop."""
+        return near(f_hz, self.outside_hz, self.response.shape[1], self.runs[0].rate_hz)
+
+
+def near(f_hz: float, others_hz: Iterable[float], samples: int, rate_hz: float) -> bool:
+    """Return whether one of the others is within a line of a record so long."""
+    return any(abs(f_hz - other) <= Frames(samples, rate_hz).line_hz(1) for other in others_hz)
 
 
 def ranges(channels: Sequence[Channel]) -> FloatArray:
@@ -129,8 +150,14 @@ def kicked(bench: Bench, law: StateSpace | Controller, burst: Burst) -> FreeResp
     """Return the loop's free response to a burst."""
     d = burst.signal()
     plus, minus = (disturb(bench, sign * d, law) for sign in (1.0, -1.0))
-    a, b = (np.vstack([run.outputs, run.inputs])[:, burst.length :] for run in (plus, minus))
-    return FreeResponse((a - b) / 2, (a + b) / 2, (plus, minus))
+    a, b = (_after(run, burst.length) for run in (plus, minus))
+    noise = _after(disturb(bench, 0.0 * d, law), burst.length) if burst.hums_hz else (a + b) / 2
+    noise = noise - noise.mean(axis=1, keepdims=True)
+    return FreeResponse((a - b) / 2, noise, (plus, minus), burst.hums_hz, burst.outside_hz)
+
+
+def _after(run: Record, samples: int) -> FloatArray:
+    return np.vstack([run.outputs, run.inputs])[:, samples:]
 
 
 def loudest(bench: Bench, law: StateSpace | Controller, length: int, samples: int, seed: int = 0) -> Burst:
@@ -175,8 +202,9 @@ def _raised(bench: Bench, law: StateSpace | Controller, burst: Burst) -> Burst:
 
 def _rise(bench: Bench, found: FreeResponse, levels: FloatArray) -> float:
     """Return by how much the burst may be raised; what is below the noise yet may rise as far as one step goes."""
-    a, b = (np.vstack([run.outputs, run.inputs]) for run in found.runs)
-    noise, size = (np.abs(x).max(axis=1) / 2 for x in (a + b, a - b))
+    a, b = (_after(run, 0) for run in found.runs)
+    total = a + b
+    noise, size = (np.abs(x).max(axis=1) / 2 for x in (total - total.mean(axis=1, keepdims=True), a - b))
     allowed = USED_RANGE * np.concatenate([ranges(c) for c in (bench.sensors, bench.actuators, bench.actuators)])
     # what may hide in the noise is taken to be half of it: a burst raised as if it were nothing ends at the limits
     hidden = np.minimum(noise / 2, allowed[: noise.size] / NEAR)

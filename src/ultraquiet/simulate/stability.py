@@ -8,6 +8,7 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
+from ultraquiet.simulate.growth.outside import hums_of
 from ultraquiet.simulate.growth.repeated import repeated
 from ultraquiet.simulate.growth.verdict import (
     CLIPPED_SHARE,
@@ -85,6 +86,9 @@ def check_stability(
       takes longer than the record, again from near the noise;
     * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does.
 
+    Offsets count for nothing. A tone that the bench holds without the law as well, mains or a drift, is none of the
+    loop's where a burst at its frequency stands well above it and dies (`growth/outside.py`).
+
     A record that does not tell is made four times longer, with a burst at the modes in doubt; the longest is repeated,
     or more shorter ones where noise drives commands to their limits within it, as long as so many could tell, up to
     sixty times on a bench in real time and 400 on a simulated one (`repeated.py`, `together.py`).
@@ -148,9 +152,7 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
             if seen.word is not None or (before is None and found.before_limits < SHORTEST_SAMPLES):
                 return seen
             return _before_limits(bench, law, burst, seen, before or _so_far(bench, found))
-        seen = _heard(bench, law, burst, found)
-        if seen.word is StatusWord.OK:
-            seen = _assured(bench, law, replace(burst, samples=first), seen)
+        burst, seen = _told_from_outside(bench, law, burst, found, first)
         enough = seen.word is StatusWord.OK and samples > first
         enough |= seen.word is StatusWord.UNSTABLE and not seen.slow
         if enough:
@@ -162,6 +164,27 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
             return repeated(bench, law, replace(burst, samples=first), doubted)
         tones = apart((*seen.doubtful_hz, *tones), bench.rate_hz / burst.length)
         before, samples, burst = seen, min(longest, LONGER * samples), replace(burst, samples=first)
+
+
+def _told_from_outside(
+    bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse, first: int
+) -> tuple[Burst, Seen]:
+    """Return what is heard, once more where tones in doubt come from outside, and the burst that knows them."""
+    while True:
+        seen = _heard(bench, law, burst, found)
+        if seen.word is StatusWord.OK:
+            seen = _assured(bench, law, replace(burst, samples=first), seen)
+        growing = () if seen.word is not StatusWord.UNSTABLE or seen.mode is None else (seen.mode.f_hz,)
+        doubted = (*seen.doubtful_hz, *growing)
+        if seen.word is StatusWord.OK or not doubted or seen.record.limited > CLIPPED_SHARE:
+            return burst, seen
+        new = [f for f in doubted if not seen.record.from_outside(f)]
+        hums, outside = hums_of(bench, law, replace(burst, samples=first), seen.record, new)
+        if not outside and all(seen.record.hums_at(f) for f in hums):
+            return burst, seen
+        known = (*burst.hums_hz, *(f for f in hums if not seen.record.hums_at(f)))
+        burst = replace(burst, hums_hz=known, outside_hz=(*burst.outside_hz, *outside))
+        found = kicked(bench, law, burst)
 
 
 def _within_limits(
@@ -199,7 +222,10 @@ def _at_limits(
     mode = seen.mode if before is None else before.mode
     if by_itself:
         return replace(seen, mode=mode)
-    sentence = f"Noise alone drives a command to its limit, where it stays for {found.limited:.0%} of the last quarter."
+    sentence = (
+        f"Noise or an offset alone drives a command to its limit, where it stays for {found.limited:.0%} of the last "
+        f"quarter."
+    )
     return replace(seen, word=None, mode=mode, sentence=sentence)
 
 
@@ -291,7 +317,9 @@ def _check(bench: Bench, seen: Seen, beside: tuple[float | None, float | None]) 
         StatusWord.UNSTABLE: "The loop is not stable on this bench.",
     }.get(word, f"{times} do not tell whether this loop decays.")
     with_model = "" if beside[0] is None else f" With the model: {beside[0]:.3g} a second at {beside[1]:.4g} Hz."
-    status = Status(word, f"{opening} {seen.sentence}{with_model}".rstrip())
+    hums = ", ".join(f"{f:.4g}" for f in seen.record.outside_hz)
+    outside = f" Left out as it comes from outside, heard without the law too: {hums} Hz." if hums else ""
+    status = Status(word, " ".join(f"{opening} {seen.sentence}{outside}{with_model}".split()))
     mode = seen.mode or Mode(np.nan, np.nan, np.nan, 0.0)
     return LoopCheck(status, rms[0], rms[1], mode.growth_per_s, mode.growth_std, mode.f_hz, longest, *beside)
 

@@ -9,7 +9,7 @@ from ultraquiet.experiments import real_time
 from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.free_response import CERTAIN
 from ultraquiet.simulate.growth.together import Together
-from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, risen, told
+from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, grows, risen, told
 from ultraquiet.simulate.kick import Burst, kicked, tones_alone
 from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
@@ -106,7 +106,7 @@ def _together(seen: Seen, known: Together) -> Seen:
     """Judge the modes in doubt by all records."""
     bands = known.modes()
     modes = sorted((mode for band in bands for mode in band or ()), key=lambda mode: -mode.growth_per_s)
-    growing = next((mode for mode in modes if mode.grows), None)
+    growing = next((mode for mode in modes if grows(mode, seen.record)), None)
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=None)
     shown = doubted or (modes[0] if modes else None)
     seen = replace(

@@ -159,7 +159,7 @@ def growths(
         return None
     left, sizes, _ = np.linalg.svd(b, full_matrices=False)
     order = int(np.clip(np.count_nonzero(sizes > ABOVE * np.linalg.norm(e, 2)), 1, MOST_TOGETHER))
-    floor = RESOLUTION * float(np.abs(b).max())
+    floor = RESOLUTION * float(max(np.abs(b).max(), np.abs(e).max()))
     while order:
         along = left[:, :order].conj().T
         power, hum = (float(np.sum(np.abs(along @ part) ** 2)) for part in (b, e))

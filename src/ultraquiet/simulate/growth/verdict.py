@@ -16,6 +16,9 @@ SHORTEST_SAMPLES, LONGER = 128, 4
 LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
 # Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
 GROWTH_LIMIT = 3.0
+# A mode that is so many times as loud as a hum at its frequency is not rung by that, nor one that grows by so many
+# e-folds within a record: a hum rings up no mode faster than in proportion to time, two e-folds by least squares.
+ABOVE_HUM, RUNG_UP = 10.0, 4.0
 # Tones of one burst at most.
 MOST_TONES = 12
 
@@ -42,10 +45,11 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
     heard = ringing(record.response, record.noise, rate)
     modes = heard.modes
     slowest = modes[0] if modes else slowest_before(record, rate)
-    doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *heard.tones_hz)
+    tones = tuple(f for f in heard.tones_hz if not record.from_outside(f))
+    doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *tones)
     said = "" if slowest is None else told(slowest)
     seen = Seen(None, slowest, said, record, modes, doubtful, hidden_hz=heard.hidden_hz)
-    growing = next((mode for mode in modes if mode.grows), None)
+    growing = next((mode for mode in modes if grows(mode, record)), None)
     grown = rise(powers(record.noise))
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
     if record.limited > LIMITED_SHARE:
@@ -60,14 +64,21 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
     elif grown > GROWTH_LIMIT:
         # where every mode decays, more records show whether that was chance
         seen = replace(seen, sentence=risen(grown), doubtful_hz=doubtful or _loudest_hz(slowest, heard.hidden_hz))
-    elif heard.tones_hz:
-        hz = ", ".join(f"{f:.4g}" for f in heard.tones_hz[:3])
+    elif tones:
+        hz = ", ".join(f"{f:.4g}" for f in tones[:3])
         seen = replace(seen, sentence=f"It rings near {hz} Hz by itself, no burst allowed is heard above that.")
     elif not doubtful:
         seen = replace(seen, word=StatusWord.OK)
     else:
         seen = replace(seen, mode=doubted, sentence="" if doubted is None else told(doubted))
     return seen
+
+
+def grows(mode: Mode, record: FreeResponse) -> bool:
+    """Return whether a mode grows, and not perhaps what a hum from outside rings up from the beginning of a run."""
+    span = record.response.shape[1] / record.runs[0].rate_hz
+    by_itself = mode.seen > ABOVE_HUM or mode.growth_per_s * span > RUNG_UP or not record.hums_at(mode.f_hz)
+    return mode.grows and by_itself
 
 
 def slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
