@@ -11,14 +11,14 @@ from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench._abstract import (
-    BLOCK_SAMPLES,
-    RAMP_SAMPLES,
     Block,
+    block_of,
     checked_controller,
     checked_signals,
     commands,
     fade,
     limits,
+    ramp_of,
 )
 from ultraquiet.bench.inner import recorded
 from ultraquiet.values import Channel, Controller, Record
@@ -92,17 +92,17 @@ class Stepped:
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Stop | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the run of `run` in blocks as they are measured; see `Streaming.stream`.
 
         What was measured before a failure is handed over as a shorter block; the next step of the iterator raises.
         """
         setup = self._setup()
-        block = whole(setup.who, "block_samples", block_samples, 1)
-        ramp = whole(setup.who, "ramp_samples", ramp_samples, 1)
+        block = block_of(setup.who, block_samples, setup.rate_hz)
+        ramp = ramp_of(setup.who, ramp_samples, setup.rate_hz)
         index = self._next_run() if run_index is None else whole(setup.who, "run_index", run_index, 0)
         return driven(self._loop(setup, actuation, disturbance, controller), index, block, stop, ramp)
 
