@@ -1,4 +1,4 @@
-"""Sensors with an offset: it turns with no burst, hides no mode, and where it drives a command to its limit is named."""
+"""Sensors with an offset: it hides no mode, and is named where it drives a command to its limit."""
 
 import numpy as np
 import pytest

@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
 from ultraquiet._base.registry import lookup
+from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
@@ -189,10 +190,12 @@ def _channels(study: Study, wired: Any, mistakes: Mistakes) -> None:
     nu, ny = len(wired.actuators), len(wired.sensors)
     limits = study.deploy.limits
     if isinstance(limits, list) and len(limits) not in (1, nu):
-        fault = f"there are {nu} actuators and {len(limits)} limits; give one number, or one an actuator."
+        given = f"{counted(len(limits), 'limit')}; give one number, or one an actuator."
+        fault = f"{several_of(nu, 'there is', 'there are')} {counted(nu, 'actuator')} and {given}"
         mistakes.add(("deploy", "limits"), f"deploy.limits: {fault}")
     if study.paper is not None and study.paper.channel > min(nu, ny):
-        fault = f"there is no channel {study.paper.channel}: {nu} actuators and {ny} sensors, counted from one."
+        wires = f"{counted(nu, 'actuator')} and {counted(ny, 'sensor')}, counted from one."
+        fault = f"there is no channel {study.paper.channel}: {wires}"
         mistakes.add(("paper", "channel"), f"paper.channel: {fault}")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ultraquiet._base.beside import Said, beside
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, requirements, validation
@@ -262,7 +263,7 @@ class Stages:
         compute = partial(identification.plant, self.records, settings)
         key = plant_key(self._record_hashes, settings)
         outcome = self.cache.stage("plant", "models", key, compute, PlantFacts)
-        self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
+        self.say(f"plant for design: {counted(outcome.facts.states, 'state')}, {outcome.facts.status}")
         return outcome
 
     @cached_property
@@ -275,7 +276,7 @@ class Stages:
             compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
             key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
             outcome = self.cache.stage(f"plant-{unit}", "models", key, compute, PlantFacts)
-            self.say(f"plant for design, {unit}: {outcome.facts.states} states, {outcome.facts.status}")
+            self.say(f"plant for design, {unit}: {counted(outcome.facts.states, 'state')}, {outcome.facts.status}")
             found[unit] = outcome.values[of_unit(unit)]
         return found
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
@@ -232,9 +233,9 @@ def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
     at_dc = sum(z.frequency_hz < dc_hz for z in zeros)
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)
     return (
-        f"The design plant has {len(zeros)} transmission zeros (conjugates counted once): {at_dc} at 0 Hz, outside the "
-        f"unit circle between {dc_hz:.2g} Hz and Nyquist {_frequencies(zeros, dc_hz, nyquist)}, and {beyond} real "
-        f"ones beyond Nyquist, as sampling makes them."
+        f"The design plant has {counted(len(zeros), 'transmission zero')} (conjugates counted once): {at_dc} at 0 Hz, "
+        f"outside the unit circle between {dc_hz:.2g} Hz and Nyquist {_frequencies(zeros, dc_hz, nyquist)}, and "
+        f"{counted(beyond, 'real one')} beyond Nyquist, as sampling makes them."
     )
 
 
