@@ -53,3 +53,14 @@ def test_an_offset_that_drives_a_command_to_its_limit_is_named():
     print(check.status)
     assert check.status.word != "ok"
     assert "The offset of 'gap', 60 µm, alone drives a command to its limit" in check.status.sentence
+
+
+@pytest.mark.slow
+def test_an_offset_hides_no_line_of_the_sensitivity():
+    """The same loop with and without an offset of a thousand deviations of its noise."""
+    found = [uq.simulate.measure_sensitivity(gap_bench(offset, 1e-2), law(0.5)) for offset in (0.0, 10.0)]
+    peaks = [each.peak_amplification_db() for each in found]
+    hidden = [int(each.hidden.sum()) for each in found]
+    print(f"peaks {peaks[0]:.2f} and {peaks[1]:.2f} dB, lines hidden {hidden}")
+    assert abs(peaks[1] - peaks[0]) < 0.3
+    assert hidden[1] <= hidden[0] + 0.05 * found[1].f_hz.size

@@ -11,7 +11,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest
+from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest, startup
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -217,7 +217,7 @@ class _Pair:
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
         self.band, self._law = band, law
         quiet = band.quiet(law)
-        self._noise, self._hum = band.noise_of(quiet), band.last_power(quiet)
+        self._noise, self._hum, self._start = band.noise_of(quiet), band.last_power(quiet), startup(quiet)
         ny, nu = len(band.bench.sensors), len(band.bench.actuators)
         begin = BEGIN_CLOSED * band.runs.levels
         self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
@@ -249,7 +249,7 @@ class _Pair:
 
     def _measure(self) -> None:
         band = self.band
-        closed = band.rested(self._law, self._levels, self._hum)
+        closed = band.rested(self._law, self._levels, self._hum, self._start)
         self._levels = closed.better
         noise = np.sqrt(band.runs.length) * band.noise, np.sqrt(closed.length) * self._noise
         S, deviation, response = _sensitivity(band.runs, closed, *noise)

@@ -53,6 +53,10 @@ class Watcher(Onlooker):
         for warning in warnings:
             self.say(f"  warning: {warning}", "yellow")
 
+    def lowers(self, sentence: str) -> None:
+        """Say it."""
+        self.say(sentence)
+
     def waits(self, seconds: float, skipped: bool) -> None:
         """Say for how long, or that there is no need to."""
         self.say(f"wait of {seconds:g} s" + (" skipped: a simulated bench is at rest" if skipped else ""))

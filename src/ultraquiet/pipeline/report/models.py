@@ -52,8 +52,9 @@ def identification(result: StudyResult) -> Section:
         )
     else:
         sentences.append(
-            f"For all channels alike held-out records prefer {best.structure} of order {best.order}. The preferred "
-            f"matrix takes what each channel's own record prefers: {_counted(best)}."
+            f"For all channels alike held-out records prefer {best.structure} of order {best.order}: of the best "
+            "structure the smallest order whose loss is within 2 % of the least. The preferred matrix takes what each "
+            f"channel's own record prefers: {_counted(best)}."
         )
         loss = f"median loss {', '.join(filter(None, units))}".strip() if len(units) == 1 else "median loss"
         columns = ("structure", "order", "median fit %", "worst fit %", loss, "channels ok", "CPU s")
@@ -234,7 +235,7 @@ def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)
     return (
         f"The design plant has {counted(len(zeros), 'transmission zero')} (conjugates counted once): {at_dc} at 0 Hz, "
-        f"outside the unit circle between {dc_hz:.2g} Hz and Nyquist {_frequencies(zeros, dc_hz, nyquist)}, and "
+        f"outside the unit circle between {dc_hz:.2g} Hz and Nyquist: {_frequencies(zeros, dc_hz, nyquist)}, and "
         f"{counted(beyond, 'real one')} beyond Nyquist, as sampling makes them."
     )
 

@@ -91,11 +91,8 @@ def _strongest(count: int) -> str:
 
 
 def _in_a_row(count: int) -> str:
-    return (
-        "its reading moving up and down"
-        if count == 1
-        else f"{counted(count, 'reading')} in a row, each moving up and down"
-    )
+    one, several = "its reading moving up and down", "in a row, each moving up and down"
+    return one if count == 1 else f"{counted(count, 'reading')} {several}"
 
 
 def _mostly(plant: StateSpace, mode: SeenMode) -> str:
