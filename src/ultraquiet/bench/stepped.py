@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.line import counted
 from ultraquiet.bench._abstract import (
     Block,
     block_of,
@@ -225,5 +226,7 @@ def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
     except (TypeError, ValueError):
         y = np.empty(0)
     if y.size != sensors or not np.isfinite(y).all():
-        raise InputError(f"{who}: at sample {k} the plant must return {sensors} finite readings, got {answer!r}.")
+        raise InputError(
+            f"{who}: at sample {k} the plant must return {counted(sensors, 'finite reading')}, got {answer!r}."
+        )
     return y

@@ -34,6 +34,8 @@ def convert(
     from ultraquiet.cli.output.screen import screen
 
     files.possible(target, "convert")
+    if target.exists() and source.exists() and target.samefile(source):
+        raise InputError(f"convert: '{target}' is the file that is read; give the new one another name.")
     if not target.parent.is_dir():
         raise StorageError(f"convert: there is no folder '{target.parent}' for '{target.name}'; make it first.")
     if response:

@@ -278,7 +278,9 @@ def _list_of(settings: study.Study, beside: Path | None) -> str:
     if name is None and settings.bench is not None and settings.bench.method == "hexapod":
         return PACKAGED_LISTS[0]
     if name is None:
-        raise InputError("study: [experiment] names no 'list'; only the hexapod has one of its own.")
+        raise InputError(
+            "study: [experiment] names no 'list', a file of commands (TOML) beside the study; only the hexapod has one."
+        )
     return name if name in PACKAGED_LISTS or beside is None else str((beside / name).resolve())
 
 

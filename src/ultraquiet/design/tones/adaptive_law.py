@@ -189,7 +189,8 @@ def limits_of(who: str, limit: float | tuple[float, ...] | None, actuators: Sequ
         return np.array([_nearer_end(c) for c in actuators], dtype=np.float64)
     limits = real_array(who, "limit", np.atleast_1d(np.asarray(limit)), 1)
     if limits.size not in (1, nu) or not np.all(limits > 0):
-        raise InputError(f"{who}: 'limit' must be one number above zero, or {nu}, got {limit!r}.")
+        each = "" if nu == 1 else f", or {nu} of them"
+        raise InputError(f"{who}: 'limit' must be one number above zero{each}, got {limit!r}.")
     return np.ascontiguousarray(np.broadcast_to(limits, (nu,)), dtype=np.float64)
 
 
