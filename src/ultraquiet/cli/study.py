@@ -84,12 +84,12 @@ def _walk(
 def _louder(summary: "Summary") -> list[str]:
     """Return a sentence for every law that may be ok and leaves a direction of its band louder than it was."""
     from ultraquiet._base.shown.line import loudness
-    from ultraquiet.pipeline.facts.loops import StableLoop
+    from ultraquiet.pipeline.facts.loops import StableLoop, of_the_bench
 
     loops = [(name, unit, loop) for name, units in summary.closed_loop.items() for unit, loop in units.items()]
     return [
-        f"{name} is not quieter in every direction on {unit}: over {loop.band_hz[0]:.4g}-{loop.band_hz[1]:.4g} Hz the "
-        f"worst is {loudness(loop.worst_direction_band_db)}"
+        f"{name} is not quieter in every direction on {of_the_bench(unit)}: over {loop.band_hz[0]:.4g}-"
+        f"{loop.band_hz[1]:.4g} Hz the worst is {loudness(loop.worst_direction_band_db)}"
         for name, unit, loop in loops
         if isinstance(loop, StableLoop) and loop.worst_direction_band_db <= 0
     ]

@@ -25,7 +25,7 @@ from ultraquiet.signals import Signal
 from ultraquiet.values import Channel, StateSpace
 from ultraquiet.values.channel import usual_level
 
-DEFAULT_SAMPLES = 4096  # the paper's record length, section 3.4
+DEFAULT_SAMPLES = 4096  # at every rate: lines a 4096th of it apart, enough for models of some tens of states
 # Rounds within rounds multiply; a slip of the pen must not keep the check busy for days.
 MOST_COMMANDS = 100_000
 # Branches of the tree of seeds, so that a disturbance never draws what an excitation draws.

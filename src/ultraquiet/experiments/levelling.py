@@ -43,8 +43,8 @@ class Levelled:
             for name in drive.unnamed[:1]
         )
         return (
-            f"'{step.name}': the level is lowered to {levels}, {100 * self.share:.2g} % of what its actuators would "
-            f"take, for '{self.sensor}' would leave its range; name a level to have it sent."
+            f"'{step.name}': the level is lowered to {levels}, {100 * self.share:.2g} % of the usual one; at more, "
+            f"'{self.sensor}' might leave its range. Name a level to have it sent."
         )
 
 

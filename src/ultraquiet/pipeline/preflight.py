@@ -15,13 +15,13 @@ from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
+from ultraquiet.pipeline.facts.loops import ONLY
 from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
 from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import usual_level
 
-ONLY = "bench"  # the name of the one unit of a bench that knows no units
 SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of the lowest
 HEARD = 0.4  # of a sensor's range: tones that nobody gave an amplitude stay below, before a law is closed
 MOST_SAMPLES = 1e8  # of all channels of one run; 0.8 GB

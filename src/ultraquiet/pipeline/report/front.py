@@ -52,7 +52,8 @@ def _headline(result: StudyResult, name: str) -> str:
     failed = {unit: loop for unit, loop in loops.items() if isinstance(loop, UnstableLoop)}
     if failed:
         unit, loop = next(iter(failed.items()))
-        return f"{name} is {loop.word} on {unit}"
+        said = loop.on(name, unit)
+        return said if said.startswith(name) else said[0].upper() + said[1:]
     worst = min(_band_db(loop) for loop in loops.values() if isinstance(loop, StableLoop))
     asked = result.requirements
     low, high = result.plan.band_hz if asked is None or asked.law != name else asked.band_hz

@@ -7,7 +7,7 @@ import numpy as np
 from ultraquiet._base.shown.line import counted, loudness, rounded
 from ultraquiet.deploy.figures import figure_text, figure_words
 from ultraquiet.pipeline.facts.limits import DesignLimit
-from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop, of_the_bench
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.report import laws
 from ultraquiet.pipeline.report.records import noted, span
@@ -158,17 +158,16 @@ def _on_the_bench(result: StudyResult) -> list[str]:
         for name, unit, loop in _loops(result)
         if isinstance(loop, StableLoop)
     ]
-    failed = [
-        f"{name} on {unit} is {loop.word}" for name, unit, loop in _loops(result) if isinstance(loop, UnstableLoop)
-    ]
+    failed = [loop.on(name, unit) for name, unit, loop in _loops(result) if isinstance(loop, UnstableLoop)]
     text = [f"{'; '.join(failed)}."] if failed else []
     if stable:
         db, name, unit = max(stable)
         low, high = result.plan.band_hz
+        size = "quietest" if db > 0 else "least loud"
         text.append(
             "Every law was run on the bench as it stands in its code. The worst direction, the largest singular value "
-            f"of the sensitivity that was measured, is quietest over {low:.4g}-{high:.4g} Hz with {name} on {unit}: "
-            f"{loudness(db)}."
+            f"of the sensitivity that was measured, is {size} over {low:.4g}-{high:.4g} Hz with {name} on "
+            f"{of_the_bench(unit)}: {loudness(db)}."
         )
     return text
 
