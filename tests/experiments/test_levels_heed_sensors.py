@@ -6,7 +6,7 @@ import pytest
 from ultraquiet import experiments
 from ultraquiet.bench import Wrapped
 from ultraquiet.experiments import journal
-from ultraquiet.experiments.levelling import SHORTER
+from ultraquiet.experiments.levels import SHORTER
 from ultraquiet.values import Channel
 
 RATE_HZ, SAMPLES = 1000.0, 4000

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ultraquiet._base.progress import Task, task
-from ultraquiet.experiments import clock, journal, levelling
+from ultraquiet.experiments import clock, journal
+from ultraquiet.experiments import levels as found_levels
 from ultraquiet.experiments.folder import check_space, finished_in, prepared, refuse_repetition, sweep
 from ultraquiet.experiments.listed import NO_BENCH, ExperimentList
 from ultraquiet.experiments.live import Course, Levels, Onlooker
@@ -156,12 +157,12 @@ class _Walk:
         """Return a measurement at the level that its sensors bear, which is found once for all rounds of a command."""
         bench = self._listed.bench
         assert bench is not None
-        if not levelling.asks(bench, step):
+        if not found_levels.asks(bench, step):
             return step
         command = (step.group, *(drive.actuator for drive in step.drives))
         share = self._shares.get(command, self._known.get(step.hash))
         if share is None:
-            found = levelling.levelled(bench, step, len(self._records), self._stop)
+            found = found_levels.levelled(bench, step, len(self._records), self._stop)
             if found is None:
                 self._end(f"stopped as asked before '{step.name}'", True)
             share = found.share
@@ -169,7 +170,7 @@ class _Walk:
                 self._onlooker.lowers(found.sentence(step, bench.actuators))
         self._shares[command] = share
         self._log.write("levelled", at=clock.now(), name=step.name, hash=step.hash, share=share)
-        return step if share == 1.0 else levelling.lowered(step, share)
+        return step if share == 1.0 else found_levels.lowered(step, share)
 
     def _measured(self, step: Measurement) -> Record:
         bench, begun = self._listed.bench, clock.now()
