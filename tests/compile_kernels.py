@@ -74,7 +74,8 @@ def benches_and_adaptive_laws():
     bench.run(u)
     bench.run(u, controller=StateSpace(np.zeros((1, 1)), np.zeros((1, 6)), np.zeros((6, 1)), np.zeros((6, 6)), 3500.0))
     plant = damped_plant(1)
-    for method in (AdaptiveFeedforward(tones_hz=(60.0,)), YoulaKucera(tones_hz=(60.0,)), FilteredXLms(taps=20)):
+    tones = {"tones_hz": (60.0,), "limit": 10.0}
+    for method in (AdaptiveFeedforward(**tones), YoulaKucera(**tones), FilteredXLms(taps=20, limit=10.0)):
         law = method.design(plant).law
         for _ in range(50):
             law.step(np.ones(len(plant.C)))

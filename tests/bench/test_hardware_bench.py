@@ -41,7 +41,7 @@ class Lab:
         return self.answer(self.frames - 1, self.written[-1])
 
     def bench(self, slew=SLEW, wait=lambda: None, **limits):
-        limits = {"slew_v_per_s": slew, "ramp_s": 0.01, **limits}
+        limits = {"slew_per_s": slew, "ramp_s": 0.01, **limits}
         return Hardware(self.write, self.read, RATE_HZ, ACTUATORS, SENSORS, Interlocks(**limits), wait)
 
     def assert_safe(self, slew=SLEW, amplitude=AMPLITUDE):
@@ -101,7 +101,7 @@ def test_a_run_is_that_of_the_same_plant_wrapped(rng):
         assert np.array_equal(record.inputs, expected.inputs)
         assert np.array_equal(record.outputs, expected.outputs)
         lab.assert_safe(slew=1e6, amplitude=2 * AMPLITUDE)
-    assert record.provenance.settings["interlocks"]["slew_v_per_s"] == 1e6
+    assert record.provenance.settings["interlocks"]["slew_per_s"] == 1e6
 
 
 def at_random(rng):
@@ -233,13 +233,13 @@ def refused(limits, u, words, d=None):
 
 def test_what_is_known_to_trip_is_refused_before_anything_moves():
     ramp = np.outer([1.0, -1.0], np.arange(6.0))
-    refused({"amplitude_v": 3.0}, ramp, r"sample 5 'push 1' was to be sent 4 V, -3 to 3 V are allowed .*'amplitude'")
-    refused({"amplitude_v": (9.0, 2.0)}, ramp, r"sample 4 'push 2' was to be sent -3 V")
+    refused({"amplitude": 3.0}, ramp, r"sample 5 'push 1' was to be sent 4 V, -3 to 3 V are allowed .*'amplitude'")
+    refused({"amplitude": (9.0, 2.0)}, ramp, r"sample 4 'push 2' was to be sent -3 V")
     refused({"slew": 900.0}, ramp, r"'push 1' was to change by 1000 V/s, 900 V/s are allowed by the interlock 'slew'")
     refused({"duration_s": 0.005}, ramp, r"of 0.006 s is longer than the interlock 'duration' allows, 0.005 s")
-    refused({"amplitude_v": 5.0}, ramp, r"sample 4 'push 1' was to be sent 6.6 V", d=0.9 * np.abs(ramp))
+    refused({"amplitude": 5.0}, ramp, r"sample 4 'push 1' was to be sent 6.6 V", d=0.9 * np.abs(ramp))
     lab = Lab()
-    lab.bench(amplitude_v=5.0, slew=1000.0, duration_s=0.006).run(ramp)  # exactly at the limits
+    lab.bench(amplitude=5.0, slew=1000.0, duration_s=0.006).run(ramp)  # exactly at the limits
     lab.assert_safe(1000.0, 5.0)
 
 
@@ -249,11 +249,11 @@ def test_limits_that_do_not_fit_are_refused():
         Hardware(lab.write, lab.read, RATE_HZ, ["a"], ["b"])
     with pytest.raises(InputError, match="finite limits about zero"):
         Hardware(lab.write, lab.read, RATE_HZ, [Channel("a", "V", 1.0, 2.0)], ["b"])
-    with pytest.raises(InputError, match="'amplitude_v' must be one number or 2, got 3"):
-        lab.bench(amplitude_v=(1.0, 2.0, 3.0))
+    with pytest.raises(InputError, match="'amplitude' must be one number or 2, got 3"):
+        lab.bench(amplitude=(1.0, 2.0, 3.0))
     with pytest.raises(InputError, match="'read' must be a function"):
         Hardware(lab.write, None, RATE_HZ, ACTUATORS, SENSORS)
-    for name in ("slew_v_per_s", "duration_s", "frame_s", "rms_v"):
+    for name in ("slew_per_s", "duration_s", "frame_s", "rms"):
         with pytest.raises(InputError, match=f"'{name}' must be above zero"):
             Interlocks(**{name: 0.0})
 
@@ -266,10 +266,10 @@ def test_a_controller_that_runs_away_trips(rng):
     u = np.zeros((2, 500))
     u[0, 10:] = 0.5
     for limits, law, name in (
-        ({"amplitude_v": 5.0, "slew": 1e9}, gain(1.5), "amplitude"),
+        ({"amplitude": 5.0, "slew": 1e9}, gain(1.5), "amplitude"),
         ({"slew": 600.0}, gain(-1.3), "slew"),
-        ({"reading_v": 4.0, "slew": 1e9}, gain(1.5), "reading"),
-        ({"rms_v": (4.0, 1.0, 9.0), "rms_window_s": 0.01, "slew": 1e9}, gain(1.5), "rms"),
+        ({"reading": 4.0, "slew": 1e9}, gain(1.5), "reading"),
+        ({"rms": (4.0, 1.0, 9.0), "rms_window_s": 0.01, "slew": 1e9}, gain(1.5), "rms"),
     ):
         lab = Lab()
         blocks, error = gathered(lab.bench(**limits).stream(u, None, law, block_samples=8))
@@ -287,9 +287,9 @@ def test_a_controller_that_runs_away_trips(rng):
 def test_the_level_of_a_sensor_is_its_rms():
     lab = Lab()
     lab.answer = lambda k, u: [3.0 * np.sqrt(2) * np.sin(0.5 * k), 0.0, 0.0]
-    lab.bench(rms_v=3.2, rms_window_s=0.1).run(np.zeros((2, 3000)))
+    lab.bench(rms=3.2, rms_window_s=0.1).run(np.zeros((2, 3000)))
     with pytest.raises(InterlockError, match=r"'speed 1' has 2\.8"):
-        lab.bench(rms_v=2.8, rms_window_s=0.1).run(np.zeros((2, 3000)))
+        lab.bench(rms=2.8, rms_window_s=0.1).run(np.zeros((2, 3000)))
 
 
 def test_late_frames_are_counted_and_in_the_end_not_tolerated(rng):
@@ -386,10 +386,10 @@ for number in (signal.SIGHUP, signal.SIGQUIT):
     signal.signal(number, getattr(signal, sys.argv[3]))
 bench = Hardware(
     lambda u: out.write(f"{float(u[0])!r}\\n"), lambda: [0.0], 1000.0, [Channel("push", "V", -10.0, 10.0)], ["speed"],
-    Interlocks(slew_v_per_s=100.0, frame_s=30.0, late_frames=10**9), None,
+    Interlocks(slew_per_s=100.0, frame_s=30.0, late_frames=10**9), None,
 )
 u = 5.0 * np.sin(0.01 * np.arange(100_000))[None]
-for block in bench.stream(u):
+for block in bench.stream(u, block_samples=175):
     print(len(block.readings[0]), flush=True)
     time.sleep(float(sys.argv[2]))
 """
@@ -473,7 +473,7 @@ def test_nothing_beyond_the_limits_is_ever_written(seed, amplitude, slew, share,
     u = smooth(rng, n, share * (0.8 if disturbed else 1.0), slew, kept)
     d = smooth(rng, n, 0.2 * share, slew, kept) if disturbed else None
     lab = Lab()
-    bench = lab.bench(slew=slew, amplitude_v=amplitude)
+    bench = lab.bench(slew=slew, amplitude=amplitude)
     asked = iter(range(10**6))
     law = gain(rng.normal()) if closed else None
     try:
@@ -484,3 +484,12 @@ def test_nothing_beyond_the_limits_is_ever_written(seed, amplitude, slew, share,
         return
     gathered(stream)
     lab.assert_safe(slew, kept)
+
+
+def test_interlocks_answer_to_their_names_in_volts():
+    older = Interlocks(amplitude_v=5.0, slew_v_per_s=(1e3,), reading_v=9.0, rms_v=2.0)
+    assert older == Interlocks(amplitude=5.0, slew_per_s=(1e3,), reading=9.0, rms=2.0)
+    assert (older.amplitude_v, older.slew_v_per_s, older.reading_v, older.rms_v) == (5.0, (1e3,), 9.0, 2.0)
+    assert "_v" not in repr(older)
+    with pytest.raises(InputError, match="'slew_v_per_s' is an older name of 'slew_per_s'; give one of them"):
+        Interlocks(slew_v_per_s=1.0, slew_per_s=1.0)

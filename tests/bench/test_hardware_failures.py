@@ -81,7 +81,7 @@ class Card:
             rate_hz=RATE_HZ,
             actuators=[Channel("a", "V", -10, 10), Channel("b", "V", -10, 10)],
             sensors=["x", "y", "z"],
-            interlocks=Interlocks(slew_v_per_s=SLEW_V_PER_S, ramp_s=0.05, stop=stop),
+            interlocks=Interlocks(slew_per_s=SLEW_V_PER_S, ramp_s=0.05, stop=stop),
             wait=lambda: self.answer("wait", 0),
         )
 

@@ -150,6 +150,20 @@ def test_a_soft_stop_fades_commands_and_disturbance(rng):
     assert np.allclose(np.array(at_plant)[20:, 1], 2 * (1 - np.arange(1, 26) / 25), atol=1e-15)
 
 
+@pytest.mark.parametrize("rate_hz", [20.0, 500.0, 3500.0])
+def test_a_stop_and_its_ramp_take_as_long_at_every_rate(rate_hz):
+    """Nobody names samples: blocks of 50 ms, and a tenth of a second to zero."""
+    bench = Wrapped(lambda u, d: [0.0], lambda: None, rate_hz, ["a"], ["b"])
+    pressed = iter([False, True])
+    blocks = list(bench.stream(np.ones((1, round(2 * rate_hz))), stop=lambda: next(pressed)))
+    command = joined(blocks)[0][0]
+    first = blocks[0].command.shape[1]
+    print(f"{rate_hz:g} Hz: a block of {first}, then {command.size - first} samples to zero")
+    assert first == 0.05 * rate_hz
+    assert command.size - first == 0.1 * rate_hz
+    assert np.array_equal(command[first:], 1 - np.arange(1, 0.1 * rate_hz + 1) / (0.1 * rate_hz))
+
+
 def test_a_soft_stop_fades_a_controller_too(rng):
     bench = Wrapped(lambda u, d: [1.0], lambda: None, 10.0, ["a"], ["b"])
     law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[3.0]], rate_hz=10.0)

@@ -20,7 +20,7 @@ def test_convert_with_a_mapping(run, tmp_path):
     code, said, _ = run("convert", source, "arm.uff", "--mapping", "map.toml")
     print(said)
     assert code == 0
-    assert "2 inputs and 1 outputs, 2048 samples at 2048 Hz" in said
+    assert "2 inputs and 1 output, 2048 samples at 2048 Hz" in said
     record = files.read_record(tmp_path / "arm.uff")
     assert record.sensors == (Channel("radial", "µm"),)
     assert np.array_equal(record.outputs[0], np.loadtxt(source)[:, 2])
@@ -84,7 +84,7 @@ def test_identify_and_validate_take_a_mapping(run, tmp_path, rng):
 def test_convert_a_response(run, tmp_path):
     source = DATA / "kagra" / "BS_TML_exc_20200730a_frf.npz"
     code, said, _ = run("convert", source, "bs.uff", "--response", "--conjugated")
-    assert (code, "1 to 12 channels at 1281 frequencies" in said) == (0, True)
+    assert (code, "1 input and 12 outputs at 1281 frequencies" in said) == (0, True)
     assert files.read_frf(tmp_path / "bs.uff").coherence is not None
 
 

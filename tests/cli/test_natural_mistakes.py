@@ -211,6 +211,25 @@ COMMANDS = {
     "design plant.h5 --method lqg --set control_hz=-5": ("control_hz", "below zero"),
     "deploy law.h5 --out ''": ("'--out'", "given nothing"),
     "convert record.h5 ''": ("argument 2", "given nothing"),
+    "convert run.csv run.csv --force": ("run.csv", "the file that is read", "another name"),
+    "convert run.csv ./run.csv --force": ("run.csv", "the file that is read", "another name"),
+    "design plant.h5 --method lqg --set control_weight=1,5": ("control_weight=1,5", "=1.5", "[1,5]"),
+    "design plant.h5 --method lqg --set =3": ("'=3'", "key=value"),
+    "design plant.h5 --set disk_margin=0.2 --set disk-margin=0.3": ("disk_margin", "twice", "leave one"),
+    "design plant.h5 --method filtered-x": ("'input 1'", "'limit'", "the largest command"),
+    "design plant.h5 --method filtered-x --set limit=-1": ("'limit'", "above zero"),
+    "design wide-plant.h5 --method decoupled": ("3 outputs and 2 inputs", "square"),
+    "report study.toml": ("study.toml", "is a file", "the folder"),
+    "serve record.h5 --no-open": ("record.h5", "is a file", "the folder of a study"),
+    "serve --port 99999": ("port", "65535"),
+    "identify record.h5 --method arx --order 2,4": ("2,4", "a whole number or 'auto'"),
+    "identify run.csv --method arx --rate 1kHz": ("--rate", "number"),
+    "spectra norate.csv": ("norate.csv", "--rate"),
+    "spectra record.h5 --segment 100000": ("100000", "600", "shorten"),
+    "simulate plant.h5 --plant wide-law.h5": ("3 inputs and 2 outputs", "takes 1"),
+    "analyse plant.h5 law.h5 --band 10 900": ("900 Hz", "500 Hz", "lower"),
+    "campaign study.toml --benches 0": ("--benches", "1"),
+    "records --status finishd": ("finishd", "DONE"),
 }  # fmt: skip
 
 UNITS = '["ground", "flight"]\n'
@@ -343,6 +362,88 @@ def test_a_mistake_in_a_study_of_files(run, folder, mistake):
     graded(run, folder, ("run", "files.toml"), named)
 
 
+BENCH = """import numpy as np
+import ultraquiet as uq
+def make(gain=1.0):
+    x = [0.0]
+    def step(u, d):
+        y = [x[0]]
+        x[0] = 0.9 * x[0] + gain * (u[0] + d[0])
+        return y
+    coil = uq.values.Channel("coil", "N", -5.0, 5.0)
+    return uq.bench.Wrapped(step, lambda: None, 1000.0, [coil], ["gap"])
+"""
+LIST = """[[commands]]
+do = "excite"
+name = "rough"
+samples = 600
+signal = { method = "noise" }
+"""
+OF_A_BENCH = """[study]
+title = "mine"
+[bench]
+object = "my.py:make"
+[experiment]
+list = "list.toml"
+[plant]
+method = "subspace"
+records = ["rough-1"]
+[controllers.quiet.design]
+method = "lqg"
+"""
+# Which of the three files, what is written in it, in its place, and what the answer names.
+BENCHES = {
+    "no callable": ("study.toml", "my.py:make", "my.py", ("line 4", '"FILE.py:CALLABLE"')),
+    "another file": ("study.toml", "my.py:make", "mine.py:make", ("no file", "mine.py")),
+    "a callable misspelt": ("study.toml", "my.py:make", "my.py:mak", ("'mak'", "did you mean 'make'")),
+    "an argument misspelt": ("study.toml", "my.py:make\"", "my.py:make\"\ngian = 2.0", ("'gian'", "gain=1.0")),
+    "a bench of one only unit": ("study.toml", "[plant]", '[closed_loop]\nunits = ["flight"]\n[plant]', ("flight",)),
+    "no list": ("study.toml", '[experiment]\nlist = "list.toml"\n', "", ("'list'", "beside the study")),
+    "a list that is not there": ("study.toml", "list.toml", "lst.toml", ("lst.toml", "no such file")),
+    "a table misspelt": ("study.toml", "[controllers.", "[controller.", ("'controller'", "did you mean 'controllers'")),
+    "an import misspelt": ("my.py", "import numpy", "import numpyy", ("my.py", "line 1", "numpyy")),
+    "a bracket forgotten": ("my.py", "gain=1.0)", "gain=1.0", ("my.py", "line 3")),
+    "a return forgotten": ("my.py", "return uq", "uq", ("returned nothing", "'return'")),
+    "a name misspelt": ("my.py", "Wrapped(step,", "Wrapped(stepp,", ("my.py", "line 10", "stepp")),
+    "limits the wrong way round": ("my.py", "-5.0, 5.0", "5.0, -5.0", ("'coil'", "must be below")),
+    "a rate below zero": ("my.py", "1000.0", "-1000.0", ("rate_hz", "above zero")),
+    "one bracket for two": ("list.toml", "[[commands]]", "[commands]", ("line 1", "two brackets", "[[commands]]")),
+    "a signal in a word": ("list.toml", '{ method = "noise" }', '"noise"', ("line 5", '{ method = "noise" }')),
+    "an actuator misspelt": ("list.toml", "samples", 'actuator = "coill"\nsamples', ("'coill'", "only 1 (coil)")),
+    "an actuator counted from zero": ("list.toml", "samples", "actuator = 0\nsamples", ("'actuator'", "from 1")),
+    "half a sample": ("list.toml", "600", "600.5", ("line 4", "'samples'", "integer")),
+    "seconds for samples": ("list.toml", "samples", "seconds", ("line 4", "'seconds'", "samples")),
+    "a command misspelt": ("list.toml", "excite", "excit", ("line 2", "'excit'", "did you mean 'excite'")),
+    "a level beyond the actuator": ("list.toml", '"noise" }', '"noise", peak = 50 }', ("line 5", "'coil'", "lower it")),
+    "a band beyond Nyquist": ("list.toml", '"noise" }', '"noise", stop_hz = 900 }', ("line 5", "900 Hz", "500 Hz")),
+}  # fmt: skip
+
+
+def write_study_of_a_bench(place, mistake=None):
+    which, right, wrong, named = BENCHES[mistake] if mistake else ("", "", "", ())
+    for name, text in (("my.py", BENCH), ("list.toml", LIST), ("study.toml", OF_A_BENCH)):
+        assert name != which or right in text
+        (place / name).write_text(text.replace(right, wrong, 1) if name == which else text)
+    return named
+
+
+@pytest.mark.parametrize("mistake", BENCHES)
+def test_a_mistake_in_a_study_of_a_bench(run, tmp_path, monkeypatch, mistake):
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
+    graded(run, tmp_path, ("run", "study.toml"), write_study_of_a_bench(tmp_path, mistake))
+
+
+def test_an_error_of_a_bench_while_it_runs_is_told_with_its_line(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
+    write_study_of_a_bench(tmp_path)
+    (tmp_path / "study.toml").write_text(OF_A_BENCH.replace('make"\n', 'make"\ngain = "2"\n', 1))
+    code, _, err = run("run", "study.toml")
+    print(err)
+    assert code == 2
+    assert "'my.py' raised TypeError in line 7" in err
+    assert "Traceback" not in err
+
+
 def test_there_are_sixty_and_more():
-    print(f"{len(COMMANDS)} at the command line, {len(STUDIES)} in study files")
+    print(f"{len(COMMANDS)} at the command line, {len(STUDIES) + len(FILES) + len(BENCHES)} in study files")
     assert len(COMMANDS) + len(STUDIES) >= 60

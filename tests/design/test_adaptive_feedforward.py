@@ -122,7 +122,7 @@ def test_around_another_law(bench, rng):
 
 
 def test_amplitudes_stay_within_their_limit(bench, rng):
-    law = AdaptiveFeedforward(tones_hz=(25.0,), limit_v=0.3).design(bench.linear_model()).law
+    law = AdaptiveFeedforward(tones_hz=(25.0,), limit=0.3).design(bench.linear_model()).law
     t = seconds(5.0)
     d = tone(rng, np.full(t.size, 25.0))
     opened, closed = run(bench, d), run(bench, d, law)
@@ -136,7 +136,7 @@ def test_amplitudes_stay_within_their_limit(bench, rng):
 def test_a_law_for_a_steady_tone_is_the_linear_one(rng):
     """Once the frequency is known, the adaptive law and the resonator bank do the same."""
     bench = uq.bench.Hexapod(unit="ground", linear=True)
-    result = AdaptiveFeedforward(tones_hz=(25.0,)).design(bench.linear_model())
+    result = AdaptiveFeedforward(tones_hz=(25.0,), limit=10.0).design(bench.linear_model())
     t = seconds(4.0)
     d = tone(rng, np.full(t.size, 25.0))
     adaptive, linear = run(bench, d, result.law), run(bench, d, result.controller)

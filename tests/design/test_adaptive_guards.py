@@ -1,5 +1,7 @@
 """What an adaptive law does when its model is wrong, its readings are rubbish or its limits too small."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 from tone_runs import run, seconds, tone
@@ -24,12 +26,12 @@ def ground():
 @pytest.mark.gate("AdaptiveFeedforward")
 @pytest.mark.parametrize("method", METHODS, ids=named)
 def test_a_model_of_the_wrong_sign_brings_the_law_to_rest(method, ground, seed, rng):
-    wrong = StateSpace(ground.A, -ground.B, ground.C, ground.D, ground.rate_hz)
+    wrong = StateSpace(ground.A, -ground.B, ground.C, ground.D, ground.rate_hz, ground.actuators)
     law = method.design(wrong).law
     d = tone(rng, np.full(seconds(5.0).size, 25.0))
     closed = run(uq.bench.Hexapod(seed=seed), d, law)
     print(f"{law.status}")
-    assert np.abs(closed.inputs).max() <= 10.0
+    assert np.abs(closed.inputs).max() <= ground.actuators[0].high
     assert law.status.word == "diverged"
     assert "louder than at rest" in law.status.sentence
     assert not closed.inputs[:, -3500:].any()
@@ -39,7 +41,7 @@ def test_a_model_of_the_wrong_sign_brings_the_law_to_rest(method, ground, seed, 
 
 def small(method, seed, **settings):
     """Return the law for a plant of two channels at 1 kHz."""
-    given = {f: getattr(method, f) for f in method.__dataclass_fields__} | settings
+    given = {f.name: getattr(method, f.name) for f in fields(method)} | {"limit": 10.0} | settings
     if isinstance(method, FilteredXLms):
         given["reference"] = (1,)
     return type(method)(**given).design(damped_plant(seed)).law
@@ -54,7 +56,7 @@ def test_rubbish_never_leaves(method, rubbish, around, seed):
     y[1, 700:703] = rubbish
     u = np.array([law.step(y[:, k]) for k in range(y.shape[1])])
     assert np.isfinite(u).all()
-    if not abs(rubbish) < 1e6:
+    if not abs(rubbish) < 1e100:
         assert law.status.word == "diverged"
         # a hundred steps to rest, from the level at which the ramp began: the law may have been on its way already
         assert np.abs(np.diff(u[699:703], axis=0)).max() <= np.abs(u[600:700]).max() / 100 * 1.01
@@ -74,8 +76,8 @@ def test_reset_forgets_everything(method, seed, rng):
 @pytest.mark.gate("AdaptiveFeedforward")
 @pytest.mark.parametrize("method", METHODS, ids=named)
 def test_a_limit_too_small_for_the_tone_is_said_and_kept(method, ground, seed, rng):
-    settings = {f: getattr(method, f) for f in method.__dataclass_fields__}
-    law = type(method)(**{**settings, "limit_v": 0.2}).design(ground).law
+    settings = {f.name: getattr(method, f.name) for f in fields(method)}
+    law = type(method)(**{**settings, "limit": 0.2}).design(ground).law
     d = tone(rng, np.full(seconds(5.0).size, 25.0))
     opened, closed = run(uq.bench.Hexapod(seed=seed), d), run(uq.bench.Hexapod(seed=seed), d, law)
     got = 20 * np.log10(opened.outputs[:, -3500:].std() / closed.outputs[:, -3500:].std())

@@ -90,7 +90,7 @@ def test_steps_below_the_bound_converge_in_weak_directions_too(step, rng):
     f = rng.uniform(30, 80)
     t = np.arange(12000) / 1000
     d = np.stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
-    law = FilteredXLms(reference=(2, 3), taps=8, step=step, leak=0.0, limit_v=100.0).design(model).law
+    law = FilteredXLms(reference=(2, 3), taps=8, step=step, leak=0.0, limit=100.0).design(model).law
     opened, closed = run(bench, d), run(bench, d, law)
     errors = closed.outputs[:2]
     left = np.abs(errors[:, -1000:]).max() / np.abs(opened.outputs[:2]).max()
@@ -104,7 +104,7 @@ def test_feedback_from_the_commands_to_the_reference_is_taken_out(rng):
     A, B = np.diag([0.9, 0.5]), np.array([[1.0], [1.0]])
     truth = StateSpace(A, B, [[0.1, 0.0], [0.0, 0.8]], [[0.0], [0.0]], 1000.0)
     x, held = np.zeros(2), np.zeros(1)
-    law = FilteredXLms(reference=(1,), taps=32, step=0.1).design(truth).law
+    law = FilteredXLms(reference=(1,), taps=32, step=0.1, limit=10.0).design(truth).law
     noise = rng.standard_normal(20000)
     louder = np.empty((2, noise.size))
     for k in range(noise.size):
@@ -120,7 +120,7 @@ def test_feedback_from_the_commands_to_the_reference_is_taken_out(rng):
 
 def test_direct_parts_are_minded(rng):
     plant = StateSpace([[0.5]], [[0.5]], [[1.0], [0.3]], [[0.4], [0.2]], 1000.0)
-    law = FilteredXLms(reference=(1,), taps=16, step=0.2).design(plant).law
+    law = FilteredXLms(reference=(1,), taps=16, step=0.2, limit=10.0).design(plant).law
     x, u, errors = np.zeros(1), np.zeros(1), []
     for k in range(5000):
         d = np.sin(0.2 * k)

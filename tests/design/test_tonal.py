@@ -162,16 +162,26 @@ def test_spans_that_overlap_or_pass_nyquist_are_refused():
     ids=lambda m: type(m).__name__,
 )
 def test_laws_refuse_another_number_of_readings(method):
-    assert method.design(LAG).status.sentence.endswith(
-        "No limit of 'input 1' is known: the law holds 10 there; limit_v sets it."
-    )
-    assert "is known" not in str(replace(method, limit_v=3.0).design(LAG).status)
     held = StateSpace(LAG.A, LAG.B, LAG.C, LAG.D, LAG.rate_hz, actuators=[Channel("coil", "N", -2.0, 3.0)])
-    assert "is known" not in str(method.design(held).status)
     law = method.design(held).law
     assert law.limit_v.tolist() == [2.0]
     assert law.rate_hz == 1000.0
     with pytest.raises(InputError, match="takes 1 readings, got 2"):
         law.step(np.zeros(2))
-    with pytest.raises(InputError, match="limit_v"):
-        replace(method, limit_v=(1.0, 2.0)).design(LAG)
+    with pytest.raises(InputError, match="'limit' must be one number above zero, got"):
+        replace(method, limit=(1.0, 2.0)).design(LAG)
+
+
+@pytest.mark.parametrize(
+    "method",
+    [AdaptiveFeedforward(tones_hz=(25.0,)), YoulaKucera(tones_hz=(25.0,)), FilteredXLms()],
+    ids=lambda m: type(m).__name__,
+)
+def test_a_law_that_adapts_asks_for_the_limits_that_nobody_states(method):
+    free = StateSpace(LAG.A, LAG.B, LAG.C, LAG.D, LAG.rate_hz, actuators=[Channel("coil", "N")])
+    with pytest.raises(InputError, match=r"no limit of 'coil' is known.*state the largest command as 'limit', in N"):
+        method.design(free)
+    older = type(method)(**{"tones_hz": (25.0,)} if hasattr(method, "tones_hz") else {}, limit_v=3.0)
+    assert older.limit_v == older.limit == 3.0
+    law = older.design(free).law
+    assert law.limit.tolist() == law.limit_v.tolist() == [3.0]

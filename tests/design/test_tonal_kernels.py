@@ -9,12 +9,12 @@ from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import StateSpace
 
 PAIRS = [
-    (AdaptiveFeedforward(tones_hz=(60.0,)), FeedforwardTwin),
-    (AdaptiveFeedforward(tones_hz=(30.0, 60.0), limit_v=0.05), FeedforwardTwin),
-    (YoulaKucera(tones_hz=(60.0,)), YoulaTwin),
-    (YoulaKucera(basis="laguerre", order=3, pole_hz=25.0, update_every=1, limit_v=0.5, leak=1e-3), YoulaTwin),
-    (FilteredXLms(taps=20, step=0.3), FilteredXTwin),
-    (FilteredXLms(taps=20, step=0.3, limit_v=0.05), FilteredXTwin),
+    (AdaptiveFeedforward(tones_hz=(60.0,), limit=10.0), FeedforwardTwin),
+    (AdaptiveFeedforward(tones_hz=(30.0, 60.0), limit=0.05), FeedforwardTwin),
+    (YoulaKucera(tones_hz=(60.0,), limit=10.0), YoulaTwin),
+    (YoulaKucera(basis="laguerre", order=3, pole_hz=25.0, update_every=1, limit=0.5, leak=1e-3), YoulaTwin),
+    (FilteredXLms(taps=20, step=0.3, limit=10.0), FilteredXTwin),
+    (FilteredXLms(taps=20, step=0.3, limit=0.05), FilteredXTwin),
 ]
 
 

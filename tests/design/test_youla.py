@@ -155,7 +155,7 @@ def test_other_forms_learn_too(settings, seed, rng):
 @pytest.mark.slow
 def test_delays_suit_tones_near_the_rate(rng):
     plant = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 1000.0)
-    law = YoulaKucera(basis="fir", order=4).design(plant).law
+    law = YoulaKucera(basis="fir", order=4, limit=10.0).design(plant).law
     y, x = np.zeros(4000), np.zeros(1)
     f = rng.uniform(50, 300)
     for k in range(y.size):
@@ -169,13 +169,13 @@ def test_delays_suit_tones_near_the_rate(rng):
 
 def test_memory_shorter_than_an_update_is_refused(seed):
     with pytest.raises(InputError, match="memory_s"):
-        YoulaKucera(tones_hz=(25.0,), memory_s=1e-3).design(damped_plant(seed))
+        YoulaKucera(tones_hz=(25.0,), memory_s=1e-3, limit=10.0).design(damped_plant(seed))
 
 
 @pytest.mark.slow
 def test_an_unstable_plant_is_held_and_its_tone_cancelled(rng):
     plant = StateSpace([[1.01]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
-    law = YoulaKucera(tones_hz=(25.0,)).design(plant).law
+    law = YoulaKucera(tones_hz=(25.0,), limit=10.0).design(plant).law
     f, x, y = rng.uniform(20, 30), np.zeros(1), np.zeros(4000)
     for k in range(y.size):
         y[k] = (plant.C @ x)[0] + np.sin(2 * np.pi * f * k / 1000)

@@ -93,7 +93,7 @@ class YoulaTwin:
     def __init__(self, law):
         self.A, self.B, self.C, self.D = law._seen
         self.F, self.L = law._gains
-        self.T, self.filters, self.most = law._regress, law._filters, law.limit_v
+        self.T, self.filters, self.most = law._regress, law._filters, law.limit
         self.every, self.forget, self.leak, self.floor = law._settings
         self.m, self.nu, self.ny = law._theta.shape
         p = law._theta.size

@@ -124,7 +124,7 @@ def test_runs_without_a_record_are_known_from_the_journal(tmp_path):
     def stop():
         nonlocal asked
         asked += 1
-        return asked > 7  # 300 samples are two blocks; each measurement asks once before it and once a block
+        return asked > 7  # each measurement asks once before it and once a block, its probe likewise
 
     with pytest.raises(experiments.StoppedError) as caught:
         experiments.run(experiments.parse(LIST), tmp_path, stop=stop)

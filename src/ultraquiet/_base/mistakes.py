@@ -128,11 +128,19 @@ def _said(refusal: Any, path: Place, model: type[BaseModel] | None) -> str:
         known = [field.alias or name for name, field in table.model_fields.items()] if table else []
         return f"there is no key '{key}' here{known_are(key, known)}."
     if kind == "model_type":
-        return f"'{key}' must be a table, got {value!r}."
+        shown = f'; write {key} = {{ method = "{value}" }}' if isinstance(value, str) and takes_method(refusal) else ""
+        return f"'{key}' must be a table, got {value!r}{shown}."
+    if kind == "list_type" and isinstance(value, dict):
+        return f"'{key}' is a list of tables; write two brackets round its name, [[{key}]]."
     if kind == "value_error":
         return f"'{key}' is {value!r}; {refusal['ctx']['error']}."
     words = _of_length(refusal) or refusal["msg"].removeprefix("Input ")
     return f"'{key}' {words}, got {value!r}." if key else f"it {words}, got {value!r}."
+
+
+def takes_method(refusal: Any) -> bool:
+    """Return whether what was refused should have been the table of a method."""
+    return refusal.get("ctx", {}).get("class_name") in ("Method", "BenchTable")
 
 
 def _of_length(refusal: Any) -> str:

@@ -7,14 +7,14 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ultraquiet._base.constraints import FloatArray, real_array, same_rate
+from ultraquiet._base.constraints import FloatArray, real_array, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
 
 IntArray = NDArray[np.int64]
-BLOCK_SAMPLES = 175  # 50 ms at 3.5 kHz: a killed process loses at most what one block and the disk's queue hold
-RAMP_SAMPLES = 350  # 0.1 s at 3.5 kHz: slow against the struts, short for whoever pressed the button
+BLOCK_S = 0.05  # a killed process loses at most what one block and the disk's queue hold
+RAMP_S = 0.1  # to zero: short for whoever pressed the button
 
 
 @runtime_checkable
@@ -114,17 +114,32 @@ class Streaming(Protocol):
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Callable[[], bool] | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the run of `run` in blocks of `block_samples`, each as soon as it is measured.
 
         Before each block `stop()` is asked. Once it says yes, the commands (actuation + K y) and the disturbance are
         faded linearly to zero within `ramp_samples`, the readings of that stretch are handed over too, and the run
-        ends. A generator that is closed early brings the actuators to zero by itself.
+        ends. A generator that is closed early brings the actuators to zero by itself. A block is 50 ms long when
+        absent, the ramp 0.1 s.
         """
         ...
+
+
+def block_of(who: str, block_samples: int | None, rate_hz: float) -> int:
+    """Return the samples of a block: as asked for, else those of 50 ms."""
+    return _samples(who, "block_samples", block_samples, BLOCK_S * rate_hz)
+
+
+def ramp_of(who: str, ramp_samples: int | None, rate_hz: float) -> int:
+    """Return in how many samples a stopped run comes to zero: as asked for, else those of a tenth of a second."""
+    return _samples(who, "ramp_samples", ramp_samples, RAMP_S * rate_hz)
+
+
+def _samples(who: str, name: str, asked: int | None, usual: float) -> int:
+    return max(1, round(usual)) if asked is None else whole(who, name, asked, 1)
 
 
 def fade(samples: int, ramp_samples: int) -> FloatArray:

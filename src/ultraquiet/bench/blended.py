@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench._abstract import (
-    BLOCK_SAMPLES,
-    RAMP_SAMPLES,
     Bench,
     Block,
+    block_of,
     checked_controller,
     checked_signals,
     limits,
+    ramp_of,
 )
 from ultraquiet.bench.inner import Around, blocks_of, named_provenance
 from ultraquiet.values import Blending, Channel, Controller, StateSpace
@@ -85,9 +85,9 @@ class Blended(Around):
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Callable[[], bool] | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the run of `run` in blocks; see `Streaming.stream`."""
         low, high = limits(self.actuators)
@@ -95,7 +95,8 @@ class Blended(Around):
         allowed = np.clip(v, low[:, None], high[:, None])
         Ta = self.blending.actuator_matrix
         law = None if controller is None else self.on_the_bench(controller)
-        how = {"run_index": run_index, "block_samples": block_samples, "stop": stop, "ramp_samples": ramp_samples}
+        sizes = block_of("Blended.run", block_samples, self.rate_hz), ramp_of("Blended.run", ramp_samples, self.rate_hz)
+        how = {"run_index": run_index, "block_samples": sizes[0], "stop": stop, "ramp_samples": sizes[1]}
         given = None if disturbance is None else blend(Ta, d)
         return self._modes(blocks_of(self.bench, blend(Ta, allowed), given, law, **how), allowed, v != allowed)
 

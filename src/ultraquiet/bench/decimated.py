@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, whole
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench._abstract import (
-    BLOCK_SAMPLES,
-    RAMP_SAMPLES,
     Bench,
     Block,
+    block_of,
     checked_controller,
     checked_signals,
     commands,
+    ramp_of,
 )
 from ultraquiet.bench.inner import Around, blocks_of, named_provenance
 from ultraquiet.values import Channel, Controller, Decimation, StateSpace
@@ -79,15 +79,15 @@ class Decimated(Around):
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Callable[[], bool] | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the run of `run` in blocks; see `Streaming.stream`."""
         N = self.decimation.factor
         u, d = checked_signals("Decimated.run", len(self.actuators), actuation, disturbance)
-        size = whole("Decimated.run", "block_samples", block_samples, 1)
-        ramp = whole("Decimated.run", "ramp_samples", ramp_samples, 1)
+        size = block_of("Decimated.run", block_samples, self.rate_hz)
+        ramp = ramp_of("Decimated.run", ramp_samples, self.rate_hz)
         law = None if controller is None else self.on_the_bench(controller)
         held = None if disturbance is None else np.repeat(d, N, axis=1)
         how = {"run_index": run_index, "block_samples": size * N, "stop": stop, "ramp_samples": ramp * N}

@@ -3,14 +3,17 @@
 import importlib.util
 import inspect
 import sys
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
 from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.registry import known_are
 from ultraquiet.bench._abstract import Bench
 
+MODULE = "ultraquiet_bench_"  # how modules are called that were read here
 MEMBERS = ("rate_hz", "actuators", "sensors", "run")
 
 
@@ -29,9 +32,13 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
     """
     name, _, attribute = reference.rpartition(":")
     path = Path(name) if Path(name).is_absolute() else beside / name
-    make = getattr(_module(path, reference), attribute, None)
+    module = _module(path, reference)
+    make = getattr(module, attribute, None)
     if not callable(make):
-        raise InputError(f"bench '{reference}': '{path.name}' has no callable '{attribute}'.")
+        there = [key for key, value in vars(module).items() if callable(value) and not key.startswith("_")]
+        raise InputError(
+            f"bench '{reference}': '{path.name}' has no callable '{attribute}'{known_are(attribute, there)}."
+        )
     given = dict(settings)
     try:
         signature = inspect.signature(make)
@@ -48,7 +55,9 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
     except UltraquietError:
         raise
     except Exception as error:
-        raise InputError(f"bench '{reference}': it raised {type(error).__name__}: {error}") from error
+        raise InputError(f"bench '{reference}': {of_a_bench(error) or error}") from error
+    if bench is None:
+        raise InputError(f"bench '{reference}': it returned nothing; end it with 'return' and the bench.")
     lacking = [member for member in MEMBERS if not hasattr(bench, member)]
     if lacking:
         raise InputError(
@@ -58,10 +67,24 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
     return cast("Bench", bench)
 
 
+def of_a_bench(error: BaseException) -> str:
+    """Return a sentence on an error that a bench's own file raised, with its line; empty on any other.
+
+    >>> of_a_bench(ValueError("of somebody else"))
+    ''
+    """
+    frames = [(frame, line) for frame, line in traceback.walk_tb(error.__traceback__)]
+    own = [each for each in frames if str(each[0].f_globals.get("__name__", "")).startswith(MODULE)]
+    if not own:
+        return ""
+    frame, line = own[-1]
+    return f"'{Path(frame.f_code.co_filename).name}' raised {type(error).__name__} in line {line}: {error}"
+
+
 def _module(path: Path, reference: str) -> ModuleType:
     if not path.is_file():
         raise InputError(f"bench '{reference}': there is no file '{path}'.")
-    spec = importlib.util.spec_from_file_location(f"ultraquiet_bench_{path.stem}", path)
+    spec = importlib.util.spec_from_file_location(f"{MODULE}{path.stem}", path)
     if spec is None or spec.loader is None:
         raise InputError(f"bench '{reference}': '{path}' is no Python file.")
     module = importlib.util.module_from_spec(spec)
@@ -70,7 +93,8 @@ def _module(path: Path, reference: str) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise InputError(f"bench '{reference}': '{path.name}' raised {type(error).__name__}: {error}") from error
+        said = of_a_bench(error) or f"'{path.name}' raised {type(error).__name__}: {error}"
+        raise InputError(f"bench '{reference}': {said}") from error
     finally:
         sys.path.remove(here)
     return module

@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, checked_signals, limits
+from ultraquiet.bench._abstract import Block, block_of, checked_signals, limits, ramp_of
 from ultraquiet.bench.stepped import Stop
 from ultraquiet.values import Channel, Record
 from ultraquiet.values.channel import at_limits
@@ -96,13 +96,13 @@ class Replay:
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Stop | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the record of `run` in blocks; a stop ends it at once, since nothing moves and nothing can be faded."""
-        whole("Replay.run", "ramp_samples", ramp_samples, 1)
-        size = whole("Replay.run", "block_samples", block_samples, 1)
+        ramp_of("Replay.run", ramp_samples, self.rate_hz)
+        size = block_of("Replay.run", block_samples, self.rate_hz)
         return _cut(self.run(actuation, disturbance, controller, run_index), size, stop)
 
     def _refusal(self, command: FloatArray) -> str:

@@ -10,15 +10,16 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.line import counted
 from ultraquiet.bench._abstract import (
-    BLOCK_SAMPLES,
-    RAMP_SAMPLES,
     Block,
+    block_of,
     checked_controller,
     checked_signals,
     commands,
     fade,
     limits,
+    ramp_of,
 )
 from ultraquiet.bench.inner import recorded
 from ultraquiet.values import Channel, Controller, Record
@@ -92,17 +93,17 @@ class Stepped:
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Stop | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the run of `run` in blocks as they are measured; see `Streaming.stream`.
 
         What was measured before a failure is handed over as a shorter block; the next step of the iterator raises.
         """
         setup = self._setup()
-        block = whole(setup.who, "block_samples", block_samples, 1)
-        ramp = whole(setup.who, "ramp_samples", ramp_samples, 1)
+        block = block_of(setup.who, block_samples, setup.rate_hz)
+        ramp = ramp_of(setup.who, ramp_samples, setup.rate_hz)
         index = self._next_run() if run_index is None else whole(setup.who, "run_index", run_index, 0)
         return driven(self._loop(setup, actuation, disturbance, controller), index, block, stop, ramp)
 
@@ -225,5 +226,7 @@ def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
     except (TypeError, ValueError):
         y = np.empty(0)
     if y.size != sensors or not np.isfinite(y).all():
-        raise InputError(f"{who}: at sample {k} the plant must return {sensors} finite readings, got {answer!r}.")
+        raise InputError(
+            f"{who}: at sample {k} the plant must return {counted(sensors, 'finite reading')}, got {answer!r}."
+        )
     return y

@@ -84,6 +84,14 @@ def main() -> None:
     except MemoryError as error:
         print(f"ultraquiet: this asks for more memory than there is; ask for less ({error}).", file=sys.stderr)
         sys.exit(ExitCode.REFUSED)
+    except Exception as error:
+        from ultraquiet.bench.from_file import of_a_bench
+
+        said = of_a_bench(error)
+        if not said:
+            raise
+        print(f"ultraquiet: bench: {said}", file=sys.stderr)
+        sys.exit(ExitCode.REFUSED)
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:  # what typer makes of Ctrl-C, without a word
             print(STOPPED, file=sys.stderr)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.errors import InputError, StorageError
+from ultraquiet._base.shown.line import counted
 
 
 def convert(
@@ -33,6 +34,8 @@ def convert(
     from ultraquiet.cli.output.screen import screen
 
     files.possible(target, "convert")
+    if target.exists() and source.exists() and target.samefile(source):
+        raise InputError(f"convert: '{target}' is the file that is read; give the new one another name.")
     if not target.parent.is_dir():
         raise StorageError(f"convert: there is no folder '{target.parent}' for '{target.name}'; make it first.")
     if response:
@@ -41,13 +44,14 @@ def convert(
         read = files.read_frf(source, conjugated)
         files.export_frf(read, target, overwrite=force, text=text)
         told = []
-        size = f"{len(read.actuators)} to {len(read.sensors)} channels at {read.f_hz.size} frequencies"
+        wires = f"{counted(len(read.actuators), 'input')} and {counted(len(read.sensors), 'output')}"
+        size = f"{wires} at {counted(read.f_hz.size, 'frequency', 'frequencies')}"
     else:
         record = files.read_record(source, rate_hz, inputs, outputs, mapping, keep_clock=True)
         files.export_record(record, target, overwrite=force, text=text)
         size = (
-            f"{len(record.actuators)} inputs and {len(record.sensors)} outputs, {record.samples} samples at "
-            f"{record.rate_hz:g} Hz"
+            f"{counted(len(record.actuators), 'input')} and {counted(len(record.sensors), 'output')}, "
+            f"{counted(record.samples, 'sample')} at {record.rate_hz:g} Hz"
         )
         sides = (("inputs", record.actuators), ("outputs", record.sensors))
         told = [f"{side}: {', '.join(wire.name for wire in wires)}" for side, wires in sides]

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.output.targets import beside, require_free
 from ultraquiet.cli.progress import bars
@@ -52,7 +53,7 @@ def design(
         *described(system, result.margins),
         band_sentence(worst.attenuation_db, worst.f_hz, worst.band_hz),
     )
-    show.say(f"{law.states} states", f"controller: {target}")
+    show.say(counted(law.states, "state"), f"controller: {target}")
     ends = {end: found for end, found in result.margins.items() if hasattr(found, "disk_all")}
     show.result(
         {

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ultraquiet._base.shown.line import counted
+
 if TYPE_CHECKING:
     from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.experiments import Entry
@@ -29,7 +31,7 @@ def records(
     show = screen()
     if entries:
         show.table(_table(entries))
-    show.say("1 run" if len(entries) == 1 else f"{len(entries)} runs")
+    show.say(counted(len(entries), "run"))
     show.result(entries)
 
 

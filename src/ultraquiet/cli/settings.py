@@ -1,5 +1,6 @@
 """Settings of a registered method from `--set key=value` words."""
 
+import re
 import tomllib
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,13 +13,23 @@ from ultraquiet._base.tables import Method
 def method(family: str, name: str, assignments: Sequence[str], **options: Any) -> Any:
     """Return the settings object of a method; values are written as in TOML, bare words are text."""
     settings: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    given: set[str] = set()
     for assignment in assignments:
         key, equals, value = assignment.partition("=")
-        if not equals:
+        if not equals or not key:
             raise InputError(f"--set: '{assignment}' must read key=value.")
         if key == "method":
             raise InputError("--set: the method is chosen with --method.")
-        settings[key.replace("-", "_")] = _value(value)
+        name_of = key.replace("-", "_")
+        if name_of in given:
+            raise InputError(f"--set: '{name_of}' is given twice; leave one away.")
+        if re.fullmatch(r"[+-]?\d+,\d+", value):
+            point = value.replace(",", ".")
+            raise InputError(
+                f"--set: '{assignment}' has a comma; write {key}={point} for a number, [{value}] for a list."
+            )
+        settings[name_of] = _value(value)
+        given.add(name_of)
     return Method(method=name, **settings).make(family)
 
 

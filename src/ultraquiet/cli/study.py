@@ -70,6 +70,7 @@ def _walk(
     show = screen()
     if summary.closed_loop:
         show.table(_table(summary))
+        show.say(*_louder(summary))
     show.say(f"report: {folder / 'report.html'}", f"numbers: {folder / 'summary.json'}")
     if summary.requirements is not None:
         show.say(f"requirements of {summary.requirements.law}:")
@@ -80,13 +81,30 @@ def _walk(
     finish(summary)
 
 
+def _louder(summary: "Summary") -> list[str]:
+    """Return a sentence for every law that may be ok and leaves a direction of its band louder than it was."""
+    from ultraquiet._base.shown.line import loudness
+    from ultraquiet.pipeline.facts.loops import StableLoop, of_the_bench
+
+    loops = [(name, unit, loop) for name, units in summary.closed_loop.items() for unit, loop in units.items()]
+    return [
+        f"{name} is not quieter in every direction on {of_the_bench(unit)}: over {loop.band_hz[0]:.4g}-"
+        f"{loop.band_hz[1]:.4g} Hz the worst is {loudness(loop.worst_direction_band_db)}"
+        for name, unit, loop in loops
+        if isinstance(loop, StableLoop) and loop.worst_direction_band_db <= 0
+    ]
+
+
 def _table(summary: "Summary") -> "TextTable":
     from ultraquiet.cli.output.text_table import TextTable
     from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 
     loops = [loop for units in summary.closed_loop.values() for loop in units.values()]
     tones_hz = list(dict.fromkeys(f for loop in loops if isinstance(loop, StableLoop) for f in loop.tones))
-    title = "reduction on the bench, dB: worst channel at tones, worst direction over the band"
+    bands_hz = dict.fromkeys(loop.band_hz for loop in loops if isinstance(loop, StableLoop))
+    over = "".join(f", {low:.4g}-{high:.4g} Hz" for low, high in bands_hz)
+    at_tones = "worst channel at tones, " if tones_hz else ""
+    title = f"reduction on the bench, dB: {at_tones}worst direction over the band{over}; peak is amplification"
     grid = TextTable(("controller", "unit", "states", *(f"{f} Hz" for f in tones_hz), "band", "peak"), title)
     for name, units in summary.closed_loop.items():
         states = str(summary.design[name].states)

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from ultraquiet._base.provenance import Provenance, plain, versions
+from ultraquiet._base.shown.line import counted
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
@@ -65,7 +66,7 @@ def _verdict(
     plant: StateSpace, controller: StateSpace, asked: float, margins: Mapping[str, EndMargins], peak: str
 ) -> Status:
     own = "stable" if controller.is_stable() else UNSTABLE_LAW
-    law = f"the controller has {controller.states} states and is {own}."
+    law = f"the controller has {counted(controller.states, 'state')} and is {own}."
     # NaN, which no comparison admits, is no margin
     if margins[weaker_end(margins)].disk_all >= asked:
         return Status(StatusWord.OK, f"The loop is stable; {peak}; {stated(margins)}; {law}")

@@ -72,7 +72,8 @@ class WorstDirection:
         size = loudness(self.attenuation_db)
         if abs(self.attenuation_db) >= LITTLE_DB:
             size = f"{size}, at {self.f_hz:.4g} Hz"
-        said = f"Over {band} the worst direction of S gets {size}."
+        over = "Yet over" if self.attenuation_db <= -LITTLE_DB else "Over"
+        said = f"{over} {band} the worst direction of S gets {size}."
         return f"{said} {self._out_of_reach}" if self.least_reached else said
 
     @property

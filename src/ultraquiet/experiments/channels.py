@@ -34,7 +34,8 @@ def rows(actuators: Sequence[Channel], meant: Any) -> tuple[list[int], list[str]
         if row is None:
             names = ", ".join(channel.name for channel in actuators)
             what = f"actuator {one}" if isinstance(one, int) else f"actuator called '{one}'"
-            faults.append(f"there is no {what}; the bench has 1 to {len(actuators)} ({names}).")
+            span = "only 1" if len(actuators) == 1 else f"1 to {len(actuators)}"
+            faults.append(f"there is no {what}; the bench has {span} ({names}).")
         elif row in selected:
             faults.append(f"actuator {row + 1}, '{actuators[row].name}', is listed twice.")
         else:

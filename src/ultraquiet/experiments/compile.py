@@ -25,7 +25,7 @@ from ultraquiet.signals import Signal
 from ultraquiet.values import Channel, StateSpace
 from ultraquiet.values.channel import usual_level
 
-DEFAULT_SAMPLES = 4096  # the paper's record length, section 3.4
+DEFAULT_SAMPLES = 4096  # at every rate: lines a 4096th of it apart, enough for models of some tens of states
 # Rounds within rounds multiply; a slip of the pen must not keep the check busy for days.
 MOST_COMMANDS = 100_000
 # Branches of the tree of seeds, so that a disturbance never draws what an excitation draws.
@@ -165,7 +165,7 @@ class Compiler:
         samples = command.samples or self._samples
         seeds = self._seeds(command.seed, self._count)
         method, who = command.signal.method, f"'{command.name}'"
-        drives = [Drive(method, self._levelled(signal, row, who), row, seeds(row)) for row in selected]
+        drives = [self._drive(method, signal, row, who, seeds(row)) for row in selected]
         tried = drives or [Drive(method, signal, _NOWHERE, 0)]
         self._check(tried, (*place, "signal"), samples)
         if command.actuator == "each":
@@ -231,7 +231,7 @@ class Compiler:
         selected = self._rows("all" if meant is None else meant, (*place, key))
         seeds = self._seeds(command.seed, self._count, _DISTURBANCE)
         method, who = command.signal.method, f"the disturbance of line {self._mistakes.line(place)}"
-        drives = [Drive(method, self._levelled(signal, row, who), row, seeds(row)) for row in selected]
+        drives = [self._drive(method, signal, row, who, seeds(row)) for row in selected]
         self._disturbance = Disturbance(tuple(drives), (*place, "signal"))
         self._met = False
 
@@ -254,6 +254,10 @@ class Compiler:
         for fault in faults:
             self._mistakes.add(place, fault)
         return selected
+
+    def _drive(self, method: str, signal: Any, row: int, who: str, seed: int) -> Drive:
+        unnamed = signal.unnamed_levels() if isinstance(signal, Signal) else ()
+        return Drive(method, self._levelled(signal, row, who), row, seed, unnamed)
 
     def _levelled(self, signal: Any, row: int, who: str) -> Any:
         """Return the signal with what its actuator takes wherever it names no level; that is said of `who` once."""

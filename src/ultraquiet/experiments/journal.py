@@ -43,6 +43,11 @@ def begun(folder: Path) -> dict[str, str]:
     return {e["name"]: e["hash"] for e in entries(folder) if e["event"] == "begun"}
 
 
+def shares(folder: Path) -> dict[str, float]:
+    """Return hash -> share of its level at which a measurement is sent, of those whose level was found."""
+    return {e["hash"]: float(e["share"]) for e in entries(folder) if e["event"] == "levelled"}
+
+
 def busy(folder: Path) -> bool:
     """Return whether a process is executing a list into a folder now."""
     try:
@@ -152,7 +157,7 @@ def _names(entry: Any) -> list[Any]:
     event = entry["event"]
     if event == "planned":
         return [measurement["name"] for measurement in entry["measurements"]]
-    if event not in ("begun", "aborted", "finished"):
+    if event not in ("begun", "aborted", "finished", "levelled"):
         return []
     if not isinstance(entry["hash"], str):
         raise TypeError(entry["hash"])

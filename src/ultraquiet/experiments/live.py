@@ -122,6 +122,9 @@ class Onlooker:
     def measures(self, step: Measurement, levels: Levels) -> None:
         """Say that a measurement begins; `levels` will follow it."""
 
+    def lowers(self, sentence: str) -> None:
+        """Say that a level which nobody named is lowered, and why."""
+
     def advances(self, step: Measurement, levels: Levels) -> None:
         """Say that a block has been measured."""
 

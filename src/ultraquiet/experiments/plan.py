@@ -14,12 +14,13 @@ from ultraquiet.values import StateSpace
 
 @dataclass(frozen=True)
 class Drive:
-    """A signal on one actuator (counted from 0), with the seed of its draw."""
+    """A signal on one actuator (counted from 0), with the seed of its draw; `unnamed` are levels that nobody named."""
 
     method: str
     signal: Any
     actuator: int
     seed: int
+    unnamed: tuple[str, ...] = ()
 
     def describe(self) -> dict[str, Any]:
         """Return what makes this drive, in plain types: what is on a disk keeps the names that it was written with."""
@@ -49,7 +50,8 @@ class Thermometer:
 class Measurement:
     """One run of the bench that leaves one record called `name`; `group` is the name its command gave.
 
-    The comment is for people and decides nothing: it is no part of the hash.
+    The comment is for people and decides nothing: it is no part of the hash. `planned` is the hash of the measurement
+    that was planned where the bench asked for less.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Measurement:
     controller: StateSpace | None
     controller_file: str
     comment: str = ""
+    planned: str = ""
 
     def describe(self) -> dict[str, Any]:
         """Return everything that decides this measurement, in plain types."""
@@ -77,7 +80,7 @@ class Measurement:
     @property
     def hash(self) -> str:
         """Content hash of what decides the measurement: equal for equal measurements."""
-        return content_hash(self.describe())
+        return self.planned or content_hash(self.describe())
 
 
 Step = Measurement | Pause | Thermometer

@@ -3,10 +3,11 @@
 import os
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from ultraquiet._base.progress import Task, task
 from ultraquiet.experiments import clock, journal
+from ultraquiet.experiments import levels as found_levels
 from ultraquiet.experiments.folder import check_space, finished_in, prepared, refuse_repetition, sweep
 from ultraquiet.experiments.listed import NO_BENCH, ExperimentList
 from ultraquiet.experiments.live import Course, Levels, Onlooker
@@ -103,6 +104,7 @@ class _Walk:
         self._real = clock.real_time(listed.bench)
         self._records: dict[str, Record] = {}
         self._temperatures: dict[str, float] = {}
+        self._known, self._shares = journal.shares(place), dict[tuple[Any, ...], float]()
         self._todo = [m for m in listed.measurements if m.name not in finished]
 
     def through(self, sleep: Callable[[float], None] | None) -> dict[str, Record]:
@@ -146,10 +148,29 @@ class _Walk:
         if record is None:
             if self._stop():
                 self._end(f"stopped as asked before '{step.name}'", True)
-            record = self._measured(step)
+            record = self._measured(self._levelled(step))
             self._todo.remove(step)
         self._records[step.name] = record
         progress.advance(note=step.name)
+
+    def _levelled(self, step: Measurement) -> Measurement:
+        """Return a measurement at the level that its sensors bear, which is found once for all rounds of a command."""
+        bench = self._listed.bench
+        assert bench is not None
+        if not found_levels.asks(bench, step):
+            return step
+        command = (step.group, *(drive.actuator for drive in step.drives))
+        share = self._shares.get(command, self._known.get(step.hash))
+        if share is None:
+            found = found_levels.levelled(bench, step, len(self._records), self._stop)
+            if found is None:
+                self._end(f"stopped as asked before '{step.name}'", True)
+            share = found.share
+            if share < 1.0:
+                self._onlooker.lowers(found.sentence(step, bench.actuators))
+        self._shares[command] = share
+        self._log.write("levelled", at=clock.now(), name=step.name, hash=step.hash, share=share)
+        return step if share == 1.0 else found_levels.lowered(step, share)
 
     def _measured(self, step: Measurement) -> Record:
         bench, begun = self._listed.bench, clock.now()
@@ -186,7 +207,7 @@ class _Walk:
         self._log.write(event, at=clock.now(), name=step.name, hash=step.hash, record=measured.record.hash, **notes)
         self._onlooker.ends(step, levels, ABORTED if measured.aborted else DONE, warnings)
 
-    def _end(self, sentence: str, on_request: bool) -> None:
+    def _end(self, sentence: str, on_request: bool) -> NoReturn:
         raise StoppedError(sentence, states(self._listed.measurements, self._place), on_request)
 
     def _wait(self, step: Pause, sleep: Callable[[float], None] | None) -> None:

@@ -51,7 +51,7 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
             if np.ptp(signal) == 0.0:
                 raise InputError(
                     f"{who}: {kind} '{wire.name}' is constant at {signal[0]:g} {wire.unit}, which no model can be "
-                    f"drawn from; excite it, or leave the channel out with record.pick."
+                    f"drawn from; excite it, or leave the channel out with record.pick (--inputs, --outputs)."
                 )
     _refuse_copies(who, record)
     _refuse_broken_sensors(who, record)
@@ -66,7 +66,7 @@ def _refuse_copies(who: str, record: Record) -> None:
         names = ", ".join(f"'{record.actuators[k].name}'" for k in copies)
         raise InputError(
             f"{who}: the inputs {names} follow from each other, so their effects cannot be told apart; excite them by "
-            f"independent signals, or leave one out with record.pick."
+            f"independent signals, or leave one out with record.pick (--inputs)."
         )
 
 

@@ -12,7 +12,7 @@ from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, InterlockError, StorageError, UltraquietError
 from ultraquiet._base.progress import task
-from ultraquiet._base.registry import lookup
+from ultraquiet._base.registry import lookup, older_names
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.design import DesignResult
@@ -36,7 +36,7 @@ from ultraquiet.pipeline.facts.loops import (
 from ultraquiet.pipeline.identification import for_method
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.stage import Outcome
-from ultraquiet.pipeline.study import Band, Deploy, Design
+from ultraquiet.pipeline.study import Band, Deploy, Design, Study
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
@@ -307,6 +307,24 @@ def command_limits(actuators: Sequence[Channel], records: Iterable[Record], sett
     else:
         largest = np.broadcast_to(np.asarray(settings.limits, dtype=float), len(own))
     return np.where(np.isfinite(own), own, np.column_stack([-largest, largest]))
+
+
+def with_limits(study: Study, actuators: Sequence[Channel], records: Iterable[Record]) -> Study:
+    """Return the study whose laws that adapt have a limit where their actuators state none: that of commands in code.
+
+    Such a law is watched at its limit and asks for one.
+    """
+    if not np.isinf([[c.low, c.high] for c in actuators]).any():
+        return study
+    tables: dict[str, Design] = {}
+    for name, table in study.controllers.items():
+        kind = lookup("design", table.design.method)
+        stated = {"limit", *(older for older, newer in older_names(kind).items() if newer == "limit")}
+        if getattr(kind, "asks_limit", False) and not stated & set(table.design.settings):
+            most = np.abs(command_limits(actuators, records, study.deploy)).min(axis=1).tolist()
+            design = type(table.design).model_validate({**table.design.model_dump(), "limit": most})
+            tables[name] = table.model_copy(update={"design": design})
+    return study if not tables else study.model_copy(update={"controllers": {**study.controllers, **tables}})
 
 
 def deployed(

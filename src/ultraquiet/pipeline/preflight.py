@@ -4,22 +4,26 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
 from ultraquiet._base.registry import lookup
+from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.bench.inner import Around
 from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
+from ultraquiet.pipeline.facts.loops import ONLY
 from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
 from ultraquiet.pipeline.study import Band, ClosedLoop, Plant, Study, StudyError
 from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import usual_level
 
-ONLY = "bench"  # the name of the one unit of a bench that knows no units
 SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of the lowest
+HEARD = 0.4  # of a sensor's range: tones that nobody gave an amplitude stay below, before a law is closed
 MOST_SAMPLES = 1e8  # of all channels of one run; 0.8 GB
 
 
@@ -94,7 +98,7 @@ def loop_plan(settings: ClosedLoop, bench: Any, plant: StateSpace) -> LoopPlan:
     return LoopPlan(
         units=units_of(settings, bench),
         tones_hz=tones,
-        amplitude=settings.amplitude or usual_amplitude(bench),
+        amplitude=settings.amplitude or _heard_within_range(usual_amplitude(bench), bench, plant, tones),
         duration_s=settings.duration_s or max(SHORTEST_S, PERIODS / min(tones, default=PERIODS)),
         band_hz=settings.band_hz or even_plant(plant, who="closed_loop").band_hz,
     )
@@ -123,6 +127,19 @@ def as_unit(bench: Any, unit: str) -> Any:
 def usual_amplitude(bench: Any) -> float:
     """Return a tenth of what its actuators may swing; one where none has limits."""
     return usual_level(getattr(bench, "actuators", ()))
+
+
+def _heard_within_range(amplitude: float, bench: Any, plant: StateSpace, tones_hz: Sequence[float]) -> float:
+    """Return the amplitude of tones on all actuators, lowered until no sensor needs more than a share of its range.
+
+    Without a law, where the plant answers as it was identified: sum_j |G_ij(f)| a <= `HEARD` min(-low_i, high_i).
+    """
+    ranges = [min(-c.low, c.high) for c in getattr(bench, "sensors", ())]
+    if not tones_hz or len(ranges) != len(plant.sensors) or not np.isfinite(ranges).any():
+        return amplitude
+    gains = np.abs(plant.frequency_response(np.array(tones_hz))).sum(axis=1).max(axis=1)
+    most = min((HEARD * own / gain for own, gain in zip(ranges, gains, strict=True) if gain > 0 < own), default=np.inf)
+    return min(amplitude, float(most))
 
 
 def _closed_loop(study: Study, bench: Any, mistakes: Mistakes) -> None:
@@ -189,10 +206,12 @@ def _channels(study: Study, wired: Any, mistakes: Mistakes) -> None:
     nu, ny = len(wired.actuators), len(wired.sensors)
     limits = study.deploy.limits
     if isinstance(limits, list) and len(limits) not in (1, nu):
-        fault = f"there are {nu} actuators and {len(limits)} limits; give one number, or one an actuator."
+        given = f"{counted(len(limits), 'limit')}; give one number, or one an actuator."
+        fault = f"{several_of(nu, 'there is', 'there are')} {counted(nu, 'actuator')} and {given}"
         mistakes.add(("deploy", "limits"), f"deploy.limits: {fault}")
     if study.paper is not None and study.paper.channel > min(nu, ny):
-        fault = f"there is no channel {study.paper.channel}: {nu} actuators and {ny} sensors, counted from one."
+        wires = f"{counted(nu, 'actuator')} and {counted(ny, 'sensor')}, counted from one."
+        fault = f"there is no channel {study.paper.channel}: {wires}"
         mistakes.add(("paper", "channel"), f"paper.channel: {fault}")
 
 

@@ -9,13 +9,14 @@ from typing import Any
 
 from ultraquiet._base.beside import Said, beside
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, requirements, validation
 from ultraquiet.pipeline import limits as attainable
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
-from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode
+from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode, of_the_bench
 from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
@@ -262,7 +263,7 @@ class Stages:
         compute = partial(identification.plant, self.records, settings)
         key = plant_key(self._record_hashes, settings)
         outcome = self.cache.stage("plant", "models", key, compute, PlantFacts)
-        self.say(f"plant for design: {outcome.facts.states} states, {outcome.facts.status}")
+        self.say(f"plant for design: {counted(outcome.facts.states, 'state')}, {outcome.facts.status}")
         return outcome
 
     @cached_property
@@ -275,7 +276,7 @@ class Stages:
             compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
             key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
             outcome = self.cache.stage(f"plant-{unit}", "models", key, compute, PlantFacts)
-            self.say(f"plant for design, {unit}: {outcome.facts.states} states, {outcome.facts.status}")
+            self.say(f"plant for design, {unit}: {counted(outcome.facts.states, 'state')}, {outcome.facts.status}")
             found[unit] = outcome.values[of_unit(unit)]
         return found
 
@@ -325,7 +326,10 @@ class Stages:
             acting = control.adapting(plant, design) if adaptive else None
             return control.closed(name, acting or law, opened, required_hz)
 
-        return self.cache.stage(f"loop-{name}", "loops", key, compute, LoopFacts)
+        outcome = self.cache.stage(f"loop-{name}", "loops", key, compute, LoopFacts)
+        for unit, loop in outcome.facts.units.items():
+            self.say(f"closed {name} on {of_the_bench(unit)}: {loop.status}")
+        return outcome
 
     def _deploy(self, name: str, law: StateSpace, plant: StateSpace, plan: LoopPlan, adaptive: bool) -> DeploymentFacts:
         """Turn it into code, unless it adapts."""
@@ -343,7 +347,7 @@ class Stages:
             return control.deployed(name, law, plant, limits, place, settings, plan.tones_hz)
 
         facts = self.cache.stage(f"deploy-{name}", "code", key, compute, DeploymentFacts, writes=name).facts
-        self.say(f"closed and deployed {name}: {facts.verdict}")
+        self.say(f"code of {name}: {facts.verdict}")
         return facts
 
     def _limits(self, plant: StateSpace, laws: Mapping[str, StateSpace], plan: LoopPlan) -> Outcome[LimitFacts]:

@@ -234,6 +234,8 @@ def reload_study(folder: Path) -> Study:
         return Study.model_validate_json(read_regular_text(path))
     except (FileNotFoundError, NotADirectoryError) as error:
         what = f"in '{folder}' there is no study.json" if folder.is_dir() else f"there is no folder '{folder}'"
+        if folder.is_file():
+            what = f"'{folder}' is a file"
         raise InputError(f"report: {what}; name the folder that a study was run in (`run --out`).") from error
     except (OSError, UnicodeDecodeError, ValidationError) as error:
         raise InputError(

@@ -18,7 +18,7 @@ from ultraquiet.bench import Replay
 from ultraquiet.bench.from_file import from_file
 from ultraquiet.files import read_record, reason, write_bytes
 from ultraquiet.identify.record_checks import in_and_out
-from ultraquiet.pipeline import preflight, study
+from ultraquiet.pipeline import control, preflight, study
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.mission.campaign import How
@@ -184,6 +184,10 @@ def prepared(
         left = preflight.unheard(settings) if bench is None else []
         if left:
             say(f"closed_loop: without a bench no loop is closed and no tone is sent; unused: {', '.join(left)}")
+        complete = control.with_limits(settings, next(iter(records.values())).actuators, records.values())
+        if complete is not settings:
+            settings = complete
+            _write_study(settings, folder, beside)  # for whoever designs beside, and for the report
         yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key_of(settings, bench_key))
 
 
@@ -274,7 +278,9 @@ def _list_of(settings: study.Study, beside: Path | None) -> str:
     if name is None and settings.bench is not None and settings.bench.method == "hexapod":
         return PACKAGED_LISTS[0]
     if name is None:
-        raise InputError("study: [experiment] names no 'list'; only the hexapod has one of its own.")
+        raise InputError(
+            "study: [experiment] names no 'list', a file of commands (TOML) beside the study; only the hexapod has one."
+        )
     return name if name in PACKAGED_LISTS or beside is None else str((beside / name).resolve())
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.line import counted
 from ultraquiet.analyse.norms import h2_norm, hinf_norm
 from ultraquiet.linalg.cost import multiply_adds
 from ultraquiet.reduce._abstract import ReductionResult, Weights
@@ -145,7 +146,7 @@ def kept_promise(result: ReductionResult, controller: StateSpace, plant: StateSp
 
 def _verdict(controller: StateSpace, proof: Mapping[str, Any], bound: float | None) -> Status:
     cost = f"{proof['multiply_adds']} multiply-adds a step"
-    kept = f"{proof['states']} of {controller.states} states kept, {cost}"
+    kept = f"{proof['states']} of {counted(controller.states, 'state')} kept, {cost}"
     if bound is not None:
         kept += f"; the error is at most {bound:.3g}"
     if proof["stable"] is None:

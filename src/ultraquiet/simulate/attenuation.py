@@ -11,6 +11,7 @@ from ultraquiet._base.progress import task
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.loop import disturb
 from ultraquiet.values import Record, StateSpace
+from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
 
 # The part of the run that is measured; before it the loop settles.
@@ -34,6 +35,19 @@ class Attenuation:
     floor_v: FloatArray
     opened: tuple[Record, ...]
     closed: tuple[Record, ...]
+
+    @property
+    def cut(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the sensors that stood at an end of their range, open or closed, one tuple per tone.
+
+        What they show of a tone is not what it was.
+        """
+        pairs = [
+            np.add(*(at_limits(run.outputs, run.sensors) for run in both))
+            for both in zip(self.opened, self.closed, strict=True)
+        ]
+        sensors = self.opened[0].sensors
+        return tuple(tuple(c.name for c, n in zip(sensors, counts, strict=True) if n) for counts in pairs)
 
     @property
     def worst_reduction_db(self) -> FloatArray:

@@ -115,7 +115,7 @@ def ringing(response: FloatArray, noise: FloatArray, rate_hz: float) -> Ringing:
                 modes.append(mode)
     apart = rate_hz / (RESOLVED * frames.samples)
     settled = frames.power(scaled, _settled(frames.count))
-    return Ringing(tuple(_each_once(modes, apart)), *_unheard(frames, level, settled, hum))
+    return Ringing(tuple(_each_once(modes, apart)), *_unheard(frames, level, settled, hum, floor))
 
 
 def tones_hz(noise: FloatArray, rate_hz: float) -> tuple[float, ...]:
@@ -125,16 +125,19 @@ def tones_hz(noise: FloatArray, rate_hz: float) -> tuple[float, ...]:
     if not level.size:
         return ()
     hum = np.maximum(frames.power(level, frames.count // 2), frames.power(level, 0))
-    return _unheard(frames, level, np.zeros_like(hum), hum)[0]
+    return _unheard(frames, level, np.zeros_like(hum), hum, 0.0)[0]
 
 
 def _unheard(
-    frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray
+    frames: Frames, noise: FloatArray, heard: FloatArray, hum: FloatArray, floor: float
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return where the noise holds a tone that the response does not, and where it may hide one, Hz, clearest first."""
+    """Return where the noise holds a tone that the response does not, and where it may hide one, Hz, clearest first.
+
+    Powers below `floor` are rounding's.
+    """
     padded = np.pad(hum, BROAD, mode="reflect") if hum.size > BROAD else hum
     around = np.median(np.lib.stride_tricks.sliding_window_view(padded, padded.size - hum.size + 1), axis=1)
-    noisy = np.flatnonzero((hum > LEAKED * hum.max()) & (heard < VISIBLE**2 * hum))
+    noisy = np.flatnonzero((hum > max(LEAKED * hum.max(), floor)) & (heard < VISIBLE**2 * hum))
     rises = np.zeros(hum.size)
     rises[noisy] = np.maximum(hum[noisy] / np.maximum(around[noisy], hum[noisy] / LARGEST), heard[noisy] / hum[noisy])
     found = noisy[rises[noisy] > RISES]

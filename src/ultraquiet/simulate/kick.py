@@ -77,11 +77,13 @@ def _peak_one(signal: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class FreeResponse:
-    """Two runs with opposite bursts: half their difference is the response, half their sum the noise, less its mean.
+    """Two runs with opposite bursts: half their difference is the response, half their sum the noise.
 
     Readings and commands `(ny + nu, samples)` after the burst. What does not turn with the burst is counted as noise;
-    both have half the power of the noise of one run. A hum may begin anew with every run and stand in the response as
-    well: where there are `hums_hz`, the noise is that of a whole run without a burst, which no such hum exceeds.
+    both have half the power of the noise of one run. Where the loop comes to rest, the mean of the later half, is left
+    out of it: an offset of the sensors is the same in both runs, and nothing hides behind it. A hum may begin anew with
+    every run and stand in the response as well: where there are `hums_hz`, the noise is that of a whole run without a
+    burst, which no such hum exceeds.
     """
 
     response: FloatArray
@@ -151,9 +153,9 @@ def kicked(bench: Bench, law: StateSpace | Controller, burst: Burst) -> FreeResp
     d = burst.signal()
     plus, minus = (disturb(bench, sign * d, law) for sign in (1.0, -1.0))
     a, b = (_after(run, burst.length) for run in (plus, minus))
-    noise = _after(disturb(bench, 0.0 * d, law), burst.length) if burst.hums_hz else (a + b) / 2
-    noise = noise - noise.mean(axis=1, keepdims=True)
-    return FreeResponse((a - b) / 2, noise, (plus, minus), burst.hums_hz, burst.outside_hz)
+    both = _after(disturb(bench, 0.0 * d, law), burst.length) if burst.hums_hz else (a + b) / 2
+    rest = both[:, both.shape[1] // 2 :].mean(axis=1, keepdims=True)
+    return FreeResponse((a - b) / 2, both - rest, (plus, minus), burst.hums_hz, burst.outside_hz)
 
 
 def _after(run: Record, samples: int) -> FloatArray:

@@ -24,6 +24,8 @@ LOWEST_PERIODS, HIGHEST, SPLIT, FASTER = 64.0, 0.96, 0.33, 4
 FINER, FINER_FAST = 4, 2
 # It rings on when the last part of a run has so many times the power of its noise.
 LAST, RINGS = 8, 10.0
+# A reading at rest this many deviations of its noise from zero has an offset; within so many it has come to rest.
+OFFSET, SETTLED = 3.0, 5.0
 ROUNDED = 1e-6  # of a run's size: what is smaller at its end may be rounding
 OVERLAP = 1.1  # of the bands, where each fades
 BELOW = 0.7  # where a band below begins, over where the one above does
@@ -92,7 +94,8 @@ class OpenBand:
 
     def noise_of(self, quiet: FloatArray) -> FloatArray:
         """Return the size of the noise in the spectrum of one run, `(ny, lines)`, from a run that was quiet."""
-        power = np.abs(self.sweep.transform(quiet - quiet.mean(axis=1, keepdims=True))) ** 2
+        alone = without_offset(quiet, startup(quiet))
+        power = np.abs(self.sweep.transform(alone - alone.mean(axis=1, keepdims=True))) ** 2
         wide = np.ones(2 * NOISE_LINES + 1) / (2 * NOISE_LINES + 1)
         padded = np.pad(power, ((0, 0), (NOISE_LINES, NOISE_LINES)), mode="reflect")
         return np.sqrt(np.stack([np.convolve(row, wide, "valid") for row in padded]))
@@ -119,7 +122,7 @@ class OpenBand:
     @cached_property
     def quiet_rms(self) -> FloatArray:
         """Size of the noise of each sensor, `(ny,)`."""
-        return np.sqrt(np.mean(self.quiet(None) ** 2, axis=1))
+        return np.sqrt(np.mean(without_offset(self.quiet(None)) ** 2, axis=1))
 
     @cached_property
     def units(self) -> FloatArray:
@@ -163,19 +166,25 @@ class OpenBand:
         levels = self.short.run(None, self.shapes, level, LEVELLINGS).better
         return self.rested(None, levels, self.last_power(self.quiet(None)))
 
-    def rested(self, law: StateSpace | Controller | None, levels: FloatArray, hum: FloatArray) -> Runs:
+    def rested(
+        self,
+        law: StateSpace | Controller | None,
+        levels: FloatArray,
+        hum: FloatArray,
+        start: FloatArray | None = None,
+    ) -> Runs:
         """Return runs that end at rest, as far as more silence brings them there; lower ones where limits were met.
 
-        `hum`: `last_power` of a run in which nothing is sent.
+        `hum`: `last_power` of a run in which nothing is sent; `start`: its `startup`.
         """
-        runs = self.run(law, self.shapes, levels, 1)
+        runs = self.run(law, self.shapes, levels, 1, start=start)
         for _ in range(LOWERED):
             if not runs.clipped:
                 break
             levels = np.minimum(levels, LOWER * runs.better)
-            runs = self.run(law, self.shapes, levels, 1)
+            runs = self.run(law, self.shapes, levels, 1, start=start)
         if (runs.last > RINGS * hum[:, None]).any():
-            return self.run(law, self.shapes, levels, 1, longer=True)
+            return self.run(law, self.shapes, levels, 1, longer=True, start=start)
         return runs
 
     @cached_property
@@ -198,18 +207,20 @@ class OpenBand:
         levels: FloatArray,
         levellings: int = 1,
         longer: bool = False,
+        start: FloatArray | None = None,
     ) -> Runs:
         """Run one sweep in each direction; anew at better levels until they fit, or so many times."""
-        found = [self._levelled(law, shapes[:, k], levels[k], levellings, longer) for k in range(shapes.shape[1])]
-        sent, heard, level, better, clipped, last = zip(*found, strict=True)
+        silence = (self.sweep.finer - 1) * self.sweep.samples if longer else 0
+        made = [self._levelled(law, shapes[:, k], levels[k], levellings, silence) for k in range(shapes.shape[1])]
+        found = [(*self._spectra(d, record.outputs, start), *more) for d, record, *more in made]
+        sent, heard, last, level, better, clipped = zip(*found, strict=True)
         length = self.sweep.finer if longer else 1
         spectra = np.stack(sent, axis=1), np.stack(heard, axis=1)
         return Runs(*spectra, np.stack(level), np.stack(better), sum(clipped), length, np.stack(last, axis=1))
 
     def _levelled(
-        self, law: StateSpace | Controller | None, shape: ComplexArray, level: FloatArray, times: int, longer: bool
-    ) -> tuple[ComplexArray, ComplexArray, FloatArray, FloatArray, int, FloatArray]:
-        silence = (self.sweep.finer - 1) * self.sweep.samples if longer else 0
+        self, law: StateSpace | Controller | None, shape: ComplexArray, level: FloatArray, times: int, silence: int
+    ) -> tuple[FloatArray, Record, FloatArray, FloatArray, int]:
         while True:
             d = self.sweep.signal(self.grid_hz, shape, level)
             record = disturb(self.bench, np.pad(d, ((0, 0), (0, silence))), law)
@@ -217,10 +228,14 @@ class OpenBand:
             clipped = int(sum(at_limits(*x).sum() for x in _channels(record)))
             times -= 1
             if not times or (not clipped and np.median(np.abs(np.log(change))) < np.log(LEVELLED)):
-                y = record.outputs
-                spectra = self.sweep.transform(d), self.sweep.transform(y)
-                return *spectra, level, level * change, clipped, self.last_power(y)
+                return d, record, level, level * change, clipped
             level = level * change
+
+    def _spectra(
+        self, d: FloatArray, y: FloatArray, start: FloatArray | None
+    ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
+        """Return the spectra of what was sent and of what came back, and the power at the end of a run."""
+        return self.sweep.transform(d), self.sweep.transform(without_offset(y, start)), self.last_power(y)
 
     def _change(self, d: FloatArray, record: Record, closed: bool) -> FloatArray:
         """Return by how much the level may be raised at the grid, `(grid,)`."""
@@ -308,6 +323,37 @@ def _on(band: OpenBand, bench: Bench) -> OpenBand:
 
 def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], ...]:
     return (record.outputs, record.sensors), (record.inputs, record.actuators)
+
+
+def without_offset(y: FloatArray, start: FloatArray | None = None) -> FloatArray:
+    """Return readings without what they show at rest; as they are where no sensor has an offset, `(ny, samples)`.
+
+    A run ends at rest: its last part says where that is. With a law it begins with what the loop makes of the offset as
+    it is closed, `start`, the beginning of a run in which nothing is sent (`startup`). Both would leak into every line.
+    """
+    rest = _rest(y)
+    if rest is None:
+        return y
+    known = np.repeat(rest[:, None], y.shape[1], axis=1)
+    if start is not None:
+        known[:, : start.shape[1]] = start
+    return np.asarray(y - known)
+
+
+def startup(quiet: FloatArray) -> FloatArray | None:
+    """Return the beginning of a run in which nothing is sent, until it has come to rest; None without an offset."""
+    rest = _rest(quiet)
+    if rest is None:
+        return None
+    noise = quiet[:, -(quiet.shape[1] // LAST) :].std(axis=1, keepdims=True)
+    moving = np.flatnonzero((np.abs(quiet - rest[:, None]) > SETTLED * noise).any(axis=0)[: quiet.shape[1] // 2])
+    return quiet[:, : moving[-1] + 1 if moving.size else 0]
+
+
+def _rest(y: FloatArray) -> FloatArray | None:
+    last = y[:, -(y.shape[1] // LAST) :]
+    rest = last.mean(axis=1)
+    return rest if (np.abs(rest) > OFFSET * last.std(axis=1)).any() else None
 
 
 def over(heard: ComplexArray, sent: ComplexArray) -> ComplexArray:

@@ -8,9 +8,10 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.progress import task
+from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest
+from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest, startup
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -117,10 +118,11 @@ class MeasuredSensitivity:
         """Return a sentence on the lines of a band that noise hides, in numbers, and `below` where the band begins."""
         band = self._band(low_hz, high_hz)
         hidden, f = band & self.hidden, self.f_hz
-        said = f"All {band.sum()} lines were resolved."
+        said = f"All {band.sum()} lines were resolved." if band.sum() > 1 else "The line was resolved."
         if hidden.any():
             said = (
-                f"Noise hides {hidden.sum()} of {band.sum()} lines, {f[hidden].min():.4g} to {f[hidden].max():.4g} Hz; "
+                f"Noise hides {hidden.sum()} of {counted(int(band.sum()), 'line')}, {f[hidden].min():.4g} to "
+                f"{f[hidden].max():.4g} Hz; "
                 f"they are counted at the bound it leaves."
             )
         return f"{said} {self.below}" if self.below and low_hz < f[0] else said
@@ -216,7 +218,7 @@ class _Pair:
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
         self.band, self._law = band, law
         quiet = band.quiet(law)
-        self._noise, self._hum = band.noise_of(quiet), band.last_power(quiet)
+        self._noise, self._hum, self._start = band.noise_of(quiet), band.last_power(quiet), startup(quiet)
         ny, nu = len(band.bench.sensors), len(band.bench.actuators)
         begin = BEGIN_CLOSED * band.runs.levels
         self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
@@ -248,7 +250,7 @@ class _Pair:
 
     def _measure(self) -> None:
         band = self.band
-        closed = band.rested(self._law, self._levels, self._hum)
+        closed = band.rested(self._law, self._levels, self._hum, self._start)
         self._levels = closed.better
         noise = np.sqrt(band.runs.length) * band.noise, np.sqrt(closed.length) * self._noise
         S, deviation, response = _sensitivity(band.runs, closed, *noise)
@@ -310,7 +312,8 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
         )
     bench = opened.bench
     ny, nu = len(bench.sensors), len(bench.actuators)
-    reach = f"{nu} actuators reach {nu} of {ny} directions of the sensors; in the others no law does anything."
+    reach = f"{counted(nu, 'actuator reaches', 'actuators reach')} {nu} of {ny} directions of the sensors; "
+    reach += "in the others no law does anything."
     seconds = ", ".join(f"{band.sweep.samples / bench.rate_hz:g}" for band in opened.bands)
     text = f"disturbance to sensors, sweeps of {seconds} s"
     S, opened_y, closed_y = (

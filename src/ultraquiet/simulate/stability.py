@@ -37,6 +37,8 @@ HEAPED = 10.0
 # A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed:
 # little by little, for a burst far below what the limits allow leaves a slow mode among the noise.
 LOWERED_TO, LOWERED = 0.3, 6
+# A reading at rest that is so many deviations of its noise away from zero has an offset.
+OFFSET = 3.0
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
 SLOW = 10.0
 
@@ -222,11 +224,20 @@ def _at_limits(
     mode = seen.mode if before is None else before.mode
     if by_itself:
         return replace(seen, mode=mode)
-    sentence = (
-        f"Noise or an offset alone drives a command to its limit, where it stays for {found.limited:.0%} of the last "
-        f"quarter."
-    )
+    alone_says = f"{_what_drives(bench)} alone drives a command to its limit"
+    sentence = f"{alone_says}, where it stays for {found.limited:.0%} of the last quarter."
     return replace(seen, word=None, mode=mode, sentence=sentence)
+
+
+def _what_drives(bench: Bench) -> str:
+    """Return what drives a loop without a burst: the offset of the sensor that has the largest beside its noise."""
+    y = disturb(bench, np.zeros((len(bench.actuators), SHORTEST_SAMPLES))).outputs
+    offset, noise = y.mean(axis=1), y.std(axis=1)
+    k = int(np.argmax(np.abs(offset) / np.maximum(noise, np.finfo(float).tiny)))
+    if not abs(offset[k]) > OFFSET * noise[k]:
+        return "Noise"
+    sensor = bench.sensors[k]
+    return f"The offset of '{sensor.name}', {offset[k]:.3g} {sensor.unit}".rstrip() + ","
 
 
 def _so_far(bench: Bench, found: FreeResponse) -> Seen:

@@ -1,7 +1,7 @@
 """What every registered method must do. A failure is an AssertionError that names the method and the promise."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import FrozenInstanceError, fields, is_dataclass
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -101,8 +101,14 @@ def _identify(name: str, method: Any, seed: int) -> None:
     _refuses(name, lambda: method.identify(record.part(0, 8)))
 
 
+def _with_ranges(plant: StateSpace) -> StateSpace:
+    """Return the plant with commands that have ends: a law that adapts asks for them."""
+    wires = [replace(c, low=-LARGEST_V, high=LARGEST_V) for c in plant.actuators]
+    return replace(plant, actuators=tuple(wires))
+
+
 def _design(name: str, method: Any, seed: int) -> None:
-    plant = problems.damped_plant(seed)
+    plant = _with_ranges(problems.damped_plant(seed))
     result = method.design(plant)
     assert isinstance(result.status, Status), f"{name}: must carry a status"
     assert result.status.ok, f"{name}: must solve a damped square plant, said '{result.status}'"

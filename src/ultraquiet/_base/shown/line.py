@@ -33,13 +33,22 @@ def line(shown: object) -> str:
     return _bracketed(name, word(shown), facts)
 
 
-def counted(number: int, what: str) -> str:
-    """Return a number of things in words.
+def counted(number: int, what: str, several: str = "") -> str:
+    """Return a number of things in words; `several` is what more than one of them are called, or do.
 
-    >>> counted(1, "input"), counted(3, "input")
-    ('1 input', '3 inputs')
+    >>> counted(1, "input"), counted(3, "input"), counted(1, "is better", "are better"), counted(0, "pass", "passes")
+    ('1 input', '3 inputs', '1 is better', '0 passes')
     """
-    return f"{number} {what}{'s' * (number != 1)}"
+    return f"{number} {several_of(number, what, several)}"
+
+
+def several_of(number: int, what: str, several: str = "") -> str:
+    """Return the word for one thing, or for so many.
+
+    >>> several_of(1, "mode"), several_of(2, "mode"), several_of(2, "is", "are")
+    ('mode', 'modes', 'are')
+    """
+    return what if number == 1 else several or f"{what}s"
 
 
 def rounded(value: float, digits: int = 1) -> str:

@@ -58,7 +58,7 @@ class Hardware(Stepped):
     ...     rate_hz=1000.0,
     ...     actuators=[Channel("push", "V", -10.0, 10.0)],
     ...     sensors=["speed"],
-    ...     interlocks=Interlocks(slew_v_per_s=2000.0, ramp_s=0.002),
+    ...     interlocks=Interlocks(slew_per_s=2000.0, ramp_s=0.002),
     ... )
     >>> bench.run([[1.0, 2.0, 3.0]]).outputs.tolist(), volts[-3:]
     ([[0.0, 1.0, 2.0]], [1.0, 0.0, 0.0])

@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import InputError, InterlockError
+from ultraquiet._base.registry import formerly
 from ultraquiet.bench._abstract import limits
 from ultraquiet.values import Channel
 
@@ -15,18 +16,19 @@ Level = float | tuple[float, ...]
 ROUNDING = 1e-9
 
 
+@formerly(amplitude_v="amplitude", slew_v_per_s="slew_per_s", reading_v="reading", rms_v="rms")
 @dataclass(frozen=True)
 class Interlocks:
     """Limits that end a run when they are met. A level is one number for all channels, or one for each.
 
     Args:
-        amplitude_v: largest magnitude sent to an actuator, command and disturbance together; the actuators' own range
-            holds in any case.
-        slew_v_per_s: fastest change sent to an actuator, in V/s; the ramps to zero keep to it as well.
+        amplitude: largest magnitude sent to an actuator, command and disturbance together, in its unit; the actuators'
+            own range holds in any case.
+        slew_per_s: fastest change sent to an actuator, in its unit per second; the ramps to zero keep to it as well.
         duration_s: longest run.
-        reading_v: largest magnitude of a reading.
-        rms_v: largest RMS value of a reading, measured with the time constant `rms_window_s` (first order).
-        rms_window_s: see `rms_v`.
+        reading: largest magnitude of a reading, in its unit.
+        rms: largest RMS value of a reading, measured with the time constant `rms_window_s` (first order).
+        rms_window_s: see `rms`.
         late_frames: how many frames in a row may come too late.
         frame_s: longest time between two frames: a driver that hangs for longer is not to be trusted.
         stop: emergency stop, asked in every sample; True ends the run.
@@ -35,15 +37,15 @@ class Interlocks:
     Raises:
         InputError: a limit that is not above zero.
 
-    >>> Interlocks(amplitude_v=10.0, slew_v_per_s=2000.0, duration_s=60.0).ramp_s
+    >>> Interlocks(amplitude=10.0, slew_per_s=2000.0, duration_s=60.0).ramp_s
     0.1
     """
 
-    amplitude_v: Level | None = None
-    slew_v_per_s: Level | None = None
+    amplitude: Level | None = None
+    slew_per_s: Level | None = None
     duration_s: float | None = None
-    reading_v: Level | None = None
-    rms_v: Level | None = None
+    reading: Level | None = None
+    rms: Level | None = None
     rms_window_s: float = 0.1
     late_frames: int = 10
     frame_s: float = 0.5
@@ -51,7 +53,7 @@ class Interlocks:
     ramp_s: float = 0.1
 
     def __post_init__(self) -> None:
-        for name in ("amplitude_v", "slew_v_per_s", "duration_s", "reading_v", "rms_v"):
+        for name in ("amplitude", "slew_per_s", "duration_s", "reading", "rms"):
             level = getattr(self, name)
             for value in level if isinstance(level, tuple) else (level,):
                 if value is not None:
@@ -71,18 +73,18 @@ class Guard:
     ) -> None:
         self.interlocks, self.rate_hz, self.actuators, self.sensors = interlocks, rate_hz, actuators, sensors
         low, high = limits(actuators)
-        amplitude = _levels("amplitude_v", interlocks.amplitude_v, actuators)
+        amplitude = _levels("amplitude", interlocks.amplitude, actuators)
         self.low, self.high = np.maximum(low, -amplitude), np.minimum(high, amplitude)
-        self.step = _levels("slew_v_per_s", interlocks.slew_v_per_s, actuators) / rate_hz
-        self._reading = _levels("reading_v", interlocks.reading_v, sensors)
-        self._rms = _levels("rms_v", interlocks.rms_v, sensors)
+        self.step = _levels("slew_per_s", interlocks.slew_per_s, actuators) / rate_hz
+        self._reading = _levels("reading", interlocks.reading, sensors)
+        self._rms = _levels("rms", interlocks.rms, sensors)
         self._forget = -np.expm1(-1.0 / (interlocks.rms_window_s * rate_hz))
         self.reset()
         for c, least, most in zip(actuators, self.low, self.high, strict=True):
             if not (np.isfinite(least) and np.isfinite(most) and least <= 0.0 <= most):
                 raise InputError(
                     f"Hardware: '{c.name}' may be sent {least:g} to {most:g} {c.unit}; it needs finite limits about "
-                    "zero, its own or the interlock 'amplitude_v'."
+                    "zero, its own or the interlock 'amplitude'."
                 )
 
     def reset(self) -> None:

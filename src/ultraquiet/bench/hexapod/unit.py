@@ -11,7 +11,7 @@ from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import in_threads
-from ultraquiet.bench._abstract import BLOCK_SAMPLES, RAMP_SAMPLES, Block, Tally, checked_signals
+from ultraquiet.bench._abstract import Block, Tally, block_of, checked_signals, ramp_of
 from ultraquiet.bench.hexapod.laws import Plant, closing
 from ultraquiet.bench.hexapod.physics.drift import RENEWED_EVERY_S, RUN_EVERY_S
 from ultraquiet.bench.hexapod.physics.parameters import RATE_HZ, STRUTS
@@ -106,7 +106,7 @@ class Hexapod(HexapodSettings):
         """
         index = self._numbered(run_index)
         run = self._simulation(actuation, disturbance, controller, index)
-        (block,) = run.blocks(run.samples, None, RAMP_SAMPLES)
+        (block,) = run.blocks(run.samples, None, 1)
         tally = Tally()
         tally.take(block)
         facts = {"run_index": index, "temperature_c": self._weather(RUN_EVERY_S * index), **tally.counts()}
@@ -120,16 +120,16 @@ class Hexapod(HexapodSettings):
         controller: Any | None = None,
         *,
         run_index: int | None = None,
-        block_samples: int = BLOCK_SAMPLES,
+        block_samples: int | None = None,
         stop: Callable[[], bool] | None = None,
-        ramp_samples: int = RAMP_SAMPLES,
+        ramp_samples: int | None = None,
     ) -> Iterator[Block]:
         """Yield the run of `run` in blocks, bit for bit; see `Streaming.stream`.
 
         What was measured before a controller failed is handed over as a shorter block; the next step raises.
         """
-        block = whole("Hexapod.stream", "block_samples", block_samples, 1)
-        ramp = whole("Hexapod.stream", "ramp_samples", ramp_samples, 1)
+        block = block_of("Hexapod.stream", block_samples, self.rate_hz)
+        ramp = ramp_of("Hexapod.stream", ramp_samples, self.rate_hz)
         index = self._numbered(run_index)
         return self._simulation(actuation, disturbance, controller, index).blocks(block, stop, ramp)
 

@@ -9,6 +9,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from ultraquiet._base.shown.line import counted
 from ultraquiet.experiments import Course, Levels, Onlooker
 from ultraquiet.experiments.plan import Measurement
 
@@ -39,7 +40,7 @@ class Watcher(Onlooker):
         """Say how much there is to do, and what is there already."""
         self._total, self._course = len(steps), course
         if finished:
-            self.say(f"{len(finished)} records are there already and are kept; {len(steps)} to go")
+            self.say(f"{counted(len(finished), 'record is', 'records are')} there already and kept; {len(steps)} to go")
 
     def measures(self, step: Measurement, levels: Levels) -> None:
         """Count."""
@@ -51,6 +52,10 @@ class Watcher(Onlooker):
         self.warned += len(warnings)
         for warning in warnings:
             self.say(f"  warning: {warning}", "yellow")
+
+    def lowers(self, sentence: str) -> None:
+        """Say it."""
+        self.say(sentence)
 
     def waits(self, seconds: float, skipped: bool) -> None:
         """Say for how long, or that there is no need to."""
@@ -148,7 +153,7 @@ def loudness(levels: Levels) -> str:
     sensor, share = levels.sensors[loudest], levels.share[loudest]
     of_range = f" ({100 * share:.3g} % of range)" if share else ""
     level = f"{sensor.name}: RMS {levels.rms[loudest]:.3g} {sensor.unit}, peak {levels.peak[loudest]:.3g}{of_range}"
-    return f"{levels.samples} samples, {level}, clipped {levels.clipped.sum()}, late {levels.overruns}"
+    return f"{counted(levels.samples, 'sample')}, {level}, clipped {levels.clipped.sum()}, late {levels.overruns}"
 
 
 @contextmanager

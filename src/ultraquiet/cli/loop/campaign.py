@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ultraquiet._base.shown.line import counted
 from ultraquiet.cli.exits.codes import finish
 from ultraquiet.cli.progress import bars
 
@@ -70,7 +71,8 @@ def _table(facts: "CampaignFacts") -> "TextTable":
     from ultraquiet.cli.output.text_table import TextTable
 
     low, high = facts.band_hz
-    title = f"{facts.law} on {facts.benches} drawn benches ({facts.on}), dB; worst direction over {low:g}-{high:g} Hz"
+    benches = counted(facts.benches, "drawn bench", "drawn benches")
+    title = f"{facts.law} on {benches} ({facts.on}), dB; worst direction over {low:g}-{high:g} Hz"
     grid = TextTable(("unit", "stable", "figure", *facts.attenuation_db), title)
     for unit, figures in facts.by_unit.items():
         for name, label in (("attenuation_db", "attenuation"), ("peak_db", "peak")):

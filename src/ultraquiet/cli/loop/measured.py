@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import positive, rising_band, whole
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import several_of
 from ultraquiet.cli.loop.facts import decibels, seconds
 from ultraquiet.cli.loop.places import WHO, LoopPlace
 from ultraquiet.cli.output.text_table import TextTable
@@ -79,6 +80,14 @@ class LoopMeasured:
             yield _noise_grid(self.noise, place, self.amplitude)
         if self.step is not None:
             yield _step_grid(self.step, place)
+
+    def remarks(self) -> Iterator[str]:
+        """Yield a sentence for every tone of which a sensor shows no more than its range."""
+        for f, names in zip(self.tones.tones_hz, self.tones.cut, strict=True) if self.tones is not None else ():
+            if names:
+                who = ", ".join(f"'{name}'" for name in names)
+                stood = several_of(len(names), "stands", "stand")
+                yield f"at {f:g} Hz {who} {stood} at an end of the range, which cuts the tone off; lower --amplitude"
 
     def facts(self, place: LoopPlace) -> dict[str, Any]:
         """Return everything measured by channel name."""

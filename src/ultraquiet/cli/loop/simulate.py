@@ -58,6 +58,7 @@ def simulate(
         for grid in found.grids(place):
             show.say("")
             show.table(grid)
+        show.say(*found.remarks())
         facts |= found.facts(place)
     show.result(facts)
     finish(status)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from ultraquiet._base.constraints import whole
-from ultraquiet._base.errors import ToolError
+from ultraquiet._base.errors import InputError, ToolError
 
 PACKAGE = "nicegui"
 
@@ -19,6 +19,8 @@ def serve(
 ) -> None:
     """Serve the workbench on this machine alone, until stopped; its address stands on one line."""
     whole("serve", "port", port, 0, 65535)
+    if folder.is_file():
+        raise InputError(f"serve: '{folder}' is a file; name the folder of a study, it is made when absent.")
     if util.find_spec(PACKAGE) is None:
         raise ToolError("serve: the workbench needs NiceGUI; install it with:  pip install 'ultraquiet[workbench]'")
     from ultraquiet.workbench.web.server import serve as serve_study

@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, positive, rising_band
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.fixed_structure.specification import Specification
 from ultraquiet.design.gain_search import from_plant
@@ -116,7 +117,7 @@ class Modal(StatedRobustness):
         A = plant.A + plant.B @ F - L @ (plant.C + plant.D @ F)
         law = StateSpace(A, L, F, np.zeros((plant.D.shape[1], plant.D.shape[0])), plant.rate_hz)
         nan = float("nan")
-        status = Status(StatusWord.OK, f"Damping is placed for {len(modes)} modes.")
+        status = Status(StatusWord.OK, f"Damping is placed for {counted(len(modes), 'mode')}.")
         details = {"modes": modes, "band_hz": self.band_hz}
         return DesignResult(status, law, nan, nan, residuals={"filter": filtering.residual}, details=details)
 

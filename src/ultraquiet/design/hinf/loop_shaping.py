@@ -9,6 +9,7 @@ from scipy.linalg import LinAlgError
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
+from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
@@ -156,7 +157,9 @@ class LoopShaping(StatedRobustness):
             gamma = hinf_norm(lft(_coprime(shaped, stabiliser), law))[0]
             achieved = hinf_norm(lft(_gang(shaped), law))[0]
         except (NumericalError, LinAlgError) as error:
-            return refused(f"{WHO}: the shaped plant W2 G W1 ({shaped.states} states) cannot be stabilised: {error}")
+            return refused(
+                f"{WHO}: the shaped plant W2 G W1 ({counted(shaped.states, 'state')}) cannot be stabilised: {error}"
+            )
         level = self.margin * stabiliser.gamma_min
         if not achieved <= level * (1 + AGREEMENT):
             return refused(

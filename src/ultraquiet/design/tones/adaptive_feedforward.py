@@ -2,17 +2,17 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, positive
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import register
+from ultraquiet._base.registry import formerly, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v
+from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_of
 from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design.tones.resonators import SETTLED, facts, quiet_bank, resonators
 from ultraquiet.design.verification import judged
@@ -30,6 +30,7 @@ TABLE_ERROR = 0.02  # of the inverse half-way between points, relative
 
 
 @register("design", "adaptive-feedforward")
+@formerly(limit_v="limit")
 @dataclass(frozen=True)
 class AdaptiveFeedforward(StatedRobustness):
     """A law that finds tones in the readings, follows their frequencies and cancels them in every direction.
@@ -45,12 +46,12 @@ class AdaptiveFeedforward(StatedRobustness):
         settling_s: time of the amplitudes to within two per cent.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
         find_s: how long the bank listens.
-        limit_v: largest command of the law per actuator, in its unit; its own when absent, 10 without one, as the
-            result says. Amplitudes that would exceed it are shrunk together.
+        limit: largest command of the law per actuator, in its unit; its own when absent. Amplitudes that would exceed
+            it are shrunk together.
         depth_db, peak_db, weakest, around: as those of `Resonators`.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
-    >>> result = AdaptiveFeedforward(tones_hz=(30.0,)).design(plant)
+    >>> result = AdaptiveFeedforward(tones_hz=(30.0,), limit=5.0).design(plant)
     >>> result.law.step([0.0]).tolist(), result.controller.states
     ([0.0], 2)
 
@@ -62,11 +63,13 @@ class AdaptiveFeedforward(StatedRobustness):
     settling_s: float = 0.3
     track_hz: float = 1.0
     find_s: float = 0.5
-    limit_v: float | tuple[float, ...] | None = None
+    limit: float | tuple[float, ...] | None = None
     depth_db: float = 60.0
     peak_db: float = 3.0
     weakest: float = 0.01
     around: Around = None
+
+    asks_limit: ClassVar[bool] = True  # a study gives it what it knows
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,7 +88,7 @@ class AdaptiveFeedforward(StatedRobustness):
 
         Raises:
             InputError: no tone, a tone or the end of its span outside (0, rate / 2), spans that overlap, no gain at a
-                tone, an unstable plant, a controller that does not fit.
+                tone, an unstable plant, a controller that does not fit, an actuator without a limit.
         """
         who = "AdaptiveFeedforward"
         inner = inner_loop(who, plant, self.around)
@@ -93,11 +96,11 @@ class AdaptiveFeedforward(StatedRobustness):
         assert rate is not None
         tones = checked_tones(who, self.tones_hz, rate)
         edges = self._edges(tones, rate)
-        limit = limits_v(who, self.limit_v, plant.actuators)
         slowed = self._slowed(inner, tones)
         if slowed is None:
             return refused(f"{who}: no bank keeps below {self.peak_db:g} dB of amplification over the whole span.")
         inverses = [inverse(who, inner.seen, f, self.weakest) for f in tones]
+        limit = limits_of(who, self.limit, plant.actuators)
         speeds = SETTLED / (self.settling_s * slowed * rate)
         bank = resonators(tones, inverses, rate, speeds, self.depth_db)
         details: dict[str, Any] = {
@@ -109,7 +112,7 @@ class AdaptiveFeedforward(StatedRobustness):
         if result.status.word not in STABLE_WORDS or result.controller is None:
             return result
         law = FeedforwardLaw(self, inner, result.controller, tones, edges, speeds, limit)
-        return adapting(result, law, self.limit_v, plant.actuators)
+        return adapting(result, law)
 
     def _edges(self, tones_hz: FloatArray, rate_hz: float) -> FloatArray:
         edges = np.stack([tones_hz * (1 - self.span), tones_hz * (1 + self.span)], axis=1)
@@ -149,7 +152,7 @@ class FeedforwardLaw(AdaptiveLaw):
         tones_hz: FloatArray,
         edges_hz: FloatArray,
         speeds: FloatArray,
-        limit_v: FloatArray,
+        limit: FloatArray,
     ) -> None:
         rate = inner.seen.rate_hz
         assert rate is not None
@@ -169,11 +172,11 @@ class FeedforwardLaw(AdaptiveLaw):
             edges_hz * turns,
             np.ascontiguousarray(np.stack([speeds, rho, 1 - speeds], axis=1)),
             _table(inner.seen, edges_hz, settings.weakest),
-            limit_v,
+            limit,
             EVERY,
         )
         self._nominal = tones_hz * turns
-        super().__init__("AdaptiveFeedforward", inner, law, limit_v)
+        super().__init__("AdaptiveFeedforward", inner, law, limit)
 
     @property
     def tones_hz(self) -> FloatArray:

@@ -15,8 +15,7 @@ from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
-UNSAID = 10.0  # where a law is watched whose actuator has no limit that anybody states; the design's sentence says so
-BELIEVED_V = 1e6  # no reading is larger
+BELIEVED = 2.0**500  # no reading is larger, in whatever unit; the squares of smaller ones have a sum
 RAMP_S = 0.1  # from the last good command to zero
 PATIENCE_S = 1.0  # at a limit, before the law is doubted
 PROBE_S = 1.0  # at rest, to hear whether that is quieter
@@ -38,12 +37,12 @@ class AdaptiveLaw:
         who: opens the sentences.
         inner: K0 and the plant that v meets.
         law: the linear law that this one is while its parameters stand still.
-        limit_v: largest |v|, in the actuators' units, `(nu,)`.
+        limit: largest |v|, in the actuators' units, `(nu,)`.
     """
 
-    def __init__(self, who: str, inner: Inner, law: StateSpace, limit_v: FloatArray) -> None:
+    def __init__(self, who: str, inner: Inner, law: StateSpace, limit: FloatArray) -> None:
         assert inner.seen.rate_hz is not None
-        self.law, self.limit_v = law, limit_v
+        self.law, self.limit = law, limit
         self._who, self._inner, self._rate = who, inner, inner.seen.rate_hz
         self._first = contiguous(inner.first)
         self._mean = 1.0 / (MEAN_S * self._rate)
@@ -53,6 +52,11 @@ class AdaptiveLaw:
     def rate_hz(self) -> float:
         """Sampling rate in Hz."""
         return self._rate
+
+    @property
+    def limit_v(self) -> FloatArray:
+        """What `limit` is; its older name."""
+        return self.limit
 
     @property
     def status(self) -> Status:
@@ -88,7 +92,7 @@ class AdaptiveLaw:
         readings = np.array(y, dtype=np.float64, order="C").reshape(-1)
         if readings.size != self._inner.first.D.shape[1]:
             raise InputError(f"{self._who}: takes {self._inner.first.D.shape[1]} readings, got {readings.size}.")
-        sound = bool((np.abs(readings) <= BELIEVED_V).all())  # not a number is not less than anything
+        sound = bool((np.abs(readings) <= BELIEVED).all())  # not a number is not less than anything
         base = self._linear(readings) if sound else None
         if base is None:
             self._diverged("a reading, or the law around which it was put, was no number to be believed")
@@ -153,14 +157,9 @@ class AdaptiveLaw:
         return share * last
 
 
-def adapting(
-    result: DesignResult, law: AdaptiveLaw, limit_v: float | tuple[float, ...] | None, actuators: Sequence[Channel]
-) -> DesignResult:
+def adapting(result: DesignResult, law: AdaptiveLaw) -> DesignResult:
     """Return a result that holds a law that adapts beside the linear one it is at rest, and says so."""
     sentence = f"Adaptive, to be run as `law`. While its parameters stand still: {result.status.sentence}"
-    unknown = ", ".join(f"'{c.name}'" for c in actuators if not np.isfinite(_nearer_end(c)))
-    if limit_v is None and unknown:
-        sentence += f" No limit of {unknown} is known: the law holds {UNSAID:g} there; limit_v sets it."
     return replace(result, law=law, status=Status(result.status.word, sentence))
 
 
@@ -170,18 +169,28 @@ def contiguous(system: StateSpace) -> Matrices:
     return A, B, C, D
 
 
-def limits_v(who: str, limit_v: float | tuple[float, ...] | None, actuators: Sequence[Channel]) -> FloatArray:
-    """Return one limit per actuator, in its unit: as given, else its own, else `UNSAID`.
+def limits_of(who: str, limit: float | tuple[float, ...] | None, actuators: Sequence[Channel]) -> FloatArray:
+    """Return one limit per actuator, in its unit: as given, else its own.
 
-    None at all would leave the watch blind: it is at a limit that a law which does harm is told.
+    Raises:
+        InputError: a limit that is not above zero, or an actuator without one: the watch would be blind, since it is
+            at a limit that a law which does harm is told.
     """
     nu = len(actuators)
-    if limit_v is None:
-        own = np.array([_nearer_end(c) for c in actuators], dtype=np.float64)
-        return np.where(np.isfinite(own), own, UNSAID)
-    limits = real_array(who, "limit_v", np.atleast_1d(np.asarray(limit_v)), 1)
+    if limit is None:
+        unknown = [c for c in actuators if not np.isfinite(_nearer_end(c))]
+        if unknown:
+            names = ", ".join(f"'{c.name}'" for c in unknown)
+            unit = f", in {unknown[0].unit}" if unknown[0].unit and len({c.unit for c in unknown}) == 1 else ""
+            raise InputError(
+                f"{who}: no limit of {names} is known, and it is at a limit that a law which adapts is told that it "
+                f"does harm; state the largest command as 'limit'{unit}, or give the actuators their ranges."
+            )
+        return np.array([_nearer_end(c) for c in actuators], dtype=np.float64)
+    limits = real_array(who, "limit", np.atleast_1d(np.asarray(limit)), 1)
     if limits.size not in (1, nu) or not np.all(limits > 0):
-        raise InputError(f"{who}: 'limit_v' must be one number above zero, or {nu}, got {limit_v!r}.")
+        each = "" if nu == 1 else f", or {nu} of them"
+        raise InputError(f"{who}: 'limit' must be one number above zero{each}, got {limit!r}.")
     return np.ascontiguousarray(np.broadcast_to(limits, (nu,)), dtype=np.float64)
 
 

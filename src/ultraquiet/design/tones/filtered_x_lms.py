@@ -1,17 +1,17 @@
 """Multi-error filtered-x LMS: feedforward from a reference that hears the disturbance before the errors do."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, positive, whole
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.registry import register
+from ultraquiet._base.registry import formerly, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
+from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_of, without_faint_states
 from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.response import principal_gains
@@ -25,6 +25,7 @@ GRID = 512  # frequencies at which the spread of the loop's gains is told
 
 
 @register("design", "filtered-x")
+@formerly(limit_v="limit")
 @dataclass(frozen=True)
 class FilteredXLms(StatedRobustness):
     """Feedforward through adaptive filters W from reference readings x: u = W x, leaky, normalised, all errors at once.
@@ -46,11 +47,11 @@ class FilteredXLms(StatedRobustness):
         taps: length of each filter, samples.
         step: share of the error that goes in each sample, below 2.
         leak: share of the weights forgotten per second.
-        limit_v: largest command per actuator, in its unit; its own when absent, 10 without one, as the result says.
+        limit: largest command per actuator, in its unit; its own when absent.
         around: K0, a `StateSpace` or the name of a design method.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0], [0.0]], [[0.0], [0.0]], rate_hz=1000.0)
-    >>> result = FilteredXLms(reference=(1,), taps=8).design(plant)
+    >>> result = FilteredXLms(reference=(1,), taps=8, limit=5.0).design(plant)
     >>> result.details["step_bound"], result.law.step([0.0, 1.0]).tolist()
     (2.0, [0.0])
 
@@ -64,8 +65,10 @@ class FilteredXLms(StatedRobustness):
     taps: int = 256
     step: float = 0.02
     leak: float = 0.01
-    limit_v: float | tuple[float, ...] | None = None
+    limit: float | tuple[float, ...] | None = None
     around: Around = None
+
+    asks_limit: ClassVar[bool] = True  # a study gives it what it knows
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,13 +87,13 @@ class FilteredXLms(StatedRobustness):
         singular values over frequency, by which a law with one step for all directions would be slower, `model_states`.
 
         Raises:
-            InputError: no such reading or actuator, none left to be quiet, an unstable plant, no gain to the errors.
+            InputError: no such reading or actuator, none left to be quiet, an unstable plant, no gain to the errors, an
+                actuator without a limit.
         """
         who = "FilteredXLms"
         inner = inner_loop(who, plant, self.around)
         ny, nu = plant.D.shape
         references, errors, drives = self._channels(ny, nu)
-        limit = limits_v(who, self.limit_v, plant.actuators)
         rows = [*errors, *references]
         G = inner.seen
         assert G.rate_hz is not None
@@ -99,6 +102,7 @@ class FilteredXLms(StatedRobustness):
         gains = principal_gains(part.frequency_response(f_hz)[: len(errors)])
         if not gains.max() > 0:
             raise InputError(f"{who}: the actuators do not reach readings {errors}; nothing can be cancelled.")
+        limit = limits_of(who, self.limit, plant.actuators)
         model = without_faint_states(part)
         details: dict[str, Any] = {
             "errors": errors,
@@ -114,7 +118,7 @@ class FilteredXLms(StatedRobustness):
         if result.controller is None or result.status.word not in STABLE_WORDS:
             return result
         law = FilteredXLaw(self, inner, model, (errors, references, drives), limit, result.controller)
-        return adapting(result, law, self.limit_v, plant.actuators)
+        return adapting(result, law)
 
     def _channels(self, ny: int, nu: int) -> tuple[list[int], list[int], list[int]]:
         references = _indices("reference", self.reference, ny) or [ny - 1]
@@ -139,7 +143,7 @@ class FilteredXLaw(AdaptiveLaw):
         inner: Inner,
         model: StateSpace,
         channels: tuple[list[int], list[int], list[int]],
-        limit_v: FloatArray,
+        limit: FloatArray,
         law: StateSpace,
     ) -> None:
         errors, references, drives = channels
@@ -150,8 +154,8 @@ class FilteredXLaw(AdaptiveLaw):
         self._drives = np.array(drives, dtype=np.int64)
         lead = int(np.any(model.D))
         tuning = np.array([settings.step, settings.leak / rate, QUIETEST_V**2])
-        self._design = np.ascontiguousarray(limit_v[drives]), tuning, lead
-        super().__init__("FilteredXLms", inner, law, limit_v)
+        self._design = np.ascontiguousarray(limit[drives]), tuning, lead
+        super().__init__("FilteredXLms", inner, law, limit)
 
     @property
     def weights(self) -> FloatArray:

@@ -1,16 +1,17 @@
 """Adaptive regulation in the Youla-Kucera form: a stabilising law stays, a stable Q on its innovations adapts."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, between, one_of, positive, whole
 from ultraquiet._base.errors import InputError, NumericalError
-from ultraquiet._base.registry import register
+from ultraquiet._base.registry import formerly, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_v, without_faint_states
+from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_of, without_faint_states
 from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
@@ -88,6 +89,7 @@ def central_law(plant: StateSpace, control_weight: float, sensor_noise: float) -
 
 
 @register("design", "youla-kucera")
+@formerly(limit_v="limit")
 @dataclass(frozen=True)
 class YoulaKucera(StatedRobustness):
     """A stabilising law whose stable parameter Q learns, by recursive least squares, to cancel what is there.
@@ -109,13 +111,13 @@ class YoulaKucera(StatedRobustness):
         central: `lqg`, or `none`: the plant's own stability, K = 0.
         control_weight, sensor_noise: of `central_law`.
         update_every: samples between two steps of theta.
-        limit_v: largest |v| per actuator, in its unit; its own when absent, 10 without one, as the result says. A law
+        limit: largest |v| per actuator, in its unit; its own when absent. A law
             that is brought to rest takes its state feedback along: a plant that is unstable by itself should get its
             stabiliser as `around`.
         around: K0, a `StateSpace` or the name of a design method; Q then works on the loop that it closes.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
-    >>> result = YoulaKucera(tones_hz=(30.0,)).design(plant)
+    >>> result = YoulaKucera(tones_hz=(30.0,), limit=5.0).design(plant)
     >>> result.status.ok, result.law.step([0.0]).tolist()
     (True, [0.0])
 
@@ -133,8 +135,10 @@ class YoulaKucera(StatedRobustness):
     control_weight: float = 10.0
     sensor_noise: float = 10.0
     update_every: int = 8
-    limit_v: float | tuple[float, ...] | None = None
+    limit: float | tuple[float, ...] | None = None
     around: Around = None
+
+    asks_limit: ClassVar[bool] = True  # a study gives it what it knows
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -157,15 +161,16 @@ class YoulaKucera(StatedRobustness):
 
         Raises:
             InputError: no tone for the basis `tones`, no corner and no tone for `laguerre`, one outside
-                (0, rate / 2), an unstable plant without a law around it, one that does not fit.
+                (0, rate / 2), an unstable plant without a law around it, one that does not fit, an actuator without a
+                limit.
         """
         who = "YoulaKucera"
         lqg = self.central == "lqg"
         inner = inner_loop(who, plant, self.around, stable=not lqg)
         rate = inner.seen.rate_hz
         assert rate is not None
-        limit = limits_v(who, self.limit_v, plant.actuators)
         filters = self.filters(rate)
+        limit = limits_of(who, self.limit, plant.actuators)
         ny, nu = plant.D.shape
         try:
             form = (
@@ -184,7 +189,7 @@ class YoulaKucera(StatedRobustness):
         result = judged(plant, whole_law, self, float("nan"), float("nan"), {}, details)
         if result.status.word in STABLE_WORDS and result.controller is not None:
             law = YoulaLaw(self, inner, form, regressors, filters, limit, result.controller)
-            return adapting(result, law, self.limit_v, plant.actuators)
+            return adapting(result, law)
         return result
 
     def filters(self, rate_hz: float) -> tuple[FloatArray, FloatArray]:
@@ -213,7 +218,7 @@ class YoulaLaw(AdaptiveLaw):
         central: Central,
         regressors: StateSpace,
         filters: tuple[FloatArray, FloatArray],
-        limit_v: FloatArray,
+        limit: FloatArray,
         law: StateSpace,
     ) -> None:
         rate = inner.seen.rate_hz
@@ -225,7 +230,7 @@ class YoulaLaw(AdaptiveLaw):
         self._settings = np.array([settings.update_every, forget, settings.leak, QUIETEST_V**2])
         if forget <= 0:
             raise InputError("YoulaKucera: 'memory_s' must be longer than the samples between two updates.")
-        super().__init__("YoulaKucera", inner, law, limit_v)
+        super().__init__("YoulaKucera", inner, law, limit)
 
     def _start(self) -> None:
         nu, ny = self._inner.first.D.shape
@@ -250,7 +255,7 @@ class YoulaLaw(AdaptiveLaw):
         from ultraquiet.design.tones.kernels import youla_step
 
         models = self._seen, self._gains, self._regress, self._filters
-        return youla_step(y, models, self.limit_v, self._squares, self._state, self._v, self._y0)
+        return youla_step(y, models, self.limit, self._squares, self._state, self._v, self._y0)
 
     def frozen(self) -> StateSpace:
         """Return the linear law u = K y of the parameters that stand now."""

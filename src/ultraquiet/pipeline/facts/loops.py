@@ -7,7 +7,9 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 from ultraquiet.pipeline.facts.typed import Vector, fact
-from ultraquiet.values.status import CODE_FAULTS
+from ultraquiet.values.status import CODE_FAULTS, StatusWord
+
+ONLY = "bench"  # the name of the one unit of a bench that knows no units
 
 
 @fact
@@ -138,6 +140,11 @@ class StableLoop:
     lines_hidden: str | None = None
 
 
+def of_the_bench(unit: str) -> str:
+    """Return what a unit is called in a sentence; that of a bench without units is the bench itself."""
+    return "the bench" if unit == ONLY else unit
+
+
 @fact
 class UnstableLoop:
     """A loop that ran away, at once or under a disturbance, or of which it is not known; `status` begins with which."""
@@ -146,6 +153,13 @@ class UnstableLoop:
     status: str
     growth_per_s: float | None = None
     growth_hz: float | None = None
+
+    def on(self, name: str, unit: str) -> str:
+        """Return what became of a law on a unit of the bench, in words."""
+        where = of_the_bench(unit)
+        if self.word == StatusWord.NOT_KNOWN.value:
+            return f"whether {name} is stable on {where} is not known"
+        return f"{name} is {self.word} on {where}"
 
     @property
     def word(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.shown.line import loudness
+from ultraquiet._base.shown.line import counted, loudness
 from ultraquiet.files import write_bytes
 from ultraquiet.identify import Rational
 from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
@@ -145,8 +145,9 @@ def _status(rows: Sequence[Row], share: float, interval: tuple[float, float]) ->
     stable = sum(bool(row["stable"]) for row in rows)
     depth, peak = (findings.spread(rows, figure) for figure in ("attenuation_db", "peak_db"))
     word = "ok" if share == 1.0 else "unstable"
+    drawn = counted(len(rows), "drawn bench", "drawn benches")
     return (
-        f"{word}: The loop is stable on {stable} of {len(rows)} drawn benches (95 % sure of {interval[0]:.1%}); "
+        f"{word}: The loop is stable on {stable} of {drawn} (95 % sure of {interval[0]:.1%}); "
         f"95 % of them get the worst direction {_at_least(depth['5%'])} and peak at no more than {peak['95%']:.1f} dB."
     )
 

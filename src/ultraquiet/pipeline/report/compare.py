@@ -10,6 +10,7 @@ import numpy as np
 
 from ultraquiet import files
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.loops import StableLoop
 from ultraquiet.pipeline.report import laws
@@ -63,9 +64,10 @@ def compared(result: StudyResult, other: Finished) -> Section:
     changed = list(_changed(_flat(json.loads(result.study.model_dump_json())), _flat(other.settings)))
     better = sum(1 for row in rows if str(row[-1]).startswith("better"))
     worse = sum(1 for row in rows if str(row[-1]).startswith("worse"))
-    both = f"of {len(rows)} figures that both have, {better} are better here, {worse} worse"
+    found = f"{counted(better, 'is', 'are')} better here, {worse} worse"
+    both = f"of {counted(len(rows), 'figure')} that both have, {found}"
     text = f"Beside {other.title}: {both if rows else 'no law of both ran on one unit'}; "
-    text += f"{len(changed) or 'no'} settings differ."
+    text += f"{counted(len(changed), 'setting differs', 'settings differ') if changed else 'no setting differs'}."
     heads = ("law", "unit", "figure", "here", "there", "difference")
     tables = [Table("What both reached on the bench", heads, rows)] if rows else []
     if changed:

@@ -5,7 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ultraquiet._base.shown.line import loudness
+from ultraquiet._base.shown.line import counted, loudness
 from ultraquiet.pipeline.facts.loops import CodeFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report import laws
@@ -37,7 +37,7 @@ def _units(result: StudyResult) -> tuple[str, ...]:
 
 def _verdict(asked: RequirementsFacts) -> Verdict:
     missed = len(asked.missed)
-    aside = f"{len(asked.judged) - missed} of {len(asked.judged)} requirements met"
+    aside = f"{len(asked.judged) - missed} of {counted(len(asked.judged), 'requirement')} met"
     return Verdict.of(asked.ok, "ok" if asked.ok else "not ok", aside)
 
 
@@ -45,12 +45,15 @@ def _headline(result: StudyResult, name: str) -> str:
     """Say in one sentence what the law reaches where it was measured."""
     if name not in result.loops:
         found = result.designs[name].facts
-        return f"{name}: a law of {found.states} states" if name in result.laws else f"{name}: no law was found"
+        return (
+            f"{name}: a law of {counted(found.states, 'state')}" if name in result.laws else f"{name}: no law was found"
+        )
     loops = result.loops[name].facts.units
     failed = {unit: loop for unit, loop in loops.items() if isinstance(loop, UnstableLoop)}
     if failed:
         unit, loop = next(iter(failed.items()))
-        return f"{name} is {loop.word} on {unit}"
+        said = loop.on(name, unit)
+        return said if said.startswith(name) else said[0].upper() + said[1:]
     worst = min(_band_db(loop) for loop in loops.values() if isinstance(loop, StableLoop))
     asked = result.requirements
     low, high = result.plan.band_hz if asked is None or asked.law != name else asked.band_hz
@@ -68,7 +71,7 @@ def _law_in_short(result: StudyResult, name: str) -> str:
     """Say what the law is and what its code came to."""
     facts, code = result.designs[name].facts, result.deployment.get(name)
     on = f" on {' and '.join(_units(result))}" if len(_units(result)) > 1 else ""
-    text = f"{name}: one law{on}, {facts.method}, {facts.states} states"
+    text = f"{name}: one law{on}, {facts.method}, {counted(facts.states, 'state')}"
     if isinstance(code, CodeFacts):
         words = f"; its code is {code.verification.partition(':')[0]}"
         text += f"{words}, {code.flash_bytes / 1024:.0f} kB of flash, {code.ram_bytes / 1024:.1f} kB of RAM"

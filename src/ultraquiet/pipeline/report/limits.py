@@ -36,8 +36,9 @@ def limits(result: StudyResult) -> Section:
         *_lower_end(facts.bands),
     ]
     low, high = result.plan.band_hz
+    heads = tuple(f"|K S|,{unit}" if unit and head == "|K S|" else head for head in COLUMNS)
     return Section(
-        "Limits", text, [Table(f"Each design beside its own limit over {low:.4g}-{high:.4g} Hz", COLUMNS, rows)]
+        "Limits", text, [Table(f"Each design beside its own limit over {low:.4g}-{high:.4g} Hz", heads, rows)]
     )
 
 
@@ -53,8 +54,9 @@ def _unit_of_control(result: StudyResult) -> str:
 def _figures(limit: DesignLimit | NoDistance) -> list[str]:
     if isinstance(limit, NoDistance):
         return ["-"] * (len(COLUMNS) - 1)
-    figures = (limit.attenuation_db, limit.peak_db, limit.control_gain, limit.alone_db, limit.limit_db, limit.left_db)
-    return [_number(figure) for figure in figures]
+    reached, beyond = (limit.attenuation_db, limit.peak_db), (limit.alone_db, limit.limit_db, limit.left_db)
+    gain = f"{limit.control_gain:.3g}"
+    return [*map(_number, reached), gain, *map(_number, beyond)]
 
 
 def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:

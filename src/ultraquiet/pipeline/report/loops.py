@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ultraquiet._base.shown.line import loudness, rounded
+from ultraquiet._base.shown.line import counted, loudness, rounded
 from ultraquiet.deploy.figures import figure_text, figure_words
 from ultraquiet.pipeline.facts.limits import DesignLimit
-from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop, of_the_bench
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.report import laws
 from ultraquiet.pipeline.report.records import noted, span
@@ -60,9 +60,9 @@ def _in_short(result: StudyResult) -> str:
     """Say how many laws there are, and which of them the study is for."""
     found = len(result.laws)
     name = laws.chosen(result)
-    text = f"{found} of {len(result.designs)} designs found a law. " if found < len(result.designs) else ""
+    text = f"{found} of {counted(len(result.designs), 'design')} found a law. " if found < len(result.designs) else ""
     only = len(result.designs) == 1
-    stands = "The study has one law" if only else f"{len(result.designs)} laws stand side by side"
+    stands = "The study has one law" if only else f"{counted(len(result.designs), 'law')} stand side by side"
     return f"{text}{stands}, drawn blue: {name}. {result.designs[name].facts.status}"
 
 
@@ -126,7 +126,7 @@ def _remarks(facts: DesignFacts) -> list[str]:
         least = facts.recovery.least_relative_error
         remarks.append(f"Recovery at the {facts.recovery.at}: |L - L target| is at best {least:.2g} |L target|.")
     if facts.reduction is not None:
-        remarks.append(f"From {facts.reduction.from_states} states. {facts.reduction.status}")
+        remarks.append(f"From {counted(facts.reduction.from_states, 'state')}. {facts.reduction.status}")
     return remarks
 
 
@@ -158,17 +158,16 @@ def _on_the_bench(result: StudyResult) -> list[str]:
         for name, unit, loop in _loops(result)
         if isinstance(loop, StableLoop)
     ]
-    failed = [
-        f"{name} on {unit} is {loop.word}" for name, unit, loop in _loops(result) if isinstance(loop, UnstableLoop)
-    ]
+    failed = [loop.on(name, unit) for name, unit, loop in _loops(result) if isinstance(loop, UnstableLoop)]
     text = [f"{'; '.join(failed)}."] if failed else []
     if stable:
         db, name, unit = max(stable)
         low, high = result.plan.band_hz
+        size = "quietest" if db > 0 else "least loud"
         text.append(
             "Every law was run on the bench as it stands in its code. The worst direction, the largest singular value "
-            f"of the sensitivity that was measured, is quietest over {low:.4g}-{high:.4g} Hz with {name} on {unit}: "
-            f"{loudness(db)}."
+            f"of the sensitivity that was measured, is {size} over {low:.4g}-{high:.4g} Hz with {name} on "
+            f"{of_the_bench(unit)}: {loudness(db)}."
         )
     return text
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from ultraquiet._base.shown.line import loudness, rounded
+from ultraquiet._base.shown.line import counted, loudness, rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
     CampaignCurves,
@@ -113,7 +113,8 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     labels = {"attenuation_db": f"worst direction over {low:g}-{high:g} Hz", "peak_db": "peak of S"}
     on = "their linear models" if facts.on == "truth" else "the benches themselves, measured"
     text = [
-        f"{facts.law} on {facts.benches} benches drawn from the seed {facts.first_seed} on; figures are of {on}.",
+        f"{facts.law} on {counted(facts.benches, 'bench', 'benches')} drawn from the seed {facts.first_seed} on; "
+        f"figures are of {on}.",
         facts.status,
         "Rank correlation says what goes together; it proves no cause.",
     ]

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
@@ -51,8 +52,9 @@ def identification(result: StudyResult) -> Section:
         )
     else:
         sentences.append(
-            f"For all channels alike held-out records prefer {best.structure} of order {best.order}. The preferred "
-            f"matrix takes what each channel's own record prefers: {_counted(best)}."
+            f"For all channels alike held-out records prefer {best.structure} of order {best.order}: of the best "
+            "structure the smallest order whose loss is within 2 % of the least. The preferred matrix takes what each "
+            f"channel's own record prefers: {_counted(best)}."
         )
         loss = f"median loss {', '.join(filter(None, units))}".strip() if len(units) == 1 else "median loss"
         columns = ("structure", "order", "median fit %", "worst fit %", loss, "channels ok", "CPU s")
@@ -232,9 +234,9 @@ def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
     at_dc = sum(z.frequency_hz < dc_hz for z in zeros)
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)
     return (
-        f"The design plant has {len(zeros)} transmission zeros (conjugates counted once): {at_dc} at 0 Hz, outside the "
-        f"unit circle between {dc_hz:.2g} Hz and Nyquist {_frequencies(zeros, dc_hz, nyquist)}, and {beyond} real "
-        f"ones beyond Nyquist, as sampling makes them."
+        f"The design plant has {counted(len(zeros), 'transmission zero')} (conjugates counted once): {at_dc} at 0 Hz, "
+        f"outside the unit circle between {dc_hz:.2g} Hz and Nyquist: {_frequencies(zeros, dc_hz, nyquist)}, and "
+        f"{counted(beyond, 'real one')} beyond Nyquist, as sampling makes them."
     )
 
 

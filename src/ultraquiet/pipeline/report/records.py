@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet import spectra
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, frequency_axis
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.identification import group, grouped
@@ -63,7 +64,7 @@ def _levels_in_words(result: StudyResult) -> str:
     records = result.records.values()
     clipped = {name: sum(r.clipped()) for name, r in result.records.items() if any(r.clipped())}
     seconds, rate_hz = sum(r.duration_s for r in records), next(iter(records)).rate_hz
-    text = f"{len(records)} record{'s' * (len(records) > 1)}, {seconds:.0f} s at {rate_hz:g} Hz. "
+    text = f"{counted(len(records), 'record')}, {seconds:.0f} s at {rate_hz:g} Hz. "
     if not clipped:
         return text + "No sensor stood at its limits."
     name = max(clipped, key=lambda n: clipped[n] / result.records[n].outputs.size)
@@ -76,7 +77,7 @@ def _levels_in_words(result: StudyResult) -> str:
 
 def _clipped(result: StudyResult) -> list[str]:
     counts = {name: max(r.clipped()) for name, r in result.records.items() if max(r.clipped())}
-    words = ", ".join(f"{name} ({count} samples)" for name, count in counts.items()) or "none"
+    words = ", ".join(f"{name} ({counted(count, 'sample')})" for name, count in counts.items()) or "none"
     return [f"Records in which a sensor stood at its limits: {words}."]
 
 
@@ -163,7 +164,7 @@ def response(result: StudyResult) -> Section:
     unit = study.gain_unit(wires(result)).removeprefix("dB").removeprefix(" re ")
     gains = f", in {unit}" if unit else ""
     text = f"From {actuators} to {sensors}{gains}. The plant that designs use is the whole matrix at once "
-    text += f"({result.study.plant.method}, {result.plant.facts.states} states). {result.plant.facts.status}"
+    text += f"({result.study.plant.method}, {counted(result.plant.facts.states, 'state')}). {result.plant.facts.status}"
     if measured is None:
         text += " It was fitted to a record, so there is no response beside it that owes nothing to a model."
     return Section("Response", [text], [], [transfer_grid(f[lines], picked, models, wires(result))])

@@ -83,7 +83,8 @@ class Records:
         """
         names = [m.name for m in self.listed.measurements]
         missing = set(names) - set(self._present())
-        records = experiments.run(self.listed, self._place, self.bench, resume=True, repeat=names)
+        how: dict[str, Any] = {"resume": True, "repeat": names, "onlooker": _Told(self.say)}
+        records = experiments.run(self.listed, self._place, self.bench, **how)
         measured = {e["name"]: e["record"] for e in journal.entries(self._place) if e["event"] == "finished"}
         for name, record in records.items():
             if measured.get(name, record.hash) != record.hash:
@@ -160,6 +161,17 @@ class Records:
                 self._place.rename(target)
                 self.say(f"study: the records that were there are kept as '{target}'; they are measured anew.")
                 return
+
+
+class _Told(experiments.Onlooker):
+    """Passes on what a study says of its levels."""
+
+    def __init__(self, say: Callable[[str], object]) -> None:
+        self._say = say
+
+    def lowers(self, sentence: str) -> None:
+        """Say it."""
+        self._say(sentence)
 
 
 def finished_names(folder: Path) -> list[str]:

@@ -7,6 +7,7 @@ import numpy as np
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import draws
 from ultraquiet._base.shown.grid import shown_frequencies
+from ultraquiet._base.shown.line import counted
 from ultraquiet.identify import MatrixResult, ResponseFit, Result, WeightedFit
 from ultraquiet.plot.figure import Figure, Fill, Line, Panel
 from ultraquiet.plot.spectra import HZ, response_figure
@@ -35,7 +36,10 @@ def record_figure(record: Record) -> Figure:
     shown = [*sent[:MOST_ROWS], *read[:MOST_ROWS]]
     panels = [Panel([Line.of(record.time_s, row, shade=shade)], c.name, SECONDS, c.unit) for c, row, shade in shown]
     left = len(sent) + len(read) - len(shown)
-    caption = f"{record.samples} samples at {record.rate_hz:g} Hz" + f"; {left} channels are not shown." * bool(left)
+    caption = (
+        f"{counted(record.samples, 'sample')} at {record.rate_hz:g} Hz"
+        + f"; {counted(left, 'channel is', 'channels are')} not shown." * bool(left)
+    )
     return Figure("record", "Record", caption, panels, 1, (WIDE_IN[0], WIDE_IN[1] * len(panels)))
 
 

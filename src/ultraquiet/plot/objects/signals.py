@@ -3,6 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.shown import draws
+from ultraquiet._base.shown.line import counted
 from ultraquiet.plot.figure import Figure, Line, Panel
 from ultraquiet.plot.spectra import HZ
 from ultraquiet.signals import Signal
@@ -29,5 +30,5 @@ def signal_figure(signal: Signal) -> Figure:
         Panel([Line.of(np.arange(samples) / rate_hz, values)], type(signal).__name__, "time (s)", f"command ({UNIT})"),
         Panel([Line.of(f_hz[1:], db[1:])], "power of each line", HZ, f"dB re ({UNIT})²", x_log=True),
     ]
-    caption = f"{samples} samples at {rate_hz:g} Hz, seed 0."
+    caption = f"{counted(samples, 'sample')} at {rate_hz:g} Hz, seed 0."
     return Figure("signal", type(signal).__name__, caption, panels, 2, (8.0, 2.4))

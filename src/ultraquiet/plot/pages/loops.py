@@ -13,6 +13,7 @@ from ultraquiet.plot.loop import tracked
 
 DEEPEST_DB = 100.0  # below the largest of a panel: what is smaller is not drawn
 LOW_DB = 60.0  # below 0 dB: what is quieter is not told apart
+SEEN_DB = 6.0  # of what is asked for below its end, and above the largest, that is seen
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,10 @@ class RequiredOfLoop:
             return [Region(f"{low:.4g}-{high:.4g} Hz", self.band_hz)]
         name = f"asked: {self.attenuation_db:g} dB quieter, {low:.4g}-{high:.4g} Hz"
         return [Region(name, self.band_hz, (None, -self.attenuation_db))]
+
+    def reached(self, lowest_db: float) -> float:
+        """Return how far down an axis must go for the region that is asked for to be seen, dB."""
+        return lowest_db if self.attenuation_db is None else min(lowest_db, -self.attenuation_db - SEEN_DB)
 
     @property
     def marks(self) -> list[Mark]:
@@ -59,9 +64,12 @@ def worst_direction_db(values: ComplexArray) -> FloatArray:
 def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: RequiredOfLoop) -> Chart:
     """The worst direction of every loop as measured on the bench, over what is asked of it."""
     lines = [Curve(c.name, c.f_hz, np.maximum(c.amplification_db, -LOW_DB), c.colour, c.dash) for c in curves]
-    panel = ChartPanel(
-        frequency_axis(), decibel_axis("amplification"), lines, regions=asked.regions, marks=asked.marks, height=340
-    )
+    lowest = min((float(np.nanmin(line.y)) for line in lines), default=0.0)
+    down = asked.reached(lowest)
+    tops = [*(float(np.nanmax(line.y)) for line in lines), *(m.y for m in asked.marks if m.y is not None)]
+    limits = None if down == lowest else (down, max(tops) + SEEN_DB)
+    axis = decibel_axis("amplification", "", limits)
+    panel = ChartPanel(frequency_axis(), axis, lines, regions=asked.regions, marks=asked.marks, height=340)
     told = [sentence for c in curves if (sentence := _of_loop(c, asked.band_hz))]
     caption = (
         "Largest singular value of the sensitivity, measured on the bench; below zero every direction is quieter. "
@@ -99,6 +107,7 @@ def shaped_loops(
         low = min(float(_db(values).min()) for values in laws.values())
         limits = (max(low - 3.0, top - DEEPEST_DB), top + 5.0)
         regions, marks = (asked.regions, asked.marks) if member == "S" else ([Region("", asked.band_hz)], [])
+        limits = (asked.reached(limits[0]) if member == "S" else limits[0], limits[1])
         limits = (limits[0], max(limits[1], *(1.05 * m.y + 1 for m in marks if m.y is not None), limits[1]))
         axis = decibel_axis(f"|{member}|", units.get(member, ""), limits)
         height = 220 if len(members) > 1 else 320

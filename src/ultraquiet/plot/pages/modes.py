@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray
+from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.chart import MovingShape, Scene
 from ultraquiet.values import StateSpace
 from ultraquiet.values.sketch import Sketch, row_of
@@ -76,12 +77,22 @@ def mode_shapes(plant: StateSpace, limits_hz: tuple[float, float], sketch: Sketc
         moves = moves / max(float(np.abs(moves).max()), np.finfo(float).tiny)
         shapes.append(MovingShape(f"{mode.f_hz:.4g} Hz, damping {100 * mode.zeta:.2g} %", moves.real, moves.imag))
     told = [f"{mode.f_hz:.4g} Hz mostly {_mostly(plant, mode)}" for mode in modes]
-    stands = "on the bench's sketch" if known else f"{len(plant.sensors)} readings in a row, each moving up and down"
+    stands = "on the bench's sketch" if known else _in_a_row(len(plant.sensors))
+    alike = "slowed and enlarged" + " alike" * (len(modes) > 1)
     caption = (
-        f"The {len(modes)} strongest lightly damped modes of the design plant from {limits_hz[0]:.3g} to "
-        f"{limits_hz[1]:.4g} Hz, {stands}, slowed and enlarged alike: {'; '.join(told)}."
+        f"The {_strongest(len(modes))} of the design plant from {limits_hz[0]:.3g} to "
+        f"{limits_hz[1]:.4g} Hz, {stands}, {alike}: {'; '.join(told)}."
     )
     return Scene("modes", "Modes", caption, drawn.points, drawn.lines, shapes)
+
+
+def _strongest(count: int) -> str:
+    return f"{f'{count} ' if count > 1 else ''}strongest lightly damped {several_of(count, 'mode')}"
+
+
+def _in_a_row(count: int) -> str:
+    one, several = "its reading moving up and down", "in a row, each moving up and down"
+    return one if count == 1 else f"{counted(count, 'reading')} {several}"
 
 
 def _mostly(plant: StateSpace, mode: SeenMode) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.shown.line import counted
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, decibel_axis, frequency_axis
 from ultraquiet.plot.study import Wires, decibels, gain_unit
 from ultraquiet.values import FrequencyResponse
@@ -103,7 +104,7 @@ def _with_confidence(f_hz: FloatArray, values: ComplexArray, variance: FloatArra
 
 def _caption(f_hz: FloatArray, measured: FrequencyResponse | None, models: Sequence[NamedResponse], one: bool) -> str:
     enlarge = "" if one else " A click on a panel shows its phase and its error."
-    lines = f"{f_hz.size} lines from {f_hz[0]:.3g} to {f_hz[-1]:.3g} Hz."
+    lines = f"{counted(f_hz.size, 'line')} from {f_hz[0]:.3g} to {f_hz[-1]:.3g} Hz."
     if measured is None:
         return f"{' and '.join(m.name for m in models)}: gain of every channel, {lines}{enlarge}"
     worst = [

@@ -56,7 +56,7 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
         sentence = f"A command stood at its limit for {record.limited:.0%} of the last quarter of {span:.3g} s."
         seen = replace(seen, word=StatusWord.UNSTABLE, sentence=sentence)
     elif record.limited > CLIPPED_SHARE:
-        sentence = f"Noise alone drove a command to its limit for {record.limited:.1%} of the last quarter."
+        sentence = f"Without a burst a command stood at its limit for {record.limited:.1%} of the last quarter."
         seen = replace(seen, sentence=sentence)
     elif growing is not None:
         slow = growing.growth_per_s * span < 1.0

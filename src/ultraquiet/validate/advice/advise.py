@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import counted
 from ultraquiet.linalg import prediction, score
 from ultraquiet.validate.advice import model as advice_model
 from ultraquiet.validate.advice.model import ALARM, Case, Said
@@ -136,8 +137,8 @@ def _delay_too_long(case: Case) -> Said:
             yield (
                 "delay",
                 actuator.name,
-                f"Output '{case.sensor}' moves {first} samples after the input, but the model waits {model_delay} "
-                f"(p = {p:.1e}); set delay={first}.",
+                f"Output '{case.sensor}' moves {counted(first, 'sample')} after the input, but the model waits "
+                f"{model_delay} (p = {p:.1e}); set delay={first}.",
             )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from ultraquiet._base.constraints import FloatArray, frozen, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, content_hash
+from ultraquiet._base.shown.line import counted
 from ultraquiet.values.blended.matrices import actuator_matrix, blend, rank, row_sizes, sensor_matrix
 from ultraquiet.values.blended.wires import command_limits, modes_of, reading_limits
 from ultraquiet.values.channel import Channel, channels
@@ -134,7 +135,7 @@ class Blending:
             worst = self.actuators[int(np.argmax(np.mean(miss**2, axis=1)))].name
             raise InputError(
                 f"Blending.record: {share:.2g} of the commands' power is in no mode (actuator '{worst}' most); drive "
-                f"the bench through the {len(self.actuator_modes)} modes, within their limits."
+                f"the bench through the {counted(len(self.actuator_modes), 'mode')}, within their limits."
             )
         wires = self.actuator_modes, self.sensor_modes
         made = self._made("record", record.hash)

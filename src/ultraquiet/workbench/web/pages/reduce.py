@@ -6,6 +6,7 @@ import numpy as np
 from nicegui import ui
 
 from ultraquiet._base.errors import UltraquietError
+from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Mark
 from ultraquiet.linalg import balance
 from ultraquiet.values import StateSpace
@@ -107,7 +108,8 @@ class _Reduce:
         panel = ChartPanel(*axes, [curve], marks=marks, height=220)
         few = int(np.count_nonzero(values > 1e-3 * values[0]))
         kind = "" if values.size == law.states else "stable "
-        caption = f"{few} of {values.size} {kind}states carry more than a thousandth of the largest."
+        most = "more than a thousandth of the largest"
+        caption = f"{few} of {counted(values.size, f'{kind}state')} {several_of(few, 'carries', 'carry')} {most}."
         self.states.show(Chart("hankel", "What each state of the law carries", caption, [panel], legend="none"))
 
     def _loops(self, shown: list[Any]) -> None:
