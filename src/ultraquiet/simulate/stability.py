@@ -233,7 +233,11 @@ def _what_drives(bench: Bench) -> str:
     """Return what drives a loop without a burst: the offset of the sensor that has the largest beside its noise."""
     y = disturb(bench, np.zeros((len(bench.actuators), SHORTEST_SAMPLES))).outputs
     offset, noise = y.mean(axis=1), y.std(axis=1)
-    k = int(np.argmax(np.abs(offset) / np.maximum(noise, np.finfo(float).tiny)))
+    k = int(
+        np.argmax(
+            np.abs(offset) / np.maximum(noise, np.finfo(float).eps * np.abs(y).max(axis=1) + np.finfo(float).tiny)
+        )
+    )
     if not abs(offset[k]) > OFFSET * noise[k]:
         return "Noise"
     sensor = bench.sensors[k]
