@@ -1,6 +1,7 @@
 """On which line of a TOML text each key stands: tomllib does not say, and a mistake without a line is hard to mend."""
 
 import re
+from bisect import bisect_left
 from collections.abc import Mapping
 
 Place = tuple[str | int, ...]
@@ -38,6 +39,7 @@ class _Scanner:
 
     def __init__(self, text: str) -> None:
         self.text = text.replace("\r\n", "\n")
+        self._ends = [k for k, character in enumerate(self.text) if character == "\n"]
         self.at = 0
         self.places: dict[Place, int] = {}
         self._counts: dict[Place, int] = {}
@@ -65,7 +67,7 @@ class _Scanner:
         return tuple(keys)
 
     def _note(self, place: Place, start: int) -> None:
-        self.places.setdefault(place, self.text.count("\n", 0, start) + 1)
+        self.places.setdefault(place, bisect_left(self._ends, start) + 1)
 
     def _header(self) -> Place:
         start = self.at

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ValidationError
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.lines import Place, line_numbers, line_of
 from ultraquiet._base.registry import known_are
+from ultraquiet._base.regular import parse_toml
 
 # The line of a mistake in a table that was read from no text.
 NO_LINE = 0
@@ -96,13 +97,11 @@ def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, 
     """Return the tables of a TOML text and the line of each; what is no TOML is a mistake like any other."""
     text = text.removeprefix("\ufeff")  # some editors begin a file by it
     try:
-        return tomllib.loads(text), line_numbers(text)
+        return parse_toml(text), line_numbers(text)
     except tomllib.TOMLDecodeError as refusal:
         match = re.search(r"at line (\d+)", str(refusal))
         raise error(name, [(int(match[1]) if match else 1, f"this is not TOML: {refusal}.")]) from None
-    except RecursionError:
-        raise error(name, [(1, "its tables lie too deep inside one another.")]) from None
-    except ValueError as refusal:  # dates and whole numbers that Python cannot hold
+    except ValueError as refusal:  # too deep, or dates and whole numbers that Python cannot hold
         raise error(name, [(1, f"this is not TOML: {refusal}.")]) from None
 
 

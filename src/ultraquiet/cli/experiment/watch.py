@@ -9,6 +9,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from ultraquiet.cli.output.screen import harmless
 from ultraquiet.experiments import Course, Levels, Onlooker
 from ultraquiet.experiments.plan import Measurement
 
@@ -63,7 +64,7 @@ class Watcher(Onlooker):
     def say(self, line: str, style: str = "") -> None:
         """Leave a line that stays."""
         with suppress(OSError):  # a terminal that was closed
-            self.console.print(Text(line, style), soft_wrap=True)
+            self.console.print(Text(harmless(line), style), soft_wrap=True)
 
     @property
     def _place(self) -> str:
