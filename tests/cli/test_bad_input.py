@@ -238,3 +238,13 @@ def test_lines_are_found_in_one_walk():
     begun = time.process_time()
     assert line_numbers(text)["t19999", "x", "y"] == 40_000
     assert time.process_time() - begun < 5.0  # not with the square of the lines
+
+
+def test_of_very_many_mistakes_the_first_are_told(run, tmp_path):
+    (tmp_path / "odd.toml").write_text("".join(f"[t{k}]\n" for k in range(2000)) + f"[{'x' * 50_000}]\n")
+    (tmp_path / "odd.csv").write_text("u,y\n1,2\n3,4\n")
+    for words in ("run odd.toml --out o", "experiment odd.toml --out o", "convert odd.csv o.csv --mapping odd.toml"):
+        code, _, err = run(*words.split())
+        assert code == 2
+        assert len(err) < 60_000
+        assert "more." in err.splitlines()[-1]

@@ -9,7 +9,7 @@ from math import isfinite
 from typing import Any
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.lines import Place, line_numbers, line_of
+from ultraquiet._base.lines import Place, line_numbers, line_of, told
 from ultraquiet._base.regular import parse_toml, read_regular_text
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.select import Picked, chosen
@@ -25,8 +25,7 @@ class MappingError(InputError):
     def __init__(self, name: str, mistakes: Sequence[tuple[int, str]]) -> None:
         self.mistakes = tuple(sorted(set(mistakes)))
         count = "one mistake" if len(self.mistakes) == 1 else f"{len(self.mistakes)} mistakes"
-        listing = "".join(f"\n  line {line}: {sentence}" for line, sentence in self.mistakes)
-        super().__init__(f"{name}: {count}; nothing was read.{listing}")
+        super().__init__(f"{name}: {count}; nothing was read.{told(self.mistakes)}")
 
 
 @dataclass(frozen=True)
