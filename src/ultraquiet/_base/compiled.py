@@ -115,7 +115,7 @@ class KernelCache(caching.FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return what was compiled for these types; None where there is nothing, or nothing that can be read."""
         try:
-            return super().load_overload(sig, target_context)
+            return caching.FunctionCache.load_overload(self, sig, target_context)
         except Exception:  # a pickle that was cut short or damaged raises anything
             return None
 
@@ -123,13 +123,14 @@ class KernelCache(caching.FunctionCache):
         """Keep what was compiled, where that can be done; an index that cannot be read is begun again."""
         for _ in range(2):
             try:
-                return super().save_overload(sig, data)
+                caching.FunctionCache.save_overload(self, sig, data)
             except OSError:  # a full disk, a folder that was removed or closed meanwhile
-                return None
+                return
             except Exception:
                 with suppress(OSError):
                     self.flush()
-        return None
+            else:
+                return
 
 
 class _Announcer(event.Listener):
