@@ -1,6 +1,7 @@
 """What is compiled once stays compiled: in a copy of the tree, until it or what it calls changes; and it is told."""
 
 import importlib.util
+import resource
 import sys
 
 import pytest
@@ -80,3 +81,32 @@ def test_compiling_is_told_beside_what_is_in_hand(tree):
         assert not heard
         twice(1)
     assert heard == ["compiling twice (first use only)", 1]
+
+
+def kept(tmp_path, suffix):
+    return sorted((tmp_path / "cache").rglob(f"*{suffix}"))
+
+
+def test_a_cache_that_finds_no_room_ends_nothing(tree, tmp_path):
+    twice = tree("full")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (16, hard))
+    try:
+        assert twice(1.0) == 4.0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not kept(tmp_path, ".nbc")
+    assert tree("roomy")(1.0) == 4.0
+    assert len(kept(tmp_path, ".nbc")) == 2
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("left", [0, 40])
+def test_a_cache_that_was_cut_short_is_compiled_anew(tree, tmp_path, suffix, left):
+    assert tree("first")(1.0) == 4.0
+    for path in kept(tmp_path, suffix):
+        path.write_bytes(path.read_bytes()[:left])
+    assert tree("copy")(1.0) == 4.0
+    last = tree("last")
+    assert last(1.0) == 4.0
+    assert last.stats.cache_hits

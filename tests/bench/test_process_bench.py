@@ -150,6 +150,7 @@ def fake(act, at, ahead=1):
 
 FAULTS = {
     "dies": ("sys.stderr.write('out of magic smoke'); sys.exit(3)", "ended with exit code 3, its last words: 'out of"),
+    "is killed by a signal without a name": ("os.kill(os.getpid(), 40)", "was killed by signal 40 without a word"),
     "is killed": ("os.kill(os.getpid(), signal.SIGKILL)", "was killed by SIGKILL without a word"),
     "hangs": ("time.sleep(1000)", "said nothing for 0.5 s"),
     "is deaf to SIGTERM": (

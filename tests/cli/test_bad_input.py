@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet._base.lines import line_numbers
 
 
 def record(rng, n=400, **changes):
@@ -187,3 +189,62 @@ def test_a_full_disk_while_recording(tmp_path):
     assert "ultraquiet:" in done.stderr
     for path in (tmp_path / "records").glob("*.h5"):
         assert uq.files.load(path).samples > 0
+
+
+def test_what_a_sentence_quotes_commands_no_terminal(run, tmp_path):
+    (tmp_path / "odd.csv").write_text("u,y\n1,2\n\x1b]0;owned\x07\x1b[31m\u202e,4\n5,6\n")
+    code, _, err = run("convert", "odd.csv", "out.csv", "--inputs", "u", "--outputs", "y", "--rate", "100")
+    assert code == 2
+    assert "line 3" in err
+    assert not {"\x1b", "\x07", "\u202e"} & set(err)
+
+
+def test_a_name_that_no_file_has_is_a_sentence(run, tmp_path):
+    (tmp_path / "study.toml").write_text(
+        '[study]\ntitle = "mine"\n[records]\nfiles = ["a\\u0000b.h5"]\n[plant]\nmethod = "subspace"\norder = 2\n'
+        '[controllers.quiet.design]\nmethod = "lqg"\n'
+    )
+    code, _, err = run("run", "study.toml", "--out", "out")
+    assert code == 2
+    assert "is no name of a file" in err
+
+
+def test_names_out_of_an_archive_command_no_terminal(run, tmp_path):
+    wires = [uq.Channel("u\x1b]0;owned\x07", "V")], [uq.Channel("y\x1b[31m", "m\x1b[2J")]
+    uq.files.save(uq.Record(np.arange(50.0)[None], np.arange(50.0)[None], 100.0, *wires), tmp_path / "odd.h5")
+    for words in (("inspect", "odd.h5"), ("spectra", "odd.h5"), ("convert", "odd.h5", "new.csv")):
+        _, out, err = run(*words)
+        assert out + err
+        assert not {"\x1b", "\x07"} & set(out + err)
+
+
+@pytest.mark.parametrize("text", [".".join("a" * 60_000) + " = 1", "a = " + "[" * 100_000 + "]" * 100_000])
+@pytest.mark.parametrize(
+    "words", ["run odd.toml --out out", "experiment odd.toml --out out", "convert odd.csv out.csv --mapping odd.toml"]
+)
+def test_tables_beyond_any_depth_are_a_mistake_at_once(run, tmp_path, words, text):
+    (tmp_path / "odd.toml").write_text(text)
+    (tmp_path / "odd.csv").write_text("u,y\n1,2\n3,4\n")
+    begun = time.process_time()
+    code, _, err = run(*words.split())
+    print(err)
+    assert code == 2
+    assert "too deep inside one another" in err or "more than 64 parts" in err
+    assert time.process_time() - begun < 5.0
+
+
+def test_lines_are_found_in_one_walk():
+    text = "".join(f"[t{k}]\nx.y = 1\n" for k in range(20_000))
+    begun = time.process_time()
+    assert line_numbers(text)["t19999", "x", "y"] == 40_000
+    assert time.process_time() - begun < 5.0  # not with the square of the lines
+
+
+def test_of_very_many_mistakes_the_first_are_told(run, tmp_path):
+    (tmp_path / "odd.toml").write_text("".join(f"[t{k}]\n" for k in range(2000)) + f"[{'x' * 50_000}]\n")
+    (tmp_path / "odd.csv").write_text("u,y\n1,2\n3,4\n")
+    for words in ("run odd.toml --out o", "experiment odd.toml --out o", "convert odd.csv o.csv --mapping odd.toml"):
+        code, _, err = run(*words.split())
+        assert code == 2
+        assert len(err) < 60_000
+        assert "more." in err.splitlines()[-1]

@@ -1,14 +1,19 @@
 """What cannot be written: one sentence, exit code 2, and nothing of it on the disk, whichever command writes."""
 
+import importlib
+import importlib.util
 import os
 import resource
 import shlex
 import shutil
+import sys
 
 import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet._base.errors import StorageError
+from ultraquiet.cli.output.options import with_options
 
 RATE_HZ = 500.0
 LIST = """
@@ -158,9 +163,11 @@ def test_a_folder_that_cannot_be_there(run, folder, command, place):
 
 
 @pytest.fixture
-def full_disk():
+def full_disk(monkeypatch):
     """No file may grow beyond a few bytes, as on a disk that is full."""
     pytest.importorskip("joblib")  # asks for a semaphore when it is imported, which is a file too
+    # Python keeps a file of bytecode as far as it could be written, for every later process: not the suite's own.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     class Full:
@@ -190,3 +197,14 @@ def test_a_full_disk(run, folder, full_disk, command):
     assert not [path for path in left if path.stat().st_size and path.name not in ("journal.txt", ".lock")]
     if command in FILES:
         assert everything(folder) == before
+
+
+def test_bytecode_that_was_cut_short_is_a_sentence(tmp_path, monkeypatch):
+    (tmp_path / "cut.pyc").write_bytes(importlib.util.MAGIC_NUMBER + bytes(12))  # what 16 bytes of room leave of it
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def command():
+        importlib.import_module("cut")
+
+    with pytest.raises(StorageError, match="compiled Python was cut short"):
+        with_options(command)()

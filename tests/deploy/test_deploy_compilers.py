@@ -41,8 +41,14 @@ FLAGS = (
     "-O2 -freciprocal-math",
     "-O2 -mfpmath=387",
     "-O2 -fno-trapping-math",
+    "-O2 -fassociative-math",
+    "-O2 -fno-honor-infinities",
+    "-O2 -fno-honor-nans",
+    "-O2 -mno-sse2",
+    "-O2 -fsingle-precision-constant",
+    "-O2 -frounding-math -fshort-enums -funsigned-char -fwrapv",
 )
-HARMLESS = {*FLAGS[:6], FLAGS[7], "-O2 -fno-trapping-math"}  # what the source has no reason to refuse
+HARMLESS = {*FLAGS[:6], FLAGS[7], "-O2 -fno-trapping-math", FLAGS[-1]}  # what the source has no reason to refuse
 LAWS = 28
 
 
@@ -52,7 +58,7 @@ def built(folder, name, flags, program):
     command = [compiler(name), *flags.split(), "-w", "-DCONTROLLER_MAIN", *language, *SOURCES, "-o", str(program)]
     made = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
     if made.returncode:
-        ours = re.search(r'error: .*"controller: (.*)"', made.stderr)
+        ours = re.search(r'error: .*("controller: |controller_numbers_keep_their_type)', made.stderr)
         unknown = re.search(r"error: .*(unrecognized|not supported|unknown argument)", made.stderr)
         return "refused" if ours else "unknown flag" if unknown else f"broken: {made.stderr[:300]}"
     told = subprocess.run([program], capture_output=True, text=True, timeout=120, check=False)
@@ -113,6 +119,21 @@ def undefined(name, flags, folder, source):
 
 
 EVERY_LEVEL = ("-O0", "-O2", "-O3 -march=native -DULTRAQUIET_CONTRACT_OFF", "-Os")
+
+
+def test_numbers_of_another_type_are_refused_and_other_orders_taken_back(law_of, tmp_path):
+    if compiler("gcc") is None:
+        pytest.skip("no GCC on this machine")
+    made = {}
+    for precision in ("float32", "float64"):
+        generate(law_of(6, 2, 3), tmp_path / precision, form="modal", precision=precision)
+        for flags in ("-fassociative-math", "-fsingle-precision-constant", "-Dfloat=double"):
+            made[precision, flags] = built(tmp_path / precision, "gcc", f"-std=c99 -O2 {flags}", tmp_path / "run")
+    print(made)
+    assert [fate for (_, flags), fate in made.items() if "associative" in flags] == ["same bits"] * 2
+    assert made["float32", "-fsingle-precision-constant"] == "same bits"
+    assert made["float64", "-fsingle-precision-constant"] == "refused"
+    assert [fate for (_, flags), fate in made.items() if "-D" in flags] == ["refused", "same bits"]
 
 
 @pytest.mark.parametrize(

@@ -6,13 +6,18 @@ import os
 import pickle
 import resource
 import struct
+import subprocess
+import sys
 import time
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
 
 import h5py
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from ultraquiet import files
@@ -20,6 +25,7 @@ from ultraquiet._base.errors import StorageError, UltraquietError
 from ultraquiet._base.regular import read_regular
 from ultraquiet.files import archive
 from ultraquiet.files.confined import confined
+from ultraquiet.files.readers.parquet import read_parquet
 from ultraquiet.values import Record
 
 posix = pytest.mark.skipif(os.name != "posix", reason="no fork")
@@ -300,3 +306,39 @@ def test_what_this_process_wrote_is_read_without_a_child(tmp_path, monkeypatch):
     assert files.load(path).outputs.tolist() == [[0.1, 0.3]]
     assert files.load(path).outputs.tolist() == [[0.1, 0.3]]
     assert len(asked) == 1
+
+
+def test_two_arrays_of_one_name_and_more_than_anybody_records(tmp_path):
+    memory = io.BytesIO()
+    np.save(memory, np.ones((1, 50)))
+    for names, said in ((["u", "u", "y"], "more than once"), ([f"m{k}" for k in range(10_001)], "up to 10000")):
+        with warnings.catch_warnings(), zipfile.ZipFile(tmp_path / "odd.npz", "w") as archive:
+            warnings.simplefilter("ignore")  # zipfile's own, of a name that it writes twice
+            for name in names:
+                archive.writestr(f"{name}.npy", memory.getvalue())
+        with pytest.raises(StorageError, match=said):
+            files.read_record(tmp_path / "odd.npz", 100.0, "u", "y")
+
+
+@pytest.mark.gate("parquet")
+@pytest.mark.parametrize("suffix", ["csv", "mat", "uff", "parquet", "npz", "h5"])
+def test_a_process_that_has_imported_nothing_else_reads_it(tmp_path, suffix):
+    """The child opens nothing: whatever a library imports on the way must be there before, pandas for Arrow too."""
+    record, path = Record(np.arange(50.0)[None], np.ones((1, 50)), 100.0), tmp_path / f"plain.{suffix}"
+    if suffix == "npz":
+        np.savez(path, u=record.inputs, y=record.outputs)
+    else:
+        (files.save if suffix == "h5" else files.export_record)(record, path)
+    chosen = ("u", "y") if suffix == "npz" else (None, None)
+    code = f"from ultraquiet import files; print(files.read_record({str(path)!r}, 100.0, *{chosen!r}).samples)"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert told.stdout.strip() == "50", told.stderr[-300:]
+
+
+def test_parquet_leaves_gaps_where_values_or_stamps_are_missing(tmp_path):
+    stamps = pa.array([None, 5, 7_000_000, 9], pa.timestamp("ns"))
+    count = pa.chunked_array([pa.array([1, None, 3], pa.int16()).slice(1), pa.array([4, None], pa.int16())])
+    pq.write_table(pa.table({"t": stamps, "count": count}), tmp_path / "gaps.parquet")
+    table = read_parquet("gaps.parquet", (tmp_path / "gaps.parquet").read_bytes())
+    np.testing.assert_array_equal(table.columns[1].values, [np.nan, 3.0, 4.0, np.nan])
+    assert np.isnan(table.columns[0].values).tolist() == [True, False, False, False]

@@ -9,7 +9,7 @@ compiled again when a function it calls has changed.
 import hashlib
 import tempfile
 import threading
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
@@ -108,9 +108,29 @@ class CompiledCode(caching.CompileResultCacheImpl):
 
 
 class KernelCache(caching.FunctionCache):
-    """The cache of one compiled function."""
+    """The cache of one compiled function; whatever is wrong with its files, the function is compiled and runs."""
 
     _impl_class = CompiledCode
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what was compiled for these types; None where there is nothing, or nothing that can be read."""
+        try:
+            return caching.FunctionCache.load_overload(self, sig, target_context)
+        except Exception:  # a pickle that was cut short or damaged raises anything
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled, where that can be done; an index that cannot be read is begun again."""
+        for _ in range(2):
+            try:
+                caching.FunctionCache.save_overload(self, sig, data)
+            except OSError:  # a full disk, a folder that was removed or closed meanwhile
+                return
+            except Exception:
+                with suppress(OSError):
+                    self.flush()
+            else:
+                return
 
 
 class _Announcer(event.Listener):

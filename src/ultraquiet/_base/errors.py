@@ -1,5 +1,7 @@
 """The errors a user meets. Each message is one sentence: who refuses, what it got, what it would take."""
 
+import signal
+
 
 class UltraquietError(Exception):
     """Base of every error this package raises on purpose; the command line turns it into an exit code."""
@@ -55,3 +57,15 @@ class InterlockError(BenchError):
 
     def __reduce__(self) -> tuple[type["InterlockError"], tuple[str, str, int, float]]:
         return InterlockError, (str(self), self.interlock, self.sample, self.value)
+
+
+def signal_name(number: int) -> str:
+    """Return how a signal that ended a program is called; those of real time have numbers alone.
+
+    >>> signal_name(9), signal_name(40)
+    ('SIGKILL', 'signal 40')
+    """
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

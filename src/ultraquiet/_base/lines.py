@@ -1,9 +1,14 @@
 """On which line of a TOML text each key stands: tomllib does not say, and a mistake without a line is hard to mend."""
 
 import re
-from collections.abc import Mapping
+from bisect import bisect_left
+from collections.abc import Mapping, Sequence
 
 Place = tuple[str | int, ...]
+# The line of a mistake in a table that was read from no text.
+NO_LINE = 0
+# Of mistakes and of one of them so much is printed: a table that was made to be wrong has millions.
+MOST_TOLD, MOST_CHARACTERS = 100, 2000
 
 _BLANK = re.compile(r"(?:\s|#[^\n]*)*")
 _KEY = re.compile(r"""[ \t]*("(?:\\.|[^"\\\n])*"|'[^'\n]*'|[A-Za-z0-9_-]+)[ \t]*(\.?)""")
@@ -33,11 +38,27 @@ def line_of(places: Mapping[Place, int], place: Place) -> int:
     return 1
 
 
+def told(mistakes: Sequence[tuple[int, str]]) -> str:
+    r"""Return mistakes (line, sentence) as lines below a sentence: the first of them, and how many more there are.
+
+    >>> told([(3, "no such key."), (NO_LINE, "no such file.")])
+    '\n  line 3: no such key.\n  - no such file.'
+    """
+    lines = [f"{'-' if line == NO_LINE else f'line {line}:'} {_short(said)}" for line, said in mistakes[:MOST_TOLD]]
+    more = [f"- and {len(mistakes) - MOST_TOLD} more."] if len(mistakes) > MOST_TOLD else []
+    return "".join(f"\n  {line}" for line in lines + more)
+
+
+def _short(sentence: str) -> str:
+    return sentence if len(sentence) <= MOST_CHARACTERS else f"{sentence[:MOST_CHARACTERS]} ..."
+
+
 class _Scanner:
     """One walk through the text; it trusts tomllib to have found every fault of syntax."""
 
     def __init__(self, text: str) -> None:
         self.text = text.replace("\r\n", "\n")
+        self._ends = [k for k, character in enumerate(self.text) if character == "\n"]
         self.at = 0
         self.places: dict[Place, int] = {}
         self._counts: dict[Place, int] = {}
@@ -65,7 +86,7 @@ class _Scanner:
         return tuple(keys)
 
     def _note(self, place: Place, start: int) -> None:
-        self.places.setdefault(place, self.text.count("\n", 0, start) + 1)
+        self.places.setdefault(place, bisect_left(self._ends, start) + 1)
 
     def _header(self) -> Place:
         start = self.at

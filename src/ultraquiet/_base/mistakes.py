@@ -8,11 +8,10 @@ from typing import Any, ClassVar, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.lines import Place, line_numbers, line_of
+from ultraquiet._base.lines import NO_LINE, Place, line_numbers, line_of, told
 from ultraquiet._base.registry import known_are
+from ultraquiet._base.regular import parse_toml
 
-# The line of a mistake in a table that was read from no text.
-NO_LINE = 0
 # What pydantic puts into a place besides keys and indices: the kinds of a value that may be one or the other.
 KIND = re.compile(r"\[key\]|constrained-\w+|(?:list|tuple|dict)\[.*\]|float|int|str|bool")
 WRONG_KIND = ("list_type", "tuple_type", "float_type", "int_type", "string_type", "bool_type")
@@ -26,13 +25,9 @@ class TableError(InputError):
     def __init__(self, name: str, mistakes: Sequence[tuple[int, str]]) -> None:
         self.mistakes = tuple(mistakes)
         count = "one mistake" if len(mistakes) == 1 else f"{len(mistakes)} mistakes"
-        lines = "".join(f"\n  {_bullet(line)} {sentence}" for line, sentence in self.mistakes)
+        lines = told(self.mistakes)
         alone = len(mistakes) == 1 and mistakes[0][0] == NO_LINE
         super().__init__(mistakes[0][1] if alone else f"{name}: {count}{self.consequence}.{lines}")
-
-
-def _bullet(line: int) -> str:
-    return "-" if line == NO_LINE else f"line {line}:"
 
 
 class Mistakes:
@@ -96,13 +91,11 @@ def read_toml(text: str, name: str, error: type[TableError]) -> tuple[dict[str, 
     """Return the tables of a TOML text and the line of each; what is no TOML is a mistake like any other."""
     text = text.removeprefix("\ufeff")  # some editors begin a file by it
     try:
-        return tomllib.loads(text), line_numbers(text)
+        return parse_toml(text), line_numbers(text)
     except tomllib.TOMLDecodeError as refusal:
         match = re.search(r"at line (\d+)", str(refusal))
         raise error(name, [(int(match[1]) if match else 1, f"this is not TOML: {refusal}.")]) from None
-    except RecursionError:
-        raise error(name, [(1, "its tables lie too deep inside one another.")]) from None
-    except ValueError as refusal:  # dates and whole numbers that Python cannot hold
+    except ValueError as refusal:  # too deep, or dates and whole numbers that Python cannot hold
         raise error(name, [(1, f"this is not TOML: {refusal}.")]) from None
 
 

@@ -4,12 +4,18 @@ import errno
 import io
 import json
 import os
+import re
 import stat
+import tomllib
 from typing import Any
 
 CHUNK_BYTES = 1 << 24
 MOST_TEXT_BYTES = 16 << 20  # of a list, a study, a mapping: what people write by hand is a thousand times shorter
+MOST_KEY_PARTS = 64
 
+# From where a key may begin, each part taken whole: the search is one walk through the text.
+_PART = r"""(?>[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{_PART}(?>[ \t]*+\.[ \t]*+{_PART}){{{MOST_KEY_PARTS}}}", re.MULTILINE)
 _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
@@ -82,6 +88,25 @@ def parse_json(text: str | bytes) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("its lists lie too deep inside one another") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    Raises:
+        ValueError: no TOML (`tomllib.TOMLDecodeError`), tables in tables beyond what Python follows, or keys of so many
+            parts that tomllib, which copies each beginning of a key, would fill the memory with them.
+
+    >>> parse_toml(".".join("a" * 60_000) + " = 1")
+    Traceback (most recent call last):
+    ValueError: a key has more than 64 parts
+    """
+    if _LONG_KEY.search(text):
+        raise ValueError(f"a key has more than {MOST_KEY_PARTS} parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("its tables lie too deep inside one another") from None
 
 
 def _refuse(path: str | os.PathLike[str], found: os.stat_result) -> None:

@@ -14,6 +14,7 @@ from ultraquiet.cli.exits.codes import EPILOG, ExitCode, exit_code
 from ultraquiet.cli.experiment import command as experiment
 from ultraquiet.cli.loop import analyse, campaign, simulate
 from ultraquiet.cli.output.options import NoEmptyWords, with_options
+from ultraquiet.cli.output.screen import harmless
 from ultraquiet.cli.spectra import command as spectra
 from ultraquiet.cli.workbench import command as workbench
 
@@ -68,18 +69,23 @@ def _root(
 STOPPED = "ultraquiet: stopped; finished stages and records are kept."
 
 
+def _tell(sentence: str) -> None:
+    """Print a sentence on stderr; what it quotes of a file's content or name commands no terminal."""
+    print(f"ultraquiet: {harmless(sentence)}", file=sys.stderr)
+
+
 def main() -> None:
     """Run the command line; an error is one sentence on stderr, and the exit code says of which kind."""
     try:
         app()
     except UltraquietError as error:
-        print(f"ultraquiet: {error}", file=sys.stderr)
+        _tell(str(error))
         sys.exit(exit_code(error))
     except OSError as error:  # of the system and its disks, wherever it is met
         from ultraquiet.files import reason
 
         named = f"'{error.filename}' cannot be read or written" if error.filename else "the system refused"
-        print(f"ultraquiet: {named} ({reason(error)}).", file=sys.stderr)
+        _tell(f"{named} ({reason(error)}).")
         sys.exit(ExitCode.REFUSED)
     except MemoryError as error:
         print(f"ultraquiet: this asks for more memory than there is; ask for less ({error}).", file=sys.stderr)

@@ -2,7 +2,6 @@
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping as AnyMapping
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,8 +9,8 @@ from math import isfinite
 from typing import Any
 
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.lines import Place, line_numbers, line_of
-from ultraquiet._base.regular import read_regular_text
+from ultraquiet._base.lines import Place, line_numbers, line_of, told
+from ultraquiet._base.regular import parse_toml, read_regular_text
 from ultraquiet.files.atomic import reason
 from ultraquiet.files.select import Picked, chosen
 from ultraquiet.files.table import Column, FileTable
@@ -26,8 +25,7 @@ class MappingError(InputError):
     def __init__(self, name: str, mistakes: Sequence[tuple[int, str]]) -> None:
         self.mistakes = tuple(sorted(set(mistakes)))
         count = "one mistake" if len(self.mistakes) == 1 else f"{len(self.mistakes)} mistakes"
-        listing = "".join(f"\n  line {line}: {sentence}" for line, sentence in self.mistakes)
-        super().__init__(f"{name}: {count}; nothing was read.{listing}")
+        super().__init__(f"{name}: {count}; nothing was read.{told(self.mistakes)}")
 
 
 @dataclass(frozen=True)
@@ -138,8 +136,8 @@ def parse_mapping(text: str, name: str = "mapping") -> Mapping:
       line 11: 'scale' must be a finite number other than zero, got 0.0.
     """
     try:
-        content = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        content = parse_toml(text)
+    except ValueError as error:  # no TOML, or tables too deep, or numbers that Python cannot hold
         match = re.search(r"at line (\d+)", str(error))
         raise MappingError(name, [(int(match[1]) if match else 1, f"this is not TOML: {error}.")]) from None
     check = _Check(line_numbers(text))

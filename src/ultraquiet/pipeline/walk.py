@@ -244,6 +244,8 @@ def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
 
 def _at(name: str, beside: Path | None) -> Path:
     """Return the path of a file that a study names; what is relative stands beside the study."""
+    if "\0" in name:
+        raise InputError(f"study: {name!r} is no name of a file.")
     return Path(name) if beside is None else (beside / name).resolve()
 
 
@@ -281,7 +283,7 @@ def _list_of(settings: study.Study, beside: Path | None) -> str:
         raise InputError(
             "study: [experiment] names no 'list', a file of commands (TOML) beside the study; only the hexapod has one."
         )
-    return name if name in PACKAGED_LISTS or beside is None else str((beside / name).resolve())
+    return name if name in PACKAGED_LISTS or beside is None else str(_at(name, beside))
 
 
 def _located(settings: study.Study, beside: Path | None) -> study.Study:

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from contextlib import suppress
 
-from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet._base.errors import BenchError, InputError, signal_name
 from ultraquiet.files import reason
 
 CHUNK_BYTES = 1 << 16
@@ -225,7 +225,7 @@ class Child(Link):
         self._overhear()
         if code is None:
             return "closed its output" + self._last_words()
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        how = f"was killed by {signal_name(-code)}" if code < 0 else f"ended with exit code {code}"
         return how + self._last_words()
 
     def _last_words(self) -> str:

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ultraquiet._base.shown.line import counted
+from ultraquiet.cli.output.screen import harmless
 from ultraquiet.experiments import Course, Levels, Onlooker
 from ultraquiet.experiments.plan import Measurement
 
@@ -68,7 +69,7 @@ class Watcher(Onlooker):
     def say(self, line: str, style: str = "") -> None:
         """Leave a line that stays."""
         with suppress(OSError):  # a terminal that was closed
-            self.console.print(Text(line, style), soft_wrap=True)
+            self.console.print(Text(harmless(line), style), soft_wrap=True)
 
     @property
     def _place(self) -> str:

@@ -1,6 +1,7 @@
 """What every command takes: `--json` and `--quiet`."""
 
 import inspect
+import sys
 from collections.abc import Callable
 from functools import wraps
 from typing import Annotated, Any
@@ -8,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperCommand
 
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, StorageError
 from ultraquiet.cli.output.screen import Screen, showing
 
 Json = Annotated[bool, typer.Option("--json", help="Print the results as JSON, and nothing else.")]
@@ -53,13 +54,24 @@ class NoEmptyWords(TyperCommand):
         return None
 
 
+def _bytecode() -> str:
+    """Return where Python keeps what it compiled."""
+    return f"'{sys.pycache_prefix}'" if sys.pycache_prefix else "the folders named '__pycache__'"
+
+
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """Return the command with `--json` and `--quiet` after its own options."""
 
     @wraps(command)
     def run(*, as_json: bool = False, quiet: bool = False, **options: Any) -> None:
-        with showing(Screen(as_json, quiet)):
-            command(**options)
+        try:
+            with showing(Screen(as_json, quiet)):
+                command(**options)
+        except EOFError as error:  # typer takes it for the end of what is typed, and says no more than "Aborted!"
+            raise StorageError(
+                f"a file of compiled Python was cut short, as a full disk leaves it ({error}); remove {_bytecode()} and"
+                " try again."
+            ) from error
 
     own = inspect.signature(command, eval_str=True)
     keyword = inspect.Parameter.KEYWORD_ONLY

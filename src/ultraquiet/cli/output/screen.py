@@ -12,10 +12,13 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any
+from unicodedata import category
 
 import numpy as np
 
 from ultraquiet.cli.output.text_table import TextTable
+
+UNPRINTED = ("Cc", "Cf", "Cs")  # control, direction and other marks without a shape, halves of characters
 
 
 @dataclass(frozen=True)
@@ -46,8 +49,20 @@ class Screen:
             _write(json.dumps(plain(facts), indent=1, allow_nan=False) + "\n")
 
 
+def harmless(text: str) -> str:
+    r"""Return a text whose names and quotations, which came out of files, command no terminal.
+
+    >>> harmless("a\x1b[2J")
+    'a\ufffd[2J'
+    """
+    if text.isascii() and text.replace("\n", "").isprintable():
+        return text
+    return "".join(c if c in "\n\t" or category(c) not in UNPRINTED else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
 def _write(text: str) -> None:
     """Write what the terminal's characters allow; a square or a degree it does not know becomes a question mark."""
+    text = harmless(text)
     try:
         sys.stdout.write(text)
     except UnicodeEncodeError:

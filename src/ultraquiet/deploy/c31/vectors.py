@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, converter_limits, table_sum
 from ultraquiet.deploy.c31.float_format import encode
 from ultraquiet.deploy.c31.twin import C31Twin
@@ -25,7 +26,7 @@ def vectors(law: Law) -> str:
     that it meets is seen, then each command towards either limit, by measurements at full range with the signs of its
     impulse response, then noise, from half the converter's range down to 2^-13 of it.
     """
-    twin = C31Twin(law, converter_limits(law), VOLTS_PER_COUNT, COUNTS_PER_VOLT)
+    twin = _twin(law)
     heads = [f"{what}{k}" for what, n in (("adc", law.inputs), ("dac", law.outputs)) for k in range(n)]
     heads += [f"{what}{k}" for what, n in (("u", law.outputs), ("x", law.states)) for k in range(n)]
     lines = [f"check,0x{table_sum(law):08X}", ",".join(["rest", *heads])]
@@ -47,11 +48,27 @@ def frames(law: Law, seed: int = 0) -> list[tuple[bool, NDArray[np.int64]]]:
             alone = silent.copy()
             alone[j] = int(rng.integers(FULL // 2, FULL)) * (-1) ** k
             made += [(True, alone), *[(False, silent)] * AFTER]
-    impulses = np.zeros((law.inputs, law.inputs, PUSH))
-    impulses[:, :, 0] = np.eye(law.inputs)
-    responses = np.stack([law.state_space().simulate(impulse) for impulse in impulses], axis=1)
-    for signs in np.where(responses < 0, -1, 1)[:, :, ::-1]:
+    for signs in np.where(_answers(law) < 0, -1, 1)[:, :, ::-1]:
         for side in (1, -1):
             made += [(k == 0, row) for k, row in enumerate((side * (FULL - 1) * signs).T)]
     noise = rng.integers(-FULL, FULL, (RUN, law.inputs)) >> (1 + np.arange(RUN) % 13)[:, None]
     return made + [(k == 0, row) for k, row in enumerate(noise)]
+
+
+def _answers(law: Law) -> FloatArray:
+    """Return the commands, before their limits, that follow one count of each measurement, `(nu, ny, PUSH)`.
+
+    In the frame's own arithmetic: the sign of an answer that is nothing but rounding would be another with another
+    BLAS.
+    """
+    twin, answers = _twin(law), np.zeros((law.outputs, law.inputs, PUSH))
+    for j, counts in enumerate(np.eye(law.inputs, dtype=np.int64)):
+        twin.reset()
+        for k in range(PUSH):
+            twin.frame(counts if k == 0 else np.zeros_like(counts))
+            answers[:, j, k] = twin.u
+    return answers
+
+
+def _twin(law: Law) -> C31Twin:
+    return C31Twin(law, converter_limits(law), VOLTS_PER_COUNT, COUNTS_PER_VOLT)

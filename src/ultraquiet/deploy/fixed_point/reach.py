@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 
+from ultraquiet.deploy.fixed_point.exact import least_squares
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 
 TRIED = 4096  # words for one of two gains, to find a sum that is just so large
@@ -89,7 +90,7 @@ def _touching(
     """
     row, down = rows[k], int(downs[k])
     corner = _at(rows[k : k + 1], law)[0]
-    fine = [i for i in np.argsort(np.abs(row)) if row[i] != 0][:2]
+    fine = [i for i in np.argsort(np.abs(row), kind="stable") if row[i] != 0][:2]
     if len(fine) < 2:
         return None
     last, other = fine
@@ -128,15 +129,16 @@ def _drawn_back(rows: Whole, k: int, downs: Whole, corner: Whole, fine: list[int
 
 def _others_at_rest(rows: Whole, k: int, downs: Whole, corner: Whole, fine: list[int], wanted: int) -> Whole | None:
     """Return the least words that carry the other rows nowhere, the fine ones zero; None where that takes too much."""
-    scale = np.exp2(-downs.astype(np.float64))
-    target = -(rows[:, fine] @ (corner[fine] // 2)).astype(np.float64)
-    target[k] += wanted
     rest = np.delete(np.arange(rows.shape[1]), fine)
-    found = np.linalg.lstsq(rows[:, rest] * scale[:, None], target * scale)[0]
-    if not rest.size or np.abs(found).max() > np.abs(corner).max():
+    if not rest.size:
+        return None
+    target = -(rows[:, fine] @ (corner[fine] // 2))
+    target[k] += wanted
+    found = least_squares(rows[:, rest], target.tolist(), (downs.max() - downs).tolist())
+    if max(map(abs, found)) > int(np.abs(corner).max()):
         return None
     words = np.zeros(rows.shape[1], np.int64)
-    words[rest] = np.trunc(found).astype(np.int64)
+    words[rest] = [int(x) for x in found]
     return words
 
 

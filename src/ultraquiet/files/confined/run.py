@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ultraquiet._base import errors
-from ultraquiet._base.errors import StorageError, UltraquietError
+from ultraquiet._base.errors import StorageError, UltraquietError, signal_name
 from ultraquiet.files.confined import limits, transport
 from ultraquiet.files.confined.unpacked import budget_bytes
 from ultraquiet.files.whole import READER, understanding
@@ -122,7 +122,7 @@ def _ended(child: int, most_s: float) -> str:
     if code is None or code in (-signal.SIGXCPU, -signal.SIGKILL):
         return "reading it takes longer, or more memory, than a file of its size may"
     if code < 0:
-        return f"what reads it crashed on it with {signal.Signals(-code).name}: it is damaged, or made to do that"
+        return f"what reads it crashed on it with {signal_name(-code)}: it is damaged, or made to do that"
     return "it takes more memory than a file of its size may" if code else ""
 
 

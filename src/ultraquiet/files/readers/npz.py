@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files.confined import announce
-from ultraquiet.files.table import FileTable, from_arrays
+from ultraquiet.files.table import MOST_COLUMNS, FileTable, from_arrays
 
 SUFFIX = ".npy"  # of a member that is an array
 FLOAT_BYTES = 8
@@ -28,6 +28,7 @@ def npz_arrays(name: str, data: bytes) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [member for member in archive.infolist() if member.filename.endswith(SUFFIX)]
+        _require_names(name, [member.filename for member in members])
         announce(name, sum(member.file_size for member in members), len(data))
         shapes = {member.filename: _declared(archive, member) for member in members}
         sizes = [math.prod(shape) * max(dtype.itemsize, FLOAT_BYTES) for shape, dtype in shapes.values()]
@@ -44,6 +45,15 @@ def npz_arrays(name: str, data: bytes) -> dict[str, np.ndarray]:
                     raise StorageError(f"read_record: '{name}' holds more in '{member.filename}' than it says.")
             arrays[member.filename.removesuffix(SUFFIX)] = array
     return arrays
+
+
+def _require_names(name: str, members: list[str]) -> None:
+    """Refuse more arrays than anybody records, and two of one name, of which nobody could say which is meant."""
+    if len(members) > MOST_COLUMNS:
+        raise StorageError(f"read_record: '{name}' holds {len(members)} arrays; up to {MOST_COLUMNS} are read.")
+    if len(set(members)) < len(members):
+        twice = next(member for member in members if members.count(member) > 1)
+        raise StorageError(f"read_record: '{name}' holds '{twice}' more than once; keep the one that is meant.")
 
 
 def _declared(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype]:

@@ -5,6 +5,7 @@ from math import inf, nan
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.files.confined import announce
@@ -64,10 +65,9 @@ def _column(pa: Any, field: Any, column: Any) -> tuple[str, Column | str]:
     name: str = metadata.get("name") or str(field.name)
     unit = next((metadata[key] for key in UNITS if key in metadata), "")
     if pa.types.is_timestamp(field.type):
-        stamps = column.cast(pa.timestamp("ns")).cast(pa.int64())
-        first = next((value.as_py() for value in stamps.slice(0, 1) if value.is_valid), 0)
-        since = pa.compute.subtract(stamps, first)
-        return name, Column(name, _floats(pa, since) / 1e9, "s")
+        stamps, missing = _numbers(column.cast(pa.timestamp("ns")).cast(pa.int64()), np.int64)
+        since = np.where(missing, nan, (stamps - stamps[0] if stamps.size and not missing[0] else stamps) / 1e9)
+        return name, Column(name, since, "s")
     if not (pa.types.is_floating(field.type) or pa.types.is_integer(field.type)):
         return name, str(field.type)
     values = _floats(pa, column)
@@ -76,7 +76,23 @@ def _column(pa: Any, field: Any, column: Any) -> tuple[str, Column | str]:
 
 
 def _floats(pa: Any, column: Any) -> FloatArray:
-    """Return a column as float64, NaN for what is missing; `to_numpy` would import pandas for that, if it is there."""
-    whole = column.cast(pa.float64(), safe=False).fill_null(nan)
-    parts = [np.frombuffer(c.buffers()[1], np.float64)[c.offset : c.offset + len(c)] for c in whole.chunks if len(c)]
-    return np.concatenate(parts) if parts else np.empty(0)
+    """Return a column as float64, NaN for what is missing."""
+    values, missing = _numbers(column.cast(pa.float64(), safe=False), np.float64)
+    return np.where(missing, nan, values)
+
+
+def _numbers(column: Any, kind: type[np.generic]) -> tuple[Any, NDArray[np.bool_]]:
+    """Return a column's numbers `(n,)` and which of them are missing, out of its buffers.
+
+    `to_numpy`, `fill_null` and every scalar that Arrow makes of a Python number import pandas where it is installed,
+    and the process that reads can open nothing.
+    """
+    values, missing = [np.empty(0, kind)], [np.empty(0, bool)]
+    for part in column.chunks:
+        own = slice(part.offset, part.offset + len(part))
+        held, numbers = part.buffers()
+        if len(part):
+            values.append(np.frombuffer(numbers, kind)[own])
+            bits = None if held is None else np.unpackbits(np.frombuffer(held, np.uint8), bitorder="little")
+            missing.append(np.zeros(len(part), bool) if bits is None else bits[own] == 0)
+    return np.concatenate(values), np.concatenate(missing)

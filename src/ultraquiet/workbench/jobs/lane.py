@@ -2,7 +2,6 @@
 
 import base64
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ultraquiet._base.errors import signal_name
 from ultraquiet.workbench.engine.items import FOLDER
 
 WORKER = "ultraquiet.workbench.jobs.worker"
@@ -191,5 +191,5 @@ def _ended(code: int) -> str:
     ('its process was killed (SIGKILL)', 'its process ended (exit code 1)')
     """
     if code < 0:
-        return f"its process was killed ({signal.Signals(-code).name})"
+        return f"its process was killed ({signal_name(-code)})"
     return f"its process ended (exit code {code})"
