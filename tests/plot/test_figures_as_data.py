@@ -156,7 +156,8 @@ def test_densities_are_those_of_the_spectrum(record):
     for k, channel in enumerate(spectrum.channels):
         density, total = figure.panels[2 * k : 2 * k + 2]
         assert density.title == channel.name
-        assert density.y_label == f"dB re {channel.unit}/√Hz"
+        unit = f"({channel.unit})" if "/" in channel.unit else channel.unit
+        assert density.y_label == f"dB re {unit}/√Hz"
         assert density.lines[-1].y == pytest.approx(20 * np.log10(spectrum.asd[k, 1:]))
         assert density.lines[0].label == "95 % interval"
         below, above = (line.y for line in density.lines[:2])

@@ -18,6 +18,7 @@ Response = tuple[str, FloatArray, ComplexArray]
 Wires = tuple[Sequence[Channel], Sequence[Channel]]  # actuators, sensors
 # A command with this share of its power at one frequency is a tone, of which so many periods are shown.
 ONE_TONE, SHOWN_PERIODS = 0.9, 12.0
+MEASURED = 6  # of the palette: what a bench said is black wherever models stand beside it
 
 
 def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = "") -> Figure:
@@ -67,11 +68,11 @@ def simulation(
     n = _shown(record.inputs[actuator])
     t, y = record.time_s[-n:], record.outputs[sensor, -n:]
     command, reading = record.actuators[actuator], record.sensors[sensor]
-    models = [Line.of(t, values[-n:], model, "--", k + 1) for k, (model, values) in enumerate(simulated.items())]
+    models = [Line.of(t, values[-n:], model, "--", k) for k, (model, values) in enumerate(simulated.items())]
     panels = [
         Panel([Line.of(t, record.inputs[actuator, -n:])], command.name, SECONDS, _labelled("command", command.unit)),
         Panel(
-            [Line.of(t, y, "bench"), *models],
+            [Line.of(t, y, "bench", shade=MEASURED), *models],
             f"{reading.name}, as read and as simulated",
             SECONDS,
             _labelled("reading", reading.unit),

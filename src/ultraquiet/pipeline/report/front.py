@@ -5,7 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ultraquiet._base.shown.line import loudness
+from ultraquiet._base.shown.line import counted, loudness
 from ultraquiet.pipeline.facts.loops import CodeFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report import laws
@@ -36,8 +36,10 @@ def _units(result: StudyResult) -> tuple[str, ...]:
 
 
 def _verdict(asked: RequirementsFacts) -> Verdict:
-    missed = len(asked.missed)
-    aside = f"{len(asked.judged) - missed} of {len(asked.judged)} requirements met"
+    """Count what the table on the first page has a line for: what one unit misses is missed."""
+    every = {each.requirement for each in asked.judged}
+    missed = {each.requirement for each in asked.judged if not each.met}
+    aside = f"{len(every) - len(missed)} of {counted(len(every), 'requirement')} met"
     return Verdict.of(asked.ok, "ok" if asked.ok else "not ok", aside)
 
 
