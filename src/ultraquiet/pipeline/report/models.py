@@ -18,14 +18,17 @@ from ultraquiet.pipeline.facts.models import (
     ResponsePlant,
     Root,
 )
-from ultraquiet.pipeline.identification import group
+from ultraquiet.pipeline.identification import group, sweep_groups
 from ultraquiet.pipeline.report.records import noted, span, wires
 from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.pipeline.validation import column
 from ultraquiet.plot import Figure, study
 from ultraquiet.plot.pages import models as pages
 from ultraquiet.plot.pages.modes import mode_shapes
+from ultraquiet.plot.pages.residuals import chance, residual_chart
 from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.report import Picture, Section, Table
+from ultraquiet.validate import residual_test
 from ultraquiet.values.channel import squared
 from ultraquiet.values.sketch import Sketch, sketch_of
 
@@ -35,7 +38,7 @@ AT_DC = 1e-4
 # Below so many times the band's lower end the zeros of the paper's low order are compared with those of the plant.
 LOW = 5.0
 FEWEST_ORDERS = 4  # of a stabilisation diagram
-DOUBT, LEAST_CHANCE = 0.01, 1e-12  # a p-value that is doubted, and one below which its digits say nothing
+DOUBT = 0.01  # a p-value that is doubted
 FIT_DOUBTED = 50.0  # percent: a simulation that leaves half of what a sensor's reading does
 
 
@@ -140,7 +143,7 @@ def validation(result: StudyResult) -> Section:
     """Models beside records, beside each other, and beside the bench's own response where there is one."""
     facts, paper = result.validation.facts, result.study.paper
     first = stored.PREFERRED if paper is None else stored.paper(paper.records[0])
-    figures = _time_figures(result, (stored.PLANT, first))
+    figures: list[Picture] = [*_residuals(result), *_time_figures(result, (stored.PLANT, first))]
     if paper is not None and result.identification.facts.paper:
         f, k = result.analysis.facts.f_hz, paper.channel - 1
         responses = [(n, f, result.paper_model(n).frequency_response(f)) for n in paper.records]
@@ -152,6 +155,19 @@ def validation(result: StudyResult) -> Section:
         tables.append(_against_bench(facts.against_bench))
     sentences = [] if facts.residuals is None else [_of_residuals(facts.residuals)]
     return Section("Validation", [*_of_plant(result), *sentences, *_doubted(result)], tables, figures)
+
+
+def _residuals(result: StudyResult) -> list[Picture]:
+    """Return what the preferred model leaves of the first record that was held out; nothing where none was."""
+    held_out = sweep_groups(result.records, result.study.identify)[1]
+    if result.preferred_model is None or held_out is None:
+        return []
+    record = group(result.records, held_out)[0]
+    one = record if len(record.actuators) == 1 else record.pick([0])
+    test = residual_test(column(result.preferred_model, 0), one)
+    sensors = [c.name for c in record.sensors]
+    shown = (sensors, test.autocorrelation, test.band, test.whiteness_p)
+    return [residual_chart(stored.PREFERRED, held_out, *shown)]
 
 
 def _of_plant(result: StudyResult) -> list[str]:
@@ -173,13 +189,9 @@ def _of_residuals(p: ResidualFacts) -> str:
         else "the model leaves nothing of them unexplained"
     )
     return (
-        f"Residuals of the preferred model on held-out records: median p-value {_chance(white)} that they are white, "
-        f"{_chance(free)} that they are free of the input: {meaning}."
+        f"Residuals of the preferred model on held-out records: median p-value {chance(white)} that they are white, "
+        f"{chance(free)} that they are free of the input: {meaning}."
     )
-
-
-def _chance(p: float) -> str:
-    return f"{p:.2g}" if p > LEAST_CHANCE else f"below {LEAST_CHANCE:g}"
 
 
 def _doubted(result: StudyResult) -> list[str]:
