@@ -6,6 +6,7 @@ import pytest
 from ultraquiet.values import Channel
 from ultraquiet.workbench.figures.responses import Modelled, SeenResponse, response_grid
 from ultraquiet.workbench.figures.scale import Scale
+from ultraquiet.workbench.figures.traces import correlations
 
 F_HZ = np.linspace(1.0, 500.0, 300)
 WIRES = ([Channel("push", "N")], [Channel("stage", "m")])
@@ -54,3 +55,13 @@ def test_plain_gains_have_an_axis_of_their_own():
 def test_a_channel_of_nothing_is_no_reason_to_fail(gain):
     empty = SeenResponse(F_HZ, np.full((1, 1, 300), gain + 0j), np.ones((1, 1, 300)), None, *WIRES)
     assert range_of(empty) is None
+
+
+def test_residuals_are_drawn_from_the_first_lag_that_says_something():
+    auto, cross = np.array([[1.0, 0.02, -0.03]]), np.array([[0.01, 0.02, 0.04]])
+    own, inputs = correlations("r", auto, cross, 0.05, ["stage"]).panels
+    assert list(own.curves[0].x) == [1, 2]
+    assert list(own.curves[0].y) == [0.02, -0.03]
+    assert sorted(mark.y for mark in own.marks) == [-0.05, 0.05]
+    assert list(inputs.curves[0].y) == [0.01, 0.02, 0.04]
+    assert [mark.y for mark in inputs.marks] == [0.05]
