@@ -290,3 +290,11 @@ def test_margins_are_bars_and_what_nothing_upsets_is_named():
     assert not down.lines
     assert down.words
     assert [panel.x_names for panel in (up, *others)] == [["1", "2", "3"]] * 4
+
+
+@pytest.mark.parametrize(("moving", "shades"), [((1,), [7, 0, 7]), ((0, 1), [0, 0, 0])])
+def test_the_sensor_of_the_one_actuator_that_moves_stands_out(moving, shades):
+    inputs, t = np.zeros((2, 50)), np.linspace(0.0, 1.0, 50)
+    inputs[list(moving)] = np.sin(9 * t)
+    panels = study.responses("noise", Record(inputs, np.ones((3, 50)) * t, 50.0), 1).panels
+    assert [panel.lines[0].shade for panel in panels] == shades

@@ -40,14 +40,17 @@ def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = ""
 
 
 def responses(name: str, record: Record, actuator: int, note: str = "") -> Figure:
-    """All sensors while one actuator is driven."""
+    """All sensors while one actuator is driven, its own in colour; of several at once none is another's."""
+    driven, verb = _driven(record, actuator)
     panels = [
         Panel(
-            [Line.of(record.time_s, y, shade=0 if i == actuator else 7)], c.name, SECONDS, _labelled("reading", c.unit)
+            [Line.of(record.time_s, y, shade=0 if i == actuator or verb == "send" else 7)],
+            c.name,
+            SECONDS,
+            _labelled("reading", c.unit),
         )
         for i, (y, c) in enumerate(zip(record.outputs, record.sensors, strict=True))
     ]
-    driven, verb = _driven(record, actuator)
     caption = f"Readings of all sensors while {driven} {verb} '{name}'.{note}"
     rows = -(-len(panels) // 3)
     return Figure("responses", f"Responses to {driven}", caption, panels, 3, (8.0, 1.9 * rows))
