@@ -52,7 +52,7 @@
     for (let j = 0; j < words.length; j++) for (let k = 0; k < j; k++)
       if (near(words[j][1], words[k][1])) faults.push(`touch in a figure: '${words[k][0]}' and '${words[j][0]}'`);
   }
-  for (const box of document.querySelectorAll(".uq-table-box"))
+  for (const box of document.querySelectorAll(".uq-table-box, .wide"))
     if (box.checkVisibility() && box.scrollWidth > box.clientWidth + SLACK) faults.push(`hidden beyond its place: columns of '${short(box.innerText)}'`);
   texts.sort((a, b) => a[1][1] - b[1][1]);
   for (let j = 0; j < texts.length; j++) for (let k = j + 1; k < texts.length && texts[k][1][1] < texts[j][1][3]; k++) {

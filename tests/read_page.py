@@ -67,7 +67,8 @@ class Page(HTMLParser):
             self._target = held["href"]
         if tag not in ("meta", "br", "link", "img"):
             self._open.append(tag)
-        self._text = ""
+        if tag != "span":  # which stands within a text
+            self._text = ""
 
     @property
     def _place(self):

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from page_geometry import WATCH
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, HeatMap, Mark, MovingShape, Packing, Scene, script, style
 
 pytestmark = [pytest.mark.web, pytest.mark.slow]
@@ -47,6 +48,27 @@ def test_no_axis_hangs_the_page(browser):
         page.wait_for_function("window.drawn !== null", polling=50)  # times out where the page hangs
         assert page.evaluate("window.drawn") == len(chart.panels), name
     assert wrong == []
+    page.close()
+
+
+def test_what_has_little_room_says_its_unit_and_orders_are_whole(browser):
+    """A label that does not fit is its unit, brackets within it and all; between whole numbers there is none."""
+    page = browser.new_page()
+    page.add_init_script(WATCH)
+    page.goto("about:blank")
+    page.set_content(f"<style>{style()}</style><div id=place></div>")
+    page.add_script_tag(content=script())
+    labels = ("gain (dB re (m/s)/N)", "what stands there of it (dB re N/(m/s))")
+    panels = [ChartPanel(Axis("order", ticks="int"), Axis(y), [Curve("c", [4.0], [1.0])], height=160) for y in labels]
+    packing = Packing()
+    kept = DRAW.replace("f.destroy();", "")
+    page.evaluate(kept, json.dumps({**packing.spec(Chart("c", "C", "", panels)), "data": packing.data}))
+    page.wait_for_function("window.drawn === 2")
+    words = page.evaluate("[...document.querySelectorAll('canvas')].map((c) => c.words.map(([t]) => t))")
+    for drawn, unit in zip(words, ("dB re (m/s)/N", "dB re N/(m/s)"), strict=True):
+        assert unit in drawn
+        assert not [word for word in drawn if "\u2026" in word]
+        assert drawn[drawn.index("order") + 1 : drawn.index(unit)] == ["4"]
     page.close()
 
 

@@ -3,12 +3,12 @@
 import re
 from xml.etree import ElementTree
 
-import matplotlib
+import matplotlib.pyplot
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from ultraquiet.plot import Figure, Line, Panel, draw_svg
+from ultraquiet.plot import Figure, Line, Panel, draw_axes, draw_svg
 from ultraquiet.plot.draw import STYLE, _laid_out, panel_on
 from ultraquiet.plot.legend import MOST_ABOVE
 
@@ -139,6 +139,23 @@ def words_drawn(figure):
                  for t in each.get_texts()]  # fmt: skip
         boxes = [(t.get_text(), t.get_window_extent()) for t in (*labels, *named) if t.get_text() and t.get_visible()]
     return boxes, canvas.figure.bbox
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3])
+def test_a_title_stands_on_no_name(columns):
+    """What `.plot()` draws: title, names and panels' titles, none over another."""
+    names = [f"a rather long name {k}" for k in range(5)]
+    panels = [Panel([Line.of([0, 1], [k, k + 1], name) for name in names], f"panel {k}", "s", "V") for k in range(6)]
+    drawn_axes = draw_axes(Figure("f", "The title of them all", "c", panels, columns, (8.0, 6.0)))
+    figure = drawn_axes[0].figure
+    figure.canvas.draw()
+    (above,) = figure.legends
+    words = [above.get_title(), *above.get_texts(), *(each._left_title for each in drawn_axes)]
+    words += [] if figure._suptitle is None else [figure._suptitle]
+    assert "The title of them all" in [text.get_text() for text in words]
+    boxes = [text.get_window_extent() for text in words]
+    assert not [a for k, a in enumerate(boxes) for b in boxes[:k] if a.overlaps(b)]
+    matplotlib.pyplot.close(figure)
 
 
 LONG = ("left front coil", "right front coil", "accelerometer rear")

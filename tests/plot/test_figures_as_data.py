@@ -5,6 +5,7 @@ import pytest
 
 import ultraquiet as uq
 from ultraquiet import spectra
+from ultraquiet.analyse import EndMargins
 from ultraquiet.plot import study
 from ultraquiet.plot.evidence import band_figure, residual_figure, uncertainty_figure
 from ultraquiet.plot.figure import MOST_POINTS, thin
@@ -156,7 +157,8 @@ def test_densities_are_those_of_the_spectrum(record):
     for k, channel in enumerate(spectrum.channels):
         density, total = figure.panels[2 * k : 2 * k + 2]
         assert density.title == channel.name
-        assert density.y_label == f"dB re {channel.unit}/√Hz"
+        unit = f"({channel.unit})" if "/" in channel.unit else channel.unit
+        assert density.y_label == f"dB re {unit}/√Hz"
         assert density.lines[-1].y == pytest.approx(20 * np.log10(spectrum.asd[k, 1:]))
         assert density.lines[0].label == "95 % interval"
         below, above = (line.y for line in density.lines[:2])
@@ -274,3 +276,25 @@ def test_thinned_lines_keep_every_extreme(rng):
     assert y[few_x.astype(int)] == pytest.approx(few_y)
     assert (few_y.min(), few_y.max()) == (y.min(), 50.0)
     assert few_x[np.argmax(few_y)] == k
+
+
+def test_margins_are_bars_and_what_nothing_upsets_is_named():
+    margins = EndMargins(
+        gain_up_db=np.array([6.0, np.inf, 3.0]), gain_down_db=np.full(3, np.inf), phase_deg=np.full(3, 40.0),
+        delay_s=np.full(3, 1e-3), disk=np.array([0.5, 0.6, 0.7]), disk_all=0.4, disk_all_hz=3.0, least_change=None,
+    )  # fmt: skip
+    up, down, *others = uq.plot.figure(margins).panels
+    assert np.nanmax(up.lines[0].y) == 6.0
+    assert sorted({round(float(x)) for x in up.lines[0].x[np.isfinite(up.lines[0].x)]}) == [0, 2]
+    assert up.title == "gain up; nothing upsets channel 2"
+    assert not down.lines
+    assert down.words
+    assert [panel.x_names for panel in (up, *others)] == [["1", "2", "3"]] * 4
+
+
+@pytest.mark.parametrize(("moving", "shades"), [((1,), [7, 0, 7]), ((0, 1), [0, 0, 0])])
+def test_the_sensor_of_the_one_actuator_that_moves_stands_out(moving, shades):
+    inputs, t = np.zeros((2, 50)), np.linspace(0.0, 1.0, 50)
+    inputs[list(moving)] = np.sin(9 * t)
+    panels = study.responses("noise", Record(inputs, np.ones((3, 50)) * t, 50.0), 1).panels
+    assert [panel.lines[0].shade for panel in panels] == shades

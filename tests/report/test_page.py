@@ -117,6 +117,19 @@ def test_what_a_record_is_called_cannot_become_a_tag():
     assert page.sections[0].tables[0].rows == [[hostile]]
 
 
+def test_words_stand_at_the_left_numbers_at_the_right_and_a_long_caption_wraps():
+    rows = [("one", "input", "-1.5 at 5 Hz", "yes", 3), ("two", "output", "-", "no", 4)]
+    heads = ("law", "end", "least", "kept", "band, 10-100 Hz")
+    short, long_ = Table("short", heads, rows), Table("a long caption " * 8, heads, rows)
+    text = render(Report("A", "The lead.", [], [Section("One", [], [short, long_])]))
+    cells = re.findall(r"<tr><td.*?</tr>", text)[0]
+    kinds = [kind or "" for kind in re.findall(r"<td(?: class=\"(\w+)\")?>", cells)]
+    assert kinds == ["word", "word", "", "word", ""]
+    assert text.count('<caption class="long">') == 1
+    assert '<span class="held">10-100 Hz</span>' in text
+    assert Page(text).sections[0].tables[0].heads == list(heads)
+
+
 def test_the_file_is_the_page(report, tmp_path):
     path = write(report, tmp_path / "report.html")
     assert path.read_text(encoding="utf-8") == render(report)

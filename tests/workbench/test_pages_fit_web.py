@@ -80,6 +80,8 @@ CROWDED = """<!doctype html><body style="font: 16px sans-serif">
 <p style="position: absolute; left: 40px; top: 12px">another one</p>
 <div style="position: absolute; top: 90px; width: 40px; overflow: hidden; white-space: nowrap">too long for it</div>
 <input style="position: absolute; top: 130px; width: 40px" value="too long for its field">
+<div class="wide" style="position: absolute; top: 160px; width: 90px; overflow-x: auto"><table><tr><td
+  style="white-space: nowrap">columns that are scrolled away</table></div>
 <canvas width=200 height=60 style="position: absolute; top: 200px"></canvas>
 <script>const pen = document.querySelector("canvas").getContext("2d"); pen.font = "14px sans-serif";
 pen.fillText("first", 10, 20); pen.fillText("second", 30, 20); pen.fillText("beyond the edge", 150, 50);</script>"""
@@ -97,6 +99,7 @@ def test_what_overlaps_or_is_cut_is_found(browser_page):
         "cut in its field",
         "touch in a figure",
         "beyond its figure",
+        "hidden beyond its place",
     ):
         assert any(fault.startswith(word) for fault in found), word
 

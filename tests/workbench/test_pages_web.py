@@ -99,6 +99,23 @@ def test_a_4_by_3_text_file_by_hand(tmp_path, monkeypatch, seed):
     same_numbers(folder, monkeypatch)
 
 
+def test_a_trial_of_orders_says_how_far_it_is_and_can_be_ended(tmp_path, seed):
+    """Of several inputs the method of seconds stands first; one that takes minutes can be left when it is enough."""
+    path = csv_of(tmp_path / "many.csv", seed, inputs=4, outputs=4, samples=8000)
+    with served(tmp_path / "study") as made, browser(made) as seen:
+        recorded(seen, path, {}, "many")
+        seen.go("identify")
+        assert "subspace" in seen.page.locator(".uq-side").inner_text()
+        seen.choose("identify-method", "box-jenkins")
+        seen.click("try-orders")
+        seen.drawn("stabilisation-chart")  # which is quick, and does not wait for the other
+        seen.page.get_by_test_id("trying").filter(has_text=re.compile(r"box-jenkins: \d+%")).wait_for()
+        seen.click("cancel-orders")
+        seen.page.wait_for_selector("[data-testid='cancel-orders']", state="hidden")
+        assert seen.page.inner_text("[data-testid='trying']") == ""
+        assert seen.errors == []
+
+
 def test_two_tabs_see_one_study_and_undo_is_shared(tmp_path, seed):
     path = csv_of(tmp_path / "run.csv", seed)
     with served(tmp_path / "study") as made, browser(made) as seen:

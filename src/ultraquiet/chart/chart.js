@@ -185,8 +185,8 @@ var Uq = (() => {
       for (let k = Math.ceil(lo / each - 1e-6); k * each <= hi + 1e-6 * each; k++) ticks.push(k * each);
       return ticks;
     };
-    // one number alone says nothing of the scale
-    for (let finer = 0; finer < 3 && at(step).length < 2; finer++) step = steps && steps.indexOf(step) > 0 ? steps[steps.indexOf(step) - 1] : step / 2;
+    // one number alone says nothing of the scale; between whole ones there is none
+    for (let finer = 0; finer < 3 && !(steps === STEPS.int && step === 1) && at(step).length < 2; finer++) step = steps && steps.indexOf(step) > 0 ? steps[steps.indexOf(step) - 1] : step / 2;
     return [at(step), step];
   }
   /* How names stand side by side, each in `room` pixels: in one line, else folded between words, else upright. */
@@ -771,7 +771,7 @@ var Uq = (() => {
       setTimeout(() => URL.revokeObjectURL(url), 1000);
     }
   }
-  const unit = (label) => { const m = /\(([^()]+(?:\([^()]*\))*)\)\s*$/.exec(label || ""); return m ? " " + m[1] : ""; };
+  const unit = (label) => { const m = /\(((?:[^()]|\([^()]*\))+)\)\s*$/.exec(label || ""); return m ? " " + m[1] : ""; };
   function swatch({ kind, colour: word, dash, symbol: mark }) {
     const paint = /^(#|rgb)/.test(word) ? word : `var(--uq-${word})`;
     const inner = kind === "map" ? RAMP.slice(0, 4).map((_, k) => `<rect x="${1 + 5.5 * k}" y="2" width="6" height="10" fill="${rampColour(k / 3)}"/>`).join("")

@@ -78,7 +78,7 @@ def _residuals(reference: PolynomialMatrix, records: Mapping[str, Record], judge
         return None
     members = group(records, judge.held_out)
     tests = [
-        validate.residual_test(_column(reference, k), r if len(r.actuators) == 1 else r.pick([k]))
+        validate.residual_test(column(reference, k), r if len(r.actuators) == 1 else r.pick([k]))
         for k, r in enumerate(members)
     ]
     return ResidualFacts(
@@ -113,8 +113,9 @@ def _against_bench(truth: StateSpace, models: Mapping[str, Model], band_hz: Band
     return {name: _agreement(truth, model, band_hz) for name, model in models.items()}
 
 
-def _column(model: PolynomialMatrix, column: int) -> PolynomialMatrix:
-    return PolynomialMatrix([[row[column]] for row in model.rows])
+def column(model: PolynomialMatrix, k: int) -> PolynomialMatrix:
+    """Return what one actuator does to every sensor."""
+    return PolynomialMatrix([[row[k]] for row in model.rows])
 
 
 def _agreement(first: Model, second: Model, band_hz: tuple[float, float]) -> Agreement:

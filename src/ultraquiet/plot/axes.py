@@ -49,7 +49,8 @@ def draw_axes(shown: Figure, ax: Any = None) -> "Axes | np.ndarray[Any, Any]":
             canvas, grid = pyplot.subplots(
                 rows, shown.columns, squeeze=False, figsize=shown.size_in, layout="constrained"
             )
-            canvas.suptitle(shown.title)
+            if not above:
+                canvas.suptitle(shown.title)
             axes = cast("list[Axes]", list(grid.ravel()))
         else:
             axes = cast("list[Axes]", list(np.atleast_1d(np.asarray(ax, dtype=object)).ravel()))

@@ -53,10 +53,16 @@ def height_above_in(figure: Figure) -> float:
 
 
 def put_above(canvas: "Canvas", axes: "list[Axes]", figure: Figure, room_is_made: bool = True) -> None:
-    """Put one legend for all panels above them; the canvas' own layout makes room where none is made yet."""
+    """Put one legend for all panels above them.
+
+    Where no room is made yet the canvas' own layout makes it, and the legend bears the figure's title: of both by
+    themselves that layout puts one over the other.
+    """
     named = {label: line for each in axes for label, line in _samples(each).items()}
-    loc = "upper center" if room_is_made else "outside upper center"
-    canvas.legend(list(named.values()), list(named), loc=loc, ncols=columns_above(figure), borderaxespad=0.3)
+    place: dict[str, Any] = {"loc": "upper center"} if room_is_made else {"loc": "outside upper center"}
+    if not room_is_made:
+        place |= {"title": figure.title, "title_fontsize": "large"}
+    canvas.legend(list(named.values()), list(named), ncols=columns_above(figure), borderaxespad=0.3, **place)
 
 
 def put_inside(axes: "Axes", panel: Panel) -> None:

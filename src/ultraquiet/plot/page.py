@@ -114,7 +114,7 @@ def _lines(curve: Curve) -> list[Line]:
     x, y = np.asarray(curve.x, dtype=float), np.asarray(curve.y, dtype=float)
     shade = SHADES.get(curve.colour, BLACK)
     if curve.kind in ("bars", "stems"):
-        return [Line(*_outlines(x, y, curve.width), curve.name, "-", shade)]
+        return [Line(*outlines(x, y, curve.width), curve.name, "-", shade)]
     if curve.kind == "points":
         return [Line(x, y, curve.name, MARKS.get(curve.symbol, "."), shade)]
     if curve.kind == "path":
@@ -123,7 +123,7 @@ def _lines(curve: Curve) -> list[Line]:
     return [*sides, Line.of(x, y, curve.name, curve.dash, shade)]
 
 
-def _outlines(x: FloatArray, y: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
+def outlines(x: FloatArray, y: FloatArray, width: float) -> tuple[FloatArray, FloatArray]:
     """Return the outlines of bars on zero as one broken line."""
     half = np.array([-0.5, -0.5, 0.5, 0.5, np.nan])
     across = (x[:, None] + width * half).ravel()

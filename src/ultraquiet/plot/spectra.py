@@ -12,7 +12,7 @@ from ultraquiet.spectra import CRITERIA, BandLevels, PowerSpectrum, Transmissibi
 from ultraquiet.spectra.coherence import TRUSTED
 from ultraquiet.spectra.criteria import UNITS_PER_METRE_PER_SECOND
 from ultraquiet.values import Channel, FrequencyResponse
-from ultraquiet.values.channel import ratio
+from ultraquiet.values.channel import per_root_hz, ratio
 
 HZ = "frequency (Hz)"
 # What stands for zero on an axis in dB.
@@ -34,7 +34,7 @@ def density_figure(spectrum: PowerSpectrum, level: float = 0.95) -> Figure:
     for k, channel in enumerate(spectrum.channels):
         interval = [Line.of(x, _db(side[k, f]), label, ":", 7) for side, label in sides]
         lines = [*interval, Line.of(x, _db(spectrum.values[k, f]))]
-        panels.append(Panel(lines, channel.name, HZ, f"dB re {channel.unit}/√Hz", x_log=True))
+        panels.append(Panel(lines, channel.name, HZ, f"dB re {per_root_hz(channel.unit)}", x_log=True))
         total = [Line.of(x, spectrum.cumulative_rms[k, f])]
         panels.append(Panel(total, f"{channel.name}: rms up to here", HZ, channel.unit, x_log=True))
     caption = f"Amplitude spectral densities and cumulative rms. {spectrum.estimator}."

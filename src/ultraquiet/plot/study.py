@@ -18,6 +18,7 @@ Response = tuple[str, FloatArray, ComplexArray]
 Wires = tuple[Sequence[Channel], Sequence[Channel]]  # actuators, sensors
 # A command with this share of its power at one frequency is a tone, of which so many periods are shown.
 ONE_TONE, SHOWN_PERIODS = 0.9, 12.0
+MEASURED = 6  # of the palette: what a bench said is black wherever models stand beside it
 
 
 def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = "") -> Figure:
@@ -39,14 +40,17 @@ def excitation_signals(signals: Mapping[str, tuple[Record, int]], note: str = ""
 
 
 def responses(name: str, record: Record, actuator: int, note: str = "") -> Figure:
-    """All sensors while one actuator is driven."""
+    """All sensors while one actuator is driven, its own in colour; of several at once none is another's."""
+    driven, verb = _driven(record, actuator)
     panels = [
         Panel(
-            [Line.of(record.time_s, y, shade=0 if i == actuator else 7)], c.name, SECONDS, _labelled("reading", c.unit)
+            [Line.of(record.time_s, y, shade=0 if i == actuator or verb == "send" else 7)],
+            c.name,
+            SECONDS,
+            _labelled("reading", c.unit),
         )
         for i, (y, c) in enumerate(zip(record.outputs, record.sensors, strict=True))
     ]
-    driven, verb = _driven(record, actuator)
     caption = f"Readings of all sensors while {driven} {verb} '{name}'.{note}"
     rows = -(-len(panels) // 3)
     return Figure("responses", f"Responses to {driven}", caption, panels, 3, (8.0, 1.9 * rows))
@@ -67,11 +71,11 @@ def simulation(
     n = _shown(record.inputs[actuator])
     t, y = record.time_s[-n:], record.outputs[sensor, -n:]
     command, reading = record.actuators[actuator], record.sensors[sensor]
-    models = [Line.of(t, values[-n:], model, "--", k + 1) for k, (model, values) in enumerate(simulated.items())]
+    models = [Line.of(t, values[-n:], model, "--", k) for k, (model, values) in enumerate(simulated.items())]
     panels = [
         Panel([Line.of(t, record.inputs[actuator, -n:])], command.name, SECONDS, _labelled("command", command.unit)),
         Panel(
-            [Line.of(t, y, "bench"), *models],
+            [Line.of(t, y, "bench", shade=MEASURED), *models],
             f"{reading.name}, as read and as simulated",
             SECONDS,
             _labelled("reading", reading.unit),

@@ -1,5 +1,6 @@
 """Turn a report into one HTML file that needs nothing beside it."""
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +12,11 @@ from ultraquiet.report.figures import named_apart, on_page, pictures_of
 
 if TYPE_CHECKING:
     import jinja2
+    import markupsafe
 
 LONGEST = 40  # letters of a cell that stands on one line
+NUMBER = re.compile(r"[-+\u2212]?\.?\d")
+QUANTITY = re.compile(r"\d[\d.]*(?:-\d[\d.]*)? (?:Hz|dB|%)")
 SHAPES = {"ok": "●", "fragile": "▲", "bad": "■"}  # beside the colour, for readers and printers that see none
 
 
@@ -42,7 +46,8 @@ def _environment() -> "jinja2.Environment":
     loader = jinja2.PackageLoader("ultraquiet.report", ".")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     environment.tests.update(verdict=_is_verdict, span=_is_span)
-    environment.globals["prose"] = _prose
+    environment.globals["kinds"] = _kinds
+    environment.filters["held"] = _held
     return environment
 
 
@@ -54,13 +59,32 @@ def _is_span(cell: Any) -> bool:
     return isinstance(cell, Span)
 
 
-def _prose(table: Table) -> list[bool]:
-    """Return which columns are sentences, which wrap and stand at the left; numbers never wrap."""
-    longest = [
-        max((len(str(row[k])) for row in table.rows if k < len(row)), default=0) for k in range(len(table.columns))
+def _kinds(table: Table) -> list[str]:
+    """Return what each column holds: "words" are sentences, which wrap, "word" stands at the left, "" are numbers."""
+    rows = [row for row in table.rows if not any(isinstance(cell, Span) for cell in row)]
+    columns = [[str(row[k]) for row in rows if k < len(row)] for k in range(len(table.columns))]
+    wraps = len(rows) == len(table.rows)
+    return [
+        "words" if wraps and max(map(len, cells), default=0) > LONGEST else "" if _are_numbers(cells) else "word"
+        for cells in columns
     ]
-    spans = any(isinstance(cell, Span) for row in table.rows for cell in row)
-    return [not spans and n > LONGEST for n in longest]
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    """Return whether at least half of what a column holds begins with a number."""
+    said = [cell for cell in cells if cell not in ("", "-")]
+    return 2 * sum(bool(NUMBER.match(cell)) for cell in said) >= len(said)
+
+
+def _held(head: str) -> "markupsafe.Markup":
+    """Return the head of a column, whose numbers stay beside their units when it wraps.
+
+    >>> str(_held("rms <10-100 Hz> of it"))
+    'rms &lt;<span class="held">10-100 Hz</span>&gt; of it'
+    """
+    import markupsafe
+
+    return markupsafe.Markup(QUANTITY.sub(r'<span class="held">\g<0></span>', str(markupsafe.escape(head))))
 
 
 def write(report: Report, path: Path) -> Path:

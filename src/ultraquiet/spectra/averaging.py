@@ -82,7 +82,7 @@ class Averaging:
         """What a result and every picture of it say."""
         return (
             f"{self.averages} segments of {self.segment_samples} samples, window {self.window}, "
-            f"overlap {self.overlap:g}, detrend {self.detrend}, resolution {self.enbw_hz:.4g} Hz"
+            f"overlap {self.overlap:.3g}, detrend {self.detrend}, resolution {self.enbw_hz:.4g} Hz"
         )
 
 

@@ -54,6 +54,15 @@ def squared(unit: str) -> str:
     return f"{unit}²" if unit.isalpha() else f"({unit})²"
 
 
+def per_root_hz(unit: str) -> str:
+    """Return the unit of an amplitude spectral density.
+
+    >>> per_root_hz("V"), per_root_hz("m/s"), per_root_hz("")
+    ('V/√Hz', '(m/s)/√Hz', '1/√Hz')
+    """
+    return ratio(unit, "Hz").removesuffix("Hz") + "√Hz"
+
+
 def ratio(unit: str, per: str) -> str:
     """Return the unit of a gain.
 

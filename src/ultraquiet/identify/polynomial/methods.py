@@ -134,7 +134,7 @@ class OutputError(PolynomialMethod):
 @register("identify", "box-jenkins")
 @dataclass(frozen=True)
 class BoxJenkins(PolynomialMethod):
-    """y = B/F u + C/D e: plant and noise share nothing. The structure the paper settled on, at order five.
+    """y = B/F u + C/D e: plant and noise share nothing. The structure of the paper on SUITE, there of order five.
 
     `c_order`, `d_order`, `f_order` are the numbers of coefficients of C, D and F (the order when absent).
     `focus` is "prediction" (the one-step error alone), "simulation" (B and F by the simulated error, C and D by the

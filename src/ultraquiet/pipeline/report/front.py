@@ -36,8 +36,10 @@ def _units(result: StudyResult) -> tuple[str, ...]:
 
 
 def _verdict(asked: RequirementsFacts) -> Verdict:
-    missed = len(asked.missed)
-    aside = f"{len(asked.judged) - missed} of {counted(len(asked.judged), 'requirement')} met"
+    """Count what the table on the first page has a line for: what one unit misses is missed."""
+    every = {each.requirement for each in asked.judged}
+    missed = {each.requirement for each in asked.judged if not each.met}
+    aside = f"{len(every) - len(missed)} of {counted(len(every), 'requirement')} met"
     return Verdict.of(asked.ok, "ok" if asked.ok else "not ok", aside)
 
 

@@ -22,6 +22,7 @@ from ultraquiet.values.channel import ratio
 
 LOCUS = 1500  # points of an eigenvalue locus, which turns quickly near a resonance
 
+TALL = "S is of all directions of the sensors; what no actuator reaches, no law makes quieter."
 HIDDEN = "Lines that noise hides are drawn as measured; tables count them at the bound that it leaves."
 
 
@@ -90,7 +91,13 @@ def shaped_charts(result: StudyResult, shown: Sequence[str] = ("S", "T", "KS"), 
         values = {"S": S, "T": S - eye, "KS": K @ S}
         for member in shown:
             members[member][name] = np.linalg.svd(values[member], compute_uv=False)[:, 0].astype(np.float64)
-    return [shaped_loops(stem, f, members, colours(result), {"KS": _unit_of_control(result)}, asked(result))]
+    chart = shaped_loops(stem, f, members, colours(result), {"KS": _unit_of_control(result)}, asked(result))
+    return [replace(chart, caption=f"{chart.caption} {TALL}")] if is_tall(result) else [chart]
+
+
+def is_tall(result: StudyResult) -> bool:
+    """Tell whether the plant has more outputs than inputs: some directions of its sensors no law reaches."""
+    return len(result.design_plant.sensors) > len(result.design_plant.actuators)
 
 
 def _unit_of_control(result: StudyResult) -> str:
@@ -123,4 +130,5 @@ def locus_charts(result: StudyResult) -> list[Chart]:
         return []
     f = np.geomspace(shown[0], shown[-1], LOCUS)
     G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (result.design_plant, result.laws[name]))
-    return [loci(name, np.moveaxis(G @ K, 0, 2))]
+    loop = K @ G if G.shape[1] > G.shape[2] else G @ K  # the eigenvalues that are not zero are those of both
+    return [loci(name, np.moveaxis(loop, 0, 2))]

@@ -43,6 +43,8 @@ def design(result: StudyResult) -> Section:
         "Controllers as they run, on the design model; gamma and achieved are of the design before a reduction; no "
         "linear law reaches beyond at the same peak of S and the same gain of the control"
     )
+    if laws.is_tall(result):
+        caption += "; the worst direction is that of those which the plant moves most, as many as it has inputs"
     tables = [Table(caption, columns, rows), margins_table(result)]
     figures = [*laws.shaped_charts(result), *laws.margin_charts(result), *laws.locus_charts(result)]
     return Section("Design", [_in_short(result)], tables, figures, sentences)

@@ -1,7 +1,8 @@
 """What the report says of what laws are for."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
+from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.shown.line import counted, loudness, rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
@@ -15,6 +16,7 @@ from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages import campaign as pages
 from ultraquiet.plot.pages.payload import Before, payload_chart
 from ultraquiet.report import Section, Table
+from ultraquiet.simulate.payload.wires import instrumented
 
 
 def payload(result: StudyResult) -> Section:
@@ -49,31 +51,63 @@ def _row(loop: PayloadLoop | NoPayload, tones: list[str]) -> list[str]:
 
 
 def _sentences(result: StudyResult) -> Iterator[str]:
-    """Say how it was measured, and what a law does not do."""
-    table = result.study.payload
-    assert table is not None
-    said: set[str] = set()
-    for name, outcome in result.payload.items():
-        for unit, loop in outcome.facts.units.items():
+    """Say how it was measured, and what the law that the study is for does not do."""
+    heard = {name: outcome.facts.units for name, outcome in result.payload.items()}
+    loops = [loop for units in heard.values() for loop in units.values() if isinstance(loop, PayloadLoop)]
+    if loops:
+        yield _shaken(result, loops[0], {unit: loop for of in heard.values() for unit, loop in of.items()})
+    for name, units in heard.items():
+        if _is_drawn(result, name):
+            found = {unit: loop for unit, loop in units.items() if isinstance(loop, PayloadLoop)}
+            ran = {
+                loop.through: [u for u, each in found.items() if each.through == loop.through]
+                for loop in found.values()
+            }
+            yield from (f"On {' and '.join(on)} {name} ran as {through}." for through, on in ran.items())
+            yield from _pushed(name, found)
+    for name, units in heard.items():
+        for unit, loop in units.items():
             if isinstance(loop, NoPayload):
-                yield f"{name}, {unit}: {loop.status}"
-                continue
-            how = (
-                f"{unit}: noise of {loop.level:.3g} RMS on {loop.source}; without a law the payload moves "
-                f"{loop.open_rms:.3g} {loop.unit} RMS, its sensors at rest say {loop.silent_rms:.2g}. "
-            )
-            if how not in said:
-                said.add(how)
-                yield how
-            if _is_drawn(result, name):
-                yield f"{name}, {unit}, ran as {loop.through}."
-            if loop.force is not None and loop.force.reduction_db < loop.reduction_db / 2 and _is_drawn(result, name):
-                yield (
-                    f"{name}, {unit}: a force on the payload by {loop.force.source} gets "
-                    f"{loudness(loop.force.reduction_db)}, at {loop.force.worst_hz:.3g} Hz "
-                    f"{loudness(loop.force.worst_db)}: the law's sensors hear it where the payload stands on them, "
-                    "not where it moves."
-                )
+                yield f"{name} on {unit}: {loop.status}"
+
+
+def _shaken(result: StudyResult, one: PayloadLoop, loops: Mapping[str, PayloadLoop | NoPayload]) -> str:
+    """Say what shakes the base, how loud, and what the payload does of it where nothing is controlled."""
+    level = f"{one.level:.3g} {_unit_of(result, one.source)}".strip()
+    low, high = one.band_hz
+    moves = [
+        f"{loop.open_rms:.3g} {loop.unit} RMS on {unit} (its sensors at rest say {loop.silent_rms:.2g})"
+        for unit, loop in loops.items()
+        if isinstance(loop, PayloadLoop)
+    ]
+    return (
+        f"The base is shaken by {one.source}: noise of {level} RMS over {low:.4g}-{high:.4g} Hz. Without a law the "
+        f"payload moves by {' and '.join(moves)}."
+    )
+
+
+def _unit_of(result: StudyResult, shaker: str) -> str:
+    """Return the unit of the shaker's commands; empty where the bench does not tell."""
+    try:
+        wired = instrumented(result.bench, [shaker], "report")
+    except UltraquietError:
+        return ""
+    return next((c.unit for c in wired.actuators if c.name == shaker), "")
+
+
+def _pushed(name: str, loops: Mapping[str, PayloadLoop]) -> Iterator[str]:
+    """Say where a force on the payload itself is reduced much less than a motion of its base."""
+    spared = {unit: of.force for unit, of in loops.items() if of.force and of.force.reduction_db < of.reduction_db / 2}
+    forces = [
+        f"on {unit} it gets {loudness(force.reduction_db)}, {loudness(force.worst_db)} at {force.worst_hz:.3g} Hz"
+        for unit, force in spared.items()
+    ]
+    if forces:
+        source = next(iter(spared.values())).source
+        yield (
+            f"A force on the payload itself, by {source}, is not reduced by {name}: {'; '.join(forces)}. The law's "
+            "sensors hear it where the payload stands on them, not where it moves."
+        )
 
 
 def _is_drawn(result: StudyResult, name: str) -> bool:

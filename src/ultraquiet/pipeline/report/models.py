@@ -15,17 +15,21 @@ from ultraquiet.pipeline.facts.models import (
     PreferredModels,
     RankedModel,
     RecordFit,
+    ResidualFacts,
     ResponsePlant,
     Root,
 )
-from ultraquiet.pipeline.identification import group
+from ultraquiet.pipeline.identification import group, sweep_groups
 from ultraquiet.pipeline.report.records import noted, span, wires
 from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.pipeline.validation import column
 from ultraquiet.plot import Figure, study
 from ultraquiet.plot.pages import models as pages
 from ultraquiet.plot.pages.modes import mode_shapes
+from ultraquiet.plot.pages.residuals import chance, residual_chart
 from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.report import Picture, Section, Table
+from ultraquiet.validate import residual_test
 from ultraquiet.values.channel import squared
 from ultraquiet.values.sketch import Sketch, sketch_of
 
@@ -35,6 +39,8 @@ AT_DC = 1e-4
 # Below so many times the band's lower end the zeros of the paper's low order are compared with those of the plant.
 LOW = 5.0
 FEWEST_ORDERS = 4  # of a stabilisation diagram
+DOUBT = 0.01  # a p-value that is doubted
+FIT_DOUBTED = 50.0  # percent: a simulation that leaves half of what a sensor's reading does
 
 
 def identification(result: StudyResult) -> Section:
@@ -58,7 +64,7 @@ def identification(result: StudyResult) -> Section:
         )
         loss = f"median loss {', '.join(filter(None, units))}".strip() if len(units) == 1 else "median loss"
         columns = ("structure", "order", "median fit %", "worst fit %", loss, "channels ok", "CPU s")
-        title = "All channels, judged on records no model has seen; best first"
+        title = "All channels, judged on records no model has seen; the least loss first, as the geometric mean"
         tables.append(Table(title, columns, _ranking(facts.table)))
         figures.append(pages.fits_by_order(_by_structure(facts.table)))
     if paper is not None and facts.paper:
@@ -138,7 +144,7 @@ def validation(result: StudyResult) -> Section:
     """Models beside records, beside each other, and beside the bench's own response where there is one."""
     facts, paper = result.validation.facts, result.study.paper
     first = stored.PREFERRED if paper is None else stored.paper(paper.records[0])
-    figures = _time_figures(result, (first, stored.PLANT))
+    figures: list[Picture] = [*_residuals(result), *_time_figures(result, (stored.PLANT, first))]
     if paper is not None and result.identification.facts.paper:
         f, k = result.analysis.facts.f_hz, paper.channel - 1
         responses = [(n, f, result.paper_model(n).frequency_response(f)) for n in paper.records]
@@ -148,13 +154,76 @@ def validation(result: StudyResult) -> Section:
     tables = [_fits(facts.records)] if facts.records else []
     if facts.against_bench:
         tables.append(_against_bench(facts.against_bench))
-    p, sentences = facts.residuals, list[str]()
-    if p is not None:
-        sentences.append(
-            f"Residuals of the preferred model on held-out records: median p-value {p.whiteness_p_median:.2g} that "
-            f"they are white, {p.correlation_p_median:.2g} that they are free of the input."
-        )
-    return Section("Validation", sentences, tables, figures)
+    sentences = [] if facts.residuals is None else [_of_residuals(facts.residuals)]
+    return Section("Validation", [*_of_plant(result), *sentences, *_doubted(result)], tables, figures)
+
+
+def _residuals(result: StudyResult) -> list[Picture]:
+    """Return what the preferred model leaves of the first record that was held out; nothing where none was."""
+    held_out = sweep_groups(result.records, result.study.identify)[1]
+    if result.preferred_model is None or held_out is None:
+        return []
+    record = group(result.records, held_out)[0]
+    one = record if len(record.actuators) == 1 else record.pick([0])
+    test = residual_test(column(result.preferred_model, 0), one)
+    sensors = [c.name for c in record.sensors]
+    shown = (sensors, test.autocorrelation, test.band, test.whiteness_p)
+    return [residual_chart(stored.PREFERRED, held_out, *shown)]
+
+
+def _of_plant(result: StudyResult) -> list[str]:
+    """Say how well the plant that designs use simulates records."""
+    fits = {name: fit.fit_percent.get(stored.PLANT) for name, fit in result.validation.facts.records.items()}
+    said = [f"'{name}' by {_fit(fit)} %" for name, fit in fits.items() if fit is not None and np.isfinite(fit)]
+    return [f"Simulated from commands alone the design plant meets {' and '.join(said)}."] if said else []
+
+
+def _of_residuals(p: ResidualFacts) -> str:
+    """Say what the tests of residuals found, and what it means for who relies on the model."""
+    white, free = (p.whiteness_p_median, p.correlation_p_median)
+    left = [
+        what for what, found in (("noise of a colour", white), ("motion that the input makes", free)) if found < DOUBT
+    ]
+    meaning = (
+        f"the model leaves {' and '.join(left)} unexplained, so a law needs margins"
+        if left
+        else "the model leaves nothing of them unexplained"
+    )
+    return (
+        f"Residuals of the preferred model on held-out records: median p-value {chance(white)} that they are white, "
+        f"{chance(free)} that they are free of the input: {meaning}."
+    )
+
+
+def _doubted(result: StudyResult) -> list[str]:
+    """Say of every record which models simulate it badly, and how much of what they miss is none of the band's."""
+    low, high = result.plan.band_hz
+    said: list[str] = []
+    for name, fit in result.validation.facts.records.items():
+        bad = sorted((each, model) for model, each in fit.fit_percent.items() if each < FIT_DOUBTED)
+        shares = {model: _error_outside(result, name, fit, model) for _, model in bad}
+        each = [
+            f"{model} {percent:.0f} %" + ("" if shares[model] is None else f" ({shares[model]:.0%} of its error)")
+            for percent, model in bad
+        ]
+        outside = f"; in brackets what lies outside {low:.4g}-{high:.4g} Hz" if any(shares.values()) else ""
+        if each:
+            said.append(f"Fits of '{name}' look bad, a constant would have 0 %: {', '.join(each)}{outside}.")
+    return said
+
+
+def _error_outside(result: StudyResult, name: str, fit: RecordFit, model: str) -> float | None:
+    """Return which share of the power of a simulation's error lies outside the band; None where it was not kept."""
+    simulated = result.simulated(name)
+    rows = {} if simulated is None else dict(zip((c.name for c in simulated.sensors), simulated.outputs, strict=True))
+    if model not in rows:
+        return None
+    record = result.records[name]
+    error = record.outputs[fit.channel] - rows[model]
+    power, f = np.abs(np.fft.rfft(error)) ** 2, np.fft.rfftfreq(error.size, 1 / record.rate_hz)
+    power[1:] *= 2
+    low, high = result.plan.band_hz
+    return float(power[(f < low) | (f > high)].sum() / power.sum())
 
 
 def _against_bench(agreements: Mapping[str, Agreement]) -> Table:
@@ -203,7 +272,8 @@ def analysis(result: StudyResult) -> Section:
     sentences = [_about_zeros(facts.transmission_zeros, nyquist), *_about_symmetry(facts)]
     if facts.paper_zeros:
         low_hz = LOW * result.plan.band_hz[0]
-        low = [(k + 1, _frequencies(zeros, 0.0, low_hz)) for k, zeros in enumerate(facts.paper_zeros)]
+        sensors = [c.name for c in result.design_plant.sensors]
+        low = [(sensors[k], _frequencies(zeros, 0.0, low_hz)) for k, zeros in enumerate(facts.paper_zeros)]
         caption = f"Zeros outside the unit circle below {low_hz:.4g} Hz, paper's structure"
         tables.insert(0, Table(caption, ("channel", "Hz"), low))
         said = "" if result.study.paper is None else result.study.paper.zeros

@@ -48,7 +48,7 @@ def provenance(result: StudyResult) -> Section:
     seed = result.study.study.seed
     text = (
         f"Everything here follows from the study's settings, its records and seed {seed}; who has the folder makes "
-        "report and summary again with `ultraquiet report DIR`, who has the settings alone makes all of it with: "
+        "report and summary again with: ultraquiet report DIR; who has the settings alone makes all of it with: "
         f"{'; '.join(commands(result))}. Numbers are the same where hashes are the same."
     )
     return Section("Provenance", [text], [Table("Content hashes", ("what", "made by", "hash"), rows, folded=True)])

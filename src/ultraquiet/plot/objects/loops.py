@@ -6,13 +6,14 @@ import numpy as np
 
 from ultraquiet._base.shown import draws
 from ultraquiet._base.shown.grid import shown_frequencies
-from ultraquiet.analyse import Gang, Roots
+from ultraquiet.analyse import EndMargins, Gang, Roots
 from ultraquiet.design import DesignResult
 from ultraquiet.limits import Limit
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.plot.figure import Figure, Fill, Line, Panel
 from ultraquiet.plot.objects.anything import any_figure
 from ultraquiet.plot.objects.models import model_figure
+from ultraquiet.plot.page import outlines
 from ultraquiet.plot.spectra import HZ
 from ultraquiet.reduce import ReductionResult
 from ultraquiet.simulate import Attenuation, MeasuredSensitivity
@@ -42,6 +43,32 @@ def reduction_figure(result: ReductionResult) -> Figure:
     )
     panels = [kept, *drawn.panels] if hankel.size else drawn.panels
     return Figure("reduction", "Reduced law", str(result.status), panels, 2, (8.0, 2.2 * -(-len(panels) // 2)))
+
+
+@draws(EndMargins)
+def end_margins_figure(margins: EndMargins) -> Figure:
+    """What each channel by itself stands, as bars; a channel that nothing upsets has none and is named."""
+    kinds = (
+        ("gain up", margins.gain_up_db, "dB"),
+        ("gain down", margins.gain_down_db, "dB"),
+        ("phase", margins.phase_deg, "degrees"),
+        ("delay", margins.delay_s, "s"),
+        ("disk margin", margins.disk, "1"),
+    )
+    panels = [_bars(name, np.asarray(values, dtype=float), unit) for name, values, unit in kinds]
+    caption = f"Margins of each channel by itself; of all at once the disk margin is {margins.disk_all:.3g}."
+    return Figure("margins", "Margins at one end of the plant", caption, panels, 1, (6.0, 1.7 * len(panels)))
+
+
+def _bars(name: str, values: np.ndarray, unit: str) -> Panel:
+    limited = np.isfinite(values)
+    without = ", ".join(str(k + 1) for k in np.flatnonzero(~limited))
+    if not limited.any():
+        return Panel([], name, words=["nothing of that kind upsets the loop at any channel"])
+    bars = Line(*outlines(np.flatnonzero(limited).astype(float), values[limited], 0.6))
+    title = f"{name}; nothing upsets channel {without}" if without else name
+    ends, names = (-0.5, values.size - 0.5), [str(k + 1) for k in range(values.size)]
+    return Panel([bars], title, "channel", f"{name} ({unit})", x_range=ends, x_names=names)
 
 
 @draws(Gang)

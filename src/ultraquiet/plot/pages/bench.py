@@ -8,8 +8,10 @@ from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, decibel_axis, frequ
 from ultraquiet.plot.study import file_stem
 from ultraquiet.spectra import psd
 from ultraquiet.values import Record
+from ultraquiet.values.channel import per_root_hz
 
 PERIODS = 12  # of a tone that are drawn, from the end
+UP_TO_HERE = "rms of what lies below each frequency"
 
 
 def under_tone(name: str, tone_hz: float, sent: str, closed: Record, opened: Record, note: str = "") -> Chart:
@@ -59,8 +61,8 @@ def densities(name: str, tone_hz: float, closed: Record, opened: Record) -> Char
     ends = [float(np.asarray(curve.y)[-1]) for curve in total]
     unit = channel.unit
     panels = [
-        ChartPanel(frequency_axis(), decibel_axis("density", f"{unit}/√Hz"), density, height=220),
-        ChartPanel(frequency_axis(), Axis(f"rms up to here ({unit})" if unit else "rms up to here"), total, height=160),
+        ChartPanel(frequency_axis(), decibel_axis("density", per_root_hz(unit)), density, height=220),
+        ChartPanel(frequency_axis(), Axis(f"rms ({unit})" if unit else "rms"), total, UP_TO_HERE, height=160),
     ]
     caption = (
         f"Reading of {channel.name} under the tone of {tone_hz:g} Hz: {ends[0]:.3g} {unit} rms open, "

@@ -14,6 +14,7 @@ from ultraquiet.plot.loop import tracked
 DEEPEST_DB = 100.0  # below the largest of a panel: what is smaller is not drawn
 LOW_DB = 60.0  # below 0 dB: what is quieter is not told apart
 SEEN_DB = 6.0  # of what is asked for below its end, and above the largest, that is seen
+MOST_TOLD = 4  # loops of which a caption tells; of more it tells those of the law that was chosen
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class RequiredOfLoop:
         """The band, down to where the curve is to lie."""
         low, high = self.band_hz
         if self.attenuation_db is None:
-            return [Region(f"{low:.4g}-{high:.4g} Hz", self.band_hz)]
+            return [Region(f"{low:.4g}-{high:.4g} Hz", self.band_hz, colour="muted")]
         name = f"asked: {self.attenuation_db:g} dB quieter, {low:.4g}-{high:.4g} Hz"
         return [Region(name, self.band_hz, (None, -self.attenuation_db))]
 
@@ -70,7 +71,8 @@ def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: RequiredOfLoop
     limits = None if down == lowest else (down, max(tops) + SEEN_DB)
     axis = decibel_axis("amplification", "", limits)
     panel = ChartPanel(frequency_axis(), axis, lines, regions=asked.regions, marks=asked.marks, height=340)
-    told = [sentence for c in curves if (sentence := _of_loop(c, asked.band_hz))]
+    chief = [c for c in curves if c.colour == "chosen"] if len(curves) > MOST_TOLD else []
+    told = [sentence for c in chief or curves if (sentence := _of_loop(c, asked.band_hz))]
     caption = (
         "Largest singular value of the sensitivity, measured on the bench; below zero every direction is quieter. "
         f"{'; '.join(told)}."
@@ -101,13 +103,18 @@ def shaped_loops(
 ) -> Chart:
     """Largest singular values `(nf,)` of S, T and KS of each law, by member and law; `units` follow "dB re"."""
     panels: list[ChartPanel] = []
+    below: dict[str, list[str]] = {}
     for member, laws in members.items():
         lines = [Curve(name, f_hz, _db(values), colours[name]) for name, values in laws.items()]
         top = max(float(_db(values).max()) for values in laws.values())
-        low = min(float(_db(values).min()) for values in laws.values())
-        limits = (max(low - 3.0, top - DEEPEST_DB), top + 5.0)
-        regions, marks = (asked.regions, asked.marks) if member == "S" else ([Region("", asked.band_hz)], [])
+        floor = top - DEEPEST_DB
+        for name in (n for n, values in laws.items() if float(_db(values).max()) < floor):
+            below.setdefault(name, []).append(member)
+        low = min(float(_db(v).min()) for v in laws.values() if float(_db(v).max()) >= floor)
+        limits = (max(low - 3.0, floor), top + 5.0)
         limits = (asked.reached(limits[0]) if member == "S" else limits[0], limits[1])
+        band = Region("", asked.band_hz, colour="muted")
+        regions, marks = (asked.regions, asked.marks) if member == "S" else ([band], [])
         limits = (limits[0], max(limits[1], *(1.05 * m.y + 1 for m in marks if m.y is not None), limits[1]))
         axis = decibel_axis(f"|{member}|", units.get(member, ""), limits)
         height = 220 if len(members) > 1 else 320
@@ -116,7 +123,8 @@ def shaped_loops(
         f"{name} {float(_db(values).max()):.1f} dB at {f_hz[int(np.argmax(values))]:.4g} Hz"
         for name, values in members.get("S", {}).items()
     )
-    caption = f"Largest singular values on the design model, every law as it runs. Peaks of S: {peaks}."
+    unseen = "".join(f" {name} lies below what is drawn of {' and '.join(missing)}." for name, missing in below.items())
+    caption = f"Largest singular values on the design model, every law as it runs. Peaks of S: {peaks}.{unseen}"
     words = list(members)
     title = f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
     return Chart(stem, f"{title} on the design model", caption, panels)
@@ -160,7 +168,7 @@ SPAN = 2.0  # of the plane about the critical point: further out a locus says no
 
 
 def loci(name: str, loop: ComplexArray) -> Chart:
-    """Eigenvalue loci of -L, L = G K `(channels, channels, nf)` over rising frequencies, about -1."""
+    """Eigenvalue loci of -L, L = G K or K G `(channels, channels, nf)` over rising frequencies, about -1."""
     curves = tracked(-np.linalg.eigvals(np.moveaxis(loop, 2, 0)).astype(np.complex128))
     lines = [
         Curve(f"locus {k + 1}", *_within(locus), colour="chosen" if k == 0 else f"law-{(k - 1) % 8 + 1}", kind="path")
@@ -176,7 +184,8 @@ def loci(name: str, loop: ComplexArray) -> Chart:
         equal=True,
     )
     caption = (
-        f"Eigenvalues of -G K of {name} for rising frequency on the design model; the nearest passes -1 at {near:.2f}. "
+        f"Eigenvalues of the loop -G K of {name} for rising frequency on the design model; the nearest passes -1 at "
+        f"{near:.2f}. "
         "Their encirclements of -1 decide on stability, their distance does not bound the margins of all channels."
     )
     return Chart("nyquist", f"Eigenvalue loci of {name}", caption, [panel])

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Region, decibel_axis, frequency_axis
+from ultraquiet.plot.pages.bench import UP_TO_HERE
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,6 @@ def payload_chart(
     band = [Region(f"{band_hz[0]:.4g}-{band_hz[1]:.4g} Hz", band_hz)] if narrower else []
     panels = [
         ChartPanel(frequency_axis(), decibel_axis(ratio, per), over, regions=band, height=250),
-        ChartPanel(frequency_axis(), Axis(f"rms up to here ({rms})"), total, regions=band, height=150),
+        ChartPanel(frequency_axis(), Axis(f"rms ({rms})"), total, UP_TO_HERE, band, height=150),
     ]
     return Chart(stem, "What the payload feels while the base shakes", told, panels)

@@ -103,7 +103,8 @@ def _with_confidence(f_hz: FloatArray, values: ComplexArray, variance: FloatArra
 
 
 def _caption(f_hz: FloatArray, measured: FrequencyResponse | None, models: Sequence[NamedResponse], one: bool) -> str:
-    enlarge = "" if one else " A click on a panel shows its phase and its error."
+    more = "phase" if measured is None else "phase and its error"
+    enlarge = "" if one else f" A click on a panel shows its {more}."
     lines = f"{counted(f_hz.size, 'line')} from {f_hz[0]:.3g} to {f_hz[-1]:.3g} Hz."
     if measured is None:
         return f"{' and '.join(m.name for m in models)}: gain of every channel, {lines}{enlarge}"

@@ -20,6 +20,8 @@ SIMPLE = (bool, int, float, str)
 # What no text field can hold: systems, records, tables of a method's own.
 CLOSED = ("StateSpace", "Record", "Callable", "Specification", "Channel", "_Line", "_Unpacked")
 ENTRY = re.compile(r"^ {4}([a-z_0-9, ]+): (.*)$")
+NUMBER = r"(\d+\.?\d*(?:e[-+]?\d+)?)"
+RANGE = re.compile(rf"{NUMBER}\s*(?:[\s;\u2010-\u2015-]|to|\.\.)\s*{NUMBER}(?:\s*Hz)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -187,10 +189,16 @@ def _meanings(kind: type[Any]) -> dict[str, str]:
 
 
 def _value(text: Any) -> Any:
-    """Return what a text stands for: numbers, several of them between commas, words."""
+    """Return what a text stands for: numbers, several of them between commas or as people write a range, words.
+
+    >>> [_value(text) for text in ("0.5", "10, 100", "10 100", "10-100", "10 to 100 Hz", "-3", "1e-3", "full")]
+    [0.5, [10, 100], [10, 100], [10, 100], [10, 100], -3, 0.001, 'full']
+    """
     if not isinstance(text, str):
         return text
     bare = text.strip().strip("()[]")
+    if found := RANGE.fullmatch(bare):
+        bare = f"{found[1]}, {found[2]}"
     for written in (bare, f"[{bare}]"):
         try:
             return tomllib.loads(f"value = {written}")["value"]

@@ -6,12 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
+from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Range
 from ultraquiet.plot.pages.transfer import RADIUS_95
+from ultraquiet.spectra.coherence import TRUSTED
 from ultraquiet.values.channel import Channel, ratio
 from ultraquiet.workbench.figures.scale import Scale
 
 FLOOR = 0.1  # of a gain: no confidence reaches lower in decibels
+STRETCHED_DB = 10.0  # by which lines that nothing can be read from may widen what is drawn
+AROUND = 8  # lines on either side: coherence of so few segments is above any limit somewhere by chance
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,8 @@ def response_grid(title: str, measured: SeenResponse | None, models: Sequence[Mo
     first = measured if measured is not None else models[0]
     ny, nu = first.values.shape[:2]
     wires = None if measured is None else (measured.sensors, measured.actuators)
-    panels = [_panel(i, j, measured, models, wires, scale, ny * nu > 1) for i in range(ny) for j in range(nu)]
+    limits = None if measured is None else _trusted_range(measured, models)
+    panels = [_panel(i, j, measured, models, wires, scale, limits, ny * nu > 1) for i in range(ny) for j in range(nu)]
     caption = "" if measured is None else measured.words
     many = ny * nu > 4
     return Chart("responses", title, caption, panels, columns=nu, share=many, enlarge=True, legend="below")
@@ -85,6 +89,7 @@ def _panel(
     models: Sequence[Modelled],
     wires: tuple[Sequence[Channel], Sequence[Channel]] | None,
     scale: Scale,
+    limits_db: Range | None,
     small: bool,
 ) -> ChartPanel:
     gains, phases, detail = [], [], []
@@ -105,9 +110,33 @@ def _panel(
     if wires is not None:
         unit = ratio(wires[0][i].unit, wires[1][j].unit)
         title = _pair(wires[0][i], wires[1][j])
-    axis = scale.gains("" if small else "gain", "" if unit == "1/1" else unit)
+    axis = scale.gains("" if small else "gain", "" if unit == "1/1" else unit, limits_db)
     tinted, height = small and i == j, 150 if small else 260
     return ChartPanel(scale.frequencies(), axis, gains, title, tinted=tinted, height=height, detail=detail)
+
+
+def _trusted_range(measured: SeenResponse, models: Sequence[Modelled]) -> Range | None:
+    """Return the decibels of all lines that can be trusted and of the models; None where the others add little.
+
+    Where nothing was sent a measured gain is noise over nothing: it is drawn, and takes no room from what was measured.
+    """
+    if measured.coherence is None:
+        return None
+    with np.errstate(divide="ignore"):
+        gains = 20 * np.log10(np.abs(measured.values))
+        said = [20 * np.log10(np.abs(m.values)).ravel() for m in models]
+    gains = np.where(np.isfinite(gains), gains, np.nan)
+    around = [(0, 0), (0, 0), (AROUND, AROUND)]
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(measured.coherence, around, "edge"), 2 * AROUND + 1, -1)
+    heard = gains[(np.median(near, axis=-1) >= TRUSTED) & np.isfinite(gains)]
+    if not heard.size:
+        return None
+    both = np.concatenate([heard, *(db[np.isfinite(db)] for db in said)])
+    low, high = float(both.min()), float(both.max())
+    if np.nanmin(gains) > low - STRETCHED_DB and np.nanmax(gains) < high + STRETCHED_DB:
+        return None
+    room = max(0.05 * (high - low), 1.0)
+    return low - room, high + room
 
 
 def _confidence(measured: SeenResponse, i: int, j: int, scale: Scale) -> tuple[FloatArray | None, FloatArray | None]:

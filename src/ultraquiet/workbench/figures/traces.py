@@ -89,13 +89,18 @@ def overlay(
 
 
 def correlations(title: str, auto: FloatArray, cross: FloatArray, bound: float, names: Sequence[str]) -> Chart:
-    """Return what is left after a model: correlation with itself and with the inputs, by lag, with its 99 % bounds."""
+    """Return what is left after a model, by lag, with its 99 % bounds: correlation with its past and with the inputs.
+
+    Lag 0 of a residual with itself is one whatever the model is, and would hide the others; of all inputs the largest
+    size is shown, which has no lower bound.
+    """
     lags = np.arange(auto.shape[1], dtype=float)
-    marks = [Mark("99 % bound", y=bound, colour="fragile"), Mark("99 % bound", y=-bound, colour="fragile")]
+    above, below = (Mark("99 % bound", y=end * bound, colour="fragile") for end in (1, -1))
     panels = []
     for k, name in enumerate(names):
-        for word, rows in (("with itself", auto), ("with the inputs, largest", cross)):
-            curve = Curve(word, lags, rows[k], "measured", kind="stems")
+        sides = ("with itself", auto, 1, [above, below]), ("with the inputs, largest", cross, 0, [above])
+        for word, rows, first, marks in sides:
+            curve = Curve(word, lags[first:], rows[k, first:], "measured", kind="stems")
             axes = Axis("lag (samples)"), Axis("correlation")
             panels.append(ChartPanel(*axes, [curve], title=f"residual of {name} {word}", marks=marks, height=150))
     return Chart("residuals", title, "Bars beyond the dashed bounds are what the model left.", panels, columns=2)

@@ -100,9 +100,9 @@ def chip(status: str | Doubted, mark: str = "") -> None:
     if isinstance(status, Doubted):
         status, doubt = status.status, status.doubt
     kind = verdict(status)
-    if doubt and kind == "ok":
-        kind = "fragile"
     word = status.partition(":")[0] or "not made"
+    if doubt and kind == "ok":
+        kind, word = "fragile", f"{word}, louder"
     made = ui.label(f"{SHAPES[kind]} {word}").classes(f"uq-chip {kind}")
     if mark:
         made.props(f'data-testid="{mark}"')

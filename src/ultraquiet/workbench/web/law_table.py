@@ -146,8 +146,8 @@ def _headline(item: Item | None, view: View) -> None:
     if item is None:
         return
     facts = item.facts
+    quiet, (low, high) = facts["attenuation_db"], facts["band_hz"]
     with ui.element("div").classes("uq-row"):
-        quiet, (low, high) = facts["attenuation_db"], facts["band_hz"]
         if quiet is None or not facts["design"]["ok"]:
             text = f"{item.name}: {facts['status'].partition(':')[0]}"
         else:
@@ -157,3 +157,10 @@ def _headline(item: Item | None, view: View) -> None:
         asked = judged(facts, view.session.state["tables"].get("requirements", {}))
         chip(loop_status(facts, asked or None), "verdict")
     words(f"{item.name}: {facts['status'].partition(': ')[2]}", "caption")
+    if isinstance(loop_status(facts), Doubted):
+        words(
+            f"What it does to each output by itself stands on Closed loop. For less in the worst direction too, try a "
+            f"band narrower than {low:.3g}{UNBROKEN}{high:.3g} Hz: at the right, for the design, and in Requirements, "
+            "over which it is judged.",
+            "caption",
+        ).props('data-testid="next"')

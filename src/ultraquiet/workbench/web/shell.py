@@ -126,8 +126,9 @@ def _header(view: View) -> None:
             ui.html("STOP", sanitize=False)
 
     def looking() -> None:
-        at_work = [job.title for job in view.jobs.looked if not job.over]
-        busy.text = f"computing: {at_work[-1]} …" if at_work else ""
+        at_work = [job for job in view.jobs.looked if not job.over]
+        now = next((job for job in at_work if job.status == "running"), at_work[-1] if at_work else None)
+        busy.text = "" if now is None else f"computing: {now.title} …"
 
     view.watch(looking, often=True)
 

@@ -240,7 +240,7 @@ def _caption(loops: dict[str, LiveLoop]) -> str:
     said = [
         f"{name}: at most {loop.peak_db:.1f} dB louder in the directions that the inputs reach, at {loop.peak_hz:.4g} "
         f"Hz; disk margin of all channels at least {loop.disk['input']:.2f} at the input, {loop.disk['output']:.2f} at "
-        "the output"
+        "the output (bounds, found at once; the table has the margins themselves)"
         for name, loop in loops.items()
     ]
     return ". ".join(said)

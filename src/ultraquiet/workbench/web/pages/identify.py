@@ -14,6 +14,7 @@ from ultraquiet.plot.pages.stabilisation import stabilisation
 from ultraquiet.values.sketch import Sketch
 from ultraquiet.workbench.engine.forms import settings_of
 from ultraquiet.workbench.figures.responses import Modelled, SeenResponse, pole_map, response_grid
+from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
 from ultraquiet.workbench.web.controls import button, field, heading, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
@@ -43,11 +44,15 @@ class _Identify:
         self._sketch: Sketch | None = None
         self._asks_bench = True
         self._stabilised: Any = None
+        self._at_work: WorkItem | None = None
+        self._tried: dict[str, Any] = {}
         with columns.side:
             self._settings()
         with columns.main:
             self._candidates = ui.element("div")
-            self._trying = ui.label("").classes("uq-words caption").props('data-testid="trying" aria-live="polite"')
+            with ui.element("div").classes("uq-row"):
+                self._trying = ui.label("").classes("uq-words caption").props('data-testid="trying" aria-live="polite"')
+                self._cancel = button("Cancel", self._give_up, "cancel-orders")
             with ui.element("div").classes("uq-figures").style(HALVES):  # what a button leads to stands in sight
                 self.orders = ChartElement(view.frames, "orders-chart", on_point=self._picked)
                 self.stable = ChartElement(view.frames, "stabilisation-chart", on_point=self._stood)
@@ -56,6 +61,7 @@ class _Identify:
                 self.poles = ChartElement(view.frames, "poles-chart")
                 self.modes = ChartElement(view.frames, "modes-chart")
         view.watch(self._refresh)
+        view.watch(self._tell_orders, often=True)
 
     def _settings(self) -> None:
         heading("Identify")
@@ -64,7 +70,7 @@ class _Identify:
         self.period = field("period (samples)", "period", "", "none: one record that moves all inputs")
         self.units = field("further units of the bench", "units", "", "none; their names, with commas between")
         self.units.set_visibility("bench" in self.view.session.state["tables"])
-        self.form = MethodForm("identify", "box-jenkins", names=list(WHOLE))
+        self.form = MethodForm("identify", self._fitting(), names=list(WHOLE))
         self.name = field("name of the model", "model-name", "", "method and order")
         with ui.element("div").classes("uq-row"):
             button("Identify", self._identify, "identify", main=True)
@@ -85,6 +91,13 @@ class _Identify:
         shown = [item.name for item in self.view.responding()] or self.view.shown("data")
         groups = grouped(list(self.view.session.state["data"]))
         return [name for name, members in groups.items() if set(members) & set(shown)][-1:]
+
+    def _fitting(self) -> str:
+        """Return the method that is offered first: of several inputs and outputs all at once, in seconds."""
+        items = self.view.session.state["data"]
+        shown = [self.view.session.item("data", name).facts for name in self._members() if name in items]
+        many = any(len(facts["actuators"]) > 1 or len(facts["sensors"]) > 1 for facts in shown if facts)
+        return "subspace" if many else "box-jenkins"
 
     def _members(self) -> list[str]:
         groups = grouped(list(self.view.session.state["data"]))
@@ -121,17 +134,32 @@ class _Identify:
         if made is None or not members:
             return
         bare = {key: value for key, value in made.items() if key != "order"}
-        self._trying.text = f"Trying orders {TRIED[0]} to {TRIED[-1]} of {bare['method']}; they are drawn here …"
         self._tried = bare
-        self._orders.ask("orders", "orders", self._show_orders, data=members[0], method=bare, tried=TRIED)
+        # poles by order take a second, fits of a record of many channels a minute each: what is quick stands first
         self._lines.ask("modes", "poles by order", self._show_stable, data=members[0])
+        words_ = {"data": members[0], "method": bare, "tried": TRIED}
+        self._at_work = self._orders.ask("orders", f"orders of {bare['method']}", self._show_orders, **words_)
+        self._tell_orders()
+
+    def _tell_orders(self) -> None:
+        """Say how far the trial of orders is, and offer to end it."""
+        job = self._at_work
+        busy = job is not None and not job.over
+        self._cancel.set_visibility(busy)
+        if job is None or not busy:
+            self._trying.text = ""
+            return
+        tried = f"Trying orders {TRIED[0]} to {TRIED[-1]} of {self._tried['method']}"
+        self._trying.text = f"{tried}: {job.progress:.0%}; they are drawn here …"
+
+    def _give_up(self) -> None:
+        if self._at_work is not None:
+            self.view.jobs.cancel(self._at_work)
 
     def _untried(self, sentence: str) -> None:
-        self._trying.text = ""
         say(sentence)
 
     def _show_orders(self, found: dict[str, Any], _: Any) -> None:
-        self._trying.text = ""
         rows = [row for row in found["rows"] if "unseen" in row]
         if not rows:
             say(found["rows"][0].get("refused", "identify: no order could be identified."))
@@ -163,7 +191,7 @@ class _Identify:
             self._take({"method": "subspace", "order": order}, "")
 
     def _picked(self, at: dict[str, Any]) -> None:
-        if at.get("x") is not None and hasattr(self, "_tried"):
+        if at.get("x") is not None and self._tried:
             order = min(TRIED, key=lambda each: abs(each - at["x"]))
             self._take({**self._tried, "order": order}, "")
 

@@ -1,0 +1,52 @@
+"""What a model leaves of a record: its residuals' correlation with their own past, lag by lag."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ultraquiet._base.constraints import FloatArray
+from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark
+
+COLUMNS = 3
+LEAST_CHANCE = 1e-12  # a p-value below it has no digit that says anything
+
+
+def chance(p: float) -> str:
+    """Return a p-value as a sentence says it.
+
+    >>> chance(0.0312), chance(6.2e-309)
+    ('0.031', 'below 1e-12')
+    """
+    return f"{p:.2g}" if p > LEAST_CHANCE else f"below {LEAST_CHANCE:g}"
+
+
+def residual_chart(
+    model: str, record: str, sensors: Sequence[str], autocorrelation: FloatArray, band: float, whiteness_p: FloatArray
+) -> Chart:
+    """Draw the autocorrelation `(ny, lags)` at lags 1, 2, ... of every sensor's residual between +-`band`.
+
+    Args:
+        model: its name, for the caption.
+        record: its name, for the caption.
+        sensors: names, `ny` of them.
+        autocorrelation: coefficients; 95 % of a white residual's lie within the band.
+        band: its half width.
+        whiteness_p: `(ny,)` p-values that the residual is white.
+    """
+    lags = np.arange(1.0, autocorrelation.shape[1] + 1)
+    marks = [Mark("95 % of white noise", y=end * band) for end in (-1, 1)]
+    panels = [
+        ChartPanel(
+            Axis("lag (samples)"), Axis("correlation (1)"), [Curve("residual", lags, r, "measured", kind="stems")],
+            name, marks=marks, height=150,
+        )
+        for name, r in zip(sensors, autocorrelation, strict=True)
+    ]  # fmt: skip
+    beyond = np.mean(np.abs(autocorrelation) > band, axis=1)
+    worst = int(np.argmax(beyond))
+    caption = (
+        f"Correlation of the one-step error of the {model} model with its own past, '{record}'. White noise leaves the "
+        f"dashed band at one lag of twenty; {sensors[worst]} does most often, at {beyond[worst]:.0%} of the lags "
+        f"(p {chance(float(whiteness_p[worst]))})."
+    )
+    return Chart("residuals", "Residuals", caption, panels, min(COLUMNS, len(panels)))

@@ -1,0 +1,55 @@
+"""Sentences of a report that weigh its numbers: what looks bad is said, and said of what it is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ultraquiet.pipeline.facts.models import RecordFit, ResidualFacts
+from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
+from ultraquiet.pipeline.report.front import _verdict
+from ultraquiet.pipeline.report.models import _doubted, _of_residuals
+from ultraquiet.values import Channel, Record
+
+RATE_HZ, BAND_HZ = 100.0, (5.0, 20.0)
+
+
+def judged(where, met, requirement="peak_db"):
+    return RequirementFacts(requirement=requirement, where=where, asked=6.0, figure=5.0, met=met, sentence="")
+
+
+@pytest.mark.parametrize(("on_flight", "said"), [(True, "2 of 2 requirements met"), (False, "1 of 2 requirements met")])
+def test_the_first_page_counts_the_lines_of_its_table(on_flight, said):
+    every = (judged("ground", True), judged("flight", on_flight), judged("input", True, "disk_margin"))
+    verdict = _verdict(RequirementsFacts(law="quiet", band_hz=BAND_HZ, judged=every))
+    assert verdict.aside == said
+    assert verdict.word == ("ok" if on_flight else "not ok")
+
+
+@pytest.mark.parametrize(
+    ("white", "free", "said"),
+    [(0.4, 0.3, "leaves nothing"), (1e-5, 0.3, "leaves noise of a colour unexplained"), (0.4, 0.0, "leaves motion")],
+)
+def test_what_a_test_of_residuals_means_is_said(white, free, said):
+    text = _of_residuals(ResidualFacts(whiteness_p_median=white, correlation_p_median=free))
+    assert said in text
+    assert "p-value 0 " not in text
+
+
+@pytest.mark.parametrize(("tone_hz", "outside"), [(2.0, 100), (10.0, 0), (40.0, 100)])
+def test_of_a_bad_fit_it_is_said_how_much_of_it_is_none_of_the_bands(tone_hz, outside):
+    t = np.arange(1000) / RATE_HZ
+    read = np.sin(2 * np.pi * 3 * t)
+    record = Record(read[None], read[None], RATE_HZ)
+    said = read + 2 * np.sin(2 * np.pi * tone_hz * t)
+    simulated = Record(read[None], np.array([said, read]), RATE_HZ, sensors=[Channel("poor"), Channel("good")])
+    fit = RecordFit(channel=0, fit_percent={"poor": -100.0, "good": 100.0}, clipped_samples=0)
+    result = SimpleNamespace(
+        plan=SimpleNamespace(band_hz=BAND_HZ),
+        records={"step": record},
+        validation=SimpleNamespace(facts=SimpleNamespace(records={"step": fit})),
+        simulated=lambda name: simulated,
+    )
+    (text,) = _doubted(result)
+    assert f"'step' look bad, a constant would have 0 %: poor -100 % ({outside}% of its error); in brackets" in text
+    assert "good" not in text
