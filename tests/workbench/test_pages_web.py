@@ -110,8 +110,8 @@ def test_a_trial_of_orders_says_how_far_it_is_and_can_be_ended(tmp_path, seed):
         seen.click("try-orders")
         seen.drawn("stabilisation-chart")  # which is quick, and does not wait for the other
         seen.page.get_by_test_id("trying").filter(has_text=re.compile(r"box-jenkins: \d+%")).wait_for()
-        seen.click("cancel-orders")
-        seen.page.wait_for_selector("[data-testid='cancel-orders']", state="hidden")
+        seen.click("end-orders")
+        seen.page.wait_for_selector("[data-testid='end-orders']", state="hidden")
         assert seen.page.inner_text("[data-testid='trying']") == ""
         assert seen.errors == []
 
@@ -153,6 +153,7 @@ def test_a_worker_that_is_killed_ends_in_a_sentence_and_the_study_is_intact(tmp_
         before = (tmp_path / "study" / "workbench" / "log.json").read_text()
         seen.go("identify?data=run")
         seen.drawn("models-chart")
+        seen.choose("identify-method", "box-jenkins")  # which takes long enough to be ended
         seen.fill("identify-order", "12")
         seen.fill("model-name", "long")
         seen.click("identify")
@@ -184,6 +185,7 @@ def test_stop_by_keyboard_ends_all_work(tmp_path, seed):
         seen.made("data", "run")
         seen.go("identify?data=run")
         seen.drawn("models-chart")
+        seen.choose("identify-method", "box-jenkins")  # which takes long enough to be ended
         seen.fill("identify-order", "12")
         seen.click("identify")
         seen.page.wait_for_selector("[data-testid^='cancel-']")

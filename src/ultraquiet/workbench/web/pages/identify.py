@@ -52,7 +52,7 @@ class _Identify:
             self._candidates = ui.element("div")
             with ui.element("div").classes("uq-row"):
                 self._trying = ui.label("").classes("uq-words caption").props('data-testid="trying" aria-live="polite"')
-                self._cancel = button("Cancel", self._give_up, "cancel-orders")
+                self._cancel = button("Cancel", self._give_up, "end-orders")
             with ui.element("div").classes("uq-figures").style(HALVES):  # what a button leads to stands in sight
                 self.orders = ChartElement(view.frames, "orders-chart", on_point=self._picked)
                 self.stable = ChartElement(view.frames, "stabilisation-chart", on_point=self._stood)
