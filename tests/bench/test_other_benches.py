@@ -254,5 +254,5 @@ def test_a_replay_says_where_the_nearest_record_differs(rng):
 @pytest.mark.parametrize("given", [None, "off", [[], [1.0]], np.nan, [1.0, 2.0]])
 def test_a_function_that_returns_no_reading_is_named(given):
     bench = Wrapped(lambda u, d: given, lambda: None, 100.0, ["force"], ["speed"])
-    with pytest.raises(InputError, match=r"Wrapped.run: at sample 0 the plant must return 1 finite readings, got"):
+    with pytest.raises(InputError, match=r"Wrapped.run: at sample 0 the plant must return 1 finite reading, got"):
         bench.run([[1.0, 0.0]])

@@ -109,6 +109,7 @@ def test_a_study_killed_anywhere_and_run_again_leaves_the_same(count, walked, tm
     wanted, files = numbers(tmp_path / "whole"), names(tmp_path / "whole")
     changes = len((tmp_path / "told").read_text().splitlines())
     deaths = [1 + k * changes // (count // 2) for k in range(count // 2)]
+    deaths[-1] = changes - 2  # summary and report are written within the last five, whatever runs beside
     kills = [{"death": death} for death in deaths] + [{"after": after} for after in rng.uniform(0, took, count // 2)]
     struck, identifying, wrong = Counter(), 0, []
     for number, kill in enumerate(kills):
