@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import Mode, ringing
 from ultraquiet.simulate.growth.together import powers, rise
-from ultraquiet.simulate.kick import FreeResponse
+from ultraquiet.simulate.kick import FreeResponse, near
 from ultraquiet.values import StatusWord
 
 # A record shorter than this shows nothing; each next one is so many times longer.
@@ -17,7 +17,8 @@ LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
 # Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
 GROWTH_LIMIT = 3.0
 # A mode that is so many times as loud as a hum at its frequency is not rung by that, nor one that grows by so many
-# e-folds within a record: a hum rings up no mode faster than in proportion to time, two e-folds by least squares.
+# e-folds within a record: a hum rings up no mode faster than in proportion to time, two e-folds by least squares. What
+# drifts does as it likes.
 ABOVE_HUM, RUNG_UP = 10.0, 4.0
 # Tones of one burst at most.
 MOST_TONES = 12
@@ -76,9 +77,10 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
 
 def grows(mode: Mode, record: FreeResponse) -> bool:
     """Return whether a mode grows, and not perhaps what a hum from outside rings up from the beginning of a run."""
-    span = record.response.shape[1] / record.runs[0].rate_hz
-    by_itself = mode.seen > ABOVE_HUM or mode.growth_per_s * span > RUNG_UP or not record.hums_at(mode.f_hz)
-    return mode.grows and by_itself
+    samples, rate_hz = record.response.shape[1], record.runs[0].rate_hz
+    drifts = near(mode.f_hz, (0.0,), samples, rate_hz)
+    too_fast = mode.growth_per_s * samples / rate_hz > RUNG_UP and not drifts
+    return mode.grows and (mode.seen > ABOVE_HUM or too_fast or not record.hums_at(mode.f_hz))
 
 
 def slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
