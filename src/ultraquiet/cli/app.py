@@ -96,7 +96,7 @@ def main() -> None:
         said = of_a_bench(error)
         if not said:
             raise
-        print(f"ultraquiet: bench: {said}", file=sys.stderr)
+        _tell(f"bench: {said}")
         sys.exit(ExitCode.REFUSED)
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:  # what typer makes of Ctrl-C, without a word

@@ -305,7 +305,7 @@ def _largest(S: ComplexArray) -> FloatArray:
 
 
 def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
-    f = np.concatenate([part.f_hz for part in parts])
+    f, S = _all_lines(parts)
     if not f.size:
         raise NumericalError(
             "measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise."
@@ -316,8 +316,8 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
     reach += "in the others no law does anything."
     seconds = ", ".join(f"{band.sweep.samples / bench.rate_hz:g}" for band in opened.bands)
     text = f"disturbance to sensors, sweeps of {seconds} s"
-    S, opened_y, closed_y = (
-        np.concatenate([getattr(part, name) for part in parts], axis=2) for name in ("S", "opened", "closed")
+    opened_y, closed_y = (
+        np.concatenate([getattr(part, name) for part in parts], axis=2) for name in ("opened", "closed")
     )
     deviation = np.concatenate([part.deviation for part in parts])
     return MeasuredSensitivity(

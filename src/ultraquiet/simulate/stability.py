@@ -22,6 +22,7 @@ from ultraquiet.simulate.growth.verdict import (
 )
 from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
 from ultraquiet.simulate.loop import disturb
+from ultraquiet.simulate.open_loop import OFFSET
 from ultraquiet.values import StateSpace, Status, StatusWord
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.interconnect import feedback
@@ -37,8 +38,6 @@ HEAPED = 10.0
 # A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed:
 # little by little, for a burst far below what the limits allow leaves a slow mode among the noise.
 LOWERED_TO, LOWERED = 0.3, 6
-# A reading at rest that is so many deviations of its noise away from zero has an offset.
-OFFSET = 3.0
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
 SLOW = 10.0
 
@@ -180,7 +179,7 @@ def _told_from_outside(
         doubted = (*seen.doubtful_hz, *growing)
         if seen.word is StatusWord.OK or not doubted or seen.record.limited > CLIPPED_SHARE:
             return burst, seen
-        new = [f for f in doubted if not seen.record.from_outside(f)]
+        new = dict.fromkeys(f for f in doubted if not seen.record.from_outside(f))
         hums, outside = hums_of(bench, law, replace(burst, samples=first), seen.record, new)
         if not outside and all(seen.record.hums_at(f) for f in hums):
             return burst, seen
@@ -233,11 +232,8 @@ def _what_drives(bench: Bench) -> str:
     """Return what drives a loop without a burst: the offset of the sensor that has the largest beside its noise."""
     y = disturb(bench, np.zeros((len(bench.actuators), SHORTEST_SAMPLES))).outputs
     offset, noise = y.mean(axis=1), y.std(axis=1)
-    k = int(
-        np.argmax(
-            np.abs(offset) / np.maximum(noise, np.finfo(float).eps * np.abs(y).max(axis=1) + np.finfo(float).tiny)
-        )
-    )
+    rounding = np.finfo(float).eps * np.abs(y).max(axis=1) + np.finfo(float).tiny
+    k = int(np.argmax(np.abs(offset) / np.maximum(noise, rounding)))
     if not abs(offset[k]) > OFFSET * noise[k]:
         return "Noise"
     sensor = bench.sensors[k]
@@ -331,10 +327,10 @@ def _check(bench: Bench, seen: Seen, beside: tuple[float | None, float | None]) 
         StatusWord.OK: f"The loop settles; watched for {times}.",
         StatusWord.UNSTABLE: "The loop is not stable on this bench.",
     }.get(word, f"{times} do not tell whether this loop decays.")
-    with_model = "" if beside[0] is None else f" With the model: {beside[0]:.3g} a second at {beside[1]:.4g} Hz."
+    with_model = "" if beside[0] is None else f"With the model: {beside[0]:.3g} a second at {beside[1]:.4g} Hz."
     hums = ", ".join(f"{f:.4g}" for f in seen.record.outside_hz)
-    outside = f" Left out as it comes from outside, heard without the law too: {hums} Hz." if hums else ""
-    status = Status(word, " ".join(f"{opening} {seen.sentence}{outside}{with_model}".split()))
+    outside = f"Left out as it comes from outside, heard without the law too: {hums} Hz." if hums else ""
+    status = Status(word, " ".join(filter(None, (opening, seen.sentence, outside, with_model))))
     mode = seen.mode or Mode(np.nan, np.nan, np.nan, 0.0)
     return LoopCheck(status, rms[0], rms[1], mode.growth_per_s, mode.growth_std, mode.f_hz, longest, *beside)
 
