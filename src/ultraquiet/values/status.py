@@ -28,7 +28,11 @@ class StatusWord(StrEnum):
     OK = "ok", "The result can be used as it is."
     REFUSED = "refused", "The question has no answer as it was put; nothing was computed, and the sentence says why."
     UNSTABLE = "unstable", "A loop or a law is unstable, as it is or once it is reduced or rounded; do not run it."
-    NOT_KNOWN = "not known", "The longest record that was allowed does not tell whether the loop decays."
+    NOT_KNOWN = (
+        "not known",
+        "The longest record that was allowed does not tell whether the loop decays, "
+        "or a hum at the mode's own frequency hides it.",
+    )
 
     DEAD = "dead", "The channel carries nothing that has to do with the others; mend it or leave it out."
     SATURATED = "saturated", "The channel's samples pile up at its limits; what lies beyond is lost."
