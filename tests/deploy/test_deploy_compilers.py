@@ -1,6 +1,7 @@
 """Compilers, standards and flags: the same bits, or a refusal at compile time; never a guard that is missing."""
 
 import itertools
+import platform
 import re
 import shutil
 import subprocess
@@ -110,6 +111,55 @@ def test_cplusplus_links_against_the_header_and_compiles_the_source(law_of, tmp_
     objects = ["controller.o", "controller_selftest.o"]
     subprocess.run(["g++", "-std=c++17", "main.cpp", *objects, "-o", "main"], cwd=code, check=True)
     assert subprocess.run([code / "main"], check=False).returncode == 0
+
+
+HOST = """
+#include <fenv.h>
+#include <stdio.h>
+#if defined(__SSE__)
+#include <xmmintrin.h>
+#endif
+#include "controller.h"
+int main(void)
+{
+    %s;
+    const unsigned long failed = controller_self_test();
+    printf("%%lu", failed);
+    return 0;
+}
+"""
+FLUSHED, NEAREST = "flushed", "nearest"
+SETTINGS = {
+    "fesetround(FE_TONEAREST)": NEAREST,
+    "fesetround(FE_UPWARD)": "row",
+    "fesetround(FE_TOWARDZERO)": "row",
+    "_mm_setcsr(_mm_getcsr() | 0x8000U)": FLUSHED,
+    "_mm_setcsr(_mm_getcsr() | 0x0040U)": FLUSHED,
+}
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_what_another_part_of_the_program_switches_on_is_seen_by_the_self_test(law_of, tmp_path, precision):
+    """No source sees how its program was linked (`-ffast-math` flushes to zero) or which way its thread rounds."""
+    if compiler("gcc") is None:
+        pytest.skip("no GCC on this machine")
+    made = generate(law_of(6, 2, 3), tmp_path / "code", form="modal", precision=precision)
+    rows = int(re.search(r"SCRIPT\[(\d+)\]", (made.folder / SOURCES[1]).read_text())[1])
+    subprocess.run(["gcc", "-std=c99", "-O2", *CONTRACT_OFF, "-c", *SOURCES], cwd=made.folder, check=True)
+    objects = ["controller.o", "controller_selftest.o", "-lm"]
+    x86 = platform.machine() in {"x86_64", "AMD64"}
+    told = {}
+    for k, (setting, fate) in enumerate({**SETTINGS, "(void)0": FLUSHED}.items()):
+        if not x86 and fate == FLUSHED:
+            continue
+        (made.folder / "main.c").write_text(HOST % setting)
+        link = ["-ffast-math"] if k == len(SETTINGS) else []
+        subprocess.run(["gcc", "-std=c99", "-c", "main.c"], cwd=made.folder, check=True)
+        subprocess.run(["gcc", *link, "main.o", *objects, "-o", "main"], cwd=made.folder, check=True)
+        row = int(subprocess.run([made.folder / "main"], capture_output=True, text=True, check=True).stdout)
+        told[setting, *link] = {0: NEAREST, rows + 1: FLUSHED}.get(row, "row")
+        assert told[setting, *link] == fate, told
+    print(told)
 
 
 def undefined(name, flags, folder, source):
