@@ -126,6 +126,18 @@ def test_what_hums_without_the_law_too_is_no_mode_of_the_loop(rng, apart, hz):
         assert check.growth_hz == pytest.approx(loop.f_hz, rel=0.01)
 
 
+def test_a_slow_pair_at_the_very_frequency_of_a_hum_is_not_left_out_with_it():
+    """Pairs of 1 + 2e-6, which a burst rings and which go on ringing: the hum is from outside, they are not."""
+    rng = np.random.default_rng(2)
+    words = []
+    for _ in range(4):
+        loop = drawn_loop(rng, 1 + 2e-6)
+        loop.bench.hum = (0.05, loop.f_hz, 0.2)
+        words.append(str(uq.simulate.check_stability(loop.bench, loop.law, 16.0).status.word))
+    print(words)
+    assert "ok" not in words
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("hum", [(0.05, 50.0, 0.0), (0.0, 0.0, 0.2), (0.05, None, 0.2)])
 def test_loops_that_hum_are_never_judged_wrongly(rng, hum):

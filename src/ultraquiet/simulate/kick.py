@@ -20,6 +20,7 @@ BEGIN, LEAST_COLOUR = 1e-3, 1e-3
 LOUD = 1e4
 RAISES, RAISED_BY, NEAR = 8, 30.0, 1.5
 COLOURS_PER_OCTAVE = 3
+KAISER = 14.0  # of the mean of what rings yet: little of a tone that decays is left in it
 AT_FIRST = 8  # samples in which noise has driven commands and the loop has not grown yet
 
 
@@ -154,7 +155,9 @@ def kicked(bench: Bench, law: StateSpace | Controller, burst: Burst) -> FreeResp
     plus, minus = (disturb(bench, sign * d, law) for sign in (1.0, -1.0))
     a, b = (_after(run, burst.length) for run in (plus, minus))
     both = _after(disturb(bench, 0.0 * d, law), burst.length) if burst.hums_hz else (a + b) / 2
-    rest = both[:, both.shape[1] // 2 :].mean(axis=1, keepdims=True)
+    later = both[:, both.shape[1] // 2 :]
+    weights = np.ones(later.shape[1]) if burst.hums_hz else np.kaiser(later.shape[1], KAISER)
+    rest = (later @ weights / weights.sum())[:, None]
     return FreeResponse((a - b) / 2, both - rest, (plus, minus), burst.hums_hz, burst.outside_hz)
 
 

@@ -8,7 +8,7 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
-from ultraquiet.simulate.growth.outside import hums_of
+from ultraquiet.simulate.growth.outside import hums_at_rest, hums_of
 from ultraquiet.simulate.growth.repeated import repeated
 from ultraquiet.simulate.growth.verdict import (
     CLIPPED_SHARE,
@@ -17,6 +17,7 @@ from ultraquiet.simulate.growth.verdict import (
     SHORTEST_SAMPLES,
     Seen,
     apart,
+    grows,
     judged,
     told,
 )
@@ -208,10 +209,11 @@ def _at_limits(
     It is unstable where it was seen to grow before it first touched its limits, where noise grew to them faster than
     what a stable loop heaps up, and where noise alone does not drive it there but a burst that is heard above it.
     """
-    free = found.until(found.before_limits)
+    hums = hums_at_rest(bench, found.response.shape[1])
+    free = replace(found.until(found.before_limits), hums_hz=(*found.hums_hz, *hums))
     samples = free.response.shape[1]
     heard = ringing(free.response, free.noise, bench.rate_hz).modes if samples >= SHORTEST_SAMPLES else ()
-    growing = next((mode for mode in heard if mode.grows), None)
+    growing = next((mode for mode in heard if grows(mode, free)), None)
     seen = judged(bench, found)
     if growing is not None:
         return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing))
@@ -219,11 +221,13 @@ def _at_limits(
     share = (
         np.sqrt(np.mean(free.response**2) / max(np.mean(free.noise**2), np.finfo(float).tiny)) if samples else np.inf
     )
-    by_itself = alone.rise > HEAPED or (alone.limited <= CLIPPED_SHARE and share > VISIBLE)
+    # a hum heaps up in proportion to time, so that its rise says nothing of the loop
+    grown = alone.rise > HEAPED and not hums
+    by_itself = grown or (alone.limited <= CLIPPED_SHARE and share > VISIBLE)
     mode = seen.mode if before is None else before.mode
     if by_itself:
         return replace(seen, mode=mode)
-    alone_says = f"{_what_drives(bench)} alone drives a command to its limit"
+    alone_says = f"{f'A hum at {hums[0]:.4g} Hz' if hums else _what_drives(bench)} alone drives a command to its limit"
     sentence = f"{alone_says}, where it stays for {found.limited:.0%} of the last quarter."
     return replace(seen, word=None, mode=mode, sentence=sentence)
 

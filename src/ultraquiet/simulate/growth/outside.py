@@ -1,6 +1,7 @@
 """Tones that a loop holds because something outside it hums or drifts, and not because a mode of it rings."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,31 +39,49 @@ def hums_of(
         Both in Hz, the second among the first.
     """
     f_hz, samples, rate = tuple(f_hz), found.response.shape[1], bench.rate_hz
-    silence = np.zeros((len(bench.actuators), samples))
-    opened = _swing(disturb(bench, silence).outputs) if f_hz else np.full((1, 1), np.nan)
-    if not np.isfinite(opened).all():
+    if not f_hz:
         return (), ()
-    held = tones_hz(opened, rate)
-    hums = tuple(f for f in f_hz if near(f, held, samples, rate))
-    if not hums:
+    opened = _at_rest(bench, samples)
+    held = _held_hz(opened, rate)
+    doubted = tuple(f for f in f_hz if near(f, held, samples, rate))
+    if not doubted:
         return (), ()
-    closed = _swing(disturb(bench, silence, law).outputs)
+    closed = _at_rest(bench, samples, law)
     unit = np.sqrt(np.mean(closed**2, axis=1, keepdims=True)) + np.finfo(float).tiny
-    return hums, tuple(
+    return doubted, tuple(
         f
-        for f in hums
+        for f in doubted
         if _size(closed / unit, f, rate) <= AMPLIFIED * _size(opened / unit, f, rate)
-        and _heard(bench, law, burst, f, unit) >= HEARD * _loudest(closed / unit, f, rate, burst.length)
+        and _dies(bench, law, replace(burst, length=min(burst.length, samples // 2)), f, unit, closed)
     )
 
 
-def _heard(bench: Bench, law: StateSpace | Controller, burst: Burst, f_hz: float, unit: FloatArray) -> float:
-    """Return how much of a tone there is in what the loudest burst at its frequency makes."""
-    runs = kicked(bench, law, tones_alone(bench, law, burst, (f_hz,))).runs
-    return _size(np.subtract(*(run.outputs[:, : burst.length] for run in runs)) / 2 / unit, f_hz, bench.rate_hz)
+def _dies(
+    bench: Bench, law: StateSpace | Controller, burst: Burst, f_hz: float, unit: FloatArray, closed: FloatArray
+) -> bool:
+    """Return whether the loudest burst at a tone's frequency makes much more of it, and nothing of that stays.
+
+    A slow mode of the loop at the very frequency goes on ringing: whether it grows, nobody may leave out.
+    """
+    tones = replace(tones_alone(bench, law, burst, (f_hz,)), samples=closed.shape[1] - burst.length)
+    after = np.subtract(*(run.outputs for run in kicked(bench, law, tones).runs)) / 2 / unit
+    made, left = (_size(part, f_hz, bench.rate_hz) for part in (after[:, : burst.length], after[:, -burst.length :]))
+    return made >= HEARD * max(_loudest(closed / unit, f_hz, bench.rate_hz, burst.length), left)
 
 
-def _swing(readings: FloatArray) -> FloatArray:
+def hums_at_rest(bench: Bench, samples: int) -> tuple[float, ...]:
+    """Return the tones that a bench holds in so many samples without a law, Hz, clearest first."""
+    return _held_hz(_at_rest(bench, samples), bench.rate_hz)
+
+
+def _held_hz(readings: FloatArray, rate_hz: float) -> tuple[float, ...]:
+    """Return the tones that readings hold; none where they are no numbers."""
+    return tones_hz(readings, rate_hz) if np.isfinite(readings).all() else ()
+
+
+def _at_rest(bench: Bench, samples: int, law: StateSpace | Controller | None = None) -> FloatArray:
+    """Return what nobody drives, about its mean."""
+    readings = disturb(bench, np.zeros((len(bench.actuators), samples)), law).outputs
     return readings - readings.mean(axis=1, keepdims=True)
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.simulate.frames import OVERLAP, Frames
-from ultraquiet.simulate.free_response import CERTAIN, RESOLUTION, ROUNDING, WIDE, Mode, hz_of, turned
+from ultraquiet.simulate.free_response import CERTAIN, LEAKED, RESOLUTION, ROUNDING, WIDE, Mode, hz_of, turned
 from ultraquiet.simulate.kick import FreeResponse
 
 # Frames so many steps apart share next to nothing of a window this steep.
@@ -37,6 +37,7 @@ class Together:
         used: of every record, how many frames count, `(records,)`.
         touched: in how many records a command touched its limit within them, or would have.
         powers: of early and late noise, `(2, channels)`, summed over the records.
+        loudest: largest amplitude of the responses in any band.
     """
 
     frames: Frames
@@ -47,6 +48,7 @@ class Together:
     used: tuple[int, ...] = ()
     touched: int = 0
     powers: FloatArray | None = None
+    loudest: float = 0.0
 
     @property
     def lines(self) -> tuple[int, ...]:
@@ -78,6 +80,7 @@ class Together:
             used=(*self.used, used),
             touched=self.touched + touched,
             powers=grown + (0.0 if self.powers is None else self.powers),
+            loudest=max(self.loudest, float(np.sqrt(self.frames.power(scaled[0], 0).max()))),
         )
 
     @property
@@ -88,7 +91,7 @@ class Together:
     def modes(self) -> tuple[tuple[Mode, ...] | None, ...]:
         """Return the modes of every band, as `growths`."""
         return tuple(
-            growths(self.frames, line, b, e, self.used)
+            growths(self.frames, line, b, e, self.used, np.sqrt(LEAKED) * self.loudest)
             for line, b, e in zip(self.lines, self.response, self.noise, strict=True)
         )
 
@@ -127,7 +130,12 @@ def rise(powers: FloatArray) -> float:
 
 
 def growths(
-    frames: Frames, line: int, response: ComplexArray, noise: ComplexArray, lengths: Sequence[int]
+    frames: Frames,
+    line: int,
+    response: ComplexArray,
+    noise: ComplexArray,
+    lengths: Sequence[int],
+    leaked: float = 0.0,
 ) -> tuple[Mode, ...] | None:
     """Return the modes of one band of several records, each with its growth and how well it is known.
 
@@ -148,15 +156,20 @@ def growths(
         response: `(records, channels, frames)`.
         noise: likewise, what the same loops did without a burst.
         lengths: how many frames of each record count, `(records,)`.
+        leaked: largest amplitude that may have come from other bands.
 
     Returns:
         Modes near the middle of the band; empty where nothing lasts, None where no frame counts.
     """
     skipped = frames.count // 8
     used = np.arange(frames.count) < np.asarray(lengths)[:, None]
+    if line == 0:
+        noise = _without_rest(noise, used)
     b, e = (np.concatenate((x * used[:, None])[..., skipped:], axis=-1) for x in (response, noise))
     if not np.abs(b).max() > 0:
         return None
+    if not np.abs(b).max() > leaked:
+        return ()
     left, sizes, _ = np.linalg.svd(b, full_matrices=False)
     order = int(np.clip(np.count_nonzero(sizes > ABOVE * np.linalg.norm(e, 2)), 1, MOST_TOGETHER))
     floor = RESOLUTION * float(max(np.abs(b).max(), np.abs(e).max()))
@@ -164,11 +177,17 @@ def growths(
         along = left[:, :order].conj().T
         power, hum = (float(np.sum(np.abs(along @ part) ** 2)) for part in (b, e))
         x, w = (along @ part[..., skipped - APART :] for part in (response, noise))
-        steps = _Steps(x, w, used[:, None, skipped - APART :], power > HEARD * hum)
+        steps = _Steps(x, w, used[:, None, skipped - APART :], line == 0 or power > HEARD * hum)
         if steps.lasting:
             return _modes(frames, line, steps, floor)
         order -= 1
     return ()
+
+
+def _without_rest(noise: ComplexArray, used: NDArray[np.bool_]) -> ComplexArray:
+    """Return the noise at 0 Hz without where each record comes to rest, which is known better here than before."""
+    counted = used[:, None]
+    return noise - np.sum(noise * counted, axis=-1, keepdims=True) / np.maximum(counted.sum(axis=-1, keepdims=True), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +195,7 @@ class _Steps:
     """Steps of x, the response, and w, the noise, `(records, directions, frames)`; `used`, those that count.
 
     What noise rang tells as much where it is as loud; a hum or an offset in it would hide the decay of anything, so
-    that what is heard well above it is judged `alone`.
+    that what is heard well above it, or at 0 Hz, is judged `alone`.
     """
 
     x: ComplexArray
