@@ -85,3 +85,23 @@ def test_a_limit_too_small_for_the_tone_is_said_and_kept(method, ground, seed, r
     assert np.abs(closed.inputs).max() <= 0.2 + 1e-12
     assert law.status.word in ("limited", "ok")
     assert got > -1
+
+
+@pytest.mark.parametrize(("y_unit", "u_unit"), [(1e9, 1.0), (1e-9, 1e6), (1.0, 1e-9)])
+@pytest.mark.parametrize("method", METHODS, ids=named)
+def test_a_law_learns_the_same_in_any_units(method, seed, y_unit, u_unit):
+    """What is too faint to learn from follows from the plant and the actuators' limits, not from volts."""
+    plant = damped_plant(seed)
+    other = StateSpace(plant.A, plant.B / u_unit, y_unit * plant.C, plant.D * (y_unit / u_unit), plant.rate_hz)
+    given = {f.name: getattr(method, f.name) for f in fields(method)}
+    given |= {"reference": (1,)} if isinstance(method, FilteredXLms) else {}
+    laws = [
+        type(method)(**given | {"limit": limit}).design(model).law
+        for model, limit in ((plant, 10.0), (other, 10.0 * u_unit))
+    ]
+    y = 1e-3 * np.sin(2 * np.pi * 25 * np.arange(1400) / 1000) * np.array([[1.0], [0.7]])
+    first, second = (
+        np.array([law.step(unit * row) for row in y.T]) for law, unit in zip(laws, (1.0, y_unit), strict=True)
+    )
+    assert np.abs(first).max() > 0
+    assert np.abs(second / u_unit - first).max() < 1e-6 * np.abs(first).max()

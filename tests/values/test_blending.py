@@ -187,7 +187,9 @@ BAD = [
     (lambda: Blending(np.eye(2), [[1.0]], ["a", "b"], ["u"], ["x", "x"]), "two sensor modes are called 'x'"),
     (lambda: Blending([[np.nan]], [[1.0]], ["a"], ["u"]), "NaN"),
     (
-        lambda: Blending([[1.0]], np.array([[1.0, 1.0], [1.0, -1.0]]), ["a"], [Channel("p", "V", 0, 150), "q"]),
+        lambda: Blending(
+            [[1.0]], np.array([[1.0, 1.0], [1.0, -1.0]]), ["a"], [Channel("p", "V", 0, 150), Channel("q", "V")]
+        ),
         "actuator 'p', whose limits 0 to 150 V do not hold zero",
     ),
     (lambda: sensor_matrix(np.ones((3, 2))), "3 sensors tell 1 of 2 modes apart"),

@@ -256,7 +256,7 @@ def _with_open_ends(status: Status, controller: StateSpace, law: Law) -> Status:
 def _wires(controller: StateSpace, law: Law) -> dict[str, list[str]]:
     """Return what each measurement and command is, in the code's order, with the limits that the code keeps."""
     return {
-        "measurements": [f"{wire.name} ({wire.unit})" for wire in controller.actuators],
+        "measurements": [wire.label for wire in controller.actuators],
         "commands": [
             _within(wire, low, high)
             for wire, (low, high) in zip(controller.sensors, law.known_limits.tolist(), strict=True)
@@ -269,7 +269,7 @@ def _within(wire: Channel, low: float, high: float) -> str:
     if np.isfinite([low, high]).all():
         return f"{wire.name} {low:g} to {high:g} {wire.unit}".rstrip()
     ends = [f"{word} {end:g} only" for word, end in (("below at", low), ("above at", high)) if np.isfinite(end)]
-    return f"{wire.name} ({wire.unit}), {'not limited' if not ends else f'limited {ends[0]}'}"
+    return f"{wire.label}, {'not limited' if not ends else f'limited {ends[0]}'}"
 
 
 def _finite(value: float) -> float | None:

@@ -125,5 +125,5 @@ def _beyond(u: FloatArray, channel: Channel, limit: float) -> str:
     if low <= u.min() and u.max() <= high:
         return ""
     whose = "the list's own limit" if limit < min(-channel.low, channel.high) else f"the limits of '{channel.name}'"
-    spans = f"the signal spans {u.min():g} to {u.max():g} {channel.unit}"
+    spans = f"the signal spans {u.min():g} to {channel.in_unit(u.max())}"
     return f"{spans}, beyond {whose}, {low:g} to {high:g}; lower it."

@@ -267,7 +267,7 @@ class Compiler:
         within = replace(channel, low=max(channel.low, -self._limit), high=min(channel.high, self._limit))
         level = usual_level([within])
         why = "without limits" if within.high == -within.low == float("inf") else "a tenth of the swing"
-        names = self._levels.setdefault(who, {}).setdefault(f"{level:g} {channel.unit} ({why})", [])
+        names = self._levels.setdefault(who, {}).setdefault(f"{channel.in_unit(level)} ({why})", [])
         if channel.name not in names:
             names.append(channel.name)
         return signal.at(level)

@@ -79,7 +79,7 @@ def survey(record: LongRecord) -> LongRecordStatistics:
     for value, at, wire in zip(size, origin[:, 0], (*record.actuators, *record.sensors), strict=True):
         if value == 0.0:
             raise InputError(
-                f"identify: channel '{wire.name}' of '{record.path}' is constant at {at:g} {wire.unit}, which no model "
+                f"identify: channel '{wire.name}' of '{record.path}' is constant at {wire.in_unit(at)}, which no model "
                 f"can be drawn from; leave it out with record.pick."
             )
     mean = mean + origin[:, 0]

@@ -50,7 +50,7 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
         for signal, wire in zip(signals, wires, strict=True):
             if np.ptp(signal) == 0.0:
                 raise InputError(
-                    f"{who}: {kind} '{wire.name}' is constant at {signal[0]:g} {wire.unit}, which no model can be "
+                    f"{who}: {kind} '{wire.name}' is constant at {wire.in_unit(signal[0])}, which no model can be "
                     f"drawn from; excite it, or leave the channel out with record.pick (--inputs, --outputs)."
                 )
     _refuse_copies(who, record)
@@ -79,7 +79,7 @@ def _refuse_broken_sensors(who: str, record: Record) -> None:
         if at_limits > AT_EXTREMES and not np.any((y <= wire.low) | (y >= wire.high)):
             raise InputError(
                 f"{who}: {at_limits:.0%} of the readings of output '{wire.name}' stand at its largest or least value, "
-                f"{y.max():g} or {y.min():g} {wire.unit}; lower the excitation, or declare the sensor's limits."
+                f"{y.max():g} or {wire.in_unit(y.min())}; lower the excitation, or declare the sensor's limits."
             )
         power = (y - np.median(y)) ** 2
         if power.max() > ONE_READING * power.sum():

@@ -162,7 +162,7 @@ def _levels(asked: ClosedLoop, bench: Any, mistakes: Mistakes) -> None:
         most = min(c.high, -c.low)
         if asked.amplitude is not None and asked.amplitude > most:
             fault = (
-                f"{asked.amplitude:g} is beyond the range of '{c.name}', {c.low:g} to {c.high:g} {c.unit}; ask less."
+                f"{asked.amplitude:g} is beyond the range of '{c.name}', {c.low:g} to {c.in_unit(c.high)}; ask less."
             )
             mistakes.add(("closed_loop", "amplitude"), f"closed_loop.amplitude: {fault}")
             break
@@ -254,7 +254,7 @@ def _payload(study: Study, bench: Any, mistakes: Mistakes) -> None:
     level = study.payload.level
     for c in (heard.actuators[k] for k in sources):
         if level is not None and level > min(c.high, -c.low):
-            fault = f"{level:g} is beyond the range of '{c.name}', {c.low:g} to {c.high:g} {c.unit}; ask less."
+            fault = f"{level:g} is beyond the range of '{c.name}', {c.low:g} to {c.in_unit(c.high)}; ask less."
             mistakes.add(("payload", "level"), f"payload.level: {fault}")
             return
 

@@ -83,7 +83,7 @@ def simulation(
     ]
     clipped = record.clipped()[sensor]
     limits = (
-        f" The bench clips at {reading.low:g} and {reading.high:g} {reading.unit}, models do not." if clipped else ""
+        f" The bench clips at {reading.low:g} and {reading.in_unit(reading.high)}, models do not." if clipped else ""
     )
     driven, _ = _driven(record, actuator)
     shown = "" if driven == command.name else f", {command.name} shown"

@@ -14,18 +14,42 @@ from ultraquiet._base.errors import InputError
 class Channel:
     """One input or output. `low` and `high` are the limits, in `unit`, beyond which the signal saturates.
 
+    A unit that nobody stated is `""`, as that of a plain number is.
+
     >>> Channel("strut 1", "V", -25.0, 25.0).high
     25.0
     """
 
     name: str
-    unit: str = "V"
+    unit: str = ""
     low: float = -float("inf")
     high: float = float("inf")
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.high:g} {self.unit}.")
+            raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.in_unit(self.high)}.")
+
+    @property
+    def label(self) -> str:
+        """The name, with the unit where one was stated.
+
+        >>> Channel("push", "N").label, Channel("input 1").label
+        ('push (N)', 'input 1')
+        """
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    def in_unit(self, value: float, digits: int = 6) -> str:
+        """Return a value as a text, with the unit where one was stated.
+
+        >>> Channel("push", "N").in_unit(2.5), Channel("input 1").in_unit(2.5)
+        ('2.5 N', '2.5')
+        """
+        return in_unit(value, self.unit, digits)
+
+
+def in_unit(value: float, unit: str, digits: int = 6) -> str:
+    """Return a value as a text, with its unit where one was stated."""
+    return f"{value:.{digits}g} {unit}".rstrip()
 
 
 LEVEL_SHARE = 0.1  # of what an actuator may swing: loud enough for most, far from its limits
@@ -66,9 +90,11 @@ def per_root_hz(unit: str) -> str:
 def ratio(unit: str, per: str) -> str:
     """Return the unit of a gain.
 
-    >>> ratio("V", "N"), ratio("N", "m/s"), ratio("m/s", "")
-    ('V/N', 'N/(m/s)', '(m/s)/1')
+    >>> ratio("V", "N"), ratio("N", "m/s"), ratio("m/s", ""), ratio("", "")
+    ('V/N', 'N/(m/s)', '(m/s)/1', '1')
     """
+    if not unit and not per:
+        return "1"
     return "/".join(each if each.isalpha() else f"({each})" if each else "1" for each in (unit, per))
 
 

@@ -85,13 +85,13 @@ class Record(Shown, RecordNeighbours):
         return content_hash(self.inputs, self.outputs, self.rate_hz)
 
     def _in_a_line(self) -> str:
-        named = ", ".join(f"{c.name} ({c.unit})" for c in (*self.actuators[:1], *self.sensors[:1]))
+        named = ", ".join(c.label for c in (*self.actuators[:1], *self.sensors[:1]))
         wires = f"{counted(len(self.actuators), 'input')}, {counted(len(self.sensors), 'output')}"
         size = f"{counted(self.samples, 'sample')} at {self.rate_hz:g} Hz ({self.duration_s:.4g} s)"
         return f"{wires}, {size}, {named}"
 
     def _as_curve(self) -> tuple[str, FloatArray]:
-        return f"{self.sensors[0].name} ({self.sensors[0].unit}) over {self.duration_s:.4g} s", self.outputs[0]
+        return f"{self.sensors[0].label} over {self.duration_s:.4g} s", self.outputs[0]
 
     def part(self, start: int = 0, stop: int | None = None) -> "Record":
         """Return samples `start` to `stop` (excluded) as a record."""

@@ -83,7 +83,7 @@ class Guard:
         for c, least, most in zip(actuators, self.low, self.high, strict=True):
             if not (np.isfinite(least) and np.isfinite(most) and least <= 0.0 <= most):
                 raise InputError(
-                    f"Hardware: '{c.name}' may be sent {least:g} to {most:g} {c.unit}; it needs finite limits about "
+                    f"Hardware: '{c.name}' may be sent {least:g} to {c.in_unit(most)}; it needs finite limits about "
                     "zero, its own or the interlock 'amplitude'."
                 )
 
@@ -132,7 +132,7 @@ class Guard:
         for name, values, most in (("reading", np.abs(y), self._reading), ("rms", rms, self._rms)):
             for c, value, limit in zip(self.sensors, values, most, strict=True):
                 if not value <= limit:
-                    raise self._tripped(name, k, value, f"'{c.name}' has {value:g} {c.unit}, {limit:g} are allowed")
+                    raise self._tripped(name, k, value, f"'{c.name}' has {c.in_unit(value)}, {limit:g} are allowed")
 
     def frame(self, late: int, elapsed_s: float, since_s: float, k: int) -> None:
         """Check the time: frames missed now, seconds since the frame before and since the start of the run."""
@@ -152,8 +152,8 @@ class Guard:
         for i, c in enumerate(self.actuators):
             v, jump = float(value[i]), float(abs(value[i] - before[i]) * self.rate_hz)
             if not self.low[i] <= v <= self.high[i]:
-                allowed = f"{self.low[i]:g} to {self.high[i]:g} {c.unit} are allowed"
-                return "amplitude", f"'{c.name}' was to be sent {v:g} {c.unit}, {allowed}", v
+                allowed = f"{self.low[i]:g} to {c.in_unit(self.high[i])} are allowed"
+                return "amplitude", f"'{c.name}' was to be sent {c.in_unit(v)}, {allowed}", v
             if not jump <= self.step[i] * self.rate_hz * (1 + ROUNDING):
                 allowed = f"{self.step[i] * self.rate_hz:g} {c.unit}/s are allowed"
                 return "slew", f"'{c.name}' was to change by {jump:g} {c.unit}/s, {allowed}", jump

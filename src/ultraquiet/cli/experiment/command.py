@@ -113,9 +113,12 @@ def _controller(step: "DryStep") -> str:
 
 def _sent(signals: Sequence["Sent"]) -> str:
     """Return one line a signal; signals alike but for their channel share it."""
+    from ultraquiet.values.channel import in_unit
+
     lines: dict[str, list[str]] = {}
     for s in signals:
         low, high = s.band_hz
-        description = f"{s.what}, peak {s.peak:.3g} {s.unit}, RMS {s.rms:.2g} {s.unit}, {low:.4g}-{high:.4g} Hz"
+        sizes = f"peak {in_unit(s.peak, s.unit, 3)}, RMS {in_unit(s.rms, s.unit, 2)}"
+        description = f"{s.what}, {sizes}, {low:.4g}-{high:.4g} Hz"
         lines.setdefault(description, []).append(s.actuator)
     return "\n".join(f"{', '.join(channels)}: {description}" for description, channels in lines.items())

@@ -141,7 +141,7 @@ def board(levels: Levels) -> Table:
         colour = "red" if levels.clipped[k] else "yellow" if share > LOUD else "green"
         bar = Text("#" * round(BAR_CELLS * min(share, 1.0)), colour)
         numbers = (levels.last_rms[k], levels.rms[k], levels.peak[k])
-        volts = (Text(f"{value:.3g} {sensor.unit}") for value in numbers)
+        volts = (Text(sensor.in_unit(value, 3)) for value in numbers)
         table.add_row(
             Text(sensor.name), *volts, f"{100 * share:.0f} %" if bounded else "-", bar, str(levels.clipped[k])
         )
@@ -153,7 +153,7 @@ def loudness(levels: Levels) -> str:
     loudest = int(levels.peak.argmax())
     sensor, share = levels.sensors[loudest], levels.share[loudest]
     of_range = f" ({100 * share:.3g} % of range)" if share else ""
-    level = f"{sensor.name}: RMS {levels.rms[loudest]:.3g} {sensor.unit}, peak {levels.peak[loudest]:.3g}{of_range}"
+    level = f"{sensor.name}: RMS {sensor.in_unit(levels.rms[loudest], 3)}, peak {levels.peak[loudest]:.3g}{of_range}"
     return f"{counted(levels.samples, 'sample')}, {level}, clipped {levels.clipped.sum()}, late {levels.overruns}"
 
 

@@ -121,7 +121,7 @@ def _density(data: "Record", request: _Request) -> "_Display":
         peak = int(np.argmax(spectrum.values[k]))
         span = f"{low[k, peak]:.3g} to {high[k, peak]:.3g}"
         density = f"{spectrum.values[k, peak]:.4g} {squared(channel.unit) or 1}/Hz"
-        table.add(channel.name, f"{total[k]:.4g} {channel.unit}", f"{spectrum.f_hz[peak]:.4g} Hz", density, span)
+        table.add(channel.name, channel.in_unit(total[k], 4), f"{spectrum.f_hz[peak]:.4g} Hz", density, span)
     return [table], density_figure(spectrum), [spectrum.estimator]
 
 
@@ -212,7 +212,7 @@ def _octaves(data: "Record", request: _Request) -> "_Display":
     tables: list[TextTable] = []
     for first in range(0, len(levels.channels), ABREAST):
         part = slice(first, first + ABREAST)
-        heads = (f"{c.name} ({c.unit})" if c.unit else c.name for c in levels.channels[part])
+        heads = (c.label for c in levels.channels[part])
         tables.append(TextTable(("band", *heads), f"1/{levels.bands.fraction} octaves, rms"))
         for k, name in enumerate(levels.bands.nominal_hz):
             tables[-1].add(f"{name:g} Hz", *(f"{value:.4g}" for value in levels.rms[part, k]))

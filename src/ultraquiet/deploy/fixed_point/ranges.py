@@ -34,7 +34,7 @@ def full_ranges(
             wire = wires[int(np.argmin(sizes))]
             raise InputError(
                 f"{who}: whole numbers hold a command to one size on both sides of zero, and '{wire.name}' goes from"
-                f" {wire.low:g} to {wire.high:g} {wire.unit}; take precision='float32'."
+                f" {wire.low:g} to {wire.in_unit(wire.high)}; take precision='float32'."
             )
     return positive(who, "input_v", input_v), positive(who, "output_v", output_v)
 

@@ -11,6 +11,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.tones.inner_loop import Inner
 from ultraquiet.linalg import balance
+from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -18,6 +19,7 @@ from ultraquiet.values.status import Status, StatusWord
 BELIEVED = 2.0**500  # no reading is larger, in whatever unit; the squares of smaller ones have a sum
 RAMP_S = 0.1  # from the last good command to zero
 PATIENCE_S = 1.0  # at a limit, before the law is doubted
+GRID = 512  # frequencies at which gains are told
 PROBE_S = 1.0  # at rest, to hear whether that is quieter
 MEAN_S = 0.25  # of the running power of the readings
 NEGLIGIBLE = 1e-3  # Hankel values below this share of the largest leave the models that make regressors
@@ -196,6 +198,18 @@ def limits_of(who: str, limit: float | tuple[float, ...] | None, actuators: Sequ
 
 def _nearer_end(wire: Channel) -> float:
     return min(abs(wire.low), abs(wire.high))
+
+
+def largest_regressor(system: StateSpace, limit: FloatArray) -> float:
+    """Return max |G| max |G diag(limit)| over frequency: readings that commands at their limits make, filtered by G.
+
+    Such readings are what an adaptive law learns from, in whatever units the channels count; one where G is zero.
+    """
+    assert system.rate_hz is not None
+    f_hz = np.linspace(0, system.rate_hz / 2, GRID + 2)[1:-1]
+    G = system.frequency_response(f_hz)
+    largest = principal_gains(G).max() * principal_gains(G * limit[:, None]).max()
+    return float(largest) if largest > 0 else 1.0
 
 
 def without_faint_states(system: StateSpace) -> StateSpace:

@@ -11,7 +11,15 @@ from ultraquiet._base.registry import formerly, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_of, without_faint_states
+from ultraquiet.design.tones.adaptive_law import (
+    GRID,
+    AdaptiveLaw,
+    adapting,
+    contiguous,
+    largest_regressor,
+    limits_of,
+    without_faint_states,
+)
 from ultraquiet.design.tones.inner_loop import Around, Inner, inner_loop
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.response import principal_gains
@@ -19,9 +27,8 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
-QUIETEST_V = 1e-3  # filtered references below this carry nothing to learn from
+QUIETEST = 1e-5  # filtered references below this share of the largest carry nothing to learn from
 FAINTEST = 1e-16  # of the largest gain: what rounding leaves of a direction that is not there
-GRID = 512  # frequencies at which the spread of the loop's gains is told
 
 
 @register("design", "filtered-x")
@@ -153,7 +160,9 @@ class FilteredXLaw(AdaptiveLaw):
         self._channels = np.array(errors, dtype=np.int64), np.array(references, dtype=np.int64)
         self._drives = np.array(drives, dtype=np.int64)
         lead = int(np.any(model.D))
-        tuning = np.array([settings.step, settings.leak / rate, QUIETEST_V**2])
+        tuning = np.array(
+            [settings.step, settings.leak / rate, (QUIETEST * largest_regressor(model, limit[drives])) ** 2]
+        )
         self._design = np.ascontiguousarray(limit[drives]), tuning, lead
         super().__init__("FilteredXLms", inner, law, limit)
 

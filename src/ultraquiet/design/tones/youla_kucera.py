@@ -11,7 +11,14 @@ from ultraquiet._base.registry import formerly, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_of, without_faint_states
+from ultraquiet.design.tones.adaptive_law import (
+    AdaptiveLaw,
+    adapting,
+    contiguous,
+    largest_regressor,
+    limits_of,
+    without_faint_states,
+)
 from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
@@ -19,7 +26,7 @@ from ultraquiet.values.door import takes_systems
 from ultraquiet.values.interconnect import gain
 from ultraquiet.values.state_space import StateSpace
 
-QUIETEST_V = 1e-2  # readings below this carry nothing to learn from
+QUIETEST = 1e-4  # regressors below this share of the largest carry nothing to learn from
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +234,8 @@ class YoulaLaw(AdaptiveLaw):
         self._seen, self._regress = contiguous(inner.seen), contiguous(regressors)
         self._gains = np.array(central.F, order="C"), np.array(central.L, order="C")
         forget = 1.0 - settings.update_every / (settings.memory_s * rate)
-        self._settings = np.array([settings.update_every, forget, settings.leak, QUIETEST_V**2])
+        floor = (QUIETEST * largest_regressor(inner.seen, limit)) ** 2
+        self._settings = np.array([settings.update_every, forget, settings.leak, floor])
         if forget <= 0:
             raise InputError("YoulaKucera: 'memory_s' must be longer than the samples between two updates.")
         super().__init__("YoulaKucera", inner, law, limit)

@@ -97,7 +97,7 @@ def stuck(record: Record) -> Status | None:
         if found is not None:
             part = (found.stop - found.start) / y.size
             return _dead(
-                f"Sensor '{wire.name}' is dead in part: it stands still at {found.value:g} {wire.unit} from sample "
+                f"Sensor '{wire.name}' is dead in part: it stands still at {wire.in_unit(found.value)} from sample "
                 f"{found.start} to {found.stop} ({part:.0%} of the record) while the actuators move; check its cable "
                 f"and supply, use the rest (record.part), or leave it out."
             )
@@ -109,7 +109,7 @@ def _sensor(records: Sequence[Record], i: int, p: float, told: bool) -> Status:
     name = f"Sensor '{wire.name}'"
     if all(np.ptp(r.outputs[i]) == 0 for r in records):
         return _dead(
-            f"{name} is dead: it stands at {records[0].outputs[i, 0]:g} {wire.unit} in every record; check its cable "
+            f"{name} is dead: it stands at {wire.in_unit(records[0].outputs[i, 0])} in every record; check its cable "
             f"and supply, or leave it out."
         )
     still = [status for r in records if (status := stuck(r.pick(outputs=[i]))) is not None]
@@ -118,7 +118,7 @@ def _sensor(records: Sequence[Record], i: int, p: float, told: bool) -> Status:
     if told and p >= SIGNIFICANCE:
         rms = max(float(np.std(r.outputs[i])) for r in records)
         return _dead(
-            f"{name} is dead: nothing of its {rms:.3g} {wire.unit} RMS has to do with any actuator (p = {p:.2g}); "
+            f"{name} is dead: nothing of its {wire.in_unit(rms, 3)} RMS has to do with any actuator (p = {p:.2g}); "
             f"check its cable and supply, excite more strongly, or leave it out."
         )
     return _piled([r.outputs[i] for r in records], wire, name, "lower the excitation or widen its range", True)
@@ -144,7 +144,7 @@ def _piled(signals: Sequence[FloatArray], wire: Channel, name: str, mend: str, b
     share = count / sum(x.size for x in signals)
     return Status(
         StatusWord.SATURATED,
-        f"{name} is saturated: {share:.2%} of its samples or more stand at {end:g} {wire.unit}; {mend}.",
+        f"{name} is saturated: {share:.2%} of its samples or more stand at {wire.in_unit(end)}; {mend}.",
     )
 
 

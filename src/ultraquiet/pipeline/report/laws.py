@@ -91,7 +91,7 @@ def shaped_charts(result: StudyResult, shown: Sequence[str] = ("S", "T", "KS"), 
         values = {"S": S, "T": S - eye, "KS": K @ S}
         for member in shown:
             members[member][name] = np.linalg.svd(values[member], compute_uv=False)[:, 0].astype(np.float64)
-    chart = shaped_loops(stem, f, members, colours(result), {"KS": _unit_of_control(result)}, asked(result))
+    chart = shaped_loops(stem, f, members, colours(result), {"KS": unit_of_control(result)}, asked(result))
     return [replace(chart, caption=f"{chart.caption} {TALL}")] if is_tall(result) else [chart]
 
 
@@ -100,9 +100,10 @@ def is_tall(result: StudyResult) -> bool:
     return len(result.design_plant.sensors) > len(result.design_plant.actuators)
 
 
-def _unit_of_control(result: StudyResult) -> str:
+def unit_of_control(result: StudyResult) -> str:
+    """Return the unit of |K S|; none where channels have different ones or none was stated."""
     over, under = ({c.unit for c in wires} for wires in (result.design_plant.actuators, result.design_plant.sensors))
-    if len(over) > 1 or len(under) > 1:
+    if len(over) > 1 or len(under) > 1 or not any((*over, *under)):
         return ""
     return ratio(next(iter(over), ""), next(iter(under), ""))
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from ultraquiet._base.shown.line import rounded
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
+from ultraquiet.pipeline.report.laws import unit_of_control
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.report import Section, Table
-from ultraquiet.values.channel import ratio
 
 # A difference between two bands that is worth a sentence.
 MARKED_DB = 3.0
@@ -27,7 +27,8 @@ def limits(result: StudyResult) -> Section:
     """What no linear controller can reach on the identified plant, and what each design leaves of it."""
     facts = result.limits.facts
     rows = [(name, *_figures(limit)) for name, limit in facts.designs.items()]
-    unit = _unit_of_control(result)
+    of_control = unit_of_control(result)
+    unit = f" {of_control}" if of_control else ""
     text = [
         "On the identified plant, along the direction that it moves least: what cannot be reached there cannot be "
         "reached in the worst direction. A bound holds for every linear controller at that peak and that gain, of any "
@@ -40,15 +41,6 @@ def limits(result: StudyResult) -> Section:
     return Section(
         "Limits", text, [Table(f"Each design beside its own limit over {low:.4g}-{high:.4g} Hz", heads, rows)]
     )
-
-
-def _unit_of_control(result: StudyResult) -> str:
-    """Return the unit of |K S|; none where channels have different ones."""
-    plant = result.design_plant
-    over, under = ({c.unit for c in wires} for wires in (plant.actuators, plant.sensors))
-    if len(over) > 1 or len(under) > 1:
-        return ""
-    return f" {ratio(next(iter(over), ''), next(iter(under), ''))}"
 
 
 def _figures(limit: DesignLimit | NoDistance) -> list[str]:

@@ -17,6 +17,7 @@ from ultraquiet.plot.pages import campaign as pages
 from ultraquiet.plot.pages.payload import Before, payload_chart
 from ultraquiet.report import Section, Table
 from ultraquiet.simulate.payload.wires import instrumented
+from ultraquiet.values.channel import in_unit
 
 
 def payload(result: StudyResult) -> Section:
@@ -76,7 +77,7 @@ def _shaken(result: StudyResult, one: PayloadLoop, loops: Mapping[str, PayloadLo
     level = f"{one.level:.3g} {_unit_of(result, one.source)}".strip()
     low, high = one.band_hz
     moves = [
-        f"{loop.open_rms:.3g} {loop.unit} RMS on {unit} (its sensors at rest say {loop.silent_rms:.2g})"
+        f"{in_unit(loop.open_rms, loop.unit, 3)} RMS on {unit} (its sensors at rest say {loop.silent_rms:.2g})"
         for unit, loop in loops.items()
         if isinstance(loop, PayloadLoop)
     ]
@@ -134,8 +135,9 @@ def payload_charts(result: StudyResult, name: str, stem: str = "payload") -> lis
     ratio = "payload over base" if table.base else f"payload over {table.shaker}"
     low, high = table.band_hz
     told = "; ".join(
-        f"{unit}: {loop.open_rms:.3g} {loop.unit} rms become {loop.closed_rms:.3g}, {loudness(loop.reduction_db)} "
-        f"over {low:.4g}-{high:.4g} Hz, in the worst half hertz {loudness(loop.worst_db)} at {loop.worst_hz:.3g} Hz"
+        f"{unit}: {in_unit(loop.open_rms, loop.unit, 3)} rms become {loop.closed_rms:.3g}, "
+        f"{loudness(loop.reduction_db)} over {low:.4g}-{high:.4g} Hz, in the worst half hertz "
+        f"{loudness(loop.worst_db)} at {loop.worst_hz:.3g} Hz"
         for unit, loop in loops.items()
     )
     return [payload_chart(stem, name, units, (ratio, "", rms), table.band_hz, f"{told}.")]

@@ -95,7 +95,7 @@ def _levels(result: StudyResult) -> Table:
         seconds = sum(r.duration_s for r in members)
         clipped = sum(sum(r.clipped()) for r in members)
         shares = _share(sent, command.low, command.high), _share(read, reading.low, reading.high)
-        cells = (f"{sent:.3g} {command.unit}", shares[0], f"{read:.3g} {reading.unit}", shares[1])
+        cells = (command.in_unit(sent, 3), shares[0], reading.in_unit(read, 3), shares[1])
         rows.append((name, len(members), f"{seconds:.1f}", *(c.strip() for c in cells), clipped))
     columns = (
         "records",

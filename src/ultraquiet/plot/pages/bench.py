@@ -65,7 +65,7 @@ def densities(name: str, tone_hz: float, closed: Record, opened: Record) -> Char
         ChartPanel(frequency_axis(), Axis(f"rms ({unit})" if unit else "rms"), total, UP_TO_HERE, height=160),
     ]
     caption = (
-        f"Reading of {channel.name} under the tone of {tone_hz:g} Hz: {ends[0]:.3g} {unit} rms open, "
-        f"{ends[1]:.3g} {unit} closed. {spectra['open loop'].estimator}."
+        f"Reading of {channel.name} under the tone of {tone_hz:g} Hz: {channel.in_unit(ends[0], 3)} rms open, "
+        f"{channel.in_unit(ends[1], 3)} closed. {spectra['open loop'].estimator}."
     )
     return Chart(file_stem(f"density_{name}"), f"Densities, {name}", caption, panels)

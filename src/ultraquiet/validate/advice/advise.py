@@ -92,7 +92,7 @@ def _of_the_record(record: Record) -> Iterator[Advice]:
     for y, sensor, known in zip(record.outputs, record.sensors, record.clipped(), strict=True):
         count = known or _repeated_extremes(y)
         if count:
-            where = "the sensor's limits" if known else f"{y.min():g} or {y.max():g} {sensor.unit}, again and again"
+            where = "the sensor's limits" if known else f"{y.min():g} or {sensor.in_unit(y.max())}, again and again"
             yield Advice(
                 "clipping",
                 sensor.name,

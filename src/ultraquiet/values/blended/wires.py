@@ -69,7 +69,7 @@ def command_limits(Ta: FloatArray, actuators: Sequence[Channel], modes: Sequence
         if not wire.low < 0.0 < wire.high:
             raise InputError(
                 f"Blending: {np.count_nonzero(row)} modes share actuator '{wire.name}', whose limits {wire.low:g} to "
-                f"{wire.high:g} {wire.unit} do not hold zero inside; take its bias out of the command."
+                f"{wire.in_unit(wire.high)} do not hold zero inside; take its bias out of the command."
             )
         for limit, reach in zip((wire.low, wire.high), _reach(row, spans), strict=True):
             factor = min(factor, limit / reach if np.isfinite(limit) and reach else 1.0)

@@ -7,6 +7,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.values.channel import Channel
 
 NUMBERED = re.compile(r"(in|out)put \d+")
+UNSTATED = ("", "V")  # files of version 0.1 gave volts to channels whose unit nobody had stated
 
 
 def is_numbered(wire: Channel) -> bool:
@@ -15,7 +16,7 @@ def is_numbered(wire: Channel) -> bool:
     >>> is_numbered(Channel("input 1")), is_numbered(Channel("strut 1"))
     (True, False)
     """
-    return NUMBERED.fullmatch(wire.name) is not None and wire.unit == "V"
+    return NUMBERED.fullmatch(wire.name) is not None and wire.unit in UNSTATED
 
 
 def meet(who: str, left: Sequence[Channel], right: Sequence[Channel], how: str) -> tuple[Channel, ...]:

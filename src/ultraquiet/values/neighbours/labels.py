@@ -42,7 +42,7 @@ def channels_of(texts: Iterable[str] | None) -> list[Channel] | None:
     """Return the channels of labels; one without a unit has none.
 
     >>> channels_of(labels([Channel("strut 1.2", "N")])) == [Channel("strut 1.2", "N")], channels_of(["u[0]"])
-    (True, [Channel(name='u[0]', unit='')])
+    (True, [Channel(name='u[0]')])
     """
     if texts is None:
         return None
