@@ -150,6 +150,9 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int
             return before  # it was seen to grow, and now it grew as far as the limits
         burst, found = _within_limits(bench, law, burst, found)
         if found.limited > LIMITED_SHARE:
+            held = hums_at_rest(bench, found.response.shape[1])
+            burst = replace(burst, hums_hz=(*burst.hums_hz, *held))
+            found = replace(found, hums_hz=burst.hums_hz)
             seen = _at_limits(bench, law, burst, found, before)
             if seen.word is not None or (before is None and found.before_limits < SHORTEST_SAMPLES):
                 return seen
@@ -209,8 +212,7 @@ def _at_limits(
     It is unstable where it was seen to grow before it first touched its limits, where noise grew to them faster than
     what a stable loop heaps up, and where noise alone does not drive it there but a burst that is heard above it.
     """
-    hums = hums_at_rest(bench, found.response.shape[1])
-    free = replace(found.until(found.before_limits), hums_hz=(*found.hums_hz, *hums))
+    free = found.until(found.before_limits)
     samples = free.response.shape[1]
     heard = ringing(free.response, free.noise, bench.rate_hz).modes if samples >= SHORTEST_SAMPLES else ()
     growing = next((mode for mode in heard if grows(mode, free)), None)
@@ -222,12 +224,13 @@ def _at_limits(
         np.sqrt(np.mean(free.response**2) / max(np.mean(free.noise**2), np.finfo(float).tiny)) if samples else np.inf
     )
     # a hum heaps up in proportion to time, so that its rise says nothing of the loop
-    grown = alone.rise > HEAPED and not hums
+    grown = alone.rise > HEAPED and not found.hums_hz
     by_itself = grown or (alone.limited <= CLIPPED_SHARE and share > VISIBLE)
     mode = seen.mode if before is None else before.mode
     if by_itself:
         return replace(seen, mode=mode)
-    alone_says = f"{f'A hum at {hums[0]:.4g} Hz' if hums else _what_drives(bench)} alone drives a command to its limit"
+    hum = f"A hum at {found.hums_hz[0]:.4g} Hz" if found.hums_hz else ""
+    alone_says = f"{hum or _what_drives(bench)} alone drives a command to its limit"
     sentence = f"{alone_says}, where it stays for {found.limited:.0%} of the last quarter."
     return replace(seen, word=None, mode=mode, sentence=sentence)
 
