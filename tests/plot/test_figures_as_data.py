@@ -32,7 +32,7 @@ def record():
     base = u + 0.1 * rng.standard_normal(u.shape)
     payload = plant.simulate(base) + 0.01 * rng.standard_normal(u.shape)
     sensors = [Channel(name, "m/s") for name in NAMES]
-    return Record(u, np.vstack([base, payload]), RATE_HZ, ["push x", "push y"], sensors)
+    return Record(u, np.vstack([base, payload]), RATE_HZ, [Channel(name, "N") for name in ("push x", "push y")], sensors)
 
 
 @pytest.fixture(scope="module")
@@ -175,7 +175,7 @@ def test_gains_are_drawn_where_they_are_coherent(record):
     assert figure.columns == 3
     gains, phases, shares = (figure.panels[k::3] for k in range(3))
     for i, (gain, phase, share) in enumerate(zip(gains, phases, shares, strict=True)):
-        assert gain.y_label == "dB re (m/s)/V"
+        assert gain.y_label == "dB re (m/s)/N"
         assert [line.label for line in gain.lines if line.label] == ["push x", "push y"]
         db = 20 * np.log10(np.abs(response.values[i]))
         for j in range(2):
