@@ -32,7 +32,8 @@ def record():
     base = u + 0.1 * rng.standard_normal(u.shape)
     payload = plant.simulate(base) + 0.01 * rng.standard_normal(u.shape)
     sensors = [Channel(name, "m/s") for name in NAMES]
-    return Record(u, np.vstack([base, payload]), RATE_HZ, [Channel(name, "N") for name in ("push x", "push y")], sensors)
+    actuators = [Channel(name, "N") for name in ("push x", "push y")]
+    return Record(u, np.vstack([base, payload]), RATE_HZ, actuators, sensors)
 
 
 @pytest.fixture(scope="module")
