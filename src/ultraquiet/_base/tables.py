@@ -172,8 +172,8 @@ def _no_number(key: str, value: Any) -> str:
     """
     several = isinstance(value, tuple)
     shown = list(cast("tuple[Any, ...]", value)) if several else value
-    numbers = [float(v) for v in (shown if several else [value]) if isinstance(v, int | float)]
-    if any(isnan(v) for v in numbers):
+    numbers = [v for v in (shown if several else [value]) if isinstance(v, int | float)]
+    if any(isinstance(v, float) and isnan(v) for v in numbers):  # a whole number may be beyond all floats
         return f"'{key}' must not hold NaN, got {shown}."
     if not key.endswith("_hz") or not numbers:
         return ""

@@ -30,4 +30,7 @@ def _channel(name: Any, unit: Any, low: Any, high: Any) -> Channel:
     numbers = all(isinstance(limit, int | float) and not isinstance(limit, bool) for limit in limits)
     if not (isinstance(name, str) and isinstance(unit, str) and numbers):
         raise ValueError("a channel is a name, a unit and two limits, which are numbers or absent")
-    return Channel(name, unit, float(limits[0]), float(limits[1]))
+    try:
+        return Channel(name, unit, float(limits[0]), float(limits[1]))
+    except OverflowError:  # a whole number beyond all floats
+        raise ValueError(f"a limit of channel '{name:.40}' is beyond all numbers") from None

@@ -3,8 +3,8 @@
 import contextlib
 import hashlib
 import json
-import math
 import os
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -113,7 +113,7 @@ def _planned(header: Mapping[str, Any]) -> tuple[int, float]:
     inputs, rate_hz = header["inputs"], header["rate_hz"]
     if not isinstance(inputs, int) or isinstance(inputs, bool) or not 0 < inputs < len(header["channels"]):
         raise ValueError(f"{inputs!r:.40} of its {len(header['channels'])} channels are inputs")
-    if not isinstance(rate_hz, int | float) or isinstance(rate_hz, bool) or not 0 < rate_hz < math.inf:
+    if not isinstance(rate_hz, int | float) or isinstance(rate_hz, bool) or not 0 < rate_hz <= sys.float_info.max:
         raise ValueError(f"its rate is {rate_hz!r:.40}")
     return inputs, float(rate_hz)
 

@@ -26,6 +26,11 @@ class Channel:
     high: float = float("inf")
 
     def __post_init__(self) -> None:
+        for text in (self.name, self.unit):
+            try:
+                text.encode()
+            except UnicodeEncodeError:  # half of a pair of UTF-16, which no file can hold
+                raise InputError(f"Channel: {text!a} is no text that can be written; rename it.") from None
         if not self.low < self.high:
             raise InputError(f"Channel '{self.name}': low {self.low:g} must be below high {self.in_unit(self.high)}.")
 

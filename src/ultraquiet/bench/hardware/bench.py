@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, positive
-from ultraquiet._base.errors import BenchError, InputError
+from ultraquiet._base.errors import BenchError, InputError, UltraquietError
+from ultraquiet._base.one_line import described, one_line
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench.hardware.interlocks import Guard, Interlocks
 from ultraquiet.bench.hardware.pacing import Pacer
@@ -140,7 +141,7 @@ class _Rig(SteppedPlant):
         self._wait = bench.wait or Pacer(bench.rate_hz).wait
         self._last = np.zeros(len(bench.actuators))
         self._late, self._mine, self._doubtful = 0, False, False
-        self._began = self._before = 0.0
+        self._began = self._before = self._wrote_s = 0.0
         self._termination = Termination()
 
     def start(self, run_index: int) -> None:
@@ -174,10 +175,11 @@ class _Rig(SteppedPlant):
             self._termination.release()
             self._bench._running.release()
         if failure is not None:
-            what = "" if error is None else f"{str(error).rstrip('.') or type(error).__name__}; and "
+            ours = isinstance(error, UltraquietError)
+            what = "" if error is None else f"{(str(error) if ours else described(error)).rstrip('.')}; and "
             raise BenchError(
                 f"{what}Hardware: the actuators could not be brought to zero, 'write' failed {PATIENCE} times "
-                f"({_described(failure)}); they may still hold {np.round(self._last, 6).tolist()}, switch them off by "
+                f"({described(failure)}); they may still hold {np.round(self._last, 6).tolist()}, switch them off by "
                 "hand."
             ) from error
         if interrupt is not None and error is None:
@@ -198,6 +200,7 @@ class _Rig(SteppedPlant):
                 nearer = self._last - np.copysign(np.minimum(step, np.abs(self._last)), self._last)
                 if self._doubtful:  # a write that failed may have come through: from there, too, one step back at most
                     nearer, done = self._last, False
+                self._wrote_s = time.perf_counter()
                 bench.write(nearer.copy())
                 self._last, self._doubtful = nearer, False
             except Exception as error:
@@ -209,40 +212,63 @@ class _Rig(SteppedPlant):
 
     def _idle(self) -> None:
         try:
-            self._wait()
+            self._waited()
         except Exception:
-            # Whatever paced the run is broken: this machine's clock leads the way down.
-            self._wait = Pacer(self._bench.rate_hz).wait
+            self._pace_down()
+            self._wait()
+
+    def _waited(self) -> int:
+        """Return how many frames have been missed, as who paces the run says."""
+        answer = self._wait()
+        if answer is None:
+            return 0
+        late = int(answer)
+        if late != answer or late < 0:
+            raise ValueError(f"frames that were missed are a whole number from 0, got {one_line(answer)}")
+        return late
+
+    def _pace_down(self) -> None:
+        """Whatever paced the run is broken: this machine's clock leads the way down, from the last write on."""
+        self._wait = Pacer(self._bench.rate_hz, self._wrote_s).wait
 
     def _frame(self, k: int) -> None:
         try:
-            late = int(self._wait() or 0)
+            late = self._waited()
         except Exception as error:
-            raise BenchError(f"Hardware: at sample {k} 'wait' failed ({_described(error)}).") from error
+            self._pace_down()
+            raise BenchError(f"Hardware: at sample {k} 'wait' failed ({described(error)}).") from error
         now = time.perf_counter()
         self._late += late
         elapsed_s, self._before = now - self._before, now
         self.guard.frame(late, elapsed_s, now - self._began, k)
 
     def _write(self, value: FloatArray, k: int) -> None:
-        self._doubtful = True
+        self._doubtful, self._wrote_s = True, time.perf_counter()
         try:
             self._bench.write(value.copy())
         except Exception as error:
-            raise BenchError(f"Hardware: at sample {k} 'write' failed ({_described(error)}).") from error
+            raise BenchError(f"Hardware: at sample {k} 'write' failed ({described(error)}).") from error
         self._last, self._doubtful = value.copy(), False
 
     def _read(self, k: int) -> FloatArray:
         try:
             answer = self._bench.read()
-            y = np.array(answer, dtype=np.float64).reshape(-1)
+            y = _numbers(answer)
         except Exception as error:
-            raise BenchError(f"Hardware: at sample {k} 'read' failed ({_described(error)}).") from error
+            raise BenchError(f"Hardware: at sample {k} 'read' failed ({described(error)}).") from error
         expected = len(self._bench.sensors)
         if y.size != expected or not np.isfinite(y).all():
-            raise BenchError(f"Hardware: at sample {k} 'read' must return {expected} finite numbers, got {answer!r}.")
+            raise BenchError(
+                f"Hardware: at sample {k} 'read' must return {expected} finite numbers, got {one_line(answer)}."
+            )
         return y
 
 
-def _described(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+def _numbers(answer: ArrayLike) -> FloatArray:
+    """Return readings; what is no real number, or is masked, is none."""
+    y = np.asanyarray(answer)
+    if y.dtype.kind not in "buifO":
+        raise TypeError(f"readings are real numbers, got {y.dtype}")
+    if np.ma.getmaskarray(y).any():
+        raise ValueError("a reading is masked")
+    return np.array(y, dtype=np.float64).reshape(-1)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import InputError, InterlockError
+from ultraquiet._base.one_line import described
 from ultraquiet._base.registry import formerly
 from ultraquiet.bench._abstract import limits
 from ultraquiet.values import Channel
@@ -14,6 +15,7 @@ from ultraquiet.values import Channel
 Level = float | tuple[float, ...]
 # A difference of two samples that stands exactly at the limit may round to a little above it.
 ROUNDING = 1e-9
+LARGEST = 1e150  # its square is a number yet
 
 
 @formerly(amplitude_v="amplitude", slew_v_per_s="slew_per_s", reading_v="reading", rms_v="rms")
@@ -116,16 +118,24 @@ class Guard:
 
     def out(self, value: FloatArray, before: FloatArray, k: int) -> None:
         """Check what is about to be sent at sample `k` after `before`."""
-        if self.interlocks.stop is not None and self.interlocks.stop():
-            raise self._tripped("stop", k, 1.0, "the emergency stop was pressed")
+        if (pressed := self._pressed()) is not None:
+            raise self._tripped("stop", k, 1.0, pressed)
         inside = (value >= self.low) & (value <= self.high)  # not a number is not inside either
         if not (inside & (np.abs(value - before) <= self.step * (1 + ROUNDING))).all():
             name, description, number = self._outgoing(value, before)
             raise self._tripped(name, k, number, description)
 
+    def _pressed(self) -> str | None:
+        """Return what is said where the emergency stop is pressed, or cannot tell."""
+        try:
+            pressed = self.interlocks.stop is not None and bool(self.interlocks.stop())
+        except Exception as error:
+            return f"the emergency stop does not tell whether it was pressed ({described(error)})"
+        return "the emergency stop was pressed" if pressed else None
+
     def back(self, y: FloatArray, k: int) -> None:
         """Check what was read at sample `k`."""
-        self._square += self._forget * (y * y - self._square)
+        self._square += self._forget * (np.minimum(np.abs(y), LARGEST) ** 2 - self._square)
         rms = np.sqrt(self._square)
         if (np.abs(y) <= self._reading).all() and (rms <= self._rms).all():
             return

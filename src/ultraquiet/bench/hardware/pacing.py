@@ -9,12 +9,12 @@ class Pacer:
     """Frames at a rate, timed by this machine's clock.
 
     It is as punctual as Python on this machine: good for trials and slow benches. Hardware that has a clock of its own
-    should pace the bench by `wait`.
+    should pace the bench by `wait`. The first frame begins at once, or a period after `since_s` of that clock.
     """
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, since_s: float | None = None) -> None:
         self._period_s = 1.0 / rate_hz
-        self._due_s: float | None = None
+        self._due_s = since_s
 
     def wait(self) -> int:
         """Wait for the next frame; return how many have been missed."""

@@ -187,10 +187,19 @@ def largest_order(
     """
     stride = 2 if form in ("modal", "delta", "bank", "bank-delta") else 1
     law_shape = {"anti_windup": anti_windup, "block": block, "channels": channels, "turned": turned}
-    n, frame = 0, skeleton_cycles(inputs, outputs, anti_windup=anti_windup)
-    while frame + kernel_cycles(form, n + stride, inputs, outputs, **law_shape) <= budget:
-        n += stride
-    return n
+    frame = skeleton_cycles(inputs, outputs, anti_windup=anti_windup)
+
+    def fits(strides: int) -> bool:
+        return frame + kernel_cycles(form, strides * stride, inputs, outputs, **law_shape) <= budget
+
+    most = 1
+    while fits(most):
+        most *= 2
+    least = most // 2
+    while most - least > 1:  # more states never take fewer cycles
+        middle = (least + most) // 2
+        least, most = (middle, most) if fits(middle) else (least, middle)
+    return least * stride
 
 
 def require_fit(law: Law, budget: int, share: float = 1.0) -> None:

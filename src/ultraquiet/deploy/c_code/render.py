@@ -1,5 +1,6 @@
 """From a law to the text of its files."""
 
+import re
 from functools import cache
 from importlib import metadata
 from itertools import pairwise
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ultraquiet._base.one_line import one_line
 from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, ScriptRow, planted
 from ultraquiet.deploy.figures import said
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     import jinja2
 
 VECTOR_STEPS = 256
+# What would begin another cell, a link or a tag of a page that holds what people named.
+MARKUP, LONGEST_CELL = re.compile(r"\||<(?=[A-Za-z/!?])|\](?=\()"), 2000
 
 # Advisory rules of MISRA C:2012 that the controller's code departs from, and why; no required rule.
 DEVIATIONS = {
@@ -105,7 +109,7 @@ def render(template: str, context: dict[str, Any]) -> str:
 def _environment() -> "jinja2.Environment":
     import jinja2
 
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader("ultraquiet.deploy"), jinja2.FunctionLoader(_of_a_family)]),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
@@ -113,6 +117,13 @@ def _environment() -> "jinja2.Environment":
         keep_trailing_newline=True,
         autoescape=False,
     )
+    environment.filters["plain"] = _plain
+    return environment
+
+
+def _plain(text: object) -> str:
+    """Return a text that people named as Markdown's plain text on one line: no table, mark-up or control code in it."""
+    return MARKUP.sub(r"\\\g<0>", one_line(str(text), LONGEST_CELL))
 
 
 def _of_a_family(name: str) -> str | None:

@@ -30,6 +30,8 @@ def conditioning_gain(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
 
     Reference: Hanus, Kinnaert & Henrotte, Automatica 23 (1987), doi:10.1016/0005-1098(87)90029-X.
     """
+    if not C.any() or not (B.any() or D.any()):
+        return np.zeros((A.shape[0], C.shape[0]))  # nothing that a limit takes away reaches a state by the commands
     # In units of its own, powers of two: what the sensors count in must not decide whether there is a gain.
     y_unit, u_unit = _unit(B), _unit(C)
     return _gain(A, B / y_unit, C / u_unit, D / (y_unit * u_unit)) / u_unit

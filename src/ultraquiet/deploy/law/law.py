@@ -18,6 +18,8 @@ from ultraquiet.values.state_space import StateSpace
 Rounded = NDArray[Any]
 
 # Four frames of 286 us: the ramp out begins before the slowest isolated mode has seen a tenth of its period.
+# Targets that CMake keeps for itself; names that begin with `cmake` are its variables' too.
+CMAKES_OWN = ("all", "clean", "edit_cache", "help", "install", "package", "package_source", "rebuild_cache", "test")
 OVERRUN_LIMIT = 4
 # Of each actuator's range: identification in closed loop leaves nine tenths to the control.
 EXCITATION_SHARE = 0.1
@@ -262,6 +264,8 @@ def require_discrete(controller: StateSpace, name: str) -> None:
         raise InputError(f"deploy: a controller needs measurements and commands, got D of shape {controller.D.shape}.")
     if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,30}", name):
         raise InputError(f"deploy: 'name' must be a C identifier of small letters, digits and _, got {name!r}.")
+    if name in CMAKES_OWN or name.startswith("cmake"):
+        raise InputError(f"deploy: 'name' {name!r} is one that CMake keeps for itself; take another.")
 
 
 def require_plant(plant: StateSpace | None) -> None:

@@ -79,15 +79,18 @@ def _refusal(data: bytes, before: Sequence[str], first: str, said: str) -> str:
 
 
 def _no_row_among_names(name: str, before: Sequence[str], delimiter: str | None, count: int) -> None:
-    """Refuse a first row that a cell keeps from being one, which would else be taken for units below the names."""
-    lines = [(k, _named(line, delimiter, count)) for k, line in enumerate(before) if line.strip() and line[0] != "#"][
-        -2:
-    ]
-    if len(lines) == 2 and all(len(cells) == count for _, cells in lines):
-        (_, names), (k, cells) = lines
+    """Refuse first rows that a cell keeps from being some, which would else be taken for names or units."""
+    lines = [(k, _named(line, delimiter, count)) for k, line in enumerate(before) if line.strip() and line[0] != "#"]
+    damaged: tuple[int, list[str]] | None = None
+    for k, cells in reversed(lines):
         points = [cell.replace(",", ".") if delimiter in (";", "\t") else cell for cell in cells]
-        if any(map(is_number, points)) and not any(map(is_number, names)):
-            raise InputError(f"read_record: '{name}': {first_fault([points], k, names)}.")
+        if len(cells) != count:
+            return
+        if not any(map(is_number, points)):
+            if damaged is not None:
+                raise InputError(f"read_record: '{name}': {first_fault([damaged[1]], damaged[0], cells)}.")
+            return
+        damaged = k, points
 
 
 def _commas_are_decimal(before: Sequence[str], first: str) -> bool:
