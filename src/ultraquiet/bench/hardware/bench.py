@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import BenchError, InputError, UltraquietError
-from ultraquiet._base.one_line import described, one_line
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.one_line import described, one_line
 from ultraquiet.bench.hardware.interlocks import Guard, Interlocks
 from ultraquiet.bench.hardware.pacing import Pacer
 from ultraquiet.bench.hardware.termination import Termination

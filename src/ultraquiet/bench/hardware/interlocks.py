@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import InputError, InterlockError
-from ultraquiet._base.one_line import described
 from ultraquiet._base.registry import formerly
+from ultraquiet._base.shown.one_line import described
 from ultraquiet.bench._abstract import limits
 from ultraquiet.values import Channel
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ultraquiet._base.one_line import one_line
+from ultraquiet._base.shown.one_line import one_line
 from ultraquiet.deploy.c_code.plan import CodePlan
 from ultraquiet.deploy.c_code.self_test import LOADS, OPS, SPECIAL, ScriptRow, planted
 from ultraquiet.deploy.figures import said

@@ -231,4 +231,4 @@ def _are_units(rows: Sequence[Sequence[str]]) -> bool:
     # Names differ from each other and stand bare, without units of their own; units are short or absent.
     names, units = rows
     bare = len(set(names)) == len(names) and not any(split_unit(name)[1] for name in names)
-    return bare and all(len(unit) <= 12 for unit in units)
+    return bare and not any(map(is_number, names)) and all(len(unit) <= 12 for unit in units)
