@@ -214,12 +214,12 @@ def test_peaks_lie_where_there_was_excitation(run, tmp_path, rng):
     t = np.arange(n) / RATE
     u = sosfilt(butter(8, 40.0, fs=RATE, output="sos"), rng.standard_normal(n))
     hum = np.sin(2 * np.pi * 250.0 * t)
-    uq.files.save(
-        uq.Record([u + 1e-5 * hum], [2.0 * u + 10.0 * hum + 1e-3 * rng.standard_normal(n)], RATE), tmp_path / "hum.h5"
-    )
+    y = 2.0 * u + 10.0 * hum + 1e-3 * rng.standard_normal(n)
+    wires = [uq.Channel("push", "N")], [uq.Channel("speed", "m/s")]
+    uq.files.save(uq.Record([u + 1e-5 * hum], [y], RATE, *wires), tmp_path / "hum.h5")
     out = run("spectra", "hum.h5", "--show", "response", "--segment", "1024", "--json")[1]
     (row,) = json.loads(out)["rows"]
     print(row)
     assert float(row["at"].split()[0]) < 100.0
     assert abs(float(row["largest gain"].split()[0]) - 6.02) < 1.0
-    assert row["re"] == "V/V"
+    assert row["re"] == "(m/s)/N"

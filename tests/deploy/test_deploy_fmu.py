@@ -230,9 +230,9 @@ def test_it_controls_a_bench_and_is_one(version, law_of, rng, tmp_path):
     bench = Fmu(str(path))
     assert bench.rate_hz == pytest.approx(RATE_HZ, rel=1e-15)
     assert [(c.name, c.unit, c.low, c.high) for c in bench.sensors] == [
-        ("a", "V", -3.0, 4.0),
-        ("b", "V", -2.0, 2.0),
-        ("c", "V", -1.0, 1.0),
+        ("a", "", -3.0, 4.0),
+        ("b", "", -2.0, 2.0),
+        ("c", "", -1.0, 1.0),
     ]
     assert [(c.name, c.unit) for c in bench.actuators] == [("north & <south>", "V"), ("accel", "m/s2")]
     y = np.clip(rng.standard_normal((2, 300)), -10, 10)

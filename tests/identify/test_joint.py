@@ -315,7 +315,9 @@ def test_unlike_experiments_are_refused(rng):
     with pytest.raises(InputError, match=r"record 1 has 2 outputs but record 2 has 1"):
         method.identify([first, uq.Record(u, y[:1], 100.0)])
     other = uq.Record(u, y, 100.0, sensors=[uq.Channel("output 1", "m/s", -10, 10), first.sensors[1]])
-    with pytest.raises(InputError, match=r"output 'output 1' in 'V' of record 1 meets 'output 1' in 'm/s' of record 2"):
+    with pytest.raises(
+        InputError, match=r"output 'output 1' in no unit of record 1 meets 'output 1' in 'm/s' of record 2"
+    ):
         method.identify([first, other])
     with pytest.raises(InputError, match=r"BoxJenkins: records in one fit.*one-step error alone"):
         uq.identify.BoxJenkins(order=1, focus="simulation").identify([first, first])

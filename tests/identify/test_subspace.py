@@ -147,5 +147,5 @@ def test_an_all_zero_channel_is_refused(method, rng):
         (record.inputs * [[1], [0]], record.outputs, "input 'b'"),
         (record.inputs, record.outputs * [[0], [1]], "output 'c'"),
     ):
-        with pytest.raises(InputError, match=f"{kind} is constant at -?0 "):
+        with pytest.raises(InputError, match=f"{kind} is constant at 0,"):
             method.identify(uq.Record(inputs, outputs, 200.0, ["a", "b"], ["c", "d"]))

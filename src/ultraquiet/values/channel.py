@@ -54,7 +54,7 @@ class Channel:
 
 def in_unit(value: float, unit: str, digits: int = 6) -> str:
     """Return a value as a text, with its unit where one was stated."""
-    return f"{value:.{digits}g} {unit}".rstrip()
+    return f"{value + 0.0:.{digits}g} {unit}".rstrip()  # minus zero is zero
 
 
 LEVEL_SHARE = 0.1  # of what an actuator may swing: loud enough for most, far from its limits

@@ -19,7 +19,7 @@ from ultraquiet.identify.prediction_error.parameterisation import Parameterisati
 from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, columns, excited, gather
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result
-from ultraquiet.values import PolynomialMatrix, Record
+from ultraquiet.values import Channel, PolynomialMatrix, Record
 
 Tying = str | Sequence[str] | ArrayLike | None
 
@@ -189,11 +189,16 @@ def _alike(method: PolynomialSettings, records: Sequence[Record]) -> None:
             for a, b in zip(mine, others, strict=True):
                 if (a.name, a.unit) != (b.name, b.unit):
                     raise InputError(
-                        f"{who}: {kind} '{a.name}' in '{a.unit}' of record 1 meets '{b.name}' in '{b.unit}' of record "
-                        f"{k}; experiments of one fit share their channels, in one order."
+                        f"{who}: {kind} {_named(a)} of record 1 meets {_named(b)} of record {k}; "
+                        "experiments of one fit share their channels, in one order."
                     )
     for record in records:
         method.check(record)
+
+
+def _named(channel: Channel) -> str:
+    unit = f"'{channel.unit}'" if channel.unit else "no unit"
+    return f"'{channel.name}' in {unit}"
 
 
 def _one_denominator(parameterisation: Parameterisation, ties: Ties) -> None:
