@@ -8,9 +8,11 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.bench import Bench
+from ultraquiet.experiments import real_time
 from ultraquiet.simulate.kick import ranges
 from ultraquiet.simulate.loop import disturb
-from ultraquiet.simulate.sweep import SweepClock
+from ultraquiet.simulate.sweeps.clock import SweepClock
+from ultraquiet.simulate.sweeps.rest import NOISE_LINES, Quiet, rest_of, smoothed
 from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits
 from ultraquiet.values.controller import Controller
@@ -22,11 +24,9 @@ RUN_S, FEWEST, MOST = 16.0, 1 << 13, 1 << 17
 LOWEST_PERIODS, HIGHEST, SPLIT, FASTER = 64.0, 0.96, 0.33, 4
 # Lines between those of a run, in either band: a loop that rings on is listened to for so many times a run.
 FINER, FINER_FAST = 4, 2
-# It rings on when the last part of a run has so many times the power of its noise.
-LAST, RINGS = 8, 10.0
-# A reading at rest this many deviations of its noise from zero has an offset; within so many it has come to rest.
-OFFSET, SETTLED = 3.0, 5.0
-ROUNDED = 1e-6  # of a run's size: what is smaller at its end may be rounding
+# A run is made longer while what rings on leaves more than this share of a line open, in more lines than these, and as
+# long as more silence leaves less than this of it; simulated ones up to so many samples.
+OPEN, OPEN_LINES, LESS, LONGEST = 0.02, 4, 0.9, 1 << 20
 OVERLAP = 1.1  # of the bands, where each fades
 BELOW = 0.7  # where a band below begins, over where the one above does
 FEWEST_PERIODS = 20.0  # of its lowest line in a run: fewer, and the short runs do not tell the lines of a band apart
@@ -34,8 +34,6 @@ PER_DECADE = 60  # frequencies at which directions and levels are held
 SHORTER = 4  # the runs that find directions and levels are so much shorter
 # Directions this much weaker than the strongest are driven no more strongly.
 WEAKEST = 1e-3
-# The noise of a line is the mean of so many neighbours to either side.
-NOISE_LINES = 24
 # Shares of the channels' ranges: where the first run begins, and what a run may use; then what it may use with a law,
 # whose amplification is not known yet.
 BEGIN, USED_RANGE, USED_DRIVE = 1e-3, 0.5, 0.9
@@ -53,7 +51,7 @@ class Runs:
     """Sweeps in `k` directions: what was sent `(nu, k, lines)` and what came back `(ny, k, lines)`, as spectra.
 
     `levels` `(k, grid)`: how loud each was; `better`: how loud it may be. `clipped`: points at which a limit was met.
-    `length`: how long they were, in runs. `last`: power at their ends, `(ny, k)`.
+    `length`: how long they were, in runs. `open`: what is not known of `heard` as it still moved at the end.
     """
 
     sent: ComplexArray
@@ -61,8 +59,13 @@ class Runs:
     levels: FloatArray
     better: FloatArray
     clipped: int
-    length: float
-    last: FloatArray
+    length: int
+    open: FloatArray
+
+    @property
+    def lines_open(self) -> int:
+        """How many spectra of a line are left open."""
+        return int(np.count_nonzero(self.open > OPEN * np.abs(self.heard)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +75,7 @@ class OpenBand:
     bench: Bench
     sweep: SweepClock
 
-    @property
+    @cached_property
     def short(self) -> "OpenBand":
         """The same range, swept in less time: for directions and levels."""
         return OpenBand(self.bench, replace(self.sweep, samples=self.sweep.samples // SHORTER, finer=1))
@@ -86,19 +89,23 @@ class OpenBand:
     @cached_property
     def noise(self) -> FloatArray:
         """Size of the noise in the spectrum of one run, `(ny, lines)`."""
-        return self.noise_of(self.quiet(None))
+        return self.noise_of(self.resting)
 
-    def quiet(self, law: StateSpace | Controller | None) -> FloatArray:
-        """Return the readings of a run in which nothing is sent, `(ny, samples)`."""
-        return disturb(self.bench, np.zeros((len(self.bench.actuators), self.sweep.samples)), law).outputs
+    def quiet(self, law: StateSpace | Controller | None) -> Quiet:
+        """Return a run in which nothing is sent."""
+        silence = np.zeros((len(self.bench.actuators), self.sweep.samples))
+        return Quiet(self.sweep, disturb(self.bench, silence, law).outputs)
 
-    def noise_of(self, quiet: FloatArray) -> FloatArray:
+    @cached_property
+    def resting(self) -> Quiet:
+        """The run without a law in which nothing is sent."""
+        return self.quiet(None)
+
+    def noise_of(self, quiet: Quiet) -> FloatArray:
         """Return the size of the noise in the spectrum of one run, `(ny, lines)`, from a run that was quiet."""
-        alone = without_offset(quiet, startup(quiet))
+        alone = quiet.alone
         power = np.abs(self.sweep.transform(alone - alone.mean(axis=1, keepdims=True))) ** 2
-        wide = np.ones(2 * NOISE_LINES + 1) / (2 * NOISE_LINES + 1)
-        padded = np.pad(power, ((0, 0), (NOISE_LINES, NOISE_LINES)), mode="reflect")
-        return np.sqrt(np.stack([np.convolve(row, wide, "valid") for row in padded]))
+        return np.sqrt(smoothed(power, power.shape[1]))
 
     @cached_property
     def scale(self) -> FloatArray:
@@ -107,22 +114,10 @@ class OpenBand:
         finite = np.isfinite(own)
         return np.where(finite, own, own[finite].min() if finite.any() else 1.0)
 
-    def last_power(self, outputs: FloatArray) -> FloatArray:
-        """Return the power in this band of the last part of a run, each sensor, `(ny,)`; none where rounding leaves it.
-
-        A bench without noise hums with nothing: what its readings still hold would ring by any measure.
-        """
-        last = outputs[:, -(outputs.shape[1] // LAST) :]
-        f = np.fft.rfftfreq(last.shape[1], 1 / self.sweep.rate_hz)
-        spectrum = np.fft.rfft((last - last.mean(axis=1, keepdims=True)) * np.hanning(last.shape[1]), axis=1)
-        size = np.abs(outputs).max(axis=1) * last.shape[1]
-        power = np.sum(np.abs(spectrum[:, (f >= self.sweep.low_hz) & (f <= self.sweep.high_hz)]) ** 2, axis=1)
-        return np.where(power > (ROUNDED * size) ** 2, power, 0.0)
-
     @cached_property
     def quiet_rms(self) -> FloatArray:
         """Size of the noise of each sensor, `(ny,)`."""
-        return np.sqrt(np.mean(without_offset(self.quiet(None)) ** 2, axis=1))
+        return np.sqrt(np.mean(self.resting.alone**2, axis=1))
 
     @cached_property
     def units(self) -> FloatArray:
@@ -144,7 +139,7 @@ class OpenBand:
         one_by_one[range(nu), range(nu)] = self.scale[:, None]
         if nu > ny:  # the sensors do not tell all directions apart: no few of them would do for both loops
             return one_by_one
-        runs = self.short.run(None, one_by_one, np.full((nu, points), BEGIN), LEVELLINGS)
+        runs = self.short.run(None, one_by_one, np.full((nu, points), BEGIN), LEVELLINGS, quiet=self.short.resting)
         f = self.short.sweep.lines_hz
         at = np.searchsorted(f, self.grid_hz).clip(0, f.size - 1)
         G = np.moveaxis(over(runs.heard, runs.sent)[:, :, at], 2, 0) * self.scale / self.units[:, None]
@@ -164,27 +159,27 @@ class OpenBand:
         """The open loop, as loud as the ranges allow in every direction at every frequency."""
         level = np.full((self.shapes.shape[1], self.grid_hz.size), BEGIN)
         levels = self.short.run(None, self.shapes, level, LEVELLINGS).better
-        return self.rested(None, levels, self.last_power(self.quiet(None)))
+        return self.rested(None, levels, self.resting)
 
-    def rested(
-        self,
-        law: StateSpace | Controller | None,
-        levels: FloatArray,
-        hum: FloatArray,
-        start: FloatArray | None = None,
-    ) -> Runs:
+    def rested(self, law: StateSpace | Controller | None, levels: FloatArray, quiet: Quiet, length: int = 1) -> Runs:
         """Return runs that end at rest, as far as more silence brings them there; lower ones where limits were met.
 
-        `hum`: `last_power` of a run in which nothing is sent; `start`: its `startup`.
+        `quiet`: a run in which nothing is sent; `length`: of the first ones, in runs.
         """
-        runs = self.run(law, self.shapes, levels, 1, start=start)
+        runs = self.run(law, self.shapes, levels, 1, length, quiet)
         for _ in range(LOWERED):
             if not runs.clipped:
                 break
             levels = np.minimum(levels, LOWER * runs.better)
-            runs = self.run(law, self.shapes, levels, 1, start=start)
-        if (runs.last > RINGS * hum[:, None]).any():
-            return self.run(law, self.shapes, levels, 1, longer=True, start=start)
+            runs = self.run(law, self.shapes, levels, 1, length, quiet)
+        finer = self.sweep.finer
+        most = finer if real_time(self.bench) else max(finer, LONGEST // self.sweep.samples)
+        while runs.lines_open > OPEN_LINES and runs.length < most:
+            longer = self.run(law, self.shapes, levels, 1, min(most, max(finer, 2 * runs.length)), quiet)
+            # the median, for near what rings on nothing is known until it is gone
+            if not np.median(longer.open) < LESS * np.median(runs.open):
+                return longer if longer.lines_open < runs.lines_open else runs
+            runs = longer
         return runs
 
     @cached_property
@@ -196,7 +191,7 @@ class OpenBand:
     def deviation(self) -> FloatArray:
         """What the open loop's noise leaves open of an S of size one, `(lines,)`, each the median of its neighbours."""
         inverse = inverted(np.moveaxis(self.runs.heard, 2, 0))
-        deviation = largest(inverse) * np.sqrt(self.runs.length * np.sum(self.noise**2, axis=0))
+        deviation = largest(inverse) * left_open(self.runs, self.noise)
         padded = np.pad(deviation, NOISE_LINES, mode="reflect")
         return np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * NOISE_LINES + 1), axis=1)
 
@@ -206,17 +201,20 @@ class OpenBand:
         shapes: ComplexArray,
         levels: FloatArray,
         levellings: int = 1,
-        longer: bool = False,
-        start: FloatArray | None = None,
+        length: int = 1,
+        quiet: Quiet | None = None,
     ) -> Runs:
-        """Run one sweep in each direction; anew at better levels until they fit, or so many times."""
-        silence = (self.sweep.finer - 1) * self.sweep.samples if longer else 0
+        """Run one sweep in each direction; anew at better levels until they fit, or so many times.
+
+        `length`: of each with the silence behind it, in runs; `quiet`: one in which nothing is sent, absent where only
+        levels are looked for.
+        """
+        silence = (length - 1) * self.sweep.samples
         made = [self._levelled(law, shapes[:, k], levels[k], levellings, silence) for k in range(shapes.shape[1])]
-        found = [(*self._spectra(d, record.outputs, start), *more) for d, record, *more in made]
-        sent, heard, last, level, better, clipped = zip(*found, strict=True)
-        length = self.sweep.finer if longer else 1
+        found = [(self.sweep.transform(d), *self._heard(record.outputs, quiet), *more) for d, record, *more in made]
+        sent, heard, left, level, better, clipped = zip(*found, strict=True)
         spectra = np.stack(sent, axis=1), np.stack(heard, axis=1)
-        return Runs(*spectra, np.stack(level), np.stack(better), sum(clipped), length, np.stack(last, axis=1))
+        return Runs(*spectra, np.stack(level), np.stack(better), sum(clipped), length, np.stack(left, axis=1))
 
     def _levelled(
         self, law: StateSpace | Controller | None, shape: ComplexArray, level: FloatArray, times: int, silence: int
@@ -231,22 +229,28 @@ class OpenBand:
                 return d, record, level, level * change, clipped
             level = level * change
 
-    def _spectra(
-        self, d: FloatArray, y: FloatArray, start: FloatArray | None
-    ) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Return the spectra of what was sent and of what came back, and the power at the end of a run."""
-        return self.sweep.transform(d), self.sweep.transform(without_offset(y, start)), self.last_power(y)
+    def _heard(self, y: FloatArray, quiet: Quiet | None) -> tuple[ComplexArray, FloatArray]:
+        """Return spectra `(ny, lines)` of what came back, and what is not known of them."""
+        if quiet is not None:
+            return quiet.spectra(y)
+        heard = self.sweep.transform(y)
+        return heard, np.zeros(heard.shape)
 
     def _change(self, d: FloatArray, record: Record, closed: bool) -> FloatArray:
         """Return by how much the level may be raised at the grid, `(grid,)`."""
         drive = USED_RANGE / USED_DRIVE
-        reached = [(record.outputs, self.units), (drive * d, self.scale)]
+        rest = rest_of(record.outputs)
+        rest = np.zeros(len(self.units)) if rest is None else rest
+        limited = np.isfinite(ranges(self.bench.sensors))
+        reached = [(record.outputs - rest[:, None], self.units), (drive * d, self.scale)]
         reached += [(drive * record.inputs, self.scale)] if closed else []
         used = [
             self.sweep.envelope(row / size, self.grid_hz)
             for x, unit in reached
             for row, size in zip(x, unit, strict=True)
         ]
+        for k in np.flatnonzero(limited):
+            used[k] = used[k] + abs(rest[k]) / self.units[k]  # an offset uses up the range
         padded = np.pad(np.max(used, axis=0), REACH, mode="edge")
         around = np.max(np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH + 1), axis=1)
         return np.clip(USED_RANGE / np.maximum(around, 1e-12), 1 / RAISED_BY, RAISED_BY)
@@ -318,6 +322,8 @@ def _on(band: OpenBand, bench: Bench) -> OpenBand:
     """Return a band with what was measured of it, on another bench."""
     other = OpenBand(bench, band.sweep)
     other.__dict__.update({key: value for key, value in band.__dict__.items() if key not in ("bench", "sweep")})
+    if "short" in band.__dict__:
+        other.__dict__["short"] = _on(band.short, bench)
     return other
 
 
@@ -325,35 +331,9 @@ def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], .
     return (record.outputs, record.sensors), (record.inputs, record.actuators)
 
 
-def without_offset(y: FloatArray, start: FloatArray | None = None) -> FloatArray:
-    """Return readings without what they show at rest; as they are where no sensor has an offset, `(ny, samples)`.
-
-    A run ends at rest: its last part says where that is. With a law it begins with what the loop makes of the offset as
-    it is closed, `start`, the beginning of a run in which nothing is sent (`startup`). Both would leak into every line.
-    """
-    rest = _rest(y)
-    if rest is None:
-        return y
-    known = np.repeat(rest[:, None], y.shape[1], axis=1)
-    if start is not None:
-        known[:, : start.shape[1]] = start
-    return np.asarray(y - known)
-
-
-def startup(quiet: FloatArray) -> FloatArray | None:
-    """Return the beginning of a run in which nothing is sent, until it has come to rest; None without an offset."""
-    rest = _rest(quiet)
-    if rest is None:
-        return None
-    noise = quiet[:, -(quiet.shape[1] // LAST) :].std(axis=1, keepdims=True)
-    moving = np.flatnonzero((np.abs(quiet - rest[:, None]) > SETTLED * noise).any(axis=0)[: quiet.shape[1] // 2])
-    return quiet[:, : moving[-1] + 1 if moving.size else 0]
-
-
-def _rest(y: FloatArray) -> FloatArray | None:
-    last = y[:, -(y.shape[1] // LAST) :]
-    rest = last.mean(axis=1)
-    return rest if (np.abs(rest) > OFFSET * last.std(axis=1)).any() else None
+def left_open(runs: Runs, noise: FloatArray) -> FloatArray:
+    """Return how far spectra of runs may be off, `(lines,)`: by `noise` of a run, `(ny, lines)`, and what moved yet."""
+    return np.sqrt(np.sum(runs.length * noise**2 + (runs.open**2).max(axis=1), axis=0))
 
 
 def over(heard: ComplexArray, sent: ComplexArray) -> ComplexArray:

@@ -1,5 +1,6 @@
 """The sensitivity matrix as the bench shows it, from which every direction and band can be read."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from ultraquiet._base.progress import task
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
 from ultraquiet.linalg.response import principal_gains
-from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest, startup
+from ultraquiet.simulate.open_loop import LOWER, OpenBand, OpenLoop, Runs, inverted, largest, left_open
 from ultraquiet.values import FrequencyResponse, StateSpace
 from ultraquiet.values.controller import Controller
 
@@ -21,12 +22,14 @@ RESOLVED, DEVIATIONS = 0.05, 2.0
 # Passes at most; each is louder where the one before was hidden. Lines that were not asked for one by one lie where the
 # open loop is heard: another pass is made when more than this share of them is hidden.
 PASSES, HIDDEN = 4, 0.25
+SURE = 4.0  # deviations above its neighbours, for one of many lines to be a needle
 # First lines are apart by this share of their frequency; between two whose worst direction differs by more, there are
 # further ones, down to the resolution of a run.
 APART, STEP_DB = 0.003, 0.5
 # Lines are chosen where the open loop by itself would leave an S of size one this much open.
 HEARD = 0.02
 ROUNDING = 1e-9  # what is left of a deviation without noise
+UNHEARD = 1.25  # of the range of the sweeps that has no line
 EDGE = 1.05  # where a sweep fades in and out
 # A law's first, short sweeps are so much lower than those of the open loop.
 BEGIN_CLOSED = 0.3
@@ -50,6 +53,8 @@ class MeasuredSensitivity:
         deviation: of the largest singular value, from noise, `(nf,)`.
         reach: sentence on directions the actuators do not reach; empty where they reach all.
         below: sentence on what S may do under the lowest line; empty where it falls there, or lines were asked for.
+        unheard: sentence on the range of the sweeps in which there are no lines, as the open loop is not heard there;
+            empty where there are, or lines were asked for.
     """
 
     S: FrequencyResponse
@@ -58,6 +63,7 @@ class MeasuredSensitivity:
     deviation: FloatArray
     reach: str = ""
     below: str = ""
+    unheard: str = ""
 
     @property
     def f_hz(self) -> FloatArray:
@@ -125,7 +131,8 @@ class MeasuredSensitivity:
                 f"{f[hidden].max():.4g} Hz; "
                 f"they are counted at the bound it leaves."
             )
-        return f"{said} {self.below}" if self.below and low_hz < f[0] else said
+        outside = self.unheard if low_hz < f[0] or high_hz > f[-1] else ""
+        return " ".join(filter(None, (said, self.below if low_hz < f[0] else "", outside)))
 
     def _size(self) -> FloatArray:
         return _largest(self.S.values)
@@ -180,7 +187,9 @@ def measure_sensitivity(
             parts.insert(0, _Pair(below, controller).at(None, most_hidden=0.0))
             below = opened.below(below)
     found = _joined(opened, parts)
-    return found if f_hz is not None else replace(found, below=_rises_below(found))
+    if f_hz is not None:
+        return found
+    return replace(found, below=_rises_below(found), unheard=_unheard(found, opened))
 
 
 def _asked(opened: OpenLoop, f_hz: ArrayLike) -> list[np.ndarray]:
@@ -217,8 +226,8 @@ class _Pair:
 
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
         self.band, self._law = band, law
-        quiet = band.quiet(law)
-        self._noise, self._hum, self._start = band.noise_of(quiet), band.last_power(quiet), startup(quiet)
+        self._quiet, self._length = band.quiet(law), 1
+        self._noise = band.noise_of(self._quiet)
         ny, nu = len(band.bench.sensors), len(band.bench.actuators)
         begin = BEGIN_CLOSED * band.runs.levels
         self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
@@ -250,10 +259,10 @@ class _Pair:
 
     def _measure(self) -> None:
         band = self.band
-        closed = band.rested(self._law, self._levels, self._hum, self._start)
-        self._levels = closed.better
-        noise = np.sqrt(band.runs.length) * band.noise, np.sqrt(closed.length) * self._noise
-        S, deviation, response = _sensitivity(band.runs, closed, *noise)
+        closed = band.rested(self._law, self._levels, self._quiet, self._length)
+        self._levels, self._length = closed.better, closed.length
+        left = left_open(band.runs, band.noise), left_open(closed, self._noise)
+        S, deviation, response = _sensitivity(band.runs, closed, *left)
         weight = 1 / np.maximum(deviation, ROUNDING) ** 2
         total = self._weight + weight
         share = weight / total
@@ -270,12 +279,26 @@ class _Pair:
         first, last = f[heard[0]], f[heard[-1]]
         wanted = np.geomspace(first, last, max(2, int(np.log(last / first) / APART)))
         places = np.unique(np.searchsorted(f, wanted).clip(heard[0], heard[-1]))
-        level = 20 * np.log10(_largest(self._S))
+        size = _largest(self._S)
+        level = 20 * np.log10(size)
         while True:
             steep = (np.abs(np.diff(level[places])) > STEP_DB) & (np.diff(places) > 1)
-            if not steep.any():
+            between = (places[:-1] + places[1:])[steep] // 2
+            needles = _needles(size, self._deviation, places)
+            if not between.size and not needles.size:
                 return places
-            places = np.unique(np.concatenate([places, (places[:-1] + places[1:])[steep] // 2]))
+            places = np.unique(np.concatenate([places, between, needles]))
+
+
+def _needles(size: FloatArray, deviation: FloatArray, places: np.ndarray) -> np.ndarray:
+    """Return the largest line between two, where it stands above both by a step that is no noise."""
+    found = []
+    for first, last in itertools.pairwise(places):
+        k = first + int(np.argmax(size[first : last + 1]))
+        beside = max(size[first], size[last])
+        if size[k] > beside * 10 ** (STEP_DB / 20) and size[k] - beside > SURE * deviation[k]:
+            found.append(k)
+    return np.array(found, dtype=int)
 
 
 def _rises_below(found: MeasuredSensitivity) -> str:
@@ -283,6 +306,14 @@ def _rises_below(found: MeasuredSensitivity) -> str:
         return ""
     lowest_db = 20 * np.log10(_near_lowest(found.f_hz, _largest(found.S.values)))
     return f"The loop amplifies by {lowest_db:.1f} dB near the lowest, {found.f_hz[0]:.3g} Hz, and perhaps more below."
+
+
+def _unheard(found: MeasuredSensitivity, opened: OpenLoop) -> str:
+    low, high = opened.bands[0].sweep.low_hz, opened.bands[-1].sweep.high_hz
+    first, last = found.f_hz[0], found.f_hz[-1]
+    parts = [f"below {first:.3g} Hz"] if first > UNHEARD * low else []
+    parts += [f"above {last:.3g} Hz"] if last < high / UNHEARD else []
+    return f"The open loop is not heard {' and '.join(parts)}: nothing is known there." if parts else ""
 
 
 def _all_lines(parts: list[_Part]) -> tuple[FloatArray, ComplexArray]:
@@ -326,18 +357,18 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
 
 
 def _sensitivity(
-    opened: Runs, closed: Runs, noise: FloatArray, noise_closed: FloatArray
+    opened: Runs, closed: Runs, left: FloatArray, left_closed: FloatArray
 ) -> tuple[ComplexArray, FloatArray, ComplexArray]:
     """Return S `(ny, ny, lines)`, the deviation of its largest singular value, and the closed response.
 
     Both loops' sweeps differ in level, so the open response is taken to what was sent with the law:
-    S = Yc (Yo Do^+ Dc)^+.
+    S = Yc (Yo Do^+ Dc)^+. `left`, `left_closed`: how far their spectra may be off.
     """
     Do, Dc, Yo, Yc = (np.moveaxis(x, 2, 0) for x in (opened.sent, closed.sent, opened.heard, closed.heard))
     turn = inverted(Do) @ Dc
     inverse = inverted(Yo @ turn)
     S = Yc @ inverse
-    by_closed = largest(inverse) * np.sqrt(np.sum(noise_closed**2, axis=0))
-    by_open = largest(S) * largest(turn @ inverse) * np.sqrt(np.sum(noise**2, axis=0))
+    by_closed = largest(inverse) * left_closed
+    by_open = largest(S) * largest(turn @ inverse) * left
     response = Yc @ inverted(Dc)
     return np.moveaxis(S, 0, 2), np.hypot(by_closed, by_open), np.moveaxis(response, 0, 2).astype(np.complex128)

@@ -23,7 +23,7 @@ from ultraquiet.simulate.growth.verdict import (
 )
 from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, loudest, tones_alone, with_tones
 from ultraquiet.simulate.loop import disturb
-from ultraquiet.simulate.open_loop import OFFSET
+from ultraquiet.simulate.sweeps.rest import OFFSET
 from ultraquiet.values import StateSpace, Status, StatusWord
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.interconnect import feedback

@@ -43,8 +43,12 @@ class SweepClock:
         return self.lines * self.rate_hz / (self.finer * self.samples)
 
     def transform(self, signals: FloatArray) -> ComplexArray:
-        """Return the Fourier transforms of signals `(channels, samples)` at the lines, `(channels, lines)`."""
-        return np.fft.rfft(signals, self.finer * self.samples, axis=1)[:, self.lines]
+        """Return the Fourier transforms of signals `(channels, samples)`, however long, at the lines."""
+        period = self.finer * self.samples
+        count = -(-signals.shape[1] // period)
+        # at these lines samples a period apart count alike
+        folded = np.pad(signals, ((0, 0), (0, count * period - signals.shape[1]))).reshape(len(signals), count, period)
+        return np.asarray(np.fft.rfft(folded.sum(axis=1), axis=1)[:, self.lines], dtype=np.complex128)
 
     @cached_property
     def f_hz(self) -> FloatArray:

@@ -1,0 +1,1 @@
+"""Sweeps and what a run leaves when it ends."""
