@@ -22,8 +22,9 @@ RUN_S, FEWEST, MOST = 16.0, 1 << 13, 1 << 17
 # Periods of the lowest line in a run; the highest as a share of the Nyquist frequency; where the two bands meet, as a
 # share of the octaves; by how much the runs of the faster one are shorter.
 LOWEST_PERIODS, HIGHEST, SPLIT, FASTER = 64.0, 0.96, 0.33, 4
-# Lines between those of a run, in either band: a loop that rings on is listened to for so many times a run.
-FINER, FINER_FAST = 4, 2
+# Lines between those of a run, in either band, and lines at most where what rings for long asks for closer ones; a
+# bench in real time is listened to for so many times a run.
+FINER, FINER_FAST, MOST_LINES, WAITED = 4, 4, 1 << 17, 4
 # A run is made longer while what rings on leaves more than this share of a line open, in more lines than these, and as
 # long as more silence leaves less than this of it; simulated ones up to so many samples.
 OPEN, OPEN_LINES, LESS, LONGEST = 0.02, 4, 0.9, 1 << 20
@@ -51,7 +52,8 @@ class Runs:
     """Sweeps in `k` directions: what was sent `(nu, k, lines)` and what came back `(ny, k, lines)`, as spectra.
 
     `levels` `(k, grid)`: how loud each was; `better`: how loud it may be. `clipped`: points at which a limit was met.
-    `length`: how long they were, in runs. `open`: what is not known of `heard` as it still moved at the end.
+    `length`: how long they were, in runs. `open`: what is not known of `heard` as it still moved at the end; `rounded`:
+    power that converters add to it, `(ny, k)`.
     """
 
     sent: ComplexArray
@@ -61,6 +63,7 @@ class Runs:
     clipped: int
     length: int
     open: FloatArray
+    rounded: FloatArray
 
     @property
     def lines_open(self) -> int:
@@ -74,6 +77,15 @@ class OpenBand:
 
     bench: Bench
     sweep: SweepClock
+
+    def as_fine_as_it_rings(self) -> "OpenBand":
+        """Return this band with lines as close as its runs had to be long: S is as sharp as the open loop rings."""
+        finer = min(2 * self.runs.length, 2 * MOST_LINES // self.sweep.samples)
+        if self.runs.length == 1 or finer <= self.sweep.finer:
+            return self
+        other = OpenBand(self.bench, replace(self.sweep, finer=finer))
+        other.__dict__.update({"short": self.short, "shapes": self.shapes})
+        return other
 
     @cached_property
     def short(self) -> "OpenBand":
@@ -105,7 +117,7 @@ class OpenBand:
         """Return the size of the noise in the spectrum of one run, `(ny, lines)`, from a run that was quiet."""
         alone = quiet.alone
         power = np.abs(self.sweep.transform(alone - alone.mean(axis=1, keepdims=True))) ** 2
-        return np.sqrt(smoothed(power, power.shape[1]))
+        return np.sqrt(smoothed(power))
 
     @cached_property
     def scale(self) -> FloatArray:
@@ -172,10 +184,9 @@ class OpenBand:
                 break
             levels = np.minimum(levels, LOWER * runs.better)
             runs = self.run(law, self.shapes, levels, 1, length, quiet)
-        finer = self.sweep.finer
-        most = finer if real_time(self.bench) else max(finer, LONGEST // self.sweep.samples)
+        most = WAITED if real_time(self.bench) else max(WAITED, LONGEST // self.sweep.samples)
         while runs.lines_open > OPEN_LINES and runs.length < most:
-            longer = self.run(law, self.shapes, levels, 1, min(most, max(finer, 2 * runs.length)), quiet)
+            longer = self.run(law, self.shapes, levels, 1, min(most, 2 * runs.length), quiet)
             # the median, for near what rings on nothing is known until it is gone
             if not np.median(longer.open) < LESS * np.median(runs.open):
                 return longer if longer.lines_open < runs.lines_open else runs
@@ -212,9 +223,10 @@ class OpenBand:
         silence = (length - 1) * self.sweep.samples
         made = [self._levelled(law, shapes[:, k], levels[k], levellings, silence) for k in range(shapes.shape[1])]
         found = [(self.sweep.transform(d), *self._heard(record.outputs, quiet), *more) for d, record, *more in made]
-        sent, heard, left, level, better, clipped = zip(*found, strict=True)
+        sent, heard, left, rounded, level, better, clipped = zip(*found, strict=True)
         spectra = np.stack(sent, axis=1), np.stack(heard, axis=1)
-        return Runs(*spectra, np.stack(level), np.stack(better), sum(clipped), length, np.stack(left, axis=1))
+        moving = np.stack(left, axis=1), np.stack(rounded, axis=1)
+        return Runs(*spectra, np.stack(level), np.stack(better), sum(clipped), length, *moving)
 
     def _levelled(
         self, law: StateSpace | Controller | None, shape: ComplexArray, level: FloatArray, times: int, silence: int
@@ -229,12 +241,12 @@ class OpenBand:
                 return d, record, level, level * change, clipped
             level = level * change
 
-    def _heard(self, y: FloatArray, quiet: Quiet | None) -> tuple[ComplexArray, FloatArray]:
-        """Return spectra `(ny, lines)` of what came back, and what is not known of them."""
+    def _heard(self, y: FloatArray, quiet: Quiet | None) -> tuple[ComplexArray, FloatArray, FloatArray]:
+        """Return spectra `(ny, lines)` of what came back, what is not known of them, and the power of rounding."""
         if quiet is not None:
-            return quiet.spectra(y)
+            return *quiet.spectra(y), quiet.rounding(y)
         heard = self.sweep.transform(y)
-        return heard, np.zeros(heard.shape)
+        return heard, np.zeros(heard.shape), np.zeros(len(y))
 
     def _change(self, d: FloatArray, record: Record, closed: bool) -> FloatArray:
         """Return by how much the level may be raised at the grid, `(grid,)`."""
@@ -282,7 +294,7 @@ class OpenLoop:
         between = low * (high / low) ** SPLIT
         slow = SweepClock(round(seconds * rate), rate, low, OVERLAP * between, FINER, even=False)
         fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
-        return OpenBand(self.bench, slow), OpenBand(self.bench, fast)
+        return OpenBand(self.bench, slow).as_fine_as_it_rings(), OpenBand(self.bench, fast).as_fine_as_it_rings()
 
     def below(self, band: OpenBand) -> OpenBand | None:
         """The next band below, a run as long for few frequencies: for loops that amplify most under the lowest line.
@@ -294,7 +306,7 @@ class OpenLoop:
             return None
         if sweep.low_hz not in self._below:
             clock = replace(self.bands[0].sweep, low_hz=BELOW * sweep.low_hz, high_hz=OVERLAP * sweep.low_hz)
-            self._below[sweep.low_hz] = OpenBand(self.bench, clock)
+            self._below[sweep.low_hz] = OpenBand(self.bench, clock).as_fine_as_it_rings()
         return self._below[sweep.low_hz]
 
     @cached_property
@@ -333,7 +345,8 @@ def _channels(record: Record) -> tuple[tuple[FloatArray, tuple[Channel, ...]], .
 
 def left_open(runs: Runs, noise: FloatArray) -> FloatArray:
     """Return how far spectra of runs may be off, `(lines,)`: by `noise` of a run, `(ny, lines)`, and what moved yet."""
-    return np.sqrt(np.sum(runs.length * noise**2 + (runs.open**2).max(axis=1), axis=0))
+    moving = (runs.open**2 + runs.rounded[:, :, None]).max(axis=1)
+    return np.sqrt(np.sum(runs.length * noise**2 + moving, axis=0))
 
 
 def over(heard: ComplexArray, sent: ComplexArray) -> ComplexArray:

@@ -10,8 +10,9 @@ from ultraquiet.simulate.sweeps.clock import SweepClock
 LAST = 8  # the last part of a run, one of so many, shows what still moves
 # A reading at rest this many deviations of its noise from zero has an offset; within so many it has come to rest.
 OFFSET, SETTLED = 3.0, 5.0
-# What moves at the end counts when it has so many times the power of the noise there, or so much of a run's size.
-RINGS, ROUNDED = 10.0, 1e-12
+# What moves at the end counts when it has so many times the power of the noise there, the mean of all parts of a quiet
+# run and of so many lines beside, which chance never has, and so much of a run's size.
+RINGS, BESIDE, ROUNDED = 20.0, 1, 1e-12
 KAISER = 14.0
 NOISE_LINES = 24  # the noise of a line is the mean of so many neighbours to either side
 LOUDEST = 64  # tones that ring on, at most
@@ -53,7 +54,7 @@ class Quiet:
             sum_{t >= n} (c + v (t - n)) q^t = q^n (c / (1 - q) + v q / (1 - q)^2),   q = exp(-j w),
 
         and added. Of a tone of amplitude a that rings on it is at most a / 2 |1 - exp(j (w0 - w))|^-1 and its mirror,
-        and no more than the run was long: that is left open, and so is what a converter rounds.
+        and no more than the run was long: that is left open.
 
         Returns:
             Both `(ny, lines)`.
@@ -63,8 +64,15 @@ class Quiet:
         n = y.shape[1]
         q = np.exp(-2j * np.pi * self.sweep.lines_hz / self.sweep.rate_hz)
         missing = q**n * (level[:, None] / (1 - q) + drift[:, None] * q / (1 - q) ** 2)
-        left = self._ringing(rest, n, np.abs(moved).max(axis=1)) + n / 12 * converter_steps(y)[:, None] ** 2
-        return self.sweep.transform(moved) + missing, np.sqrt(left)
+        return self.sweep.transform(moved) + missing, self._ringing(rest, n, np.abs(moved).max(axis=1))
+
+    def rounding(self, y: FloatArray) -> FloatArray:
+        """Return the power in a spectrum of what converters round in `(ny, samples)`, beyond the noise, `(ny,)`.
+
+        Noise that is as large as a converter's step has that error in it; a sensor that hears nothing shows none.
+        """
+        extra = converter_steps(y) ** 2 / 12 - self.alone[:, -self.part :].var(axis=1)
+        return y.shape[1] * np.maximum(extra, 0.0)
 
     def _moved(self, y: FloatArray) -> FloatArray:
         """Return readings without an offset and without what a loop makes of it when it is closed."""
@@ -89,22 +97,22 @@ class Quiet:
         return level, slope, last - mean[:, None] - slope[:, None] * t
 
     def _ringing(self, rest: FloatArray, n: int, size: FloatArray) -> FloatArray:
-        """Return the power that tones which ring in the last part leave open, `(ny, lines)`."""
+        """Return what tones that ring in the last part leave open, `(ny, lines)`."""
         lines = self.sweep.lines_hz
         window = np.hanning(self.part)
         scale = 2 / window.sum()
         f = np.fft.rfftfreq(self.part, 1 / self.sweep.rate_hz)
         power = np.abs(scale * np.fft.rfft(rest * window, axis=1)) ** 2
-        quiet = self.readings[:, -self.part :]
-        noise = np.abs(scale * np.fft.rfft((quiet - quiet.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
+        quiet = self.alone[:, : LAST * self.part].reshape(len(rest), LAST, self.part)
+        noise = np.abs(scale * np.fft.rfft((quiet - quiet.mean(axis=2, keepdims=True)) * window, axis=2)) ** 2
         left = np.zeros((len(rest), lines.size))
-        for row, (found, floor) in enumerate(zip(power, smoothed(noise, f.size), strict=True)):
+        for row, (found, floor) in enumerate(zip(power, smoothed(noise.mean(axis=1), BESIDE), strict=True)):
             ringing = np.flatnonzero(found > np.maximum(RINGS * floor, (ROUNDED * size[row]) ** 2))
             for k in ringing[np.argsort(-found[ringing], kind="stable")][:LOUDEST]:
                 for mirrored in (f[k], -f[k]):
                     apart = np.abs(1 - np.exp(2j * np.pi * (mirrored - lines) / self.sweep.rate_hz))
                     left[row] += found[k] / 4 / np.maximum(apart, 1 / n) ** 2
-        return left
+        return np.sqrt(left)
 
 
 def _line(part: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -122,9 +130,9 @@ def converter_steps(y: FloatArray) -> FloatArray:
     return np.array([each.min() if each.size else 0.0 for each in steps])
 
 
-def smoothed(power: FloatArray, count: int) -> FloatArray:
-    """Return the mean power of each line's neighbours, `(rows, lines)`."""
-    reach = min(NOISE_LINES, count - 1)
+def smoothed(power: FloatArray, reach: int = NOISE_LINES) -> FloatArray:
+    """Return the mean power of each line and so many neighbours to either side, `(rows, lines)`."""
+    reach = min(reach, power.shape[1] - 1)
     wide = np.ones(2 * reach + 1) / (2 * reach + 1)
     padded = np.pad(power, ((0, 0), (reach, reach)), mode="reflect")
     return np.stack([np.convolve(row, wide, "valid") for row in padded])
