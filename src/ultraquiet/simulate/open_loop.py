@@ -27,7 +27,7 @@ LOWEST_PERIODS, HIGHEST, SPLIT, FASTER = 64.0, 0.96, 0.33, 4
 FINER, FINER_FAST, MOST_LINES, WAITED = 4, 4, 1 << 17, 4
 # A run is made longer while what rings on leaves more than this share of a line open, in more lines than these, and as
 # long as more silence leaves less than this of it; simulated ones up to so many samples.
-OPEN, OPEN_LINES, LESS, LONGEST = 0.02, 4, 0.9, 1 << 20
+OPEN, OPEN_LINES, LESS, LONGEST = 0.02, 4, 0.98, 1 << 20
 OVERLAP = 1.1  # of the bands, where each fades
 BELOW = 0.7  # where a band below begins, over where the one above does
 FEWEST_PERIODS = 20.0  # of its lowest line in a run: fewer, and the short runs do not tell the lines of a band apart
