@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
-from ultraquiet.design.loop_analysis import analyse_loop
+from ultraquiet.cli.loop.facts import slowest_sentence
+from ultraquiet.design.loop_analysis import SlowestMode, analyse_loop
 
 RATE = 1000.0
 SHAPES = ((1, 1), (4, 3), (3, 5))
@@ -64,6 +65,13 @@ def test_what_analyse_says_is_what_the_rooms_below_say(run, loop):
         inside = inside @ np.linalg.qr(reached)[0]
     worst = np.linalg.norm(inside, 2, axis=(1, 2)).max()
     assert said["attenuation_db"] == pytest.approx(-20 * np.log10(worst), abs=0.02)
+
+
+def test_a_real_pole_is_no_pair():
+    assert slowest_sentence(SlowestMode(146.1, 0.0, -1.0)) == "slowest pole: real, grows by 146.1 e-folds a second"
+    assert slowest_sentence(SlowestMode(-2.0, 5.0, 0.06)) == (
+        "slowest pair: 5 Hz, decays by 2 e-folds a second, damping 0.06"
+    )
 
 
 @pytest.mark.gate("(4, 3)")

@@ -83,12 +83,14 @@ def band_sentence(attenuation_db: float, at_hz: float, band_hz: tuple[float, flo
 
 
 def slowest_sentence(slowest: "SlowestMode | None") -> str:
-    """Return one sentence on the slowest pair of a loop."""
+    """Return one sentence on the slowest pole of a loop, or pair of them."""
     if slowest is None:
         return "the loop has no states"
     does = "grows" if slowest.growth_per_s > 0 else "decays"
-    rate = abs(slowest.growth_per_s)
-    return f"slowest pair: {hertz(slowest.f_hz)}, {does} by {rate:.4g} e-folds a second, damping {slowest.damping:.3g}"
+    does = f"{does} by {abs(slowest.growth_per_s):.4g} e-folds a second"
+    if slowest.f_hz == 0:
+        return f"slowest pole: real, {does}"
+    return f"slowest pair: {hertz(slowest.f_hz)}, {does}, damping {slowest.damping:.3g}"
 
 
 def decibels(value: float) -> str:
