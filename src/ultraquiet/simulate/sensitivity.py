@@ -55,6 +55,7 @@ class MeasuredSensitivity:
         below: sentence on what S may do under the lowest line; empty where it falls there, or lines were asked for.
         unheard: sentence on the range of the sweeps in which there are no lines, as the open loop is not heard there;
             empty where there are, or lines were asked for.
+        rings: whether a run ended before it had come to rest; what that leaves open counts as noise does.
     """
 
     S: FrequencyResponse
@@ -64,6 +65,7 @@ class MeasuredSensitivity:
     reach: str = ""
     below: str = ""
     unheard: str = ""
+    rings: bool = False
 
     @property
     def f_hz(self) -> FloatArray:
@@ -126,10 +128,10 @@ class MeasuredSensitivity:
         hidden, f = band & self.hidden, self.f_hz
         said = f"All {band.sum()} lines were resolved." if band.sum() > 1 else "The line was resolved."
         if hidden.any():
+            what = "Noise, or what still rings when a run ends," if self.rings else "Noise"
             said = (
-                f"Noise hides {hidden.sum()} of {counted(int(band.sum()), 'line')}, {f[hidden].min():.4g} to "
-                f"{f[hidden].max():.4g} Hz; "
-                f"they are counted at the bound it leaves."
+                f"{what} hides {hidden.sum()} of {counted(int(band.sum()), 'line')}, {f[hidden].min():.4g} to "
+                f"{f[hidden].max():.4g} Hz; they are counted at the bound it leaves."
             )
         outside = self.unheard if low_hz < f[0] or high_hz > f[-1] else ""
         return " ".join(filter(None, (said, self.below if low_hz < f[0] else "", outside)))
@@ -154,7 +156,9 @@ def measure_sensitivity(
     """Measure S on the bench with swept disturbances in its own directions, open and closed loop.
 
     Each run sweeps from the lowest to the highest frequency and then waits until the plant has come to rest, so that
-    Y(f) is the Fourier transform of the whole response and free of leakage at every line of a run. A run drives one
+    Y(f) is the Fourier transform of the whole response and free of leakage at every line of a run: for as long as more
+    silence helps, on a bench in real time four times. Where it ends displaced or moving, as an integrator or a free
+    body does, the rest of the transform is known and added; what rings on is counted like noise. A run drives one
     right singular vector of the open loop, as loud as ranges allow at each frequency: weak directions stand as far
     above the noise as strong ones. Lines are where S is: closer together between lines that differ by more than 0.5 dB,
     down to one over the length of a run. A pass is repeated, louder where noise hid a line, four times at most.
@@ -219,6 +223,7 @@ class _Part:
     deviation: FloatArray
     opened: ComplexArray
     closed: ComplexArray
+    rings: bool
 
 
 class _Pair:
@@ -226,7 +231,7 @@ class _Pair:
 
     def __init__(self, band: OpenBand, law: StateSpace | Controller) -> None:
         self.band, self._law = band, law
-        self._quiet, self._length = band.quiet(law), 1
+        self._quiet, self._length, self._rings = band.quiet(law), 1, False
         self._noise = band.noise_of(self._quiet)
         ny, nu = len(band.bench.sensors), len(band.bench.actuators)
         begin = BEGIN_CLOSED * band.runs.levels
@@ -251,6 +256,7 @@ class _Pair:
             self._deviation[places],
             self.band.response[:, :, places],
             self._closed[:, :, places],
+            self._rings or self.band.runs.lines_open > 0,
         )
 
     @property
@@ -260,7 +266,7 @@ class _Pair:
     def _measure(self) -> None:
         band = self.band
         closed = band.rested(self._law, self._levels, self._quiet, self._length)
-        self._levels, self._length = closed.better, closed.length
+        self._levels, self._length, self._rings = closed.better, closed.length, closed.lines_open > 0
         left = left_open(band.runs, band.noise), left_open(closed, self._noise)
         S, deviation, response = _sensitivity(band.runs, closed, *left)
         weight = 1 / np.maximum(deviation, ROUNDING) ** 2
@@ -352,7 +358,12 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
     )
     deviation = np.concatenate([part.deviation for part in parts])
     return MeasuredSensitivity(
-        FrequencyResponse(f, S, estimator=text), opened_y, closed_y, deviation, reach if nu < ny else ""
+        FrequencyResponse(f, S, estimator=text),
+        opened_y,
+        closed_y,
+        deviation,
+        reach if nu < ny else "",
+        rings=any(part.rings for part in parts),
     )
 
 
