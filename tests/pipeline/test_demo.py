@@ -135,6 +135,7 @@ def test_code_repeats_python_bit_by_bit_where_there_is_a_compiler(demo):
             assert tables["c31_cycles"] <= tables["c31_budget"]
 
 
+@pytest.mark.slow
 def test_the_weights_as_printed_ask_for_nothing(demo):
     _, summary, _ = demo
     assert summary["design"]["hinf-as-printed"]["achieved"] < 1.1e-5

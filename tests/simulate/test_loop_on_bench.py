@@ -215,6 +215,7 @@ def test_a_loop_that_amplifies_most_at_rest_is_measured_as_far_down_as_a_run_tel
     assert "below" not in uq.simulate.measure_sensitivity(opened.bench, stiffer, opened=opened).unresolved()
 
 
+@pytest.mark.gate("at rest")
 @pytest.mark.parametrize(("modulus", "longer"), [(0.99, False), (0.9999, True)], ids=["at rest", "rings on"])
 def test_a_bench_without_noise_is_listened_to_for_longer_only_where_it_rings(modulus, longer):
     """What rounding leaves at the end of a run is no ringing, though no hum covers it."""

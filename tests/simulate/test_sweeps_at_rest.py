@@ -70,7 +70,7 @@ REST = {
 }
 
 
-@pytest.mark.gate("integrates", "a free body")
+@pytest.mark.gate("integrates")
 @pytest.mark.parametrize("name", REST)
 def test_what_is_slow_to_rest_or_never_does_is_measured_as_it_is(name):
     plant, controller = REST[name]
@@ -88,7 +88,7 @@ def test_what_is_slow_to_rest_or_never_does_is_measured_as_it_is(name):
     assert found.peak_amplification_db() == pytest.approx(peak_db, abs=2 * EXACT_DB)
 
 
-@pytest.mark.gate("0.3-0.005")
+@pytest.mark.slow
 @pytest.mark.parametrize(("offset", "step"), [(0.3, 0.0), (0.3, 0.005), (2.0, 0.0)])
 def test_an_offset_or_a_converter_hides_nothing_that_noise_does_not(offset, step):
     """The sensor has no range: what it rests at uses none up."""
