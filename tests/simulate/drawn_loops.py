@@ -113,6 +113,11 @@ class LinearBench:
         ny, nu = C.shape[0], B.shape[1]
         self._open = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, ny)), np.zeros((nu, 0)), np.zeros((nu, ny)), RATE_HZ)
 
+    def noise(self, samples):
+        """Return what readings hold besides, `(samples, ny)`."""
+        shape = (samples, len(self.sensors))
+        return self._noise * self._rng.standard_normal(shape) if self._noise else np.zeros(shape)
+
     def run(self, actuation, disturbance=None, controller=None):
         """Return the record of one run from rest."""
         u = np.asarray(actuation, dtype=float)
@@ -121,7 +126,7 @@ class LinearBench:
         ny, nu = len(self.sensors), len(self.actuators)
         if not isinstance(law, uq.StateSpace) or law.states or law.D.shape != (nu, ny):
             raise InputError(f"LinearBench.run: the law must be a matrix ({nu}, {ny}).")
-        noise = self._noise * self._rng.standard_normal((u.shape[1], ny)) if self._noise else np.zeros((u.shape[1], ny))
+        noise = self.noise(u.shape[1])
         size, f_hz, offset = self.hum
         if size:
             angle = 2 * np.pi * f_hz * np.arange(u.shape[1]) / RATE_HZ + self._rng.uniform(0, 2 * np.pi)

@@ -142,7 +142,7 @@ def _fact(key: str, value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"{key} {array(cast('np.ndarray[Any, Any]', value))}"
     if is_plain(value) and not is_dataclass(value):
-        return f"{key}={text(value)}" if value not in ("", (), []) else ""
+        return "" if isinstance(value, str | tuple | list) and not value else f"{key}={text(value)}"
     return ""
 
 

@@ -9,7 +9,7 @@ from ultraquiet.experiments import real_time
 from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.free_response import CERTAIN
 from ultraquiet.simulate.growth.together import Together
-from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, grows, risen, told
+from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, at_rest, grows, risen, told
 from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, tones_alone
 from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
@@ -26,7 +26,7 @@ PHASES, LOUDER = 4, (2.0, 1.0, 0.5)
 TOUCHED = 0.05
 # They are judged each time that they are so much more, and one.
 LATER = 0.125
-# A tone was chance where nothing lasts in so many records.
+# A tone was chance where nothing lasts in so many records; so many tell a mode at 0 Hz from readings that wander.
 QUIET = 10
 # Whether more could tell is asked of the largest growth or decay within so many deviations of what was seen.
 PLAUSIBLE = 2.0
@@ -111,7 +111,9 @@ def _together(seen: Seen, known: Together) -> Seen:
     """Judge the modes in doubt by all records."""
     bands = known.modes()
     modes = sorted((mode for band in bands for mode in band or ()), key=lambda mode: -mode.growth_per_s)
-    growing = next((mode for mode in modes if grows(mode, seen.record)), None)
+    few = known.records < QUIET
+    drifts = few and any(at_rest(mode, seen.record) for mode in modes)
+    growing = next((m for m in modes if grows(m, seen.record) and not (few and at_rest(m, seen.record))), None)
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=None)
     shown = doubted or (modes[0] if modes else None)
     seen = replace(
@@ -119,8 +121,11 @@ def _together(seen: Seen, known: Together) -> Seen:
     )
     if growing is not None:
         return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing))
-    if doubted is not None or None in bands or (known.records < QUIET and () in bands):
+    if doubted is not None or drifts or None in bands or (few and () in bands):
         return seen
     if known.rise > GROWTH_LIMIT:
         return replace(seen, sentence=risen(known.rise))
+    if shown is None:  # what was in doubt was chance, and is nothing to tell
+        slowest = next((mode for mode in seen.modes if mode.decays), None)
+        seen = replace(seen, mode=slowest, sentence=told(slowest) if slowest else "")
     return replace(seen, word=StatusWord.OK)

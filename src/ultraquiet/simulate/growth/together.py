@@ -14,6 +14,9 @@ from ultraquiet.simulate.kick import FreeResponse
 
 # Frames so many steps apart share next to nothing of a window this steep.
 APART = OVERLAP // 2
+# Other distances of frames that must tell the same of a mode, within its deviation: where a band holds more modes than
+# directions, each distance makes something else of them.
+OTHERS_APART = (APART + 2, APART + 4, APART + 6)
 # What a burst left is judged alone where its power is so many times that of the noise.
 HEARD = 3.0
 # A record ends where a command uses this share of its range. A frame's window has next to nothing so many steps before
@@ -206,17 +209,26 @@ class _Steps:
     @cached_property
     def moments(self) -> tuple[ComplexArray, ...]:
         """Return the sums of x_{k+1} v*, x_k v*, v v* and x_k x_k*, v = x_{k - 8}."""
-        counted = self.used[..., APART + 1 :]
+        return self.moments_apart(APART)
+
+    def moments_apart(self, apart: int) -> tuple[ComplexArray, ...]:
+        """Return the same sums with v = x_{k - apart}."""
+        counted = self.used[..., apart + 1 :]
         total = np.zeros((4, self.x.shape[1], self.x.shape[1]), dtype=np.complex128)
         for part in (self.x,) if self.alone else (self.x, self.w):
             after, now, before = (
-                part[..., APART + 1 :],
-                part[..., APART:-1] * counted,
-                part[..., : -APART - 1] * counted,
+                part[..., apart + 1 :],
+                part[..., apart:-1] * counted,
+                part[..., : -apart - 1] * counted,
             )
             pairs = ((after, before), (now, before), (before, before), (now, now))
             total += [np.einsum("rik,rjk->ij", a, b.conj()) for a, b in pairs]
         return tuple(total)
+
+    def poles_apart(self) -> list[ComplexArray]:
+        """Return the poles that other distances of frames make of the same steps."""
+        sums = (self.moments_apart(apart) for apart in OTHERS_APART)
+        return [np.linalg.eigvals(np.linalg.lstsq(held.T, after.T)[0].T) for after, held, _, _ in sums]
 
     @property
     def lasting(self) -> bool:
@@ -240,7 +252,7 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float) -> tuple[Mode
     inverse = np.linalg.inv(held)
     z = after @ inverse
     poles, shapes = np.linalg.eig(z)
-    errors = steps.errors(z)
+    errors, others = steps.errors(z), steps.poles_apart()
     share = float(np.mean(steps.used[..., APART + 1 :]))  # of the steps that count
     students = _students(2 * share * errors[0][:, 0].size)
     per_s = frames.rate_hz / frames.hop
@@ -253,9 +265,12 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float) -> tuple[Mode
         reach = inverse @ shape
         variance = (power + floor**2) * float(np.real(reach.conj() @ spread @ reach)) / 2
         size, hum = (float(np.linalg.norm(np.einsum("i,rik->rk", row, part))) for part in (steps.x, steps.w))
-        deviation = students * float(np.sqrt(variance)) / abs(pole) * per_s
+        growth, deviation = (float(part * per_s) for part in (np.log(abs(pole)), np.sqrt(variance) / abs(pole)))
+        told = [float(np.log(max(abs(other[np.argmin(abs(other - pole))]), np.finfo(float).tiny))) for other in others]
+        disagree = max(abs(other * per_s - growth) for other in told)
+        deviation = float(np.hypot(students * deviation, max(disagree - deviation, 0.0)))
         seen = size / max(hum, np.finfo(float).tiny)
-        found.append(Mode(float(np.log(abs(pole)) * per_s), deviation, hz_of(frames, line, complex(pole)), seen))
+        found.append(Mode(growth, deviation, hz_of(frames, line, complex(pole)), seen))
     return tuple(sorted(found, key=lambda mode: -mode.growth_per_s))
 
 

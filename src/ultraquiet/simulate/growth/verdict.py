@@ -20,6 +20,9 @@ GROWTH_LIMIT = 3.0
 # e-folds within a record: a hum rings up no mode faster than in proportion to time, two e-folds by least squares. What
 # drifts does as it likes.
 ABOVE_HUM, RUNG_UP = 10.0, 4.0
+# Readings may wander, and what wanders looks like growth at 0 Hz: within one record that is believed from so many
+# e-folds on, well above the noise, which wanders too; less is left to several records together.
+UNDRIFTED = 6.0
 # Tones of one burst at most.
 MOST_TONES = 12
 
@@ -50,7 +53,7 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
     doubtful = (*(mode.f_hz for mode in modes if not mode.decays), *tones)
     said = "" if slowest is None else told(slowest)
     seen = Seen(None, slowest, said, record, modes, doubtful, hidden_hz=heard.hidden_hz)
-    growing = next((mode for mode in modes if grows(mode, record)), None)
+    growing = next((mode for mode in modes if grows(mode, record) and not may_drift(mode, record)), None)
     grown = rise(powers(record.noise))
     doubted = max((m for m in modes if not m.decays), key=lambda m: m.growth_per_s + m.growth_std, default=slowest)
     if record.limited > LIMITED_SHARE:
@@ -78,9 +81,19 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
 def grows(mode: Mode, record: FreeResponse) -> bool:
     """Return whether a mode grows, and not perhaps what a hum from outside rings up from the beginning of a run."""
     samples, rate_hz = record.response.shape[1], record.runs[0].rate_hz
-    drifts = near(mode.f_hz, (0.0,), samples, rate_hz)
-    too_fast = mode.growth_per_s * samples / rate_hz > RUNG_UP and not drifts
+    too_fast = mode.growth_per_s * samples / rate_hz > RUNG_UP and not at_rest(mode, record)
     return mode.grows and (mode.seen > ABOVE_HUM or too_fast or not record.hums_at(mode.f_hz))
+
+
+def may_drift(mode: Mode, record: FreeResponse) -> bool:
+    """Return whether readings that wander may look like a mode's growth in one record."""
+    efolds = mode.growth_per_s * record.response.shape[1] / record.runs[0].rate_hz
+    return at_rest(mode, record) and (efolds < UNDRIFTED or mode.seen < ABOVE_HUM)
+
+
+def at_rest(mode: Mode, record: FreeResponse) -> bool:
+    """Return whether a record so long does not tell a mode's frequency from 0 Hz."""
+    return near(mode.f_hz, (0.0,), record.response.shape[1], record.runs[0].rate_hz)
 
 
 def slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
