@@ -17,7 +17,7 @@ RATE = 2000.0
 RESONANT = StateSpace(
     [[0.98, 0.19], [-0.19, 0.98]], [[0.1], [0.0]], [[1.0, 0.3]], [[0.0]], RATE, ["coil"], ["geophone"]
 )
-CHEAP = {"control_weight": 1e-10, "sensor_noise": 1e-8, "disturbance_at": "input", "band_hz": None}
+CHEAP = {"control_weight": 1e-10, "sensor_noise": 1e-8, "disturbance": 1.0, "disturbance_at": "input", "band_hz": None}
 
 
 def crossed(plant):
@@ -72,9 +72,8 @@ def test_every_design_takes_the_margin_and_refuses_one_that_is_none(name):
 
 def test_a_law_that_is_unstable_by_itself_is_said_to_be():
     plant = StateSpace([[0.9, 1.0], [0.0, 1.05]], [[0.0], [1.0]], [[1.0, -0.2]], [[0.0]], RATE)
-    result = Lqg(control_weight=1e-3, sensor_noise=1e-3, disturbance_at="input", band_hz=None, disk_margin=0.0).design(
-        plant
-    )
+    numbers = {"control_weight": 1e-3, "sensor_noise": 1e-3, "disturbance": 1.0, "disturbance_at": "input"}
+    result = Lqg(**numbers, disk_margin=0.0).design(plant)
     assert result.status.ok
     own = "unstable by itself" in result.status.sentence
     assert own == (not result.controller.is_stable())

@@ -15,6 +15,7 @@ from ultraquiet.values.state_space import StateSpace
 WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
 ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
 LINES = 200  # over a given band, besides those of the poles
+FEW = 16  # lines on which a channel that answers is heard
 SWEEPS = 60  # of rows and columns in turn; a matrix of positive powers converges geometrically
 
 
@@ -37,6 +38,18 @@ class EvenPlant:
     band_hz: tuple[float, float]
     f_hz: FloatArray
     from_rest: bool = False
+
+    @property
+    def loudness(self) -> float:
+        """Typical gain of the plant over its band, output units per input unit: root mean square, geometric mean.
+
+        Channels without any response say nothing of it.
+        """
+        G = np.abs(response_at(self.plant)(self.f_hz[:: max(1, self.f_hz.size // FEW)]))
+        heard, moving = self.outputs[G.any(axis=(1, 2))], self.inputs[G.any(axis=(0, 2))]
+        if not heard.size:
+            return 1.0
+        return float(np.exp(-np.mean(np.log(heard)) - np.mean(np.log(moving))))
 
     def law(self, even: StateSpace) -> StateSpace:
         """Return the controller of the plant from one of Ge: K = diag(inputs) Ke diag(outputs)."""

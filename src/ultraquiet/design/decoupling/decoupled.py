@@ -117,13 +117,13 @@ class Decoupled(StatedRobustness):
     ) -> DesignResult:
         """Return the joined controller of blocks that each keep a margin by themselves, judged on the whole plant."""
         Ty, Tu, blocks = split
-        H = Ty.T @ G @ Tu
+        H, whole = Ty.T @ G @ Tu, turned(plant, Ty, Tu)
         laws: list[StateSpace] = []
         loops: list[DesignResult] = []
         for block in blocks:
             part = portion(plant, Ty[:, block], Tu[:, block])
             known = next((i for i, b in enumerate(blocks[: len(laws)]) if _same(H, b, block)), None)
-            result = loops[known] if known is not None else self._method(part, ask).design(part)
+            result = loops[known] if known is not None else self._method(part, whole, ask).design(part)
             if result.controller is None:
                 return refused(
                     f"Decoupled: the loop of channels {block} has no controller: {result.status.sentence}",
@@ -151,7 +151,7 @@ class Decoupled(StatedRobustness):
             raise InputError(f"Decoupled: 'settings' must be a table of names and values, got {self.settings!r}.")
         return self.settings
 
-    def _method(self, part: StateSpace, ask: float | None = None) -> Any:
+    def _method(self, part: StateSpace, whole: StateSpace, ask: float | None = None) -> Any:
         kind = lookup("design", self.method)
         known = [f.name for f in fields(kind)]
         wrong = [k for k in self.settings if k not in known]
@@ -159,6 +159,8 @@ class Decoupled(StatedRobustness):
             raise InputError(f"Decoupled: '{self.method}' has no setting '{wrong[0]}', only {', '.join(known)}.")
         method = kind(**self.settings)
         method = method if ask is None or "disk_margin" not in known else replace(method, disk_margin=ask)
+        # numbers that nobody gave are those of the plant, so that every block has the same
+        method = method.settled(whole) if hasattr(method, "settled") else method
         # one law repeated on all channels is meant for the whole plant: here every loop has its own
         several = part.D.shape[0] > 1 and getattr(method, "structure", FULL) == REPEATED
         return replace(method, structure=FULL) if several and kind.__name__ == "BandAttenuation" else method
@@ -259,11 +261,17 @@ def _share(part: ComplexArray, whole: ComplexArray) -> float:
     return float(np.max(np.linalg.norm(part, 2, axis=(1, 2)) / np.linalg.norm(whole, 2, axis=(1, 2))))
 
 
+def turned(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpace:
+    """Return left' G right."""
+    return StateSpace(plant.A, plant.B @ right, left.T @ plant.C, left.T @ plant.D @ right, plant.rate_hz)
+
+
 def portion(plant: StateSpace, left: FloatArray, right: FloatArray) -> StateSpace:
     """Return left' G right without the states that it neither sees nor moves; an unstable plant keeps them all."""
-    M = (plant.A, plant.B @ right, left.T @ plant.C, left.T @ plant.D @ right)
-    if plant.is_stable():
-        M = balance.without_faint(M, NEGLIGIBLE, discrete=plant.rate_hz is not None)
+    whole = turned(plant, left, right)
+    if not plant.is_stable():
+        return whole
+    M = balance.without_faint((whole.A, whole.B, whole.C, whole.D), NEGLIGIBLE, discrete=plant.rate_hz is not None)
     return StateSpace(*M, rate_hz=plant.rate_hz)
 
 

@@ -12,6 +12,7 @@ from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.fixed_structure.specification import Specification
 from ultraquiet.design.gain_search import from_plant
+from ultraquiet.design.h2.usual_numbers import UsualVariances
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
@@ -22,8 +23,8 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 NEAR = 1e-6  # relative: an eigenvalue this near to where a mode was is that mode
-# What each of these numbers is where only the other is given; with neither, the plant is the measure.
-ABSOLUTE = {"disturbance": 1.0, "sensor_noise": 1e-2}
+# Where one of these is given, the other is what is usual for the plant; with neither, it is the measure.
+NUMBERS = ("disturbance", "sensor_noise")
 
 
 @register("design", "modal")
@@ -41,10 +42,10 @@ class Modal(StatedRobustness):
     Args:
         band_hz: modes between these frequencies are damped, Hz; those in the plant's own band when absent.
         zeta: damping asked, of all of them or one number for each in rising frequency; modes with more are left.
-        disturbance: variance of the disturbance at the plant's inputs, input units squared, for the filter; 1 where
-            only the noise is given.
-        sensor_noise: variance at its outputs, 0.01 where only the disturbance is given. More of it makes a slower,
-            calmer filter.
+        disturbance: variance of the disturbance at the plant's inputs, input units squared, for the filter; where only
+            the noise is given, a hundred times that at the outputs (`UsualVariances`).
+        sensor_noise: variance at its outputs, 0.01 of the disturbance there where only that is given. More of it makes
+            a slower, calmer filter.
 
     >>> plant = StateSpace([[0.98, 0.1], [-0.1, 0.98]], [[0.0], [0.1]], [[0.0, 1.0]], [[0.0]], rate_hz=1000.0)
     >>> result = Modal(band_hz=(5.0, 50.0), zeta=0.3).design(plant)
@@ -62,7 +63,7 @@ class Modal(StatedRobustness):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ABSOLUTE:
+        for name in NUMBERS:
             if getattr(self, name) is not None:
                 positive("Modal", name, getattr(self, name))
         if self.band_hz is not None:
@@ -104,7 +105,7 @@ class Modal(StatedRobustness):
     def _found(self, plant: StateSpace) -> DesignResult:
         """Return the controller for settings that are all given, its loop not yet judged, or a refusal."""
         assert self.band_hz is not None
-        disturbance, noise = (_number(self, name) for name in ABSOLUTE)
+        disturbance, noise = self._variances(plant)
         try:
             F, modes = self._feedback(plant, self.band_hz)
             Q = plant.B @ plant.B.T * disturbance
@@ -120,6 +121,14 @@ class Modal(StatedRobustness):
         status = Status(StatusWord.OK, f"Damping is placed for {counted(len(modes), 'mode')}.")
         details = {"modes": modes, "band_hz": self.band_hz}
         return DesignResult(status, law, nan, nan, residuals={"filter": filtering.residual}, details=details)
+
+    def _variances(self, plant: StateSpace) -> tuple[float, float]:
+        """Return disturbance and noise, as given or the one as the other asks."""
+        if self.disturbance is not None and self.sensor_noise is not None:
+            return self.disturbance, self.sensor_noise
+        usual = UsualVariances.of(plant, self.band_hz, at_input=True)
+        disturbance = usual.disturbance(self.sensor_noise) if self.disturbance is None else self.disturbance
+        return disturbance, self.sensor_noise or usual.sensor_noise(disturbance)
 
     def _feedback(self, plant: StateSpace, band_hz: tuple[float, float]) -> tuple[FloatArray, list[dict[str, float]]]:
         """Return F and what it does, one mode after the other."""
@@ -141,12 +150,6 @@ class Modal(StatedRobustness):
                 target = np.exp(w * (-after + 1j * np.sqrt(1 - after**2)) / rate)
                 F = F + _moved(plant.A + plant.B @ F, plant.B, np.exp(pole / rate), target)
         return F, modes
-
-
-def _number(settings: Modal, name: str) -> float:
-    """Return a variance as given, or what it is where only the other is."""
-    given: float | None = getattr(settings, name)
-    return ABSOLUTE[name] if given is None else given
 
 
 def _moved(A: FloatArray, B: FloatArray, pole: complex, target: complex) -> FloatArray:

@@ -22,6 +22,7 @@ from ultraquiet.design.h2.lqg_problem import (
 )
 from ultraquiet.design.h2.riccati import H2Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
+from ultraquiet.design.h2.usual_numbers import UsualVariances
 from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
@@ -37,8 +38,8 @@ from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 CHEAP = 1e-6  # weight on u against the gain from u to the cost, below which half of the digits are gone
-# What each of these numbers is where only others are given; with none, the plant is the measure.
-ABSOLUTE = {"control_weight": 1e-8, "disturbance": 1.0, "sensor_noise": 0.01}
+# Where one of these is given, the others are what is usual for the plant; with none, it is the measure.
+NUMBERS = ("control_weight", "disturbance", "sensor_noise")
 RISE = 10.0  # in gain, of the weight on u above `control_hz`
 
 
@@ -52,19 +53,22 @@ class Lqg(StatedRobustness):
     By default all is measured by the plant itself: its channels are evened out over its own band (`even_plant`), the
     disturbance is white at its inputs, and noise and control weigh 1 / g^2 each, g halved from 32 until the loop keeps
     `disk_margin` at both ends. Who gives one of `control_weight`, `disturbance`, `sensor_noise`, a weight or a model
-    gets exactly what these numbers ask for, in the plant's own units, the others as stated below.
+    gets exactly what these numbers ask for, in the plant's own units; the others are what is usual for this plant
+    (`UsualVariances`).
 
     Args:
-        control_weight: rho = Wu^2, squared output units per squared input unit; 1e-8 where only others are given.
+        control_weight: rho = Wu^2, squared output units per squared input unit; 1e-7 of the square of the plant's
+            typical gain over the band where only others are given.
         control_hz: corner from which on Wu rises, tenfold at most; None for a constant.
         disturbance: variance of d per input (in its unit squared) when it enters at the plant's input, of the output
-            disturbance (output units squared) when `disturbance_at` is `output`; 1 where only others are given.
+            disturbance (output units squared) when `disturbance_at` is `output`; likewise, a hundred times the sensor
+            noise at the outputs, or one.
         disturbance_at: `output` or `input`; absent, at the input by default and at the output where numbers are given
             for a plant without poles on or beyond the stability boundary, whose state nothing at the output moves.
             White noise at the input, as in the paper's section 4.2, is mostly noise at the plant's resonances, and that
             is where the controller then works; at the output, all frequencies of the band count alike.
-        sensor_noise: variance of v per output; 0.01 where only others are given. The paper calls 0.01 a covariance; it
-            is the mean standard deviation of its sensors, so their variance would be 1e-4.
+        sensor_noise: variance of v per output; likewise, 0.01 of the disturbance at the outputs. The paper calls 0.01 a
+            covariance; it is the mean standard deviation of its sensors, so their variance would be 1e-4.
         band_hz: corner frequencies of the band-pass W; None weights all frequencies alike.
         band_order: order of W, even.
         floor: gain of W outside the band, one inside it.
@@ -113,7 +117,7 @@ class Lqg(StatedRobustness):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ABSOLUTE:
+        for name in NUMBERS:
             if getattr(self, name) is not None:
                 positive("Lqg", name, getattr(self, name))
         between("Lqg", "recovery", self.recovery, 1.0, np.finfo(float).max)
@@ -148,8 +152,7 @@ class Lqg(StatedRobustness):
             return refused(sentence)
         if self._measured_by_the_plant():
             return from_plant(plant, self, self._attempt, self.band_hz)
-        settled = self if self.disturbance_at else replace(self, disturbance_at=_place(plant))
-        found = settled._found(plant)
+        found = self.settled(plant)._found(plant)
         if found.controller is None:
             return found
         law, details = found.controller, found.details
@@ -157,7 +160,23 @@ class Lqg(StatedRobustness):
 
     def _measured_by_the_plant(self) -> bool:
         models = (self.output_weight, self.input_weight, self.disturbance_model, self.noise_model)
-        return all(getattr(self, name) is None for name in ABSOLUTE) and all(model is None for model in models)
+        return all(getattr(self, name) is None for name in NUMBERS) and all(model is None for model in models)
+
+    def settled(self, plant: StateSpace) -> "Lqg":
+        """Return the same with what is left out as it is usual for a plant, itself where that is the measure."""
+        if self._measured_by_the_plant():
+            return self
+        settled = self if self.disturbance_at else replace(self, disturbance_at=_place(plant))
+        weighted, noisy = self.input_weight is not None, self.noise_model is not None
+        moved = self.disturbance_model is not None and self.recovery == 1.0
+        left_out = ((self.control_weight, weighted), (self.sensor_noise, noisy), (self.disturbance, moved))
+        if all(number is not None or modelled for number, modelled in left_out):
+            return settled
+        usual = UsualVariances.of(plant, self.band_hz, settled.disturbance_at == "input")
+        variance = usual.disturbance(self.sensor_noise) if self.disturbance is None else self.disturbance
+        noise = usual.sensor_noise(variance) if self.sensor_noise is None else self.sensor_noise
+        weight = usual.control_weight if self.control_weight is None else self.control_weight
+        return replace(settled, control_weight=weight, disturbance=variance, sensor_noise=noise)
 
     def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
         """Return what is found for the even plant when noise and control weigh 1 / g^2."""
@@ -232,12 +251,13 @@ class Lqg(StatedRobustness):
         """Return all that stands around a discrete plant: noise models, weights, the filter in the loop."""
         ny, nu = plant.D.shape
         assert plant.rate_hz is not None
-        weights = self.weights(plant)
-        at_input = self.disturbance_at == "input"
-        variance = _number(self, "disturbance")
+        settled = self.settled(plant)
+        weights = settled.weights(plant)
+        at_input = settled.disturbance_at == "input"
+        variance = settled.disturbance or 1.0  # where none is asked for, nothing moves by it
         setting = variance if self.disturbance_model is None else self.disturbance_model
         disturbance = shaped("Lqg", "disturbance_model", setting, nu if at_input else ny, plant.rate_hz)
-        setting = _number(self, "sensor_noise") if self.noise_model is None else self.noise_model
+        setting = (settled.sensor_noise or 1.0) if self.noise_model is None else self.noise_model
         noise = shaped("Lqg", "noise_model", setting, ny, plant.rate_hz)
         output = stable_weight("Lqg", "output_weight", full(weights["performance"], ny, "output_weight"), plant)
         control = stable_weight("Lqg", "input_weight", full(weights["control"], nu, "input_weight"), plant)
@@ -256,7 +276,7 @@ class Lqg(StatedRobustness):
         """Return the weights: `performance` W and `control` Wu, of one channel unless given for all of them."""
         rate = plant.rate_hz
         one = gain(np.eye(1), rate)
-        size = float(np.sqrt(_number(self, "control_weight")))
+        size = float(np.sqrt(self.settled(plant).control_weight or 1.0))
         W = one if self.band_hz is None or self.band_at == "loop" else self._band(rate)
         U = gain([[size]], rate)
         if self.control_hz is not None:
@@ -278,12 +298,6 @@ class Lqg(StatedRobustness):
     def _band(self, rate_hz: float | None) -> StateSpace:
         assert self.band_hz is not None
         return band_pass(self.band_hz, 1.0, self.floor, self.band_order, rate_hz)
-
-
-def _number(settings: Lqg, name: str) -> float:
-    """Return a number as given, or what it is where only others are."""
-    given: float | None = getattr(settings, name)
-    return ABSOLUTE[name] if given is None else given
 
 
 def _place(plant: StateSpace) -> str:

@@ -13,6 +13,7 @@ from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
 from ultraquiet.design.mean_channel import mean_channel
 from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
@@ -31,8 +32,8 @@ from ultraquiet.values.status import Status, StatusWord
 
 WHO = "BandAttenuation"
 ORDER = 8  # of W1 in absolute weights
-# What each of these numbers is where only others are given; with none, the plant is the measure.
-ABSOLUTE = {"height": 12.0, "floor": 0.6, "control_limit": 1000.0, "control_hz": 400.0, "roll_off_hz": 500.0}
+# Where one of these is given, the others are what is usual for the plant; with none, it is the measure.
+NUMBERS = ("height", "floor", "control_limit", "control_hz", "roll_off_hz")
 T_WEIGHT = 0.4  # |T| may reach gamma / 0.4 below the roll-off
 RISE = 10.0  # the weights on KS and T grow by this factor, one decade in frequency
 HEIGHTS = (2.0, 200.0)  # range of the search for the height that meets a peak
@@ -55,7 +56,7 @@ class BandAttenuation(StatedRobustness):
     (`even_plant`), its loop shaped to be high over the band, its gain halved from 32 until it keeps `disk_margin` at
     both ends; any number of inputs and outputs. Who gives one of `height`, `floor`, `control_limit`, `control_hz`,
     `roll_off_hz`, `peak_db`, `uncertainty`, or asks for the structure `repeated`, gets exactly the weights above, in
-    the plant's own units, for a square plant.
+    the plant's own units, for a square plant; the numbers left out are what is usual for it (`UsualNumbers`).
 
     Args:
         band_hz: corners of W1, Hz, a little outside the band to be quiet; the plant's own band when absent.
@@ -64,9 +65,11 @@ class BandAttenuation(StatedRobustness):
         floor: gain of W1 outside, 0.6 where only others are given; the peak of S is near gamma / floor.
         order: states per channel of W1, 8 when absent, or of the default's shape, 2 when absent; even. Steep weights
             attenuate more at the same peak than high ones.
-        control_limit: largest wanted gain of K S, V/V; 1000 likewise.
-        control_hz: from where on less is wanted, Hz; 400 likewise, 0.4 of the rate at most, as the next.
-        roll_off_hz: where the loop is to end, Hz; 500 likewise.
+        control_limit: largest wanted gain of K S, input units per output unit; 500 times the inverse of the plant's
+            typical gain over the band likewise.
+        control_hz: from where on less is wanted, Hz; four times the band's end likewise, 0.4 of the rate at most, as
+            the next.
+        roll_off_hz: where the loop is to end, Hz; five times the band's end likewise.
         tones_hz: frequencies at which W1 has peaks besides, Hz: steady tones inside or outside the band.
         tone_height: extra gain of W1 at each tone; 40 dB of it cost about 0.5 dB of peak when they are narrow.
         tone_zeta: half the relative width of the peaks.
@@ -110,7 +113,7 @@ class BandAttenuation(StatedRobustness):
         object.__setattr__(self, "structure", structure_word(WHO, self.structure, (FULL, REPEATED)))
         for name in ("tone_height", "tone_zeta", "margin"):
             positive(WHO, name, getattr(self, name))
-        for name in ABSOLUTE:
+        for name in NUMBERS:
             if getattr(self, name) is not None:
                 positive(WHO, name, getattr(self, name))
 
@@ -135,25 +138,26 @@ class BandAttenuation(StatedRobustness):
             raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
         bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, ny, plant.rate_hz)
         part = plant if self.structure == FULL else mean_channel(plant)
+        settled = self.settled(plant)  # for the whole plant, also where a part of it is designed for
         if self.peak_db is not None:
-            height = _height_for_peak(self, part, plant, self.peak_db)
-            return stands(plant, replace(self, height=height)._designed(plant, part, self), bound)
+            height = _height_for_peak(settled, part, plant, self.peak_db)
+            return stands(plant, replace(settled, height=height)._designed(plant, part, self), bound)
         if bound is None:
-            return self._designed(plant, part, self)
+            return settled._designed(plant, part, self)
 
         def of(height: float) -> BandAttenuation:
-            return replace(self, height=height)
+            return replace(settled, height=height)
 
         return tallest(
             plant,
             bound,
-            self._number("height"),
+            self.height or HEIGHT,
             lambda h: of(h)._law(plant, part),
             lambda h: of(h)._designed(plant, part, self),
         )
 
     def _measured_by_the_plant(self) -> bool:
-        given = (self.peak_db, self.uncertainty, *(getattr(self, name) for name in ABSOLUTE))
+        given = (self.peak_db, self.uncertainty, *(getattr(self, name) for name in NUMBERS))
         return self.structure == FULL and all(setting is None for setting in given)
 
     def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
@@ -171,10 +175,13 @@ class BandAttenuation(StatedRobustness):
         rate = even.plant.rate_hz
         return band_shape(even.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
 
-    def _number(self, name: str) -> float:
-        """Return a number as given, or what it is where only others are."""
-        given: float | None = getattr(self, name)
-        return ABSOLUTE[name] if given is None else given
+    def settled(self, plant: StateSpace) -> "BandAttenuation":
+        """Return the same with the numbers left out as they are usual for a plant, itself where that is the measure."""
+        missing = {name for name in ("control_limit", "control_hz", "roll_off_hz") if getattr(self, name) is None}
+        if not missing or self._measured_by_the_plant():
+            return self
+        usual = UsualNumbers.of(plant, self.band_hz)
+        return replace(self, **{name: getattr(usual, name) for name in missing})
 
     def _law(self, plant: StateSpace, part: StateSpace) -> StateSpace | None:
         return _spread(self.synthesis(part).controller, plant, part)
@@ -183,7 +190,7 @@ class BandAttenuation(StatedRobustness):
         """Return the design at this height for the part, judged on the plant; `asked` are the caller's settings."""
         synthesised = self.synthesis(part)
         law = _spread(synthesised.controller, plant, part)
-        details: dict[str, Any] = {"height": self._number("height"), "weights": self.weights(plant)}
+        details: dict[str, Any] = {"height": self.height or HEIGHT, "weights": self.weights(plant)}
         if law is not None:
             details["tones_db"] = {f: worst_attenuation_db(plant, law, (f, f)) for f in self.tones_hz}
             details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band(plant))
@@ -216,13 +223,18 @@ class BandAttenuation(StatedRobustness):
 
         An uncertainty stands beside W3, one more output a channel; given in full size, it stays so.
         """
-        rate, limit = plant.rate_hz, self._number("control_limit")
-        height, floor = self._number("height"), self._number("floor")
-        performance = absolute_shape(plant, self.band_hz, height, floor, self.order or ORDER)
-        end = high_pass(below_nyquist(self._number("roll_off_hz"), rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate)
+        rate, settled = plant.rate_hz, self.settled(plant)
+        limit, control_hz, roll_off_hz = settled.control_limit, settled.control_hz, settled.roll_off_hz
+        assert limit is not None
+        assert control_hz is not None
+        assert roll_off_hz is not None
+        performance = absolute_shape(
+            plant, self.band_hz, self.height or HEIGHT, self.floor or FLOOR, self.order or ORDER
+        )
+        end = high_pass(below_nyquist(roll_off_hz, rate), T_WEIGHT, RISE * T_WEIGHT, 1, rate)
         return {
             "performance": with_tones(performance, self.tones_hz, self.tone_height, self.tone_zeta),
-            "control": high_pass(below_nyquist(self._number("control_hz"), rate), 1 / limit, RISE / limit, 1, rate),
+            "control": high_pass(below_nyquist(control_hz, rate), 1 / limit, RISE / limit, 1, rate),
             "complementary": end if self.uncertainty is None else _both(end, self._bound(plant)),
         }
 

@@ -14,6 +14,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
 from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
@@ -31,17 +32,9 @@ FORMS = ("four-block", "skst", "sks", "paper")
 PAPER_W1 = (1e-4, (-10.0,), (-1.0, -100.0))
 PAPER_W2 = 1e-5
 ORDER = 8  # of W1 in absolute weights
-# What each of these numbers is where only others are given; with none, the plant is the measure.
-ABSOLUTE = {
-    "height": 12.0,
-    "floor": 0.6,
-    "control_limit": 1000.0,
-    "roll_off_hz": 500.0,
-    "disturbance": 0.3,
-    "noise": 1.0,
-}
-RISE_HZ = 30.0
-ROLL_OFF = 4.0  # weight on u at high frequency, V/V
+ENDS = 4000.0  # what the four-block weight on u rises by: up there control is next to none
+# Where one of these is given, or a weight, the others are what is usual for the plant; with none, it is the measure.
+NUMBERS = ("height", "floor", "control_limit", "roll_off_hz", "disturbance", "noise")
 
 
 @register("design", "mixed-sensitivity")
@@ -60,7 +53,7 @@ class MixedSensitivity(StatedRobustness):
     By default the four-block form with all weights one, on the plant in units of its own (`even_plant`), its gain
     halved from 32 until the loop keeps `disk_margin` at both ends; with a `band_hz` or `tones_hz` the loop is shaped to
     be high there. Who asks for another form, or gives a weight, a height, a floor, a limit, `disturbance` or `noise`,
-    gets exactly that, in the plant's own units, the others as stated below.
+    gets exactly that, in the plant's own units; the others are what is usual for this plant (`UsualNumbers`).
 
     Args:
         form: `four-block`, `skst`, `sks` or `paper`. S/KS/T inverts lightly damped modes of the plant, which leaves
@@ -78,13 +71,13 @@ class MixedSensitivity(StatedRobustness):
         tones_hz: frequencies at which W1 has peaks besides, Hz, also a W1 that is given.
         tone_height: extra gain of W1 at each tone.
         tone_zeta: half the relative width of the peaks.
-        control_limit: allowed gain from sensor to actuator at low frequency, in their units, 1000 where only others are
-            given; W2 is its inverse there and rises.
-        roll_off_hz: where control is to end, Hz, 500 likewise (`skst`; the four-block weight rises from 30 Hz with two
-            slopes).
-        disturbance: Vd at every input, in its unit, 0.3 where only others are given. At a third and above, W2 also
-            weights T at the plant's input.
-        noise: Vn, disturbance and noise at every sensor, output units, 1 likewise.
+        control_limit: allowed gain from sensor to actuator at low frequency, in their units, 500 times the inverse of
+            the plant's typical gain over the band where only others are given; W2 is its inverse there and rises.
+        roll_off_hz: where control is to end, Hz, five times the band's end likewise (`skst`; the four-block weight
+            rises from 0.28 times that end with two slopes).
+        disturbance: Vd at every input, in its unit; likewise, the plant makes a tenth of the noise of it. The more, the
+            more W2 also weights T at the plant's input.
+        noise: Vn, disturbance and noise at every sensor, output units; 1 where neither is given.
         margin: the controller is formed at margin times the smallest norm.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=3500.0)
@@ -121,7 +114,7 @@ class MixedSensitivity(StatedRobustness):
         one_of(WHO, "form", self.form, FORMS)
         for name in ("tone_height", "tone_zeta", "margin"):
             positive(WHO, name, getattr(self, name))
-        for name in ABSOLUTE:
+        for name in NUMBERS:
             if getattr(self, name) is not None:
                 positive(WHO, name, getattr(self, name))
         if self.uncertainty is not None and self.form == "skst" and self.complementary is not None:
@@ -146,13 +139,12 @@ class MixedSensitivity(StatedRobustness):
         def of(height: float) -> MixedSensitivity:
             return replace(self, height=height)
 
-        return tallest(
-            plant, bound, self._number("height"), lambda h: of(h)._law(plant), lambda h: of(h)._designed(plant)
-        )
+        height = self.height or HEIGHT
+        return tallest(plant, bound, height, lambda h: of(h)._law(plant), lambda h: of(h)._designed(plant))
 
     def _measured_by_the_plant(self) -> bool:
         given = (self.performance, self.control, self.complementary, self.uncertainty)
-        numbers = (getattr(self, name) for name in ABSOLUTE)
+        numbers = (getattr(self, name) for name in NUMBERS)
         return self.form == FORMS[0] and all(setting is None for setting in (*given, *numbers))
 
     def _attempt(self, even: EvenPlant, g: float) -> DesignResult:
@@ -165,18 +157,14 @@ class MixedSensitivity(StatedRobustness):
         rate = even.plant.rate_hz
         return band_shape(self.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
 
-    def _number(self, name: str) -> float:
-        """Return a number as given, or what it is where only others are."""
-        given: float | None = getattr(self, name)
-        return ABSOLUTE[name] if given is None else given
-
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate."""
         ny, nu = plant.D.shape
+        settled = self.settled(plant)
         settings: Mapping[str, tuple[Weight, int]] = {
             "performance": (self._performance(plant), ny),
-            "control": (self._control(plant.rate_hz) if self.control is None else self.control, nu),
-            "complementary": (self._complementary(plant.rate_hz), ny),
+            "control": (settled._control(plant), nu),
+            "complementary": (settled._complementary(plant), ny),
         }
         weights = {k: weight(WHO, k, w, n, plant.rate_hz) for k, (w, n) in settings.items()}
         weights["performance"] = with_tones(weights["performance"], self.tones_hz, self.tone_height, self.tone_zeta)
@@ -186,13 +174,11 @@ class MixedSensitivity(StatedRobustness):
         """Return the generalised plant of the form, its inputs (w, u) and outputs (z, y)."""
         ny, nu = plant.D.shape
         if self.form == "four-block":
-            return four_block(
-                plant,
-                weights["performance"],
-                weights["control"],
-                disturbance=self._number("disturbance") * np.eye(nu),
-                noise=self._number("noise") * np.eye(ny),
-            )
+            settled = self.settled(plant)
+            assert settled.disturbance is not None
+            assert settled.noise is not None
+            outside = {"disturbance": settled.disturbance * np.eye(nu), "noise": settled.noise * np.eye(ny)}
+            return four_block(plant, weights["performance"], weights["control"], **outside)
         on_t = None if self.form == "sks" else weights["complementary"]
         return output_shaping(plant, weights["performance"], weights["control"], on_t)
 
@@ -208,7 +194,7 @@ class MixedSensitivity(StatedRobustness):
         idle = StateSpace(P.A, P.B[:, :-nu], P.C[:-ny], P.D[:-ny, :-nu], P.rate_hz)
         details: dict[str, Any] = {"weights": weights, "norm_without_control": hinf_norm(idle)[0]}
         if self.performance is None and self.form != "paper":
-            details["height"] = self._number("height")
+            details["height"] = self.height or HEIGHT
         return from_synthesis(plant, synthesised, self, details)
 
     def _bound(self, plant: StateSpace) -> StateSpace | None:
@@ -221,22 +207,40 @@ class MixedSensitivity(StatedRobustness):
             return self.performance
         if self.form == "paper":
             return rational(*PAPER_W1, plant.rate_hz, 1)
-        height, floor = self._number("height"), self._number("floor")
+        height, floor = self.height or HEIGHT, self.floor or FLOOR
         return absolute_shape(plant, self.band_hz, height, floor, self.order or ORDER)
 
-    def _control(self, rate_hz: float | None) -> Weight:
-        if self.form == "paper":
-            return PAPER_W2
-        limit = self._number("control_limit")
+    def _control(self, plant: StateSpace) -> Weight:
+        if self.control is not None or self.form == "paper":
+            return PAPER_W2 if self.control is None else self.control
+        rate, limit, corner = plant.rate_hz, self.control_limit, self.roll_off_hz
+        assert limit is not None
+        assert corner is not None
         if self.form in ("skst", "sks"):
-            corner = below_nyquist(self._number("roll_off_hz"), rate_hz)
-            return high_pass(corner, 1 / limit, 10 / limit, 1, rate_hz)
+            return high_pass(below_nyquist(corner, rate), 1 / limit, 10 / limit, 1, rate)
         # without a block for T, the weight on u rises early and far enough to end the loop as well
-        return high_pass(below_nyquist(RISE_HZ, rate_hz), 1 / limit, ROLL_OFF, 2, rate_hz)
+        rises = UsualNumbers.of(plant, self.band_hz).rise_hz
+        return high_pass(below_nyquist(rises, rate), 1 / limit, ENDS / limit, 2, rate)
 
-    def _complementary(self, rate_hz: float | None) -> Weight:
+    def _complementary(self, plant: StateSpace) -> Weight:
         if self.form == "paper":
             return 1.0
         setting = self.uncertainty if self.complementary is None else self.complementary
-        corner = below_nyquist(self._number("roll_off_hz"), rate_hz)
-        return high_pass(corner, 0.4, 4.0, 1, rate_hz) if setting is None else setting
+        assert self.roll_off_hz is not None
+        corner = below_nyquist(self.roll_off_hz, plant.rate_hz)
+        return high_pass(corner, 0.4, 4.0, 1, plant.rate_hz) if setting is None else setting
+
+    def settled(self, plant: StateSpace) -> "MixedSensitivity":
+        """Return the same with what is left out as it is usual for a plant, itself where that has nothing to say."""
+        numbers = (self.control_limit, self.roll_off_hz, self.disturbance, self.noise)
+        if self.form == "paper" or self._measured_by_the_plant() or all(number is not None for number in numbers):
+            return self
+        usual = UsualNumbers.of(plant, self.band_hz)
+        noise = self.noise or usual.noise(self.disturbance)
+        return replace(
+            self,
+            control_limit=self.control_limit or usual.control_limit,
+            roll_off_hz=self.roll_off_hz or usual.roll_off_hz,
+            disturbance=self.disturbance or usual.disturbance(noise),
+            noise=noise,
+        )

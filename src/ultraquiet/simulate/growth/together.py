@@ -228,7 +228,8 @@ class _Steps:
     def poles_apart(self) -> list[ComplexArray]:
         """Return the poles that other distances of frames make of the same steps."""
         sums = (self.moments_apart(apart) for apart in OTHERS_APART)
-        return [np.linalg.eigvals(np.linalg.lstsq(held.T, after.T)[0].T) for after, held, _, _ in sums]
+        steps = (np.linalg.lstsq(held.T, after.T)[0].T for after, held, _, _ in sums)
+        return [np.linalg.eigvals(z).astype(np.complex128) for z in steps]
 
     @property
     def lasting(self) -> bool:
