@@ -9,7 +9,17 @@ from ultraquiet.experiments import real_time
 from ultraquiet.simulate.frames import Frames
 from ultraquiet.simulate.free_response import CERTAIN
 from ultraquiet.simulate.growth.together import Together
-from ultraquiet.simulate.growth.verdict import GROWTH_LIMIT, LONGER, Seen, apart, at_rest, grows, risen, told
+from ultraquiet.simulate.growth.verdict import (
+    CLIPPED_SHARE,
+    GROWTH_LIMIT,
+    LONGER,
+    Seen,
+    apart,
+    at_rest,
+    grows,
+    risen,
+    told,
+)
 from ultraquiet.simulate.kick import Burst, FreeResponse, kicked, tones_alone
 from ultraquiet.values import StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
@@ -54,10 +64,20 @@ def repeated(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: See
         for louder in LOUDER:
             found = _so_often(bench, law, replace(burst, samples=samples), seen, repeats * longest // samples, louder)
             if found is not None:
-                return found
+                return _as_far_as_looked(seen, found, bench.rate_hz / burst.length)
         # the shortest is tried too, be it more or less than this share
         samples = max(samples // LONGER, burst.samples) if samples > burst.samples else 0
     return seen
+
+
+def _as_far_as_looked(doubted: Seen, found: Seen, width_hz: float) -> Seen:
+    """Return what was found; no `ok` where more was in doubt than was looked at, or commands met their limits alone."""
+    looked = apart(doubted.doubtful_hz, width_hz)
+    left = [f for f in doubted.doubtful_hz if all(abs(f - other) > width_hz for other in looked)]
+    if found.word is not StatusWord.OK or not (left or doubted.record.limited > CLIPPED_SHARE):
+        return found
+    more = f"More tones are in doubt than the {len(looked)} that were looked at." if left else doubted.sentence
+    return replace(found, word=None, sentence=more)
 
 
 def _so_often(

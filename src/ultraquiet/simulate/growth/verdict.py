@@ -16,13 +16,13 @@ SHORTEST_SAMPLES, LONGER = 128, 4
 LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
 # Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
 GROWTH_LIMIT = 3.0
-# A mode that is so many times as loud as a hum at its frequency is not rung by that, nor one that grows by so many
-# e-folds within a record: a hum rings up no mode faster than in proportion to time, two e-folds by least squares. What
-# drifts does as it likes.
-ABOVE_HUM, RUNG_UP = 10.0, 4.0
+# A hum at a mode's frequency rings it up in proportion to time: that adds to a mode so much louder than the hum no more
+# than one over that in e-folds within the record, and to a mode that was at rest two, by least squares. What drifts does
+# as it likes.
+ADDED, RUNG_UP = 20.0, 4.0
 # Readings may wander, and what wanders looks like growth at 0 Hz: within one record that is believed from so many
-# e-folds on, well above the noise, which wanders too; less is left to several records together.
-UNDRIFTED = 6.0
+# e-folds on, so many times above the noise, which wanders too; less is left to several records together.
+UNDRIFTED, ABOVE_DRIFT = 6.0, 10.0
 # Tones of one burst at most.
 MOST_TONES = 12
 
@@ -80,20 +80,23 @@ def judged(bench: Bench, record: FreeResponse) -> Seen:
 
 def grows(mode: Mode, record: FreeResponse) -> bool:
     """Return whether a mode grows, and not perhaps what a hum from outside rings up from the beginning of a run."""
-    samples, rate_hz = record.response.shape[1], record.runs[0].rate_hz
-    too_fast = mode.growth_per_s * samples / rate_hz > RUNG_UP and not at_rest(mode, record)
-    return mode.grows and (mode.seen > ABOVE_HUM or too_fast or not record.hums_at(mode.f_hz))
+    efolds = _efolds(mode, record)
+    too_fast = efolds > RUNG_UP and not at_rest(mode, record)
+    return mode.grows and (mode.seen * efolds > ADDED or too_fast or not record.hums_at(mode.f_hz))
 
 
 def may_drift(mode: Mode, record: FreeResponse) -> bool:
     """Return whether readings that wander may look like a mode's growth in one record."""
-    efolds = mode.growth_per_s * record.response.shape[1] / record.runs[0].rate_hz
-    return at_rest(mode, record) and (efolds < UNDRIFTED or mode.seen < ABOVE_HUM)
+    return at_rest(mode, record) and (_efolds(mode, record) < UNDRIFTED or mode.seen < ABOVE_DRIFT)
 
 
 def at_rest(mode: Mode, record: FreeResponse) -> bool:
     """Return whether a record so long does not tell a mode's frequency from 0 Hz."""
     return near(mode.f_hz, (0.0,), record.response.shape[1], record.runs[0].rate_hz)
+
+
+def _efolds(mode: Mode, record: FreeResponse) -> float:
+    return mode.growth_per_s * record.response.shape[1] / record.runs[0].rate_hz
 
 
 def slowest_before(record: FreeResponse, rate_hz: float) -> Mode | None:
