@@ -7,8 +7,8 @@ import pytest
 from ordinary_plants import closed_loop_radius, ordinary, with_units
 
 from ultraquiet.analyse import disk_ranges
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design import BandAttenuation, FixedStructure, Lqg, MixedSensitivity, PeakBounded
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.values import StateSpace
 
 DESIGNS = [Lqg, MixedSensitivity, BandAttenuation]

@@ -12,9 +12,9 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, even_sensitivity
 from ultraquiet.analyse.peaks import response_at
+from ultraquiet.analyse.plant_scale import EvenPlant, even_plant
 from ultraquiet.analyse.scalings.upper import balanced_norm, upper_bound
 from ultraquiet.analyse.structure import structure
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged

@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import between
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
 from ultraquiet.analyse.margins import even_sensitivity
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.robustness import DISK_MARGIN, WIDEST, both_ends, fragility, stated, weaker_end
 from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_of_scaled
 from ultraquiet.values.channel import ratio

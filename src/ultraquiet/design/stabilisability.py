@@ -9,6 +9,7 @@ from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
 RANK = 1e-9  # relative; a pencil with a singular value below it has lost rank
+ROUNDS = 4  # of scaling channels and states in turn
 BORDER = 1e-11  # a pole nearer to the stability boundary than this counts as unstable: integrators in round-off
 
 
@@ -17,8 +18,7 @@ def lost_modes(who: str, plant: StateSpace, inputs: str = "B", outputs: str = "C
 
     Hautus: a mode z is out of reach when [A - zI, B] loses rank, unseen when [A' - zI, C'] does.
     """
-    d = even_scale(plant.A, plant.B, plant.C)
-    plant = StateSpace(plant.A * d / d[:, None], plant.B / d[:, None], plant.C * d, plant.D, plant.rate_hz)
+    plant = _unit(plant)
     poles = plant.poles()
     unstable = poles[poles.real >= -BORDER if plant.rate_hz is None else np.abs(poles) >= 1 - BORDER]
     for lacking, A, B, wires in (
@@ -32,6 +32,20 @@ def lost_modes(who: str, plant: StateSpace, inputs: str = "B", outputs: str = "C
                 "controller can stabilise it; remove it from the model or act on it."
             )
     return ""
+
+
+def _unit(plant: StateSpace) -> StateSpace:
+    """Return a plant with states evened out and every column of B and row of C of norm one, for its poles alone.
+
+    In far units of a channel or a state what reaches a mode looks like rounding. Each scaling changes the other.
+    """
+    A, B, C = plant.A, plant.B, plant.C
+    for _ in range(ROUNDS):
+        B = B / np.maximum(np.linalg.norm(B, axis=0), np.finfo(float).tiny)
+        C = C / np.maximum(np.linalg.norm(C, axis=1, keepdims=True), np.finfo(float).tiny)
+        d = even_scale(A, B, C)
+        A, B, C = A * d / d[:, None], B / d[:, None], C * d
+    return StateSpace(A, B, C, plant.D, plant.rate_hz)
 
 
 def stable_weight(who: str, name: str, weight: StateSpace, plant: StateSpace) -> StateSpace:

@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.shown.line import loudness
 from ultraquiet.analyse.margins import band_attenuation, pulled_in, reached_directions
 from ultraquiet.analyse.peaks import response_at
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 

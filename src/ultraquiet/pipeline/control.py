@@ -118,6 +118,7 @@ def _delivered(figures: reduce.Delivered | None) -> DeliveredFacts | None:
         worst_direction_band_db=figures.band_db,
         tones_db=tones,
         control_db=figures.control_db,
+        rms_db=figures.rms_db,
         disk=dict(figures.disk),
     )
 

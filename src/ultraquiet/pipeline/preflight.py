@@ -12,8 +12,8 @@ from ultraquiet._base.lines import Place
 from ultraquiet._base.mistakes import Mistakes
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.shown.line import counted, several_of
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.bench.inner import Around
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.experiments import ExperimentList
 from ultraquiet.pipeline.facts.loops import ONLY
 from ultraquiet.pipeline.identification import grouped, one_record_of, recorded

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, peak_sensitivity
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -22,9 +23,12 @@ class Promise:
     """What a reduction must leave of a loop.
 
     At most `loss_db` may be lost in its peak, in its worst direction over the band and at every tone that it quietens,
-    and come to the largest gain of the control, K S, which is what the actuators pay;
-    at most `margin_share` of its disk margins at both ends. Without a band that is where the loop quietens every
-    direction by half of what it reaches at best, in dB.
+    in the RMS of S G over the band, and come to the largest gain of the control, K S, which is what the actuators pay;
+    at most `margin_share` of its disk margins at both ends. Without a band the first is where the loop quietens every
+    direction by half of what it reaches at best, in dB, and the RMS is that over the plant's own band.
+
+    With more sensors than actuators the directions are those that actuators reach: in the others every loop leaves the
+    readings as they are.
     """
 
     band_hz: tuple[float, float] | None = None
@@ -47,14 +51,15 @@ class Delivered:
     """What a law does for its loop on the design model.
 
     In dB: the largest amplification of any direction at any frequency, the reduction of the worst direction over the
-    band (None without one) and at each tone (Hz), and the largest gain of K S; and the disk margin of each end, all
-    channels at once.
+    band (None without one) and at each tone (Hz), the largest gain of K S, and by how much the RMS of S G is below that
+    of G; and the disk margin of each end, all channels at once.
     """
 
     peak_db: float
     band_db: float | None
     tones_db: Mapping[float, float]
     control_db: float
+    rms_db: float
     disk: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -66,6 +71,7 @@ class Judge:
         S = sensitivity(plant, controller)
         self._f = np.union1d(default_grid(S), promise.band_hz or ())
         self._quiet = _quiet(self._f, _sizes(plant, controller, self._f)[0]) if promise.band_hz is None else None
+        self._even = even_plant(plant, promise.band_hz, "reduce")
         self._known: list[tuple[StateSpace, Delivered]] = []
         self.before = self.of(controller)
 
@@ -91,6 +97,7 @@ class Judge:
             band_db=-float(_db(size[band].max())) if band.any() else None,
             tones_db={float(t): -float(_db(s)) for t, s in zip(tones, at_tones, strict=True)},
             control_db=float(_db(control.max())),
+            rms_db=self._even.rms_reduction_db(self._even.even_law(law)),
             disk={end: disk_margin(self._plant, law, end) for end in ENDS} if margins else {},
         )
 
@@ -109,6 +116,9 @@ class Judge:
                     f"the worst direction at {tone:g} Hz loses {reduction - after.tones_db[tone]:.1f} of"
                     f" {reduction:.1f} dB"
                 )
+        if 0 < before.rms_db > after.rms_db + loss:
+            lost = before.rms_db - after.rms_db
+            said.append(f"the RMS of the readings under disturbances loses {lost:.1f} of {before.rms_db:.1f} dB")
         if after.control_db - before.control_db > loss:
             said.append(f"the largest gain of the control rises by {after.control_db - before.control_db:.1f} dB")
         for end, alpha in after.disk.items():
@@ -130,12 +140,17 @@ def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
 
 
 def _sizes(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the largest singular values of S = (I - G K)^-1 and of K S at each line."""
+    """Return the largest singular values of S = (I - G K)^-1, in what G reaches, and of K S at each line."""
     G, K = (np.moveaxis(each.frequency_response(f), 2, 0) for each in (plant, law))
     S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
-    sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (S, K @ S))
+    sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (_reached(S, G), K @ S))
     of_S, of_KS = (np.maximum(np.asarray(size, dtype=np.float64), np.finfo(float).tiny) for size in sizes)
     return of_S, of_KS
+
+
+def _reached(S: ComplexArray, G: ComplexArray) -> ComplexArray:
+    """Return S for what the columns of G span, an orthonormal basis of it in place of the outputs."""
+    return S @ np.linalg.qr(G)[0] if G.shape[1] > G.shape[2] else S
 
 
 def _db(size: FloatArray | float) -> FloatArray:

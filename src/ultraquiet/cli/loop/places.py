@@ -60,8 +60,8 @@ def place_of(study: Path | None, model: Path | None, unit: str | None) -> LoopPl
 
 
 def _of_model(path: Path) -> LoopPlace:
+    from ultraquiet.analyse.plant_scale import even_plant
     from ultraquiet.bench import LinearBench
-    from ultraquiet.design.plant_scale import even_plant
     from ultraquiet.pipeline.preflight import usual_amplitude
 
     model = loaded_plant(path, WHO)

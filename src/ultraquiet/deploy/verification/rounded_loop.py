@@ -7,8 +7,8 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import FloatArray, frequency_array, same_rate
 from ultraquiet._base.shown import Shown
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.deploy.law.form_choice import loop_radius
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord

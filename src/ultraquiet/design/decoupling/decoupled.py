@@ -11,8 +11,8 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray, between, real
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import WIDEST, StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED

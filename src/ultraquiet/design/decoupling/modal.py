@@ -10,10 +10,10 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.fixed_structure.specification import Specification
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.h2.usual_numbers import UsualVariances
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged

@@ -10,9 +10,9 @@ from ultraquiet._base.constraints import FloatArray, between, positive, rising_b
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.fixed_structure.problem import Requirement
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, worst_attenuation_db
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import feedback, gain, lft, sensitivity

@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import h2_norm
+from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.h2.loop_transfer_recovery import recovery
 from ultraquiet.design.h2.lqg_problem import (
@@ -23,12 +24,11 @@ from ultraquiet.design.h2.lqg_problem import (
 from ultraquiet.design.h2.riccati import H2Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
 from ultraquiet.design.h2.usual_numbers import UsualVariances
-from ultraquiet.design.plant_scale import EvenPlant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.stabilisability import BORDER, lost_modes, stable_weight
 from ultraquiet.design.verification import judged
-from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass
+from ultraquiet.design.weights.filters import band_pass, high_pass
 from ultraquiet.linalg import balance
 from ultraquiet.linalg.norms import peak_gain
 from ultraquiet.values.door import takes_systems

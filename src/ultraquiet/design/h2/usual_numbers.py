@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.state_space import StateSpace
 
 # Variance of sensor noise in that of the disturbance, as it shows at the outputs: 20 dB below it.

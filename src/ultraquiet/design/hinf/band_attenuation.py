@@ -10,18 +10,18 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
 from ultraquiet.design.mean_channel import mean_channel
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED, structure_word
 from ultraquiet.design.verification import from_synthesis
-from ultraquiet.design.weights.filters import below_nyquist, high_pass, with_tones
+from ultraquiet.design.weights.filters import high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg import balance
 from ultraquiet.values.door import takes_systems

@@ -13,14 +13,14 @@ from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.analyse.singular import singular_values
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf import coprime_stabilisation as coprime
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
-from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, peak, rational
+from ultraquiet.design.weights.filters import band_pass, high_pass, peak, rational
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg.balance import modal
 from ultraquiet.linalg.discretize import bilinear_to_continuous, bilinear_to_discrete

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from ultraquiet.analyse.plant_scale import HIGHEST, EvenPlant, even_plant
 from ultraquiet.design.hinf.coprime_stabilisation import central_law, smallest_norm
 from ultraquiet.design.hinf.synthesis import synthesize_expected
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import DesignResult
-from ultraquiet.design.weights.filters import HIGHEST, band_pass, low_pass, with_tones
+from ultraquiet.design.weights.filters import band_pass, low_pass, with_tones
 from ultraquiet.values.generalised import four_block
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace

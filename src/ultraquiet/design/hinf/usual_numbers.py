@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.state_space import StateSpace
 
 # Of weights in numbers: W1 over the band, outside it, and noise at the sensors. None of them hangs on a unit.

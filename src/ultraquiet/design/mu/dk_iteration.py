@@ -10,14 +10,14 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import default_grid
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
+from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.mu.scalings import Scaling, constant, fitted, fitted_of_every_order, scaled
-from ultraquiet.design.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
-from ultraquiet.design.weights.filters import band_pass, below_nyquist, high_pass, with_tones
+from ultraquiet.design.weights.filters import band_pass, high_pass, with_tones
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.generalised import uncertain

@@ -13,6 +13,7 @@ from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import pulled_in
 from ultraquiet.analyse.peaks import response_at
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.hinf.band_attenuation import common_mode
 from ultraquiet.design.law_structure.controller_structure import ControllerStructure
 from ultraquiet.design.law_structure.plane import plane_of
@@ -24,7 +25,6 @@ from ultraquiet.design.peak_bounded.roof import roof
 from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts, unasked_starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
 from ultraquiet.design.peak_bounded.washout import behind, heard_through, require_room
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, SYMMETRIC, structure_word

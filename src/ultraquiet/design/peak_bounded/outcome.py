@@ -8,9 +8,9 @@ import numpy as np
 from ultraquiet._base.shown.line import rounded
 from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.units import SearchUnits
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult
 from ultraquiet.design.robustness import both_ends, fragility, weaker_end
 from ultraquiet.values.interconnect import feedback, sensitivity, series

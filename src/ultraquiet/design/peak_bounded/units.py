@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.state_space import StateSpace
 
 

@@ -14,8 +14,6 @@ from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.interconnect import append, series
 from ultraquiet.values.state_space import StateSpace
 
-HIGHEST = 0.4  # of the sampling rate; nearer to Nyquist a corner has no room to rise
-
 
 def band_pass(
     band_hz: tuple[float, float],
@@ -183,11 +181,6 @@ def with_tones(
     for tone_hz in tones_hz:
         weight = series(weight, peak(tone_hz, height, zeta, weight.rate_hz, weight.D.shape[0]))
     return weight
-
-
-def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
-    """Return a corner that a discrete weight can have: at most 0.4 of the rate."""
-    return corner_hz if rate_hz is None else min(corner_hz, HIGHEST * rate_hz)
 
 
 def _refuse_beyond_nyquist(who: str, name: str, f_hz: float, rate_hz: float | None) -> None:

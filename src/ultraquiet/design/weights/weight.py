@@ -6,7 +6,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
-from ultraquiet.design.weights.filters import below_nyquist, high_pass
+from ultraquiet.analyse.plant_scale import below_nyquist
+from ultraquiet.design.weights.filters import high_pass
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.interconnect import append, gain
 from ultraquiet.values.state_space import StateSpace

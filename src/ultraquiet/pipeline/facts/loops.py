@@ -53,6 +53,7 @@ class DeliveredFacts:
     worst_direction_band_db: float | None
     tones_db: Mapping[str, float]
     control_db: float
+    rms_db: float | None = None
     disk: Mapping[str, float]
 
 

@@ -80,7 +80,8 @@ def _reductions(result: StudyResult) -> list[Table]:
             band = "-" if d.worst_direction_band_db is None else _number(d.worst_direction_band_db, 1)
             tones = ", ".join(f"{_number(db, 1)} at {f} Hz" for f, db in d.tones_db.items())
             margins = ", ".join(f"{end} {_number(alpha, 3)}" for end, alpha in d.disk.items())
-            rows.append((name, when, n, _number(d.peak_db, 1), band, tones, _number(d.control_db, 1), margins))
+            rms = "-" if d.rms_db is None else _number(d.rms_db, 1)
+            rows.append((name, when, n, _number(d.peak_db, 1), band, tones, rms, _number(d.control_db, 1), margins))
     columns = (
         "controller",
         "reduction",
@@ -88,6 +89,7 @@ def _reductions(result: StudyResult) -> list[Table]:
         "peak of S",
         "worst direction in band",
         "at tones",
+        "RMS of S G below G",
         "K S",
         "disk margins",
     )

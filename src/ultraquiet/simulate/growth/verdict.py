@@ -16,9 +16,9 @@ SHORTEST_SAMPLES, LONGER = 128, 4
 LIMITED_SHARE, CLIPPED_SHARE = 0.1, 0.01
 # Noise alone does not grow so much between the second and the last quarter of a run of a loop that is stable.
 GROWTH_LIMIT = 3.0
-# A hum at a mode's frequency rings it up in proportion to time: that adds to a mode so much louder than the hum no more
-# than one over that in e-folds within the record, and to a mode that was at rest two, by least squares. What drifts does
-# as it likes.
+# A hum at the frequency of a mode rings it up in proportion to time: that adds to one so much louder than the hum no
+# more than one over that in e-folds within a record, and to one that was at rest two, by least squares. What drifts
+# does as it likes.
 ADDED, RUNG_UP = 20.0, 4.0
 # Readings may wander, and what wanders looks like growth at 0 Hz: within one record that is believed from so many
 # e-folds on, so many times above the noise, which wanders too; less is left to several records together.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import ratio

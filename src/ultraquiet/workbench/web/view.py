@@ -6,8 +6,8 @@ from urllib.parse import urlencode
 
 from nicegui import ui
 
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.chart.colours import law_colours
-from ultraquiet.design.plant_scale import even_plant
 from ultraquiet.pipeline.identification import grouped
 from ultraquiet.values import StateSpace
 from ultraquiet.workbench.engine.items import Item

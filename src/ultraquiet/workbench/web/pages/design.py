@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from ultraquiet.design.plant_scale import even_plant
+from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.plot.pages.loops import margin_bars
 from ultraquiet.workbench.engine.live import LiveLoop, Notched, Responses, live_loop, responses, weight_bound
 from ultraquiet.workbench.figures.loops import Sizes, loop_grid, sizes_of

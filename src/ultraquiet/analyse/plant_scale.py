@@ -7,11 +7,11 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, rising_band
 from ultraquiet.analyse.margins import default_grid, pulled_in
 from ultraquiet.analyse.peaks import response_at
-from ultraquiet.design.weights.filters import below_nyquist
 from ultraquiet.linalg.even import evened
 from ultraquiet.values.interconnect import gain, series
 from ultraquiet.values.state_space import StateSpace
 
+HIGHEST = 0.4  # of the sampling rate; nearer to Nyquist a corner has no room to rise
 WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
 ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
 LINES = 200  # over a given band, besides those of the poles
@@ -60,6 +60,11 @@ class EvenPlant:
             even.D * self.outputs * self.inputs[:, None],
             even.rate_hz,
         )
+
+    def even_law(self, law: StateSpace) -> StateSpace:
+        """Return the controller of Ge from one of the plant, the inverse of `law`."""
+        u, y = self.inputs[:, None], self.outputs
+        return StateSpace(law.A, law.B / y, law.C / u, law.D / y / u, law.rate_hz)
 
     def weights(self, performance: StateSpace, control: StateSpace) -> dict[str, StateSpace]:
         """Return weights of Ge's signals as weights of the plant's."""
@@ -123,6 +128,11 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
     even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
     from_rest = band_hz is None and bool(inside[0])
     return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines, from_rest)
+
+
+def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
+    """Return a corner that something discrete can have: at most 0.4 of the rate."""
+    return corner_hz if rate_hz is None else min(corner_hz, HIGHEST * rate_hz)
 
 
 def _widths(f: FloatArray) -> FloatArray:
