@@ -142,7 +142,7 @@ def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
 def _sizes(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the largest singular values of S = (I - G K)^-1, in what G reaches, and of K S at each line."""
     G, K = (np.moveaxis(each.frequency_response(f), 2, 0) for each in (plant, law))
-    S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
+    S = np.asarray(np.linalg.inv(np.eye(G.shape[1]) - G @ K), dtype=np.complex128)
     sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (_reached(S, G), K @ S))
     of_S, of_KS = (np.maximum(np.asarray(size, dtype=np.float64), np.finfo(float).tiny) for size in sizes)
     return of_S, of_KS
@@ -150,7 +150,7 @@ def _sizes(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[FloatArra
 
 def _reached(S: ComplexArray, G: ComplexArray) -> ComplexArray:
     """Return S for what the columns of G span, an orthonormal basis of it in place of the outputs."""
-    return S @ np.linalg.qr(G)[0] if G.shape[1] > G.shape[2] else S
+    return np.asarray(S @ np.linalg.qr(G)[0], dtype=np.complex128) if G.shape[1] > G.shape[2] else S
 
 
 def _db(size: FloatArray | float) -> FloatArray:
