@@ -317,6 +317,32 @@ def test_a_signal_ends_what_takes_long(folder, rng, name):
     assert not (folder / words.split()[-1]).exists()
 
 
+STARTING = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+class Finder:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Finder())
+sys.argv = ["ultraquiet", "methods"]
+from ultraquiet.cli import main
+main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="process groups are POSIX")
+@pytest.mark.parametrize("module", ["ultraquiet.cli.app", "typer", "ultraquiet.cli.workbench", "json"])
+def test_a_signal_ends_what_has_not_begun(module):
+    """Ctrl-C while modules are being imported, half a second in which an impatient user may press it."""
+    ended = subprocess.run(
+        [sys.executable, "-c", STARTING.format(module=module)], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 130, ended.stderr
+    assert ended.stderr.startswith("ultraquiet: stopped")
+    assert "Traceback" not in ended.stderr
+
+
 STUDY = """
 import signal
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -130,6 +130,39 @@ def test_an_unstable_and_a_fragile_loop_end_with_one(run, loop):
     assert (code, json.loads(out)["status"]["word"]) == (1, "fragile")
 
 
+@pytest.mark.parametrize("loop", [(1, 1)], indirect=True)
+@pytest.mark.parametrize("precision", ["float32", "q31"])
+def test_code_of_a_fragile_law_ends_with_one(run, loop, precision):
+    """As `analyse` does: what the law's own design stated is asked of the rounded one, 0.2 where it stated nothing."""
+    G, K = loop
+    uq.files.save(uq.StateSpace(K.A, K.B, K.C, K.D, RATE), "nameless.h5")
+    more = ("--range", "5") if precision == "q31" else ("--target", "none")
+    words = ("--plant", "plant.h5", "--precision", precision, "--limits", "5", *more, "--steps", "1000", "--json")
+    code, out, err = run("deploy", "nameless.h5", *words)
+    assert (code, json.loads(out)["loop"]["word"]) == (0, "ok"), err
+    weak = end_of_stability(G, K)
+    uq.files.save(uq.StateSpace(K.A, K.B, weak * K.C, weak * K.D, RATE), "weak.h5")
+    code, out, err = run("deploy", "weak.h5", *words)
+    said = json.loads(out)
+    assert (code, said["loop"]["word"], said["verified"]["word"]) == (1, "fragile", "ok"), err
+    asked_less = uq.design.Lqg(disk_margin=0.0).design(G).controller
+    stated = uq.StateSpace(
+        asked_less.A, asked_less.B, weak * asked_less.C, weak * asked_less.D, RATE, provenance=asked_less.provenance
+    )
+    uq.files.save(stated, "bold.h5")
+    code, out, err = run("deploy", "bold.h5", *words)
+    assert json.loads(out)["loop"]["word"] in ("ok", "unstable"), err
+
+
+def end_of_stability(G, K):
+    """Return a gain at which a loop is stable and keeps a tenth of the margin that is asked."""
+    for gain in np.geomspace(1.0, 100.0, 400):
+        margins = [uq.analyse.end_margins(G, uq.StateSpace(K.A, K.B, gain * K.C, gain * K.D, RATE), "input").disk_all]
+        if 0 < margins[0] < 0.1:
+            return float(gain)
+    raise AssertionError("no gain makes this loop fragile")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("loop", [(1, 1)], indirect=True)
 def test_figures_of_one_name_stand_side_by_side(run, loop, tmp_path):

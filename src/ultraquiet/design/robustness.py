@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import between
 from ultraquiet.analyse.disk import ENDS, ChannelChange, EndMargins, disk_ranges, end_margins
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 DISK_MARGIN = 0.2  # 1.7 dB or 11 degrees in every channel at once; several times what calibrated channels drift
 LEAST_DIGIT = 6  # of a frequency in Hz, below which it is 0 Hz for a reader
@@ -53,6 +54,14 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
     )
     change = found.least_change
     return f"{said}." if change is None else f"{said}; {_told(change, kind, wires)}."
+
+
+def kept(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float) -> Status:
+    """Return whether a stable loop keeps the disk margin asked for at both ends: `ok`, or `fragile`."""
+    # NaN, which no comparison admits, is no margin
+    if margins[weaker_end(margins)].disk_all >= asked:
+        return Status(StatusWord.OK, f"The loop is stable; {stated(margins)}.")
+    return Status(StatusWord.FRAGILE, fragility(plant, margins, asked))
 
 
 def described(plant: StateSpace, margins: Mapping[str, Any]) -> list[str]:

@@ -8,6 +8,7 @@ import typer
 from ultraquiet._base.constraints import one_of
 from ultraquiet.cli.deploy.exports import require_place, require_writable, show_exports
 from ultraquiet.cli.deploy.frame import requested_frame, show_frames
+from ultraquiet.cli.deploy.margins import rounded_loop
 from ultraquiet.cli.deploy.ranges import refuse_range, requested_limits, require_steps
 from ultraquiet.cli.deploy.table import requested_targets, rows
 from ultraquiet.cli.deploy.word_lengths import FIXED, PRECISIONS, deploy_fixed, refuse_others, show_word_lengths
@@ -63,7 +64,6 @@ def deploy(
     from ultraquiet.cli.loop.loaded import loaded_law, loaded_plant
     from ultraquiet.cli.output.screen import plain, screen
     from ultraquiet.cli.output.text_table import TextTable
-    from ultraquiet.design.robustness import both_ends, described
 
     law = loaded_law(controller, "deploy")
     real_time = requested_frame(law.rate_hz, frame_on, frames, load, jitter_us, overload) if frame else None
@@ -95,14 +95,15 @@ def deploy(
         grid.add(*row)
     show.table(grid)
     show.say(deployment.status, verified.status)
-    ends = {} if system is None else both_ends(system, deployment.quantised)
-    if system is not None:
-        show.say(*(f"rounded law, {line}" for line in described(system, ends)))
+    loop = None if system is None else rounded_loop(system, deployment.quantised, law)
+    if loop is not None:
+        show.say(*loop.lines)
     facts = {
         "folder": folder,
         "status": deployment.status,
         "verified": verified.status,
-        "margins": {} if system is None else margins_facts(system, ends),
+        "loop": None if loop is None else loop.status,
+        "margins": {} if system is None or loop is None else margins_facts(system, loop.ends),
         "tables": plain(deployment.tables),
     }
     if verified.status.word in CODE_FAULTS:
@@ -114,4 +115,4 @@ def deploy(
         figure = folder.with_name(f"{folder.name}-frame.svg")
         framed = show_frames(deployment, real_time, frames, frame_on, figure)
     show.result({**facts, "fmu": exported, "frame": framed})
-    finish(deployment.status, verified.status, exported, framed)
+    finish(deployment.status, verified.status, exported, framed, None if loop is None else loop.status)

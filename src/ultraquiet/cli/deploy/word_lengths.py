@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ultraquiet._base.errors import InputError
+from ultraquiet.cli.deploy.margins import rounded_loop
 from ultraquiet.cli.deploy.ranges import as_typed, requested_range, requested_size
 from ultraquiet.cli.output.screen import screen
 from ultraquiet.cli.output.text_table import TextTable
@@ -67,8 +68,8 @@ def deploy_fixed(
     steps: int,
     limits: str | None,
     reading: str | None,
-) -> "tuple[Status, Status]":
-    """Generate whole-number C99, compare it with its twin, print one table; return what law and code came to."""
+) -> "tuple[Status | None, ...]":
+    """Generate whole-number C99, compare it with its twin, print one table; return what law, code and loop came to."""
     from ultraquiet import deploy
     from ultraquiet.deploy.figures import said
 
@@ -76,12 +77,14 @@ def deploy_fixed(
     span = requested_range(reading)
     deployment = deploy.generate_fixed(law, folder, word, form=form, plant=plant, input_v=span, output_v=full)
     verified = deployment.verify(steps)
+    loop = None if plant is None else rounded_loop(plant, deployment.quantised, law)
     grid = TextTable(("what", "value"), f"{folder}")
     for row in said(deployment.tables):
         grid.add(*row)
     show = screen()
     show.table(grid)
-    show.say(deployment.status, verified.status)
-    facts = {"folder": folder, "status": deployment.status, "verified": verified.status}
+    show.say(deployment.status, verified.status, *(() if loop is None else loop.lines))
+    kept = None if loop is None else loop.status
+    facts = {"folder": folder, "status": deployment.status, "verified": verified.status, "loop": kept}
     show.result({**facts, "tables": deployment.tables})
-    return deployment.status, verified.status
+    return deployment.status, verified.status, kept
