@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import FloatArray
 from ultraquiet.analyse.disk import ENDS, disk_margin
-from ultraquiet.analyse.margins import default_grid, peak_sensitivity
+from ultraquiet.analyse.margins import default_grid, peak_sensitivity, reached_directions
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
@@ -141,16 +141,13 @@ def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
 
 def _sizes(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the largest singular values of S = (I - G K)^-1, in what G reaches, and of K S at each line."""
-    G, K = (np.moveaxis(each.frequency_response(f), 2, 0) for each in (plant, law))
-    S = np.asarray(np.linalg.inv(np.eye(G.shape[1]) - G @ K), dtype=np.complex128)
-    sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (_reached(S, G), K @ S))
+    response = plant.frequency_response(f)
+    G, K = np.moveaxis(response, 2, 0), np.moveaxis(law.frequency_response(f), 2, 0)
+    S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
+    in_reach = S @ reached_directions(response) if G.shape[1] > G.shape[2] else S
+    sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (in_reach, K @ S))
     of_S, of_KS = (np.maximum(np.asarray(size, dtype=np.float64), np.finfo(float).tiny) for size in sizes)
     return of_S, of_KS
-
-
-def _reached(S: ComplexArray, G: ComplexArray) -> ComplexArray:
-    """Return S for what the columns of G span, an orthonormal basis of it in place of the outputs."""
-    return np.asarray(S @ np.linalg.qr(G)[0], dtype=np.complex128) if G.shape[1] > G.shape[2] else S
 
 
 def _db(size: FloatArray | float) -> FloatArray:

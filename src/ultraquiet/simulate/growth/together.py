@@ -270,7 +270,7 @@ def _modes(frames: Frames, line: int, steps: _Steps, floor: float) -> tuple[Mode
         told = [float(np.log(max(abs(other[np.argmin(abs(other - pole))]), np.finfo(float).tiny))) for other in others]
         disagree = max(abs(other * per_s - growth) for other in told)
         deviation = float(np.hypot(students * deviation, max(disagree - deviation, 0.0)))
-        seen = size / max(hum, np.finfo(float).tiny)
+        seen = size / max(hum, ROUNDING * size)
         found.append(Mode(growth, deviation, hz_of(frames, line, complex(pole)), seen))
     return tuple(sorted(found, key=lambda mode: -mode.growth_per_s))
 
