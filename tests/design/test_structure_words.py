@@ -46,4 +46,4 @@ def test_older_words_give_the_same_law(two_channels):
 
 def test_a_block_of_a_decoupled_plant_is_designed_whole(two_channels):
     settings = {"structure": "alike", "order": 2}
-    assert Decoupled(settings=settings)._method(two_channels).structure == "full"
+    assert Decoupled(settings=settings)._method(two_channels, two_channels).structure == "full"
