@@ -90,6 +90,7 @@ BAD = [
         "20 Hz",
     ),
     (lambda: Replay(()), InputError, "at least one record"),
+    (lambda: Replay("records.h5"), InputError, "must be a tuple of records, got 'r' as number 1"),
     (lambda: TAPE.run(np.zeros((1, 3))), InputError, "none of the 1 records"),
     (lambda: TAPE.run(np.ones((1, 3)), disturbance=np.ones((1, 3))), InputError, "cannot react"),
 ]

@@ -240,6 +240,17 @@ def test_nothing_is_half_written(tmp_path, rng, monkeypatch, suffix):
         files.export_record(record, tmp_path / "absent" / f"a{suffix}")
 
 
+def test_a_wav_file_without_a_rate_is_refused(tmp_path):
+    from scipy.io import wavfile
+
+    path = tmp_path / "a.wav"
+    wavfile.write(path, 3500, np.zeros((8, 2)))
+    data = bytearray(path.read_bytes())
+    data[24:28] = bytes(4)  # samples a second, in the format chunk
+    path.write_bytes(data)
+    assert "a rate of 0 Hz" in refused(path)
+
+
 def test_names_that_a_format_cannot_hold(tmp_path):
     for name, suffix in (
         ("x" * 81, ".uff"),

@@ -44,6 +44,9 @@ class Replay:
     def __post_init__(self) -> None:
         if not self.records:
             raise InputError("Replay: it needs at least one record, got none.")
+        for number, record in enumerate(self.records, start=1):
+            if not isinstance(record, Record):
+                raise InputError(f"Replay: 'records' must be a tuple of records, got {record!r} as number {number}.")
         first = self.records[0]
         for number, record in enumerate(self.records[1:], start=2):
             same_rate("Replay", "record 1", first.rate_hz, f"record {number}", record.rate_hz)

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 
+from ultraquiet._base.errors import InputError
 from ultraquiet.files.table import Column, FileTable
 
 FULL_SCALE = "FS"  # the unit of samples that are parts of full scale
@@ -16,6 +17,9 @@ def read_wav(name: str, data: bytes) -> FileTable:
 
     16, 24 and 32 bits are divided by 2^15, 2^23 and 2^31, so that full scale is 1; a mapping's `scale` makes volts of
     them. 32- and 64-bit floats keep their values. WAV knows neither names nor units.
+
+    Raises:
+        InputError: a rate of zero.
     """
     from scipy.io import wavfile
 
@@ -24,6 +28,8 @@ def read_wav(name: str, data: bytes) -> FileTable:
         warnings.filterwarnings("ignore", "Chunk", wavfile.WavFileWarning)
         warnings.filterwarnings("error", "Reached EOF|Incomplete", wavfile.WavFileWarning)
         rate_hz, samples = wavfile.read(io.BytesIO(data))
+    if not rate_hz > 0:
+        raise InputError(f"{name}: it says a rate of {rate_hz} Hz; no record can be made of that.")
     rows = np.atleast_2d(samples.T)
     unit = "" if rows.dtype.kind == "f" else FULL_SCALE
     values = _scaled(rows)
