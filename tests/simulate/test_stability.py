@@ -63,17 +63,22 @@ def test_what_one_record_cannot_tell_is_not_known(rng):
     check = uq.simulate.check_stability(loop.bench, loop.law, 4.0)
     print(check.status)
     assert check.status.word == "not known"
-    assert check.growth_std_per_s > abs(loop.growth_per_s)
+    driven = "Noise alone drives" in check.status.sentence  # then not even a mode is told
+    assert driven or check.growth_std_per_s > abs(loop.growth_per_s)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("apart", [3e-5, 6e-5])
 def test_growth_that_reaches_the_limits_within_the_record_is_known(rng, apart):
-    """Three records, whose readings are noisy and whose last one ends at the limits of the commands."""
+    """Three records, whose readings are noisy and whose last one ends at the limits of the commands.
+
+    Of a loop that noise alone drives there within each nothing is known, and that is said.
+    """
     loop = drawn_loop(rng, 1 + apart, noise=0.03)
     check = uq.simulate.check_stability(loop.bench, loop.law)
     print(f"{check.status}; true {loop.growth_per_s:.4g} at {loop.f_hz:.4g} Hz")
-    assert check.status.word == "unstable"
+    driven = check.status.word == "not known" and "Noise alone drives" in check.status.sentence
+    assert check.status.word == "unstable" or driven
 
 
 def test_growth_that_stands_among_what_noise_rings_is_not_called_settled():
@@ -115,12 +120,12 @@ def test_growth_that_noise_drives_to_the_limits_within_every_record_is_known():
 @pytest.mark.parametrize("hz", ["mains", "the mode's"])
 @pytest.mark.parametrize("apart", [-1e-3, 1e-4])
 def test_what_hums_without_the_law_too_is_no_mode_of_the_loop(rng, apart, hz):
-    """Mains of any phase and offsets, also at the very frequency of the slowest mode, which hides growth there."""
-    loop = drawn_loop(rng, 1 + apart, 0.003)
+    """Mains of any phase and offsets, also at the very frequency of the slowest mode, which may hide what that does."""
+    loop = drawn_loop(rng, 1 + apart, 0.003, limited=False)
     loop.bench.hum = (0.05, 50.0 if hz == "mains" else loop.f_hz, 0.1)
     check = uq.simulate.check_stability(loop.bench, loop.law)
     print(f"{check.status}; true {loop.growth_per_s:.4g} at {loop.f_hz:.4g} Hz")
-    hidden = {"not known"} if apart > 0 and hz != "mains" else set()
+    hidden = {"not known"} if hz != "mains" else set()
     assert check.status.word in {"unstable" if apart > 0 else "ok"} | hidden
     if apart > 0:
         assert check.growth_hz == pytest.approx(loop.f_hz, rel=0.01)
