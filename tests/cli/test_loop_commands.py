@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ultraquiet as uq
+from ultraquiet.cli.deploy.margins import rounded_loop
 from ultraquiet.cli.loop.facts import slowest_sentence
 from ultraquiet.design.loop_analysis import SlowestMode, analyse_loop
 
@@ -141,24 +142,25 @@ def test_code_of_a_fragile_law_ends_with_one(run, loop, precision):
     code, out, err = run("deploy", "nameless.h5", *words)
     assert (code, json.loads(out)["loop"]["word"]) == (0, "ok"), err
     weak = end_of_stability(G, K)
-    uq.files.save(uq.StateSpace(K.A, K.B, weak * K.C, weak * K.D, RATE), "weak.h5")
+    uq.files.save(weak_law(K, weak), "weak.h5")
     code, out, err = run("deploy", "weak.h5", *words)
     said = json.loads(out)
     assert (code, said["loop"]["word"], said["verified"]["word"]) == (1, "fragile", "ok"), err
-    asked_less = uq.design.Lqg(disk_margin=0.0).design(G).controller
-    stated = uq.StateSpace(
-        asked_less.A, asked_less.B, weak * asked_less.C, weak * asked_less.D, RATE, provenance=asked_less.provenance
-    )
-    uq.files.save(stated, "bold.h5")
-    code, out, err = run("deploy", "bold.h5", *words)
-    assert json.loads(out)["loop"]["word"] in ("ok", "unstable"), err
+    assert rounded_loop(G, weak_law(K, weak), K).status.word == "fragile"
+    bold = uq.design.Lqg(disk_margin=0.0).design(G).controller
+    assert rounded_loop(G, weak_law(K, weak), bold).status.ok
+    assert rounded_loop(G, weak_law(K, 100.0), K).status is None  # unstable, which others say
+
+
+def weak_law(K, gain):
+    """Return a law at another gain, without what its design stated."""
+    return uq.StateSpace(K.A, K.B, gain * K.C, gain * K.D, RATE)
 
 
 def end_of_stability(G, K):
     """Return a gain at which a loop is stable and keeps a tenth of the margin that is asked."""
     for gain in np.geomspace(1.0, 100.0, 400):
-        margins = [uq.analyse.end_margins(G, uq.StateSpace(K.A, K.B, gain * K.C, gain * K.D, RATE), "input").disk_all]
-        if 0 < margins[0] < 0.1:
+        if 0 < uq.analyse.end_margins(G, weak_law(K, gain), "input").disk_all < 0.1:
             return float(gain)
     raise AssertionError("no gain makes this loop fragile")
 

@@ -62,7 +62,7 @@ def upset_within_the_disk(rng, plant, law, alpha=0.2, draws=DRAWS):
         (MixedSensitivity, (4, 3)),
         (BandAttenuation, (2, 3)),
         (PeakBounded, (1, 1)),
-        (PeakBounded, (3, 5)),
+        pytest.param(PeakBounded, (3, 5), marks=pytest.mark.slow),
         (FixedStructure, (4, 3)),
     ],
 )
