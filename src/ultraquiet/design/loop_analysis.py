@@ -10,7 +10,7 @@ from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
 from ultraquiet.analyse.margins import even_sensitivity
 from ultraquiet.analyse.plant_scale import even_plant
-from ultraquiet.design.robustness import DISK_MARGIN, WIDEST, both_ends, fragility, stated, weaker_end
+from ultraquiet.design.robustness import DISK_MARGIN, WIDEST, both_ends, kept
 from ultraquiet.design.worst_direction import ALIKE, WHO, Scales, scales_of, strongest, worst_of_scaled
 from ultraquiet.values.channel import ratio
 from ultraquiet.values.state_space import StateSpace
@@ -140,11 +140,7 @@ def _verdict(
 ) -> Status:
     if not stable:
         return Status(StatusWord.UNSTABLE, "The loop is unstable; the law must not run on this plant.")
-    # NaN, which no comparison admits, is no margin
-    if margins[weaker_end(margins)].disk_all >= asked:
-        words = f"it amplifies by at most {peak.gain_db:.1f} dB, at {peak.f_hz:.4g} Hz; {stated(margins)}"
-        return Status(StatusWord.OK, f"The loop is stable; {words}.")
-    return Status(StatusWord.FRAGILE, fragility(plant, margins, asked))
+    return kept(plant, margins, asked, f"it amplifies by at most {peak.gain_db:.1f} dB, at {peak.f_hz:.4g} Hz; ")
 
 
 def _peak(found: Peak, plant: StateSpace, s: Scales, name: str) -> MemberPeak:

@@ -56,11 +56,18 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
     return f"{said}." if change is None else f"{said}; {_told(change, kind, wires)}."
 
 
-def kept(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float) -> Status:
-    """Return whether a stable loop keeps the disk margin asked for at both ends: `ok`, or `fragile`."""
+def kept(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float, also: str = "") -> Status:
+    """Return whether a stable loop keeps the disk margin asked for at both ends: `ok`, or `fragile`.
+
+    Args:
+        plant: G.
+        margins: of both ends.
+        asked: the disk margin.
+        also: words on a loop that is ok, before its margins.
+    """
     # NaN, which no comparison admits, is no margin
     if margins[weaker_end(margins)].disk_all >= asked:
-        return Status(StatusWord.OK, f"The loop is stable; {stated(margins)}.")
+        return Status(StatusWord.OK, f"The loop is stable; {also}{stated(margins)}.")
     return Status(StatusWord.FRAGILE, fragility(plant, margins, asked))
 
 

@@ -126,9 +126,7 @@ class Modal(StatedRobustness):
         """Return disturbance and noise, as given or the one as the other asks."""
         if self.disturbance is not None and self.sensor_noise is not None:
             return self.disturbance, self.sensor_noise
-        usual = UsualVariances.of(plant, self.band_hz, at_input=True)
-        disturbance = usual.disturbance(self.sensor_noise) if self.disturbance is None else self.disturbance
-        return disturbance, self.sensor_noise or usual.sensor_noise(disturbance)
+        return UsualVariances.of(plant, self.band_hz, at_input=True).both(self.disturbance, self.sensor_noise)
 
     def _feedback(self, plant: StateSpace, band_hz: tuple[float, float]) -> tuple[FloatArray, list[dict[str, float]]]:
         """Return F and what it does, one mode after the other."""

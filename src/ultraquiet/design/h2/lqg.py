@@ -173,8 +173,7 @@ class Lqg(StatedRobustness):
         if all(number is not None or modelled for number, modelled in left_out):
             return settled
         usual = UsualVariances.of(plant, self.band_hz, settled.disturbance_at == "input")
-        variance = usual.disturbance(self.sensor_noise) if self.disturbance is None else self.disturbance
-        noise = usual.sensor_noise(variance) if self.sensor_noise is None else self.sensor_noise
+        variance, noise = usual.both(self.disturbance, self.sensor_noise)
         weight = usual.control_weight if self.control_weight is None else self.control_weight
         return replace(settled, control_weight=weight, disturbance=variance, sensor_noise=noise)
 

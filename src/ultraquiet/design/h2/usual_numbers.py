@@ -38,6 +38,11 @@ class UsualVariances:
         """What one unit of the disturbance's variance makes at the outputs."""
         return self.loudness**2 if self.at_input else 1.0
 
+    def both(self, disturbance: float | None, sensor_noise: float | None) -> tuple[float, float]:
+        """Return both variances, as given or the one as the other asks."""
+        moved = self.disturbance(sensor_noise) if disturbance is None else disturbance
+        return moved, self.sensor_noise(moved) if sensor_noise is None else sensor_noise
+
     def sensor_noise(self, disturbance: float) -> float:
         """Return the variance of sensor noise that goes with a disturbance."""
         return NOISE * disturbance * self.shown
