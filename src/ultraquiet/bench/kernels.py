@@ -1,4 +1,8 @@
-"""The sampled loop, compiled. Import where it is used: numba costs half a second."""
+"""The sampled loop, compiled. Import where it is used: numba costs half a second.
+
+What runs once a sample takes arrays, never tuples of them or rows of a larger one: to count who holds each of them took
+as long as the arithmetic.
+"""
 
 import numpy as np
 
@@ -9,13 +13,30 @@ FAINTEST = 1e-200
 
 
 @compiled
-def add_product(A, x, out):
+def add_product(columns, first, end, x, out):
     """Add A x to out; A as `columns.spanned` lays it out, so that the inner loop runs along memory and past zeros."""
-    columns, first, end = A
     for j in range(x.size):
         value, column = x[j], columns[j]
         for i in range(first[j], end[j]):
             out[i] += column[i] * value
+
+
+@compiled
+def add_wide_product(columns, x, out):
+    """Add A x to out for an A of few rows, given by its columns: four sums at a time stay out of memory."""
+    rows, quads, inputs = np.uint64(out.size), np.uint64(out.size // 4 * 4), np.uint64(x.size)
+    for i in range(np.uint64(0), quads, np.uint64(4)):
+        first, second, third, fourth = out[i], out[i + 1], out[i + 2], out[i + 3]
+        for j in range(inputs):
+            value = x[j]
+            first += columns[j, i] * value
+            second += columns[j, i + 1] * value
+            third += columns[j, i + 2] * value
+            fourth += columns[j, i + 3] * value
+        out[i], out[i + 1], out[i + 2], out[i + 3] = first, second, third, fourth
+    for i in range(quads, rows):
+        for j in range(inputs):
+            out[i] += columns[j, i] * x[j]
 
 
 @compiled
@@ -27,11 +48,9 @@ def take(values, into):
 
 
 @compiled
-def read(C, x, noise, limits, step, y):
-    """Fill y with the readings C x + noise, clipped to +-limits and rounded to multiples of step (0: not rounded)."""
-    for i in range(y.size):
-        y[i] = noise[i]
-    add_product(C, x, y)
+def read(columns, x, limits, step, y):
+    """Add the readings C x to the noise in y; clip to +-limits, round to multiples of step (0: not rounded)."""
+    add_wide_product(columns, x, y)
     for i in range(y.size):
         value = min(max(y[i], -limits[i]), limits[i])
         y[i] = step * np.rint(value / step) if step > 0.0 else value
@@ -63,89 +82,62 @@ def slip(thresholds, weights, anchors, values):
 
 
 @compiled
-def move(plant, state, disturbance, limits, driven, work, counts):
-    """Advance the plant one sample under the held command plus the disturbance, limited to +-limits."""
-    A, B, _, thresholds, weights = plant
-    x, held, anchors = state
-    for i in range(held.size):
-        driven[i] = held[i] + disturbance[i]
-    clip(driven, limits, driven, counts)
-    slip(thresholds, weights, anchors, driven)
+def advance(A, A_first, A_end, B, B_first, B_end, x, driven, work):
+    """Make x into A x + B driven, computed in `work`."""
     for i in range(work.size):
         work[i] = 0.0
-    add_product(A, x, work)
-    add_product(B, driven, work)
+    add_product(A, A_first, A_end, x, work)
+    add_product(B, B_first, B_end, driven, work)
     take(work, x)
 
 
 @compiled
-def send(plant, asked, sent, limits, state, spaces, results):
-    """Apply what was held and hold what is asked for, both `(nu,)` before they fade by `gain`; see `loop`.
-
-    sent = (disturbance, gain), spaces = (driven, pushed, work) to compute in, results = (command, counts).
-    """
-    disturbance, gain = sent
-    driven, pushed, work = spaces
-    command, limited = results
-    held = state[1]
-    for i in range(asked.size):
-        asked[i] *= gain
-        pushed[i] = gain * disturbance[i]
-    move(plant, state, pushed, limits[1], driven, work, limited[1])
-    clip(asked, limits[0], held, limited[0])
-    for i in range(asked.size):
-        command[i] = held[i] + 0.0 * asked[i]  # no number where none was asked for
-
-
-@compiled
-def loop(plant, law, signals, limits, state, xk, results):
-    """Run on from `state` and the law's state `xk`, both left where the samples end.
+def loop(plant, law, code, signals, limits, state, xk, results):
+    """Run on from `state` and the state of the law, both left where the samples end.
 
     Signals and results are `(samples, channels)`, matrices as `columns.spanned` lays them out. plant = (A, B, C,
-    thresholds and weights of the plays), law = (A, B, C, D), signals = (actuation, disturbance, noise, gain of whatever
-    is sent), limits = (commands, actuators, readings, step of the converter), state = (x, held commands, anchors of
-    the plays), results = (commands, readings, counts of limited commands and actuators), all of them filled here.
+    thresholds and weights of the plays), law = (A, B, C, D) with the state `xk`, signals = (actuation, disturbance,
+    noise, gain of whatever is sent), limits = (commands, actuators, readings, step of the converter), state = (x, held
+    commands, anchors of the plays), results = (commands, readings, counts of limited commands and actuators), all of
+    them filled here.
+
+    code = (addresses of the step of a law of machine code, of its state, of what it reads and gives, the arrays at the
+    last two in the code's precision, and the places of these channels among the bench's); such a law adds to the
+    linear one, and an address of 0 is none.
     """
-    KA, KB, KC, KD = law
+    (A, A_first, A_end), (B, B_first, B_end), (C, _, _), thresholds, weights = plant
+    (KA, KA_first, KA_end), (KB, KB_first, KB_end), (KC, _, _), (KD, _, _) = law
+    law_step, law_state, at_readings, at_commands, readings, commands, reads, drives = code
     actuation, disturbance, noise, gain = signals
+    sent, moved, seen, step = limits
     command, outputs, limited = results
-    nu = actuation.shape[1]
-    x, workk, asked = state[0], np.empty(xk.size), np.empty(nu)
-    spaces = np.empty(nu), np.empty(nu), np.empty(x.size)
-    for k in range(actuation.shape[0]):
-        read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
-        for i in range(nu):
+    x, held, anchors = state
+    sent_met, moved_met = limited[0], limited[1]
+    asked, driven, y = np.empty(held.size), np.empty(held.size), np.empty(noise.shape[1])
+    work, workk = np.empty(x.size), np.empty(xk.size)
+    for k in range(len(actuation)):
+        for i in range(y.size):
+            y[i] = noise[k, i]
+        read(C, x, seen, step, y)
+        for i in range(y.size):
+            outputs[k, i] = y[i]
+        for i in range(asked.size):
             asked[i] = actuation[k, i]
-        add_product(KC, xk, asked)
-        add_product(KD, outputs[k], asked)
-        for i in range(xk.size):
-            workk[i] = 0.0
-        add_product(KA, xk, workk)
-        add_product(KB, outputs[k], workk)
-        take(workk, xk)
-        send(plant, asked, (disturbance[k], gain[k]), limits, state, spaces, (command[k], limited))
-
-
-@compiled
-def loop_of_code(plant, law, signals, limits, state, results):
-    """Run on from `state` under a law of machine code, which keeps its own; else as `loop`.
-
-    law = (addresses of its step, of its state, of what it reads and gives, the arrays `(ny,)` and `(nu,)` at the last
-    two in the code's precision, and the places of these channels among the bench's).
-    """
-    step, law_state, at_readings, at_commands, readings, commands, reads, drives = law
-    actuation, disturbance, noise, gain = signals
-    command, outputs, limited = results
-    nu = actuation.shape[1]
-    x, asked = state[0], np.empty(nu)
-    spaces = np.empty(nu), np.empty(nu), np.empty(x.size)
-    for k in range(actuation.shape[0]):
-        read(plant[2], x, noise[k], limits[2], limits[3], outputs[k])
-        for i in range(readings.size):
-            readings[i] = outputs[k, reads[i]]
-        call_step(step, law_state, at_readings, at_commands)
-        for i in range(nu):
-            asked[i] = actuation[k, i]
-        for i in range(commands.size):
-            asked[drives[i]] += commands[i]
-        send(plant, asked, (disturbance[k], gain[k]), limits, state, spaces, (command[k], limited))
+            driven[i] = held[i] + gain[k] * disturbance[k, i]
+        add_wide_product(KC, xk, asked)
+        add_wide_product(KD, y, asked)
+        advance(KA, KA_first, KA_end, KB, KB_first, KB_end, xk, y, workk)
+        if law_step != 0:
+            for i in range(readings.size):
+                readings[i] = y[reads[i]]
+            call_step(law_step, law_state, at_readings, at_commands)
+            for i in range(commands.size):
+                asked[drives[i]] += commands[i]
+        clip(driven, moved, driven, moved_met)
+        slip(thresholds, weights, anchors, driven)
+        advance(A, A_first, A_end, B, B_first, B_end, x, driven, work)
+        for i in range(asked.size):
+            asked[i] *= gain[k]
+        clip(asked, sent, held, sent_met)
+        for i in range(asked.size):
+            command[k, i] = held[i] + 0.0 * asked[i]  # no number where none was asked for

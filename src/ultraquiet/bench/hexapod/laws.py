@@ -42,22 +42,23 @@ class FeedbackLaw(Protocol):
         ...
 
 
-class LinearLaw:
-    """A linear law, compiled together with the plant; it may read and drive the leading channels only."""
+class CompiledLaw:
+    """A linear law and one of machine code, added; both may read and drive some of the channels only."""
 
-    def __init__(self, law: StateSpace, sensors: int, actuators: int) -> None:
+    def __init__(self, law: StateSpace, sensors: int, actuators: int, machine: MachineStep | None = None) -> None:
         (nu, ny), n = law.D.shape, law.states
         B, C, D = np.zeros((n, sensors)), np.zeros((actuators, n)), np.zeros((actuators, sensors))
         A, B[:, :ny], C[:nu] = _in_blocks(law)
         D[:nu, :ny] = law.D
         self._law = spanned(A), spanned(B), spanned(C), spanned(D)
         self._x = np.zeros(n)
+        self._code, self._machine = _called(machine), machine
 
     def advance(self, plant: Plant, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
         """Run the loop on over all samples of `signals`."""
         from ultraquiet.bench import kernels
 
-        kernels.loop(plant, self._law, signals, limits.arrays, state, self._x, results)
+        kernels.loop(plant, self._law, self._code, signals, limits.arrays, state, self._x, results)
         _require_finite(results[0])
 
 
@@ -73,36 +74,34 @@ class SteppedLaw:
 
         u, d, noise, gain = signals
         command, y, limited = results
-        held_command = state[1]
-        work, driven = np.empty_like(state[0]), np.empty_like(held_command)
+        A, B, C, *plays = plant
+        x, held, anchors = state
+        work = np.empty_like(x)
+        y[:] = noise
         for k in range(len(u)):
-            kernels.read(plant[2], state[0], noise[k], limits.reading_v, limits.step_v, y[k])
+            kernels.read(C[0], x, limits.reading_v, limits.step_v, y[k])
             try:
                 answer = commands(WHO, self._law.step(y[k, : self._ny].copy()), self._nu, self._k)
             except BaseException as error:  # an interrupt, too, leaves the samples before it to be handed over
                 raise LostError(k, error) from error
             requested = u[k].copy()
             requested[: self._nu] += answer
-            kernels.move(plant, state, gain[k] * d[k], limits.actuator_v, driven, work, limited[1])
-            kernels.clip(gain[k] * requested, limits.command_v, held_command, limited[0])
-            command[k] = held_command
+            driven = held + gain[k] * d[k]
+            kernels.clip(driven, limits.actuator_v, driven, limited[1])
+            kernels.slip(*plays, anchors, driven)
+            kernels.advance(*A, *B, x, driven, work)
+            kernels.clip(gain[k] * requested, limits.command_v, held, limited[0])
+            command[k] = held
             self._k += 1
 
 
-class CodeLaw:
-    """A controller of machine code, called by the compiled loop: what `SteppedLaw` does, without Python between."""
-
-    def __init__(self, law: MachineStep) -> None:
-        at = law.readings.ctypes.data, law.commands.ctypes.data
-        self._law = law.function, law.state, *at, law.readings, law.commands, law.reads, law.drives
-        self._owner = law.owner
-
-    def advance(self, plant: Plant, signals: Matrices, limits: Limits, state: Matrices, results: Matrices) -> None:
-        """Run the loop on over all samples of `signals`."""
-        from ultraquiet.bench import kernels
-
-        kernels.loop_of_code(plant, self._law, signals, limits.arrays, state, results)
-        _require_finite(results[0])
+def _called(machine: MachineStep | None) -> tuple[Any, ...]:
+    """Return a step of machine code as the kernel calls it; None is the address 0, which is not called."""
+    if machine is None:
+        nothing, nowhere = np.empty(0), np.empty(0, dtype=np.int64)
+        return 0, 0, 0, 0, nothing, nothing, nowhere, nowhere
+    at = machine.readings.ctypes.data, machine.commands.ctypes.data
+    return machine.function, machine.state, *at, machine.readings, machine.commands, machine.reads, machine.drives
 
 
 def _require_finite(command: FloatArray) -> None:
@@ -127,18 +126,18 @@ def closing(controller: Any | None, actuators: int, sensors: int, rate_hz: float
     like; without, it has all.
     """
     if controller is None:
-        return LinearLaw(_silent(rate_hz), sensors, actuators)
+        return CompiledLaw(_silent(rate_hz), sensors, actuators)
     law = controller if isinstance(controller, StateSpace) else _linear_part(controller)
     shape = getattr(getattr(law, "D", None), "shape", None)
     nu, ny = (leading, leading) if shape == (leading, leading) else (actuators, sensors)
     if isinstance(controller, StateSpace):
         checked_law(WHO, controller, rate_hz, ny, nu)
-        return LinearLaw(controller, sensors, actuators)
+        return CompiledLaw(controller, sensors, actuators)
     law = checked_controller(WHO, controller, rate_hz, ny, nu)
     machine: MachineStep | None = getattr(law, "machine_step", lambda: None)()
     if machine is None or machine.channels != (ny, nu):
         return SteppedLaw(law, ny, nu)  # one of other channels is refused when it answers
-    return CodeLaw(machine)
+    return CompiledLaw(_silent(rate_hz), sensors, actuators, machine)
 
 
 def _linear_part(controller: Any) -> Any:
