@@ -10,7 +10,7 @@ import ultraquiet as uq
 from ultraquiet._base.errors import InputError, RateError
 from ultraquiet.bench.linear import LinearBench
 from ultraquiet.simulate.open_loop import OPEN_LINES, OpenLoop
-from ultraquiet.simulate.sensitivity import _may_peak_below
+from ultraquiet.simulate.sensitivity import _decides, _may_peak_below
 from ultraquiet.testing.problems import RATE_HZ, damped_plant, loop_poles, observer_law
 
 
@@ -239,3 +239,24 @@ def test_noise_in_the_lowest_line_hides_no_peak_below_it(rng):
         low[0] = 0.85
         assert _may_peak_below(f_hz, (rises * low)[None, None])
         assert not _may_peak_below(f_hz, (falls * noise)[None, None])
+
+
+def test_passes_do_not_average_away_what_the_open_loop_s_noise_leaves_open(rng):
+    """Without control S is one at every line, so what is read beside one is the error that the deviation bounds."""
+    plant = uq.StateSpace([[0.9]], [[1.0]], [[0.1]], [[0.0]], rate_hz=500.0)
+    nothing = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[0.0]], rate_hz=500.0)
+    bench = wrapped(plant, 0.05, rng)
+    opened = OpenLoop(bench, seconds=2.0)
+    read = uq.simulate.measure_sensitivity(bench, nothing, np.arange(60.0, 230.0, 0.5), opened=opened)
+    ratio = np.abs(np.abs(read.S.values[0, 0]) - 1) / read.deviation
+    print(f"RMS of the error over its deviation {np.sqrt(np.mean(ratio**2)):.3f}, {read.hidden.mean():.2f} hidden")
+    assert read.hidden.any()
+    assert np.sqrt(np.mean(ratio**2)) < 0.9  # of a complex error that the deviation bounds, the real part: 0.71
+
+
+@pytest.mark.parametrize(("hidden_size", "decides"), [(1.0, False), (1.7, True)])
+def test_a_hidden_line_that_would_be_read_as_the_peak_is_listened_to_again(hidden_size, decides):
+    """Its bound, two deviations above what was read, against the peak of 1.8 that is heard."""
+    size = np.array([1.0, 1.8, hidden_size])
+    assert _decides(np.array([False, False, True]), size, np.array([0.01, 0.01, 0.15])) is decides
+    assert not _decides(np.zeros(3, dtype=bool), size, np.full(3, 0.01))

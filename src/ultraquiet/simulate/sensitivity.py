@@ -20,7 +20,7 @@ from ultraquiet.values.controller import Controller
 # counted with so many deviations of the noise on top.
 RESOLVED, DEVIATIONS = 0.05, 2.0
 # Passes at most; each is louder where the one before was hidden. Lines that were not asked for one by one lie where the
-# open loop is heard: another pass is made when more than this share of them is hidden.
+# open loop is heard: another pass is made when more than this share of them is hidden, or one that would be the peak.
 PASSES, HIDDEN = 4, 0.25
 SURE = 4.0  # deviations above its neighbours, for one of many lines to be a needle
 # First lines are apart by this share of their frequency; between two whose worst direction differs by more, there are
@@ -161,7 +161,8 @@ def measure_sensitivity(
     body does, the rest of the transform is known and added; what rings on is counted like noise. A run drives one
     right singular vector of the open loop, as loud as ranges allow at each frequency: weak directions stand as far
     above the noise as strong ones. Lines are where S is: closer together between lines that differ by more than 0.5 dB,
-    down to one over the length of a run. A pass is repeated, louder where noise hid a line, four times at most.
+    down to one over the length of a run. A pass is repeated, louder where noise hid a line, four times at most; what
+    noise leaves open in the open loop is the same in all passes and is not averaged away.
 
     Args:
         bench: any bench; with fewer sensors than actuators S is full, with more it is that of the reached directions.
@@ -236,7 +237,7 @@ class _Pair:
         ny, nu = len(band.bench.sensors), len(band.bench.actuators)
         begin = BEGIN_CLOSED * band.runs.levels
         self._levels = LOWER * band.short.run(law, band.shapes, begin, 2).better
-        self._weight = np.zeros(band.sweep.lines.size)
+        self._weight, self._by_open = np.zeros((2, band.sweep.lines.size))
         self._S = np.zeros((ny, ny, self._weight.size), dtype=np.complex128)
         self._closed = np.zeros((ny, nu, self._weight.size), dtype=np.complex128)
 
@@ -246,9 +247,10 @@ class _Pair:
         for _ in range(PASSES):
             self._measure()
             places = self._dense() if asked is None else asked
-            size = _largest(self._S[:, :, places])
-            hidden = np.count_nonzero(self._deviation[places] > RESOLVED * size)
-            if hidden <= (0 if asked is not None else most_hidden * places.size):
+            size, deviation = _largest(self._S[:, :, places]), self._deviation[places]
+            hidden = deviation > RESOLVED * size
+            few = np.count_nonzero(hidden) <= (0 if asked is not None else most_hidden * places.size)
+            if few and not _decides(hidden, size, deviation):
                 break
         return _Part(
             self.band.sweep.lines_hz[places],
@@ -261,18 +263,20 @@ class _Pair:
 
     @property
     def _deviation(self) -> FloatArray:
-        return 1 / np.sqrt(self._weight)
+        """What noise leaves open: less with each pass but for the open loop's own, the same in all of them."""
+        return np.hypot(1 / np.sqrt(self._weight), self._by_open)
 
     def _measure(self) -> None:
         band = self.band
         closed = band.rested(self._law, self._levels, self._quiet, self._length)
         self._levels, self._length, self._rings = closed.better, closed.length, closed.lines_open > 0
         left = left_open(band.runs, band.noise), left_open(closed, self._noise)
-        S, deviation, response = _sensitivity(band.runs, closed, *left)
-        weight = 1 / np.maximum(deviation, ROUNDING) ** 2
+        S, by_closed, by_open, response = _sensitivity(band.runs, closed, *left)
+        weight = 1 / np.maximum(by_closed, ROUNDING) ** 2
         total = self._weight + weight
         share = weight / total
         self._S += share * (S - self._S)
+        self._by_open += share * (by_open - self._by_open)
         self._closed += share * (response - self._closed)
         self._weight = total
 
@@ -294,6 +298,12 @@ class _Pair:
             if not between.size and not needles.size:
                 return places
             places = np.unique(np.concatenate([places, between, needles]))
+
+
+def _decides(hidden: np.ndarray, size: FloatArray, deviation: FloatArray) -> bool:
+    """Return whether the bound of a hidden line would be read as the peak, by more than a step above what is heard."""
+    heard = size[~hidden].max(initial=0.0)
+    return bool((size + DEVIATIONS * deviation)[hidden].max(initial=0.0) > heard * 10 ** (STEP_DB / 20))
 
 
 def _needles(size: FloatArray, deviation: FloatArray, places: np.ndarray) -> np.ndarray:
@@ -369,8 +379,8 @@ def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
 
 def _sensitivity(
     opened: Runs, closed: Runs, left: FloatArray, left_closed: FloatArray
-) -> tuple[ComplexArray, FloatArray, ComplexArray]:
-    """Return S `(ny, ny, lines)`, the deviation of its largest singular value, and the closed response.
+) -> tuple[ComplexArray, FloatArray, FloatArray, ComplexArray]:
+    """Return S `(ny, ny, lines)`, how far either loop's noise moves its largest singular value, the closed response.
 
     Both loops' sweeps differ in level, so the open response is taken to what was sent with the law:
     S = Yc (Yo Do^+ Dc)^+. `left`, `left_closed`: how far their spectra may be off.
@@ -382,4 +392,4 @@ def _sensitivity(
     by_closed = largest(inverse) * left_closed
     by_open = largest(S) * largest(turn @ inverse) * left
     response = Yc @ inverted(Dc)
-    return np.moveaxis(S, 0, 2), np.hypot(by_closed, by_open), np.moveaxis(response, 0, 2).astype(np.complex128)
+    return np.moveaxis(S, 0, 2), by_closed, by_open, np.moveaxis(response, 0, 2).astype(np.complex128)
