@@ -28,6 +28,9 @@ ready
 class Plant:
     """Two masses on springs, coupled a little."""
 
+    def __init__(self):
+        self.reset()
+
     def reset(self):
         """Return to rest."""
         self.position, self.speed = [0.0, 0.0], [0.0, 0.0]
@@ -44,10 +47,34 @@ class Plant:
         return y
 
 
-def serve(plant, lines, out, token=""):
+LONGEST_LINE = 1 << 20
+WATCHDOG_S = 10.0  # a driver that is silent for so long in the middle of a run has gone, whatever became of it
+
+
+def serve(plant, connection, token=""):
+    """Serve one driver on TCP, and bring the plant to rest however that ends; the next one finds it sound."""
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    try:
+        # Two streams: one for both would drop the lines it has read ahead whenever it writes.
+        with connection.makefile("r") as lines, connection.makefile("w", newline="\n") as out:
+            answer(plant, lines, out, token, connection.settimeout)
+    except (OSError, ValueError, IndexError) as error:  # hung up, silent, or not talking this protocol
+        print(f"the driver was given up: {error}", file=sys.stderr)
+
+
+def answer(plant, lines, out, token="", patience=lambda seconds: None):
     """Answer every line until the driver hangs up; one that does not say the token moves nothing."""
+    try:
+        answer_lines(plant, lines, out, token, patience)
+    finally:
+        plant.reset()  # the driver has gone: hardware would be brought to rest here
+
+
+def answer_lines(plant, lines, out, token, patience):
+    """Answer every line; `patience` is told how long the next one may take, None for ever."""
     known = not token
-    for line in lines:
+    patience(WATCHDOG_S)
+    for line in iter(lambda: lines.readline(LONGEST_LINE), ""):
         word, *rest = line.split() or [""]
         if word == "hello":
             known = known or hmac.compare_digest(" ".join(rest[1:]).encode(), token.encode())
@@ -60,19 +87,20 @@ def serve(plant, lines, out, token=""):
             half = len(numbers) // 2
             out.write(f"y {' '.join(map(repr, plant.step(numbers[:half], numbers[half:])))}\n")
         elif word == "hello":
+            patience(None)  # between runs a driver may think for hours
             out.write(HANDSHAKE)
         elif word in ("reset", "end"):
             plant.reset()
+            patience(WATCHDOG_S if word == "reset" else None)
             out.write("ok\n")
         else:
             out.write(f"error unknown word {word}\n")
         out.flush()
-    plant.reset()  # the driver has gone: hardware would be brought to rest here
 
 
 if __name__ == "__main__":
     if len(sys.argv) == 1:
-        serve(Plant(), sys.stdin, sys.stdout)
+        answer(Plant(), sys.stdin, sys.stdout)
     else:
         port, address, token_file = [*sys.argv[1:], *("127.0.0.1", "")[len(sys.argv) - 2 :]]
         secret = Path(token_file).read_text().strip() if token_file else ""
@@ -80,7 +108,5 @@ if __name__ == "__main__":
         with socket.create_server((address, int(port))) as server:
             while True:
                 connection, _ = server.accept()
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                # Two streams: one for both would drop the lines it has read ahead whenever it writes.
-                with connection, connection.makefile("r") as lines, connection.makefile("w", newline="\n") as out:
-                    serve(Plant(), lines, out, secret)
+                with connection:
+                    serve(Plant(), connection, secret)

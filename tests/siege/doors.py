@@ -22,7 +22,7 @@ from scipy.io import wavfile
 from ultraquiet import files
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.bench import Process
-from ultraquiet.bench.process.link import Link
+from ultraquiet.bench.process.link import Deadline, Link
 from ultraquiet.bench.process.protocol import Card
 from ultraquiet.deploy import generate
 from ultraquiet.deploy.law.coefficients import bank_of
@@ -75,7 +75,7 @@ def drive(path: Path) -> Any:
     link = Spoken(path.read_bytes())
     bench = Process(("mutant",), timeout_s=1.0)
     bench._line.hold(link)
-    bench._line.card = Card.from_handshake(link, 1.0)
+    bench._line.card = Card.from_handshake(link, Deadline(1.0))
     return bench.run(np.zeros((len(bench.actuators), 5))).outputs
 
 

@@ -11,10 +11,13 @@ from ultraquiet._base.constraints import FloatArray, positive, whole
 from ultraquiet._base.errors import BenchError, InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.registry import register
-from ultraquiet.bench.process.link import Child, Deadline, Link, Remote, shown
-from ultraquiet.bench.process.protocol import SHOWN, Card, counted, number, read_token, spoken
+from ultraquiet.bench.process.link import Child, Deadline, Link, shown
+from ultraquiet.bench.process.protocol import SHOWN, Card, counted, number, read_token, refuse_unasked, spoken
+from ultraquiet.bench.process.remote import Remote
 from ultraquiet.bench.stepped import Setup, Stepped, SteppedPlant
 from ultraquiet.values import Channel
+
+START_TIMEOUT_S = 60.0  # MATLAB takes half of it before it says a word
 
 
 class _Line:
@@ -53,7 +56,8 @@ class Process(Stepped):
         host, port: where a plant listens that was started by somebody else; instead of `command`.
         token_file: a file whose one word is said in the greeting, for a plant on a port that obeys nobody else.
         timeout_s: how long an answer may take, remarks and all.
-        start_timeout_s: how long it may take to be ready.
+        start_timeout_s: how long it may take to be ready; when absent 60 s for a plant that is started here, and
+            `timeout_s` for one that listens already.
 
     Raises:
         InputError: neither or both of `command` and `port`, signals of the wrong shape.
@@ -83,7 +87,7 @@ class Process(Stepped):
     port: int | None = None
     token_file: str = ""
     timeout_s: float = 10.0
-    start_timeout_s: float = 60.0
+    start_timeout_s: float | None = None
     _line: _Line = field(init=False, repr=False, compare=False, default_factory=_Line)
 
     def __post_init__(self) -> None:
@@ -96,8 +100,11 @@ class Process(Stepped):
             raise InputError(f"Process: 'token_file' must be the name of a file, got {self.token_file!r}.")
         if self.port is not None:
             whole("Process", "port", self.port, 1, 65535)
-        positive("Process", "timeout_s", self.timeout_s, "s")
-        positive("Process", "start_timeout_s", self.start_timeout_s, "s")
+        if not isinstance(self.host, str) or not self.host:
+            raise InputError(f"Process: 'host' must be the name or address of a machine, got {self.host!r}.")
+        object.__setattr__(self, "timeout_s", positive("Process", "timeout_s", self.timeout_s, "s"))
+        if self.start_timeout_s is not None:
+            positive("Process", "start_timeout_s", self.start_timeout_s, "s")
 
     @property
     def rate_hz(self) -> float:
@@ -131,6 +138,12 @@ class Process(Stepped):
         self.close()
 
     @property
+    def _start_timeout_s(self) -> float:
+        if self.start_timeout_s is not None:
+            return float(self.start_timeout_s)
+        return self.timeout_s if self.port else START_TIMEOUT_S
+
+    @property
     def _card(self) -> Card:
         return self._line.card or self._connected()[1]
 
@@ -138,10 +151,11 @@ class Process(Stepped):
         line = self._line
         if line.link is None or line.card is None:
             token = read_token(self.token_file) if self.token_file else ""
-            link = Remote(self.host, self.port, self.start_timeout_s) if self.port else Child(self.command)
+            deadline = Deadline(self._start_timeout_s)
+            link = Remote(self.host, self.port, deadline) if self.port else Child(self.command)
             line.hold(link)
             try:
-                card = Card.from_handshake(link, self.start_timeout_s, token)
+                card = Card.from_handshake(link, deadline, token)
                 if line.card is not None and card != line.card:
                     raise BenchError("Process: the plant has another rate or other channels than when it began before.")
             except BaseException:
@@ -210,6 +224,7 @@ class _Driven(SteppedPlant):
 
     def _send(self, u: FloatArray, d: FloatArray) -> None:
         write = self._write
+        refuse_unasked(self._link, self._pending)
         lines = [f"step {' '.join(map(write, row))}\n" for row in np.concatenate([u, d]).T.tolist()]
         self._pending += len(lines)
         self._link.send("".join(lines))
@@ -245,6 +260,7 @@ class _Driven(SteppedPlant):
             ) from None
 
     def _obey(self, order: str) -> None:
+        refuse_unasked(self._link, 0)
         self._link.send(order + "\n")
         line = spoken(self._link, Deadline(self._bench.timeout_s))
         if line.strip() != "ok":

@@ -3,7 +3,6 @@
 import os
 import select
 import signal
-import socket
 import subprocess
 import time
 from collections import deque
@@ -18,6 +17,7 @@ LAST_WORDS = 300  # characters of the plant's error output that a sentence quote
 GRACE_S = 1.0  # how long a plant may take to end by itself, then to obey SIGTERM
 CONNECT_PAUSE_S = 0.05
 PAUSE_S = 0.0005
+LONGEST_WAIT_S = 3600.0  # the system's own clocks take no time without end; who waits looks again
 
 
 class Deadline:
@@ -28,8 +28,8 @@ class Deadline:
         self._end = time.monotonic() + timeout_s
 
     def left_s(self) -> float:
-        """Return the time that is left; negative afterwards."""
-        return self._end - time.monotonic()
+        """Return the time that is left, an hour at most; negative afterwards."""
+        return min(self._end - time.monotonic(), LONGEST_WAIT_S)
 
     def remarks(self) -> str:
         """Return what it said instead, as a part of a sentence."""
@@ -52,6 +52,10 @@ class Link:
         """Send text, lines with their ends; what the plant does not take yet goes out while `line` waits."""
         self._unsent += text.encode()
         self._push()
+
+    def waiting(self) -> list[str]:
+        """Return the lines that have come and were not asked for yet."""
+        return [line.decode(errors="replace") for line in self._lines]
 
     def line(self, deadline: "Deadline") -> str:
         """Return the next line without its end.
@@ -103,13 +107,13 @@ class Link:
                 )
             if self._lines:
                 return
-            writes = [self._writes] if self._unsent else []
-            ready, free, _ = select.select([self._reads, *self._asides()], writes, [], deadline.left_s())
+            asides = self._asides()
+            ready, free = stirring([self._reads, *asides], [self._writes] if self._unsent else [], deadline.left_s())
             if free:
                 self._push()
             if self._reads in ready:
                 self._receive()
-            if ready and ready != [self._reads]:
+            if any(aside in ready for aside in asides):
                 self._overhear()
 
     def _receive(self) -> None:
@@ -128,6 +132,23 @@ class Link:
                 f"Process: {self.where} the plant '{self.name}' sent {len(self._rest)} bytes without an end of line, "
                 f"beginning with {self._rest[:40]!r}; that is no answer."
             )
+
+
+def stirring(reads: list[int], writes: list[int], most_s: float) -> tuple[list[int], list[int]]:
+    """Return which descriptors have something to read, or an end, and which take something, within a time."""
+    if not hasattr(select, "poll"):  # Windows
+        ready, free, _ = select.select(reads, writes, [], most_s)
+        return ready, free
+    # A driver may hold more than the 1024 descriptors that `select` can count.
+    asked = dict.fromkeys(reads, select.POLLIN)
+    for each in writes:
+        asked[each] = asked.get(each, 0) | select.POLLOUT
+    poll = select.poll()
+    for each, events in asked.items():
+        poll.register(each, events)
+    found = poll.poll(1000.0 * max(most_s, 0.0))
+    ready = [each for each, events in found if each in reads and events & ~select.POLLOUT]
+    return ready, [each for each, events in found if each in writes and events & ~select.POLLIN]
 
 
 class Child(Link):
@@ -237,36 +258,3 @@ def shown(text: str, most: int) -> str:
     """Return the beginning of what a plant said, in one line, without what commands a terminal."""
     words = " ".join(text[: 2 * most].split())
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)[:most]
-
-
-class Remote(Link):
-    """A plant that listens on a TCP port, on this machine or another."""
-
-    def __init__(self, host: str, port: int, timeout_s: float) -> None:
-        deadline = time.monotonic() + timeout_s
-        while True:
-            try:
-                self._socket = socket.create_connection((host, port), timeout=timeout_s)
-                break
-            except OSError as error:
-                # A plant that is just being started does not listen yet.
-                if time.monotonic() + CONNECT_PAUSE_S > deadline or not isinstance(error, ConnectionRefusedError):
-                    raise BenchError(f"Process: nothing answers on {host}, port {port} ({reason(error)}).") from error
-                time.sleep(CONNECT_PAUSE_S)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # an answer waits for every line
-        self._socket.setblocking(False)
-        super().__init__(f"{host}:{port}", self._socket.fileno(), self._socket.fileno())
-
-    def _give(self, data: bytes) -> int:
-        return self._socket.send(data)
-
-    def _take(self, most: int) -> bytes:
-        return self._socket.recv(most)
-
-    def close(self) -> None:
-        """Close the connection, which asks the plant to come to rest."""
-        self._socket.close()
-
-    def ending(self) -> str:
-        """Return what is known: that it hung up."""
-        return "closed the connection"

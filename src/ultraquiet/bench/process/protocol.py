@@ -15,6 +15,7 @@ MOST_AHEAD = 4096  # lines that may be under way: more gains nothing and only fi
 MOST_CHANNELS = 4096
 MOST_TOKEN_BYTES = 1024
 REASON = 500  # characters of a refusal that are told
+UNASKED = ("#", "late", "error")  # what a plant may say of itself
 SHOWN = 80  # characters of a wrong line that a sentence quotes
 
 # ASCII digits only, no underscores, and no more of them than any program prints.
@@ -34,11 +35,10 @@ class Card:
     hexadecimal: bool = False
 
     @classmethod
-    def from_handshake(cls, link: Link, timeout_s: float, token: str = "") -> "Card":
+    def from_handshake(cls, link: Link, deadline: Deadline, token: str = "") -> "Card":
         """Greet the plant, with a word that only its friends know where it asks for one, and read up to `ready`."""
         link.where = "in the handshake"
         link.send(f"hello {VERSION} {token}".rstrip() + "\n")
-        deadline = Deadline(timeout_s)
         first = spoken(link, deadline)
         if first.strip() != GREETING:
             raise BenchError(f"Process: the plant must greet with '{GREETING}', got {shown(first, SHOWN)!r}.")
@@ -112,6 +112,23 @@ def spoken(link: Link, deadline: Deadline) -> str:
         if line.strip() and not line.startswith("#"):
             return line
         deadline.asides += 1
+
+
+def refuse_unasked(link: Link, asked: int) -> None:
+    """Refuse more answers than lines were sent: the next reading would be that of another sample.
+
+    Raises:
+        BenchError: with the first answer too many.
+    """
+    waiting = link.waiting()
+    if len(waiting) <= asked:
+        return
+    answers = [line for line in waiting if line.strip() and not line.startswith(UNASKED)]
+    if len(answers) > asked:
+        raise BenchError(
+            f"Process: {link.where} the plant '{link.name}' answered {shown(answers[asked], SHOWN)!r} before it was "
+            "asked; it must answer every line once."
+        )
 
 
 def read_token(path: str) -> str:
