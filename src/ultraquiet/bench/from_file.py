@@ -81,8 +81,15 @@ def of_a_bench(error: BaseException) -> str:
     return f"'{Path(frame.f_code.co_filename).name}' raised {type(error).__name__} in line {line}: {error}"
 
 
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long for the system
+        return False
+
+
 def _module(path: Path, reference: str) -> ModuleType:
-    if not path.is_file():
+    if not _is_file(path):
         raise InputError(f"bench '{reference}': there is no file '{path}'.")
     spec = importlib.util.spec_from_file_location(f"{MODULE}{path.stem}", path)
     if spec is None or spec.loader is None:

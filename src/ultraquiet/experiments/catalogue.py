@@ -21,6 +21,7 @@ from ultraquiet.files import reason
 
 FILE = "catalogue.sqlite"
 STATUSES = (DONE, ABORTED, NOT_STARTED, RUNNING)
+ENDINGS = ("", "-wal", "-shm", "-journal")  # of the files that SQLite keeps
 LAYOUT = 2  # of the tables; a catalogue of another layout is made anew
 PATIENCE_S = 30.0  # how long to wait for another process that is writing
 
@@ -116,6 +117,8 @@ def _answer(folder: str | os.PathLike[str], condition: str, values: tuple[str | 
     place = Path(folder)
     if not place.is_dir():
         raise StorageError(f"catalogue: '{folder}' is no folder.")
+    if not _is_own(place):
+        return _from(":memory:", place, condition, values)
     try:
         return _from(place / FILE, place, condition, values)
     except sqlite3.OperationalError:
@@ -137,8 +140,14 @@ def _from(path: Path | str, place: Path, condition: str, values: tuple[str | flo
         return tuple(Entry(*row) for row in rows)
 
 
+def _is_own(place: Path) -> bool:
+    """Return whether nothing under the catalogue's names is a link, which SQLite would follow, or a pipe."""
+    paths = [place / (FILE + ending) for ending in ENDINGS]
+    return all(path.is_file() and not path.is_symlink() for path in paths if os.path.lexists(path))
+
+
 def _remove(place: Path) -> None:
-    for ending in ("", "-wal", "-shm", "-journal"):
+    for ending in ENDINGS:
         try:
             (place / (FILE + ending)).unlink(missing_ok=True)
         except OSError as error:

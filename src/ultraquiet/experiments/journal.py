@@ -16,7 +16,7 @@ from typing import Any
 from ultraquiet._base.errors import StorageError
 from ultraquiet._base.regular import check_regular, parse_json, read_regular
 from ultraquiet.files import reason
-from ultraquiet.files.names import is_plain, quoted
+from ultraquiet.files.names import inside, is_plain, quoted
 
 FILE = "journal.txt"
 
@@ -94,7 +94,7 @@ def opened(folder: Path) -> Iterator[Journal]:
     Raises:
         StorageError: another process executes a list into this folder, or the journal cannot be opened.
     """
-    path = folder / FILE
+    path = inside("journal", folder, FILE)
     try:
         if os.path.lexists(path):
             check_regular(path)

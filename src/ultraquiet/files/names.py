@@ -34,13 +34,22 @@ def inside(who: str, folder: Path, *names: str) -> Path:
     path = folder.joinpath(*names) if names and all(map(is_plain, names)) else None
     if path is None:
         raise StorageError(f"{who}: {quoted('/'.join(map(str, names)))} is no name of a file in '{folder}'.")
+    refuse_way_out(who, folder, path)
+    return path
+
+
+def refuse_way_out(who: str, folder: Path, path: Path) -> None:
+    """Refuse a path below a folder that leaves it by a link.
+
+    Raises:
+        StorageError: it does, or goes round in a circle.
+    """
     try:
         stays = path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # links that go round in a circle
         stays = False
     if not stays:
         raise StorageError(f"{who}: '{path}' is a link that leads out of its folder; put the file itself there.")
-    return path
 
 
 def quoted(name: object) -> str:

@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -244,9 +244,14 @@ def _read(table: study.RecordsTable, beside: Path | None) -> dict[str, Record]:
 
 def _at(name: str, beside: Path | None) -> Path:
     """Return the path of a file that a study names; what is relative stands beside the study."""
-    if "\0" in name:
-        raise InputError(f"study: {name!r} is no name of a file.")
-    return Path(name) if beside is None else (beside / name).resolve()
+    path = Path(name) if beside is None else beside / name
+    try:
+        with suppress(FileNotFoundError, NotADirectoryError):  # whoever reads it says that
+            path.lstat()
+        # A link keeps its own name, by which a record is called.
+        return path if beside is None else path.parent.resolve() / path.name
+    except (OSError, ValueError, RuntimeError) as error:  # too long, a NUL, links that go round in a circle
+        raise InputError(f"study: {name!r:.60} is no name of a file ({reason(error)}).") from error
 
 
 @contextmanager

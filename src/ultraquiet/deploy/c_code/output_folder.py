@@ -49,9 +49,12 @@ def rewrite(folder: Path, files: Mapping[str, str]) -> None:
         StorageError: the folder is gone or cannot be written.
     """
     for name, text in files.items():
-        work = folder / f".{name}.new"
         try:
-            work.write_text(text, encoding="utf-8")
+            # A name that nobody can have taken, by a link least of all.
+            handle, work = tempfile.mkstemp(prefix=f".{name}.", suffix=".new", dir=folder)
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            os.chmod(work, 0o644)
             os.replace(work, folder / name)
         except OSError as error:
             raise StorageError(f"deploy: cannot write '{folder / name}' ({error.strerror}).") from None

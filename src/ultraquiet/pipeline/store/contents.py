@@ -5,6 +5,7 @@ import hashlib
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 
+from ultraquiet._base.regular import check_regular
 from ultraquiet.files.names import inside
 
 Hashes = Mapping[str, str]
@@ -35,6 +36,7 @@ def hash_of(path: Path) -> str:
             another one nor as none.
     """
     try:
+        check_regular(path)  # the end of a pipe may never come
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files import reason
+from ultraquiet.pipeline.store.own import require_own
 
 FILE = "study.lock"
 # A run that was killed may have a process beside it that is still on its way out.
@@ -30,7 +31,8 @@ def locked(folder: Path, say: Callable[[str], object]) -> Generator[int | None]:
     """Keep every other run out of a folder for the length of a block.
 
     The system's own lock is taken on `study.lock` and goes with the process that holds it, however that ends; the file
-    says who holds it, and is removed at the end. What a killed process left of it blocks nobody.
+    says who holds it, and is removed at the end. What a killed process left of it blocks nobody. Before the block
+    begins nothing has been written that could have left the folder.
 
     Args:
         folder: of the study; made when absent.
@@ -40,10 +42,12 @@ def locked(folder: Path, say: Callable[[str], object]) -> Generator[int | None]:
         The open file, for a process that works for this run; None where there are no locks.
 
     Raises:
-        StorageError: another run holds the folder (`HeldError`), and the sentence says which; it cannot be made.
+        StorageError: another run holds the folder (`HeldError`), and the sentence says which; it cannot be made; what
+            stands in it leads out of it (`require_own`).
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        require_own(folder)  # the lock's own file may be a link
         handle = _taken(folder, say)
     except OSError as error:
         if isinstance(error, StorageError):
@@ -55,6 +59,7 @@ def locked(folder: Path, say: Callable[[str], object]) -> Generator[int | None]:
         yield None
         return
     try:
+        require_own(folder)  # the run that held the lock may have changed it meanwhile
         yield handle
     finally:
         with suppress(OSError):
@@ -68,7 +73,7 @@ def _taken(folder: Path, say: Callable[[str], object]) -> int | None:
         say(f"study: this system knows no locks; see that no second run works in '{folder}'.")
         return None
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         taken = False
         try:
             # Whoever held the lock may have removed its file meanwhile: then it is that of a file without a name.

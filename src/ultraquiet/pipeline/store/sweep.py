@@ -4,9 +4,9 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-from ultraquiet.pipeline.store.entry import STAGES, remove, settle_all
+from ultraquiet.pipeline.store.entry import remove, settle_all
+from ultraquiet.pipeline.store.own import ROOMS
 
-ROOMS = ("records", "models", "controllers", "loops", "code", STAGES)
 # Hidden names that this program gives: `write_bytes` ends them with twelve hexadecimal digits, a stage that is not
 # valid yet with `.part` alone.
 TORN = re.compile(r"\..+\.(?:[0-9a-f]{12}|h5|work)\.part")
