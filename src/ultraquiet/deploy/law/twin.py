@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.biquad import BankArithmetic
 from ultraquiet.deploy.law.coefficients import numbers, with_numbers
@@ -141,11 +142,23 @@ class Twin(Shown):
         self._take(self.law, 0)
 
     def load_bank(self, words: ArrayLike, crc: int) -> bool:
-        """Take coefficients as 32-bit words with their CRC-32; False when they are not sound."""
+        """Take coefficients as 32-bit words with their CRC-32; False when they are not sound.
+
+        Raises:
+            InputError: another number of words, which the code has no room for: that of another law or precision.
+        """
+        given = np.asarray(words)
+        count = self.numbers.nbytes // 4
+        whole = given.dtype.kind in "iu" and given.shape == (count,)
+        if not whole or given.min() < 0 or given.max() > COUNTER_MAX:
+            raise InputError(
+                f"deploy: a bank of this code is {count} whole numbers of 32 bits, got {given.dtype} of shape "
+                f"{given.shape}{' beyond that' if whole else ''}."
+            )
         if not self.attached or self.swapping != SWAP_NONE:
             return False
         self.loaded = False
-        raw = np.asarray(words, "<u4").tobytes()
+        raw = given.astype("<u4").tobytes()
         row = np.frombuffer(raw, np.dtype(self.law.dtype).newbyteorder("<")).astype(self.law.dtype)
         if zlib.crc32(raw) != crc or not np.isfinite(row).all():
             return False

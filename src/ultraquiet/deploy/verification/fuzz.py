@@ -4,6 +4,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ultraquiet._base.errors import ToolError
 from ultraquiet.deploy.c_code.plan import GeneratedCode
 from ultraquiet.deploy.c_code.render import constant, render
@@ -43,6 +45,8 @@ def fuzz_code(code: GeneratedCode, cc: str, steps: int = STEPS, seed: int = 0) -
             "name": law.name,
             "NAME": law.name.upper(),
             "limits": [[constant(v, law.precision) for v in row] for row in law.limits],
+            "bits": 8 * np.dtype(law.dtype).itemsize,
+            "word": f"uint{8 * np.dtype(law.dtype).itemsize}_t",
             "loud": constant(min(code.plan.loud * HALF_RANGE, 1e30), "float64"),
         }
         (work / "fuzz.c").write_text(render("fuzz.c.j2", context), encoding="utf-8")
