@@ -96,6 +96,7 @@ FLOATING = {
     "dense": (lambda rng: random_law(rng, 5, 6, 6), {"form": "dense", "precision": "float64"}),
     "one": (lambda _: one_state(), {}),
     "one step of ramp": (lambda _: one_state(), {"ramp_s": 1 / RATE_HZ, "overrun_limit": 1}),
+    "millions of overruns": (lambda rng: random_law(rng, 4, 2, 2), {"overrun_limit": 2**24}),
     "one side": (lambda rng: random_law(rng, 4, 2, 2), {"limits_v": [[0.0, 5.0], [-3.0, 0.0]]}),
     "no limit": (lambda rng: random_law(rng, 4, 2, 3), {"form": "modal", "anti_windup": True}),
     "no command": (lambda _: StateSpace([[0.9]], [[1.0]], [[0.0]], [[0.0]], rate_hz=RATE_HZ), {"form": "modal"}),

@@ -20,6 +20,7 @@ OPS = (
     "OUTPUT",
     "UPDATE",
     "SPEND",
+    "LAG",
     "POKE",
     "JUMP",
     "EXCITE",
@@ -39,6 +40,7 @@ OPS = (
 FNV_BASIS, FNV_PRIME, MASK = 2166136261, 16777619, 2**32 - 1
 LCG_FACTOR, LCG_STEP = 1664525, 1013904223
 CANONICAL_NAN = 0x7FC00000
+MOST_OVERRUNS = 8  # in a row that the script counts one by one
 COMMENT = 22  # column at which a script's remarks begin
 DRAWN_BITS = 24
 HALF_RANGE = 2**23  # the generator's 24 bits, centred
@@ -122,10 +124,15 @@ def script_calls(law: Law, quiet: float, loud: float) -> list[tuple[str, int, fl
     some, near = min(law.ramp_steps, 7), min(law.ramp_steps, 4)
     names = {"ramp": law.ramp_steps, "some": some, "half": max(some // 2, 1), "last": last, "middle": law.states // 2}
     names |= {"near": near, "near_top": law.ramp_steps - near}
-    names |= {"times": law.overrun_limit - 1, "times_twice": 2 * law.overrun_limit} | _taps(law)
+    # A limit of millions is reached from close by: every overrun before that does the same.
+    counted = min(law.overrun_limit, MOST_OVERRUNS)
+    names |= {"times": counted - 1, "times_twice": 2 * counted, "behind": 2 * (law.overrun_limit - counted)}
+    names |= {"little": 2 * counted - 1} | _taps(law)
     calls = []
     for line in filter(None, "\n".join(text).splitlines()):
         words = line[:COMMENT].split()
+        if words[0] == "LAG" and not names["behind"]:
+            continue
         parts = (words[1:2] or ["0"])[0].replace("-", "+-").split("+")
         count = sum(names[word] if word in names else int(word) for word in parts)
         calls.append((words[0], count, loud if "loud" in words else quiet))
@@ -176,12 +183,8 @@ class ScriptPlayer:
             twin.output(self.measure(scale))
         elif op == "UPDATE":
             twin.update()
-        elif op == "SPEND":
-            twin.overruns = MASK - count
-        elif op == "POKE":
-            twin.x[count] = np.inf
-        elif op == "JUMP":
-            twin.level = count
+        elif op in ("SPEND", "LAG", "POKE", "JUMP"):
+            self._preset(op, count)
         elif op == "FRAME":
             self._fold([int(twin.frame()) for _ in range(max(count, 1))])
         elif op in ("ENABLE", "CLEAR"):
@@ -193,6 +196,18 @@ class ScriptPlayer:
             bits = SPECIAL[twin.law.precision][op]
             y[count] = np.array([bits], self._word).view(twin.law.dtype)[0]
             self._step(y)
+
+    def _preset(self, op: str, count: int) -> None:
+        """Put one number of the state somewhere else."""
+        twin = self.twin
+        if op == "SPEND":
+            twin.overruns = MASK - count
+        elif op == "LAG":
+            twin.late = count
+        elif op == "POKE":
+            twin.x[count] = np.inf
+        else:
+            twin.level = count
 
     def _ask(self, op: str, count: int) -> None:
         twin = self.twin

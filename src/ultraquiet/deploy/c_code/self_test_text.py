@@ -3,7 +3,8 @@
 # One call each: what, how many steps or which channel, and `loud` for measurements beyond the limits. `ramp` is the
 # length of the ramp, `some` a part of it, `half` of that, `last` the last channel, `middle` a state. The ramp is walked
 # from end to end once in each direction; elsewhere JUMP puts the command `near` steps from its end, for at a high rate
-# a ramp has more steps than all else.
+# a ramp has more steps than all else. LAG does so with the count of overruns where their limit is far, and is left out
+# where it is not.
 START = """
 INIT 0
 RUN 3                 off: command zero, state at rest
@@ -139,6 +140,7 @@ RUN some
 JUMP near_top
 RUN near+20
 OUTPUT
+LAG behind            close to a limit that is far
 FRAME times           one overrun short of the limit
 UPDATE
 RUN 3
@@ -146,8 +148,10 @@ FRAME
 OUTPUT
 FRAME                 the score has fallen by one half only
 UPDATE
+LAG little
 FRAME times_twice     frames in time let it fall to zero
 OUTPUT
+LAG behind
 FRAME times
 UPDATE
 FRAME
@@ -162,6 +166,7 @@ CLEAR
 ENABLE
 RUN some+2
 OUTPUT
+LAG behind
 FRAME times
 FRAME 1
 INIT 0                forgets it
