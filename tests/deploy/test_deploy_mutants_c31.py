@@ -102,10 +102,10 @@ def is_last_move(lines, k, changed):
 def is_last_command(lines, k, changed):
     """Whether a line compares the last command where the sum that it was rounded from still stands."""
     compared = (bare(lines[k]), bare(changed)) == ("CMPF    *AR4,R1", "CMPF    *AR4,R2")
-    loads = [at for at, line in enumerate(lines) if re.match(r"LDF +\*AR2,R1", bare(line))]
+    loads = [at for at, line in enumerate(lines) if re.match(r"LDF +\*AR2", bare(line))]
     # What a limit cut off another command stands there instead where the state hears of it.
     kept = len(loads) == 1 or not any(re.match(r"SUBF3 +\*AR2", bare(line)) for line in lines)
-    return compared and kept and k > loads[-1]
+    return compared and kept and k > max(loads, default=-1)
 
 
 def label_of(lines, k):
@@ -197,8 +197,6 @@ LAWS = {
     "modal, anti-windup": lambda rng: law_in(rng, 4, "modal", True, 3, 2, limit_v=LIMITS[:2]),
     "delta": lambda rng: law_in(rng, 4, "delta", False, 4, 2, limit_v=LIMITS[:2]),
     "delta, anti-windup": lambda rng: law_in(rng, 6, "delta", True, 2, 2, limit_v=LIMITS[:2]),
-    "one of each": lambda rng: law_in(rng, 4, "modal", True, 1, 1, limit_v=LIMITS[:1]),
-    "delta, one measurement": lambda rng: law_in(rng, 4, "delta", True, 1, 3, limit_v=LIMITS),
     "six of each": lambda rng: law_in(
         rng, 8, "modal", True, 6, 6, limit_v=[*LIMITS, [-0.5, 0.6], [-1.3, 1.4], [-0.3, 1]]
     ),
