@@ -10,8 +10,9 @@ import numpy as np
 from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c31.assembly import c31_code
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
-from ultraquiet.deploy.law.law import Law, actuator_limits, rounded
+from ultraquiet.deploy.law.law import Law, actuator_limits
 from ultraquiet.deploy.law.realisation import Realisation
+from ultraquiet.deploy.law.rounding import rounded
 
 # The interpreter and the random laws live with the tests that check them.
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "deploy"))

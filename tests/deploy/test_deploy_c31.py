@@ -19,8 +19,9 @@ from ultraquiet.deploy.c31.assembly import COUNTS_PER_VOLT, VOLTS_PER_COUNT, c31
 from ultraquiet.deploy.c31.float_format import decode, encode
 from ultraquiet.deploy.c31.twin import C31Twin
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
-from ultraquiet.deploy.law.law import actuator_limits, rounded
+from ultraquiet.deploy.law.law import actuator_limits
 from ultraquiet.deploy.law.realisation import Realisation
+from ultraquiet.deploy.law.rounding import rounded
 
 INTERRUPT = 4  # the vector's fetch empties the pipeline as a branch does
 STEPS = 1000

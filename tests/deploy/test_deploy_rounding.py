@@ -6,7 +6,7 @@ from deploy_laws import RATE_HZ, block
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy import Twin, generate, realisation, rounding_errors
-from ultraquiet.deploy.law.law import rounded
+from ultraquiet.deploy.law.rounding import rounded
 from ultraquiet.values import StateSpace
 
 

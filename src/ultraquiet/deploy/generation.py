@@ -23,8 +23,9 @@ from ultraquiet.deploy.law.coefficients import anti_windup_gain
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import FormChoice, choose, error_of, require_stable
 from ultraquiet.deploy.law.kind import require_law
-from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, own_limits, require_discrete, require_plant, rounded
+from ultraquiet.deploy.law.law import DTYPES, Law, actuator_limits, own_limits, require_discrete, require_plant
 from ultraquiet.deploy.law.realisation import realisation
+from ultraquiet.deploy.law.rounding import rounded
 from ultraquiet.deploy.options import C31Budget, CodeOptions, options_and_budget
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace

@@ -14,8 +14,9 @@ from ultraquiet.deploy.fixed_point.scaling import fixed_law
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.form_choice import TOLERANCE, error_of, loop_radius, sensitivities
 from ultraquiet.deploy.law.kind import require_law
-from ultraquiet.deploy.law.law import DTYPES, Law, require_plant, rounded
+from ultraquiet.deploy.law.law import DTYPES, Law, require_plant
 from ultraquiet.deploy.law.realisation import FORMS, realisation
+from ultraquiet.deploy.law.rounding import rounded
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 

@@ -67,7 +67,8 @@ class FrameTimes(Shown):
         """Return the times of the TMS320C31-40 model, 50 ns an instruction; the guards are no part of that model.
 
         >>> from ultraquiet.deploy.law.realisation import realisation
-        >>> from ultraquiet.deploy.law.law import actuator_limits, rounded
+        >>> from ultraquiet.deploy.law.law import actuator_limits
+        >>> from ultraquiet.deploy.law.rounding import rounded
         >>> from ultraquiet.values import StateSpace
         >>> gain = realisation(StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=3500.0), "modal")
         >>> law = rounded(gain, None, actuator_limits(1.0, 1), "float32", rate_hz=3500.0, order=1)

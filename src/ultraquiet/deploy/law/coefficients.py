@@ -12,8 +12,9 @@ from ultraquiet._base.constraints import FloatArray, frozen
 from ultraquiet._base.errors import InputError
 from ultraquiet.deploy.law import biquad
 from ultraquiet.deploy.law.anti_windup import conditioning_gain
-from ultraquiet.deploy.law.law import Law, Rounded, require_discrete, rounded
+from ultraquiet.deploy.law.law import Law, Rounded, require_discrete
 from ultraquiet.deploy.law.realisation import Realisation, realisation
+from ultraquiet.deploy.law.rounding import rounded
 from ultraquiet.values.state_space import StateSpace
 
 

@@ -8,21 +8,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from ultraquiet._base.constraints import FloatArray, frozen, real_array
+from ultraquiet._base.constraints import FloatArray, real_array
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import content_hash
 from ultraquiet._base.shown import Shown
-from ultraquiet.deploy.law.realisation import DELTA_FORMS, Realisation, turned
+from ultraquiet.deploy.law.realisation import DELTA_FORMS, turned
 from ultraquiet.values.state_space import StateSpace
 
 Rounded = NDArray[Any]
 
-# Four frames of 286 us: the ramp out begins before the slowest isolated mode has seen a tenth of its period.
 # Targets that CMake keeps for itself; names that begin with `cmake` are its variables' too.
 CMAKES_OWN = ("all", "clean", "edit_cache", "help", "install", "package", "package_source", "rebuild_cache", "test")
+# Four frames of 286 us: the ramp out begins before the slowest isolated mode has seen a tenth of its period.
 OVERRUN_LIMIT = 4
-# Of each actuator's range: identification in closed loop leaves nine tenths to the control.
-EXCITATION_SHARE = 0.1
 
 DTYPES = {"float32": np.float32, "float64": np.float64}
 
@@ -142,66 +140,6 @@ def open_end(precision: str) -> float:
     True
     """
     return float(2.0 ** (np.finfo(DTYPES[precision]).maxexp // 2))
-
-
-def rounded(
-    parts: Realisation,
-    L: FloatArray | None,
-    limits: FloatArray,
-    precision: str,
-    *,
-    rate_hz: float,
-    order: int,
-    name: str = "controller",
-    ramp_steps: int = 1,
-    excitation: FloatArray | None = None,
-    overrun_limit: int = OVERRUN_LIMIT,
-) -> Law:
-    """Return the realisation rounded to `precision`, to nearest; `excitation` is a tenth of the limits when absent.
-
-    `limits` may be infinite: `open_end` stands there. What is smaller than every normal number of the type becomes
-    zero.
-
-    Raises:
-        InputError: a coefficient that overflows in that precision.
-    """
-    dtype = DTYPES[precision]
-
-    def cast(matrix: FloatArray) -> Rounded:
-        with np.errstate(over="ignore"):
-            numbers = np.ascontiguousarray(matrix, dtype=dtype)
-        if not np.all(np.isfinite(numbers)):
-            raise InputError(
-                f"deploy: a coefficient of {np.abs(matrix).max():.1e} is beyond {precision}; scale the controller"
-                " or take precision='float64'."
-            )
-        # A denormal number is zero on a processor that flushes them, and another one elsewhere: here it is zero.
-        return frozen(np.where(np.abs(numbers) < np.finfo(dtype).tiny, dtype(0.0), numbers))
-
-    limits = np.where(np.isfinite(limits), limits, np.copysign(open_end(precision), limits))
-    largest = float(np.finfo(dtype).max)
-    limits = np.clip(limits, -largest, largest)  # what lies beyond all numbers of the type limits none of them
-    if not np.all(cast(limits)[:, 0] < cast(limits)[:, 1]):
-        raise InputError(f"deploy: in {precision} an actuator's range in 'limits_v' is empty, got {limits.tolist()}.")
-    return Law(
-        name=name,
-        precision=precision,
-        form=parts.form,
-        blocks=tuple(cast(b) for b in parts.blocks),
-        B=cast(parts.B),
-        C=cast(parts.C),
-        D=cast(parts.D),
-        L=None if L is None else cast(L),
-        limits=cast(limits),
-        ramp_steps=ramp_steps,
-        rate_hz=rate_hz,
-        order=order,
-        channels=parts.channels,
-        turn_in=None if parts.turn_in is None else cast(parts.turn_in),
-        turn_out=None if parts.turn_out is None else cast(parts.turn_out),
-        excitation=cast(EXCITATION_SHARE * limits if excitation is None else excitation),
-        overrun_limit=overrun_limit,
-    )
 
 
 def own_limits(controller: StateSpace) -> FloatArray:
