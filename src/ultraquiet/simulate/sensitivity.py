@@ -248,7 +248,8 @@ class _Pair:
             self._measure()
             places = self._dense() if asked is None else asked
             size, deviation = _largest(self._S[:, :, places]), self._deviation[places]
-            hidden = deviation > RESOLVED * size
+            # no pass resolves a line that the open loop's noise hides by itself
+            hidden = (deviation > RESOLVED * size) & (self._by_open[places] <= RESOLVED * size)
             few = np.count_nonzero(hidden) <= (0 if asked is not None else most_hidden * places.size)
             if few and not _decides(hidden, size, deviation):
                 break
