@@ -131,6 +131,7 @@ def test_an_unstable_and_a_fragile_loop_end_with_one(run, loop):
     assert (code, json.loads(out)["status"]["word"]) == (1, "fragile")
 
 
+@pytest.mark.gate("q31-loop0")
 @pytest.mark.parametrize("loop", [(1, 1)], indirect=True)
 @pytest.mark.parametrize("precision", ["float32", "q31"])
 def test_code_of_a_fragile_law_ends_with_one(run, loop, precision):

@@ -114,6 +114,7 @@ def generated(rng, name, tmp_path):
     return generate(make(rng), tmp_path / "code", limits_v=LIMIT_V, ramp_s=5 / RATE_HZ, **how)
 
 
+@pytest.mark.gate("schur")
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning", "ignore:invalid value:RuntimeWarning")
 @pytest.mark.parametrize("name", ["modal", "schur"])
 def test_switching_in_every_step_leaves_bits_and_limits(name, rng, tmp_path, cc):

@@ -122,6 +122,7 @@ def test_instances_live_side_by_side_and_beside_another_law(version, precision, 
         assert np.array_equal(loops[1].step(-y), codes[1].step(-y))
 
 
+@pytest.mark.gate("3.0")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_state_can_be_kept_and_given_back(version, unit, rng):
@@ -138,6 +139,7 @@ def test_a_state_can_be_kept_and_given_back(version, unit, rng):
     one.close()
 
 
+@pytest.mark.gate("3.0")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_start_values_ramp_counters_and_held_measurements(version, unit, rng):
@@ -163,6 +165,7 @@ def test_start_values_ramp_counters_and_held_measurements(version, unit, rng):
         loop.close()
 
 
+@pytest.mark.gate("3.0")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_step_that_does_not_fit_is_a_sentence_in_the_importer_s_log(version, unit, rng):
@@ -190,6 +193,7 @@ def test_a_step_that_does_not_fit_is_a_sentence_in_the_importer_s_log(version, u
     one.close()
 
 
+@pytest.mark.gate("2.0")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_function_of_the_standard_is_exported(version, unit):
@@ -207,6 +211,7 @@ def test_every_function_of_the_standard_is_exported(version, unit):
     one.close()
 
 
+@pytest.mark.gate("3.0")
 @pytest.mark.usefixtures("cc")
 @pytest.mark.parametrize("version", VERSIONS)
 def test_it_controls_a_bench_and_is_one(version, law_of, rng, tmp_path):

@@ -38,6 +38,7 @@ def passes(folder, cc):
     return subprocess.run([folder / "run"], capture_output=True, check=False).returncode == 0
 
 
+@pytest.mark.gate("9", "16777216")
 @pytest.mark.parametrize("limit", [1, 2, MOST_OVERRUNS, MOST_OVERRUNS + 1, 2**24])
 def test_no_limit_makes_the_self_test_long(limit, rng, tmp_path, cc):
     begun = time.process_time()

@@ -47,6 +47,20 @@ def small(method, seed, **settings):
     return type(method)(**given).design(damped_plant(seed)).law
 
 
+@pytest.mark.gate(
+    "AdaptiveFeedforward-nan-None",
+    "AdaptiveFeedforward-inf-None",
+    "AdaptiveFeedforward-1e+300-None",
+    "YoulaKucera-nan-None",
+    "YoulaKucera-inf-None",
+    "YoulaKucera-1e+300-None",
+    "FilteredXLms-nan-None",
+    "FilteredXLms-inf-None",
+    "FilteredXLms-1e+300-None",
+    "AdaptiveFeedforward-nan-lqg",
+    "YoulaKucera-nan-lqg",
+    "FilteredXLms-nan-lqg",
+)
 @pytest.mark.parametrize("around", [None, "lqg"])
 @pytest.mark.parametrize("rubbish", [np.nan, np.inf, 1e300, 1e5])
 @pytest.mark.parametrize("method", METHODS, ids=named)

@@ -61,6 +61,7 @@ def test_no_neighbour_of_the_h2_controller_is_better(rng):
         assert h2_norm(lft(P, near)) >= best.achieved * (1 - 1e-9)
 
 
+@pytest.mark.gate("settings0", "settings3")
 @pytest.mark.parametrize(
     "settings",
     [{}, PAPER, PAPER | {"band_hz": (10.0, 100.0)}, PAPER | {"estimator": "predicted"}, PAPER | {"recovery": 1e3}],

@@ -37,6 +37,14 @@ def closed(plant, d, step):
     return np.array(commands)
 
 
+@pytest.mark.gate(
+    "method0-FeedforwardTwin-False",
+    "method1-FeedforwardTwin-True",
+    "method2-YoulaTwin-False",
+    "method3-YoulaTwin-True",
+    "method4-FilteredXTwin-True",
+    "method5-FilteredXTwin-False",
+)
 @pytest.mark.parametrize("direct", [False, True])
 @pytest.mark.parametrize(("method", "twin"), PAIRS, ids=lambda v: getattr(v, "__name__", None))
 def test_kernel_does_what_its_twin_does(method, twin, direct, seed, rng):

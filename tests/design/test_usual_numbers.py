@@ -42,6 +42,16 @@ def largest(plant, law, f):
     return np.linalg.norm(np.linalg.inv(np.eye(G.shape[1]) - G @ K), 2, axis=(1, 2))
 
 
+@pytest.mark.gate(
+    "0.0001-100000.0-Lqg-sensor_noise",
+    "0.0001-100000.0-Lqg-control_weight",
+    "0.0001-100000.0-Modal-disturbance",
+    "0.0001-100000.0-MixedSensitivity-form-height-order",
+    "0.0001-100000.0-MixedSensitivity-form",
+    "0.0001-100000.0-BandAttenuation-height-order",
+    "1000000.0-0.001-MixedSensitivity-height",
+    "1000000.0-0.001-Lqg-disturbance-disturbance_at",
+)
 @pytest.mark.parametrize(("design", "given", "units"), GIVEN, ids=NAMES)
 @pytest.mark.parametrize(("u", "y"), [(1e6, 1e-3), (1e-4, 1e5)])
 def test_other_units_change_nothing(rng, design, given, units, u, y):

@@ -33,6 +33,7 @@ def coefficients(m):
     return np.concatenate([*parts, m.c[1:], m.d[1:]])
 
 
+@pytest.mark.gate("BJ")
 @pytest.mark.parametrize("case", CASES)
 def test_from_nothing_every_draw_ends_at_the_batch_estimate(seed, case):
     batch_type, recursive_type, *noise = CASES[case]

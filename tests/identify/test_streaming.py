@@ -76,6 +76,7 @@ def test_one_pass_gives_the_products_of_the_record_in_memory(name, rng, tmp_path
     assert miss.max() < 1e-5
 
 
+@pytest.mark.gate("arx", "output-error", "armax")
 @pytest.mark.parametrize("name", METHODS)
 def test_the_model_is_that_of_the_record_in_memory(name, rng, tmp_path):
     record, method = two_inputs(rng, 70_000), METHODS[name]
