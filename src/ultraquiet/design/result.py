@@ -9,6 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown import Shown, counted
+from ultraquiet.design.weights.loop_weights import LoopWeights
 from ultraquiet.values.controller import Controller
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -68,6 +69,12 @@ class DesignResult(Shown):
     def weights(self) -> Mapping[str, StateSpace] | None:
         """The weights that the cost was formed with, for a reduction to be judged by; None for a method without."""
         return self.details.get("weights")
+
+    @property
+    def loop_weights(self) -> LoopWeights | None:
+        """The weights that the cost puts on S, T and KS themselves; None for a method that has none there."""
+        table = self.details.get("loop_weights")
+        return None if table is None else LoopWeights(**table)
 
     @property
     def norm_without_control(self) -> float | None:

@@ -190,7 +190,9 @@ class BandAttenuation(StatedRobustness):
         """Return the design at this height for the part, judged on the plant; `asked` are the caller's settings."""
         synthesised = self.synthesis(part)
         law = _spread(synthesised.controller, plant, part)
-        details: dict[str, Any] = {"height": self.height or HEIGHT, "weights": self.weights(plant)}
+        weights = self.weights(plant)
+        on_loop = {"S": weights["performance"], "KS": weights["control"], "T": weights["complementary"]}
+        details: dict[str, Any] = {"height": self.height or HEIGHT, "weights": weights, "loop_weights": on_loop}
         if law is not None:
             details["tones_db"] = {f: worst_attenuation_db(plant, law, (f, f)) for f in self.tones_hz}
             details["attenuation_db"] = worst_attenuation_db(plant, law, self._quiet_band(plant))

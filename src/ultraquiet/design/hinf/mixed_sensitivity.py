@@ -125,7 +125,8 @@ class MixedSensitivity(StatedRobustness):
     def design(self, plant: StateSpace) -> DesignResult:
         """Return the controller u = K y of a plant, continuous or discrete.
 
-        `gamma` and `achieved` are the norm of the weighted loop; `details["weights"]` are the weights used and
+        `gamma` and `achieved` are the norm of the weighted loop; `details["weights"]` are the weights used,
+        `details["loop_weights"]` those that stand on S, T and KS, with what the form multiplies them by, and
         `details["norm_without_control"]` is the norm that K = 0 gives, to be compared with. With an `uncertainty`,
         `details["robust_stability"]` is max ||W T||, below one where the loop stands it, and `details["height"]` the
         height that was left; a loop that does not stand it has the status `not robust`.
@@ -193,9 +194,16 @@ class MixedSensitivity(StatedRobustness):
         synthesised = synthesize_hinf(P, ny, nu, margin=self.margin)
         idle = StateSpace(P.A, P.B[:, :-nu], P.C[:-ny], P.D[:-ny, :-nu], P.rate_hz)
         details: dict[str, Any] = {"weights": weights, "norm_without_control": hinf_norm(idle)[0]}
+        details["loop_weights"] = self._on_loop(plant, weights)
         if self.performance is None and self.form != "paper":
             details["height"] = self.height or HEIGHT
         return from_synthesis(plant, synthesised, self, details)
+
+    def _on_loop(self, plant: StateSpace, weights: Mapping[str, StateSpace]) -> dict[str, StateSpace]:
+        """Return what the form puts on S, T and KS; of the four blocks those from noise, [W1; W2 K] S Vn."""
+        noise = (self.settled(plant).noise if self.form == "four-block" else None) or 1.0
+        on_loop = {"S": noise * weights["performance"], "KS": noise * weights["control"]}
+        return on_loop | ({"T": weights["complementary"]} if self.form in ("skst", "paper") else {})
 
     def _bound(self, plant: StateSpace) -> StateSpace | None:
         if self.uncertainty is None:

@@ -8,7 +8,7 @@ from ultraquiet.analyse.plant_scale import HIGHEST, EvenPlant, even_plant
 from ultraquiet.design.hinf.coprime_stabilisation import central_law, smallest_norm
 from ultraquiet.design.hinf.synthesis import synthesize_expected
 from ultraquiet.design.result import DesignResult
-from ultraquiet.design.weights.filters import band_pass, low_pass, with_tones
+from ultraquiet.design.weights.filters import band_pass, low_pass, reciprocal, with_tones
 from ultraquiet.values.generalised import four_block
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace
@@ -38,9 +38,21 @@ def normalised_four_block(even: EvenPlant, g: float, shape: StateSpace, margin: 
     Gs = series(even.plant, W)
     P = four_block(Gs, gain(np.eye(ny), rate), gain(np.eye(nu), rate), np.eye(nu), np.eye(ny))
     found = synthesize_expected(P, ny, nu, smallest_norm(Gs), margin)
-    details = {**found.details, "weights": even.weights(W, gain(np.eye(nu), rate))}
+    on_loop = _on_loop(even, series(shape, gain([[g]], rate)))
+    details = {**found.details, "weights": even.weights(W, gain(np.eye(nu), rate)), "loop_weights": on_loop}
     law = None if found.controller is None else series(W, found.controller)
     return replace(found, controller=law, details=details)
+
+
+def _on_loop(even: EvenPlant, one: StateSpace) -> dict[str, StateSpace]:
+    """Return what the norm b of this loop says of S and KS in the plant's units, by one channel w of the shape.
+
+    Two of its blocks are Se and Ke Se / w. With S = Y^-1 Se Y and K S = U (Ke Se) Y, Y and U what evens out the
+    channels, sigma(S) <= b max(Y) / min(Y) and sigma(K S) <= b |w| max(U) max(Y).
+    """
+    y, u, rate = even.outputs, even.inputs, one.rate_hz
+    least = gain([[1.0 / (y.max(initial=0.0) * u.max(initial=0.0))]], rate)
+    return {"S": gain([[y.min(initial=np.inf) / y.max(initial=0.0)]], rate), "KS": series(reciprocal(one), least)}
 
 
 def normalised_sketch(even: EvenPlant, g: float, shape: StateSpace, margin: float) -> StateSpace | None:

@@ -163,6 +163,18 @@ def rational(
     return _copies(M, rate_hz, None, channels)
 
 
+def reciprocal(weight: StateSpace) -> StateSpace:
+    """Return 1 / W of one channel: stable, for W is of minimum phase, and with a feedthrough.
+
+    >>> W = low_pass(10.0, height=10.0, floor=0.5)
+    >>> round(float(abs(reciprocal(W).frequency_response([0.0])[0, 0, 0])), 6)
+    0.1
+    """
+    D = 1.0 / weight.D
+    B, C = weight.B @ D, -D @ weight.C
+    return StateSpace(weight.A + weight.B @ C, B, C, D, weight.rate_hz)
+
+
 def with_tones(
     weight: StateSpace, tones_hz: tuple[float, ...], height: float = 100.0, zeta: float = 0.002
 ) -> StateSpace:
