@@ -18,6 +18,7 @@ from ultraquiet.deploy.law.coefficients import CoefficientBank, bank_for
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.law.twin import Twin
+from ultraquiet.deploy.law.word_format import WordFormat, float_formats
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.deploy.verification.bench_tones import on_bench
@@ -57,6 +58,11 @@ class Deployment(GeneratedCode, Shown):
     def quantised(self) -> StateSpace:
         """The linear law with its rounded coefficients, for an analysis in float64."""
         return self.law.state_space()
+
+    @property
+    def word_formats(self) -> tuple[WordFormat, ...]:
+        """How many bits the code keeps of each quantity."""
+        return float_formats(self.law)
 
     @cached_property
     def controller(self) -> Controller:

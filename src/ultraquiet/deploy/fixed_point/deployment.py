@@ -14,6 +14,8 @@ from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.fixed_point.compiled import FixedCode, self_test_passes
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
+from ultraquiet.deploy.fixed_point.word_formats import fixed_formats
+from ultraquiet.deploy.law.word_format import WordFormat
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.verification.verify import MOST_STEPS
 from ultraquiet.values.state_space import StateSpace
@@ -48,6 +50,11 @@ class FixedDeployment(Shown):
     def quantised(self) -> StateSpace:
         """The linear law with its rounded coefficients, volts to volts."""
         return self.law.state_space()
+
+    @property
+    def word_formats(self) -> tuple[WordFormat, ...]:
+        """How many bits the code keeps of each quantity, and where their point stands."""
+        return fixed_formats(self.law)
 
     @cached_property
     def controller(self) -> "FixedTwin | FixedCode":
