@@ -11,11 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ultraquiet as uq
-from ultraquiet.pipeline.control import generated
 from ultraquiet.pipeline.facts.limits import BandLimit, LimitFacts, RefusedBand
 from ultraquiet.pipeline.facts.loops import CodeFacts, DeploymentFacts, LoopFacts, NoCode, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.models import PlantFacts, RecordFit, RecordPlant, ResponsePlant, Root, SingularValues
 from ultraquiet.pipeline.facts.typed import finite, from_plain, to_plain
+from ultraquiet.pipeline.making.code import generated
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.summary import schema_text
 
@@ -121,6 +121,6 @@ def test_every_key_of_a_deployment_is_a_fact(tmp_path):
     law = uq.StateSpace([[0.9, 0.1], [-0.1, 0.9]], [[0.1], [0.0]], [[1.0, 0.0]], [[0.0]], rate_hz=3500.0)
     code = uq.deploy.generate(law, tmp_path / "code", limits_v=10.0)
     assert set(code.tables) <= {f.name for f in fields(CodeFacts)}
-    facts = generated(code.tables, str(code.status), "not verified")
+    facts = generated(code, "not verified")
     assert facts.bit_exact is None
     assert facts.states == 2

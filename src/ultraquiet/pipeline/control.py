@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
-from pathlib import Path
 from threading import Lock
 from typing import Any
 
@@ -10,23 +9,21 @@ import numpy as np
 
 from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError, InterlockError, StorageError, UltraquietError
+from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup, older_names
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.design import DesignResult
 from ultraquiet.design.verification import judged
+from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.loops import (
-    CodeFacts,
     DeliveredFacts,
-    DeploymentFacts,
     DesignFacts,
     LeastChange,
     LoopFacts,
     LoopMargins,
-    NoCode,
     RecoveryFacts,
     Reduction,
     StableLoop,
@@ -39,10 +36,6 @@ from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import Band, Deploy, Design, Study
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
-
-# What a study compares of every controller's code, here and on an emulated Cortex-M7; `ultraquiet deploy` takes more
-# steps, the Cortex-M4F and random bits besides.
-COMPARED_STEPS, TARGETS = 5_000, ("cortex-m7",)
 
 
 def designed(
@@ -65,10 +58,11 @@ def designed(
         law = result.controller
         if law is None:
             return Outcome({}, _design_facts(result, settings, None, 0, {"design": {}, "law": {}}))
+        weights = _weights(name, result)
         if settings.reduce is None:
             margins = _at_ends(result.margins, plant)
             at_ends = {"design": margins, "law": margins}
-            return Outcome({name: law}, _design_facts(result, settings, None, law.states, at_ends))
+            return Outcome({name: law, **weights}, _design_facts(result, settings, None, law.states, at_ends))
         at_ends = {"design": _at_ends(result.margins, plant)}
         reduced = _reduced(law, plant, result, settings.reduce, loop)
         reduction = _reduction_facts(law, reduced)
@@ -83,7 +77,17 @@ def designed(
     if not reduced.status.ok:
         result = replace(result, status=reduced.status)
     at_ends["law"] = _at_ends(result.margins, plant)
-    return Outcome({name: law}, _design_facts(result, settings, reduction, law.states, at_ends))
+    return Outcome({name: law, **weights}, _design_facts(result, settings, reduction, law.states, at_ends))
+
+
+def _weights(name: str, result: DesignResult) -> dict[str, StateSpace]:
+    """Return what the cost puts on S, T and KS, by the names of its files."""
+    return {stored.weight(name, function): W for function, W in _given_on_loop(result).items()}
+
+
+def _given_on_loop(result: DesignResult) -> dict[LoopFunction, StateSpace]:
+    """Return what the cost of a law puts on S, T and KS, by function; nothing where there is no law."""
+    return {} if result.controller is None or result.loop_weights is None else result.loop_weights.given
 
 
 def _reduced(
@@ -145,6 +149,7 @@ def _design_facts(
         adaptive=result.law is not None and settings.reduce is None,
         reduction=reduction,
         norm_without_control=result.norm_without_control,
+        weights_on=tuple(_given_on_loop(result)),
         recovery=recovery and RecoveryFacts(at=recovery.at, least_relative_error=float(recovery.relative_error.min())),
         details=_plain(result.details),
     )
@@ -326,42 +331,6 @@ def with_limits(study: Study, actuators: Sequence[Channel], records: Iterable[Re
             design = type(table.design).model_validate({**table.design.model_dump(), "limit": most})
             tables[name] = table.model_copy(update={"design": design})
     return study if not tables else study.model_copy(update={"controllers": {**study.controllers, **tables}})
-
-
-def deployed(
-    name: str,
-    law: StateSpace,
-    plant: StateSpace,
-    limits: FloatArray,
-    folder: Path,
-    settings: Deploy,
-    tones_hz: Sequence[float],
-) -> Outcome[DeploymentFacts]:
-    """Generate, compile and compare the controller's code; what cannot be done is said, not raised.
-
-    Forms and rounding are judged by what they do to the loop with the identified plant.
-    """
-    from ultraquiet import deploy
-
-    try:
-        code = deploy.generate(law, folder / name, settings.precision, limits_v=limits, plant=plant)
-        verified = code.verify(steps=COMPARED_STEPS, targets=TARGETS, fuzz_steps=0, tones_hz=tones_hz or None)
-    except StorageError:
-        raise  # a full disk says nothing of the law
-    except UltraquietError as error:
-        return Outcome({}, NoCode(status=f"refused: {error}"))
-    return Outcome({}, generated(code.tables, str(code.status), str(verified.status)))
-
-
-def generated(tables: Mapping[str, Any], status: str, verification: str) -> CodeFacts:
-    """Return what a deployment's tables hold as facts; what was not measured is left out of tables inside them."""
-    names = [field.name for field in fields(CodeFacts) if field.name in tables]
-    figures = {name: _known(tables[name]) for name in names}
-    return CodeFacts(**figures, status=status, verification=verification)
-
-
-def _known(value: Any) -> Any:
-    return {k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value
 
 
 def _plain(value: Any) -> Any:

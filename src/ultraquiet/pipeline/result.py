@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ultraquiet.design.weights.loop_weights import LoopWeights
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
@@ -51,6 +52,14 @@ class StudyResult:
     def laws(self) -> dict[str, StateSpace]:
         """The laws that run, by controller; none where a design found none."""
         return {name: outcome.values[name] for name, outcome in self.designs.items() if name in outcome.values}
+
+    def loop_weights(self, controller: str) -> LoopWeights | None:
+        """Return what a design's cost puts on S, T and KS; None where it puts nothing there."""
+        functions = self.designs[controller].facts.weights_on
+        values = self.designs[controller].values
+        return (
+            LoopWeights(**{each: values[stored.weight(controller, each)] for each in functions}) if functions else None
+        )
 
     @property
     def response(self) -> FrequencyResponse | None:

@@ -22,6 +22,7 @@ from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts,
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.identification import further, of_unit
+from ultraquiet.pipeline.making.code import deployed
 from ultraquiet.pipeline.making.designs import (
     by_need,
     design_key,
@@ -344,7 +345,7 @@ class Stages:
 
         def compute() -> Outcome[DeploymentFacts]:
             place = self.cache.workplace("code", name)
-            return control.deployed(name, law, plant, limits, place, settings, plan.tones_hz)
+            return deployed(name, law, plant, limits, place, settings, plan.tones_hz)
 
         facts = self.cache.stage(f"deploy-{name}", "code", key, compute, DeploymentFacts, writes=name).facts
         self.say(f"code of {name}: {facts.verdict}")

@@ -6,6 +6,7 @@ Frequencies are in Hz, attenuations in dB and positive where it is quieter; `sta
 from collections.abc import Mapping
 from typing import Any, Literal
 
+from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.pipeline.facts.typed import Vector, fact
 from ultraquiet.values.status import CODE_FAULTS, StatusWord
 
@@ -88,7 +89,8 @@ class DesignSummary:
 class DesignFacts(DesignSummary):
     """Stage `design`. `law_margins` are those of the law that runs, after its reduction.
 
-    `details` are the method's own numbers, for readers; nothing here is decided by them.
+    `weights_on` are the functions of the loop that the cost weighs, whose weights stand beside the law; `details` are
+    the method's own numbers, for readers; nothing here is decided by them.
     """
 
     residuals: Mapping[str, float]
@@ -97,6 +99,7 @@ class DesignFacts(DesignSummary):
     reduction: Reduction | None = None
     norm_without_control: float | None = None
     recovery: RecoveryFacts | None = None
+    weights_on: tuple[LoopFunction, ...] = ()
     details: Mapping[str, Any]
 
 
@@ -176,6 +179,17 @@ class LoopFacts:
 
 
 @fact
+class WordFormatFacts:
+    """The words that the code keeps a quantity in, see `deploy.WordFormat`; `words` say the same to a reader."""
+
+    quantity: Literal["coefficients", "states", "sums", "readings and commands"]
+    bits: int
+    significant: int | None = None
+    fractional: tuple[int, int] | None = None
+    words: str
+
+
+@fact
 class CodeFacts:
     """Stage `deploy`: see `deploy.Deployment.tables`; None is what could not be measured here."""
 
@@ -208,6 +222,7 @@ class CodeFacts:
     latency_us: Mapping[str, float] | None = None
     measurements: tuple[str, ...] = ()
     commands: tuple[str, ...] = ()
+    word_formats: tuple[WordFormatFacts, ...] = ()
     status: str
     verification: str
 

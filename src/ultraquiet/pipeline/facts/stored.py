@@ -18,6 +18,11 @@ def sensitivity(controller: str, unit: str) -> str:
     return f"{controller}-{unit}-sensitivity"
 
 
+def weight(controller: str, function: str) -> str:
+    """Return the name of what a design's cost puts on S, T or KS; no controller's own has a plus sign."""
+    return f"{controller}+weight-{function}"
+
+
 def under_tone(controller: str, tone_hz: float) -> str:
     """Return the name of the record of a closed loop under a tone."""
     return f"{controller}-{tone_hz:g}hz"

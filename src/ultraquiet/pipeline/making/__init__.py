@@ -1,1 +1,1 @@
-"""Stages that are made beside the walk, and the process that makes them."""
+"""Stages that are made beside the walk, the process that makes them, and the code of a law."""

@@ -1,12 +1,15 @@
 """What several sections show of laws: which one was chosen, its colour, its loop as measured and as designed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.chart import Chart, law_colours
+from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.pipeline.facts.loops import StableLoop
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages.loops import (
@@ -18,8 +21,10 @@ from ultraquiet.plot.pages.loops import (
     shaped_loops,
     worst_direction_db,
 )
+from ultraquiet.plot.pages.weights import WeightedFunction, weighted_loops
 from ultraquiet.values.channel import ratio
 
+FUNCTIONS: tuple[LoopFunction, ...] = ("S", "T", "KS")
 LOCUS = 1500  # points of an eigenvalue locus, which turns quickly near a resonance
 
 TALL = "S is of all directions of the sensors; what no actuator reaches, no law makes quieter."
@@ -79,20 +84,43 @@ def _responses(result: StudyResult) -> tuple[FloatArray, ComplexArray, Mapping[s
     return f, plant, {name: np.moveaxis(law.frequency_response(f), 2, 0) for name, law in result.laws.items()}
 
 
-def shaped_charts(result: StudyResult, shown: Sequence[str] = ("S", "T", "KS"), stem: str = "loops") -> list[Chart]:
+def shaped_charts(result: StudyResult, shown: Sequence[LoopFunction] = FUNCTIONS, stem: str = "loops") -> list[Chart]:
     """Return S, T and KS of all laws on the design model, or some of them; nothing where there is no law."""
     f, G, laws = _responses(result)
     if not laws:
         return []
     members: dict[str, dict[str, FloatArray]] = {member: {} for member in shown}
-    eye = np.eye(G.shape[1])
     for name, K in laws.items():
-        S = np.linalg.inv(eye - G @ K)
-        values = {"S": S, "T": S - eye, "KS": K @ S}
-        for member in shown:
-            members[member][name] = np.linalg.svd(values[member], compute_uv=False)[:, 0].astype(np.float64)
+        for member, values in _largest(G, K, shown).items():
+            members[member][name] = values
     chart = shaped_loops(stem, f, members, colours(result), {"KS": unit_of_control(result)}, asked(result))
     return [replace(chart, caption=f"{chart.caption} {TALL}")] if is_tall(result) else [chart]
+
+
+def _largest(G: ComplexArray, K: ComplexArray, shown: Iterable[LoopFunction]) -> dict[LoopFunction, FloatArray]:
+    """Return the largest singular values `(nf,)` of S, T and KS, or some of them; plant and law `(nf, ...)`."""
+    eye = np.eye(G.shape[1])
+    S = np.linalg.inv(eye - G @ K)
+    made: dict[LoopFunction, NDArray[np.complexfloating[Any, Any]]] = {"S": S, "T": S - eye, "KS": K @ S}
+    return {each: np.linalg.svd(made[each], compute_uv=False)[:, 0].astype(np.float64) for each in shown}
+
+
+def weight_charts(result: StudyResult) -> list[Chart]:
+    """Return S, T and KS of every law whose cost weighs them, under what that leaves; nothing where none does."""
+    f, G, laws = _responses(result)
+    members: dict[LoopFunction, list[WeightedFunction]] = {member: [] for member in FUNCTIONS}
+    for name, K in laws.items():
+        weights, facts = result.loop_weights(name), result.designs[name].facts
+        if weights is None:
+            continue
+        left = weights.left(f, facts.achieved if np.isfinite(facts.achieved) else facts.gamma)
+        for member, values in _largest(G, K, facts.weights_on).items():
+            members[member].append(WeightedFunction(name, values, left[member]))
+    seen = {member: each for member, each in members.items() if each}
+    if not seen:
+        return []
+    units = {"KS": unit_of_control(result)}
+    return [weighted_loops("weights", f, seen, colours(result), units, asked(result).band_hz)]
 
 
 def is_tall(result: StudyResult) -> bool:

@@ -46,7 +46,8 @@ def design(result: StudyResult) -> Section:
     if laws.is_tall(result):
         caption += "; the worst direction is that of those which the plant moves most, as many as it has inputs"
     tables = [Table(caption, columns, rows), margins_table(result)]
-    figures = [*laws.shaped_charts(result), *laws.margin_charts(result), *laws.locus_charts(result)]
+    shaped = [*laws.shaped_charts(result), *laws.weight_charts(result)]
+    figures = [*shaped, *laws.margin_charts(result), *laws.locus_charts(result)]
     return Section("Design", [_in_short(result)], tables, figures, sentences)
 
 
@@ -306,8 +307,24 @@ def code(result: StudyResult) -> Section:
         else "The code of every law was compiled and compared with its twin; what a reduction left of each law stands "
         "beside it."
     )
-    tables = [Table("Generated C99", heads, rows), *_reductions(result)]
+    tables = [Table("Generated C99", heads, rows), *_word_lengths(result), *_reductions(result)]
     return Section("Code", [text, note] if c31 else [text], tables, [], sentences)
+
+
+def _word_lengths(result: StudyResult) -> list[Table]:
+    """Return the words that every law's code computes in, and what they cost; nothing where there is no code."""
+    codes = {name: facts for name, facts in result.deployment.items() if isinstance(facts, CodeFacts)}
+    quantities = list(dict.fromkeys(kept.quantity for facts in codes.values() for kept in facts.word_formats))
+    rows: list[tuple[object, ...]] = []
+    for name, facts in codes.items():
+        words = {kept.quantity: kept.words for kept in facts.word_formats}
+        held = sum(kept.bits for kept in facts.word_formats if kept.quantity == "coefficients") // 8
+        figures = (facts.coefficients, facts.coefficients * held, figure_text(facts.response_error))
+        rows.append((name, facts.precision, *(words.get(each, "-") for each in quantities), *figures))
+    size, error = figure_words("coefficient_bytes"), figure_words("response_error")
+    columns = ("controller", figure_words("precision"), *quantities, "coefficients, how many", size, error)
+    caption = "Word lengths of the code; the error is of the loop's sensitivity on the design model, over its size"
+    return [Table(caption, columns, rows)] if quantities else []
 
 
 def _of_code(facts: CodeFacts | NoCode, column: str) -> str:

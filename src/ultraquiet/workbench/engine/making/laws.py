@@ -9,6 +9,7 @@ from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.pipeline import control
 from ultraquiet.pipeline.facts.loops import NoCode
 from ultraquiet.pipeline.facts.typed import to_plain
+from ultraquiet.pipeline.making import code
 from ultraquiet.pipeline.making.designs import design_stage
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.stage import Cache
@@ -83,7 +84,7 @@ def deployed(
     """Write a law as C99, compile it and compare it, as the stage of a study does."""
     limits = control.command_limits(plant.actuators, records, tables.deploy)
     tones = plan_of(plant, tables).tones_hz
-    facts = control.deployed(name, law, plant, limits, folder, tables.deploy, tones).facts
+    facts = code.deployed(name, law, plant, limits, folder, tables.deploy, tones).facts
     if isinstance(facts, NoCode):
         raise InputError(f"deploy: {facts.status}")
     return Made({"code": to_plain(facts), "status": facts.verdict, "limits": limits.tolist()})
