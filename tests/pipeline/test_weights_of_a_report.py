@@ -72,13 +72,14 @@ def test_word_lengths_stand_beside_the_code(made):
     folder, page = made
     (section,) = [s for s in page.sections if s.title == "Code"]
     table = section.table("Word lengths")
+    reduced = [t for t in section.tables if t.caption.startswith("What each reduction left")]
+    assert ("stands beside it" in " ".join(section.paragraphs)) == bool(reduced)
     summary = json.loads((folder / "summary.json").read_text())["deployment"]
     assert {row[0] for row in table.rows} == set(summary) == {"calm", "shaped", "fewer"}
     for row in table.rows:
         facts = from_plain(CodeFacts, summary[row[0]])
         cells = dict(zip(table.heads, row, strict=True))
         assert cells["number format"] == "float32"
-        for kept in facts.word_formats:
-            assert cells[kept.quantity] == "32 bits, 24 significant"
+        assert cells["coefficients, states, sums, readings and commands"] == "32 bits, 24 significant"
         assert cells["coefficients (bytes)"] == str(4 * facts.coefficients)
         assert len(facts.word_formats) == 4

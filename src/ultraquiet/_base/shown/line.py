@@ -10,6 +10,7 @@ import numpy as np
 
 LONGEST = 160  # characters; a line of a terminal and a half
 WORDS = 48  # characters of one text within it
+LEAST_CHANCE = 1e-12  # a p-value below it has no digit that says anything
 MOST_ENTRIES = 8  # of a sequence or an array
 
 
@@ -49,6 +50,24 @@ def several_of(number: int, what: str, several: str = "") -> str:
     ('mode', 'modes', 'are')
     """
     return what if number == 1 else several or f"{what}s"
+
+
+def chance(p: float) -> str:
+    """Return a p-value as a sentence says it.
+
+    >>> chance(0.0312), chance(6.2e-309)
+    ('0.031', 'below 1e-12')
+    """
+    return f"{p:.2g}" if p > LEAST_CHANCE else f"below {LEAST_CHANCE:g}"
+
+
+def p_in_words(p: float) -> str:
+    """Return a p-value with its letter.
+
+    >>> p_in_words(0.0312), p_in_words(0.0)
+    ('p = 0.031', 'p below 1e-12')
+    """
+    return f"p = {chance(p)}" if p > LEAST_CHANCE else f"p {chance(p)}"
 
 
 def rounded(value: float, digits: int = 1) -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.grey_box.data import SpectralLines
 from ultraquiet.identify.grey_box.least_squares import Minimum
 from ultraquiet.identify.grey_box.modal_basis import SHARED, modes_of
@@ -77,7 +78,7 @@ def verdict(minimum: Minimum, p_value: float, error: FloatArray) -> Status:
     if p_value < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_WHITE,
-            f"The response is missed by up to {worst:.2g} % (RMS), more than noise and floor (p = {p_value:.1e}); "
+            f"The response is missed by up to {worst:.2g} % (RMS), more than noise and floor ({p_in_words(p_value)}); "
             f"deviations are widened by what is left.",
         )
     return Status(StatusWord.OK, f"Converged; every channel is met within {worst:.2g} % (RMS).")

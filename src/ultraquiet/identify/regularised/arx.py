@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.identify.regularised.posterior import (
@@ -157,8 +158,9 @@ def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: fl
         return unsettled()
     if min(white, free) < SIGNIFICANCE:
         what = "is not white" if white < free else "still holds something of the input"
-        return Status(StatusWord.NOT_WHITE, f"The residual {what} (p = {min(white, free):.1e}): raise 'lags'.")
-    return Status(StatusWord.OK, f"The residual is white (p = {white:.2g}) and free of the input (p = {free:.2g}).")
+        return Status(StatusWord.NOT_WHITE, f"The residual {what} ({p_in_words(min(white, free))}): raise 'lags'.")
+    told = f"white ({p_in_words(white)}) and free of the input ({p_in_words(free)})"
+    return Status(StatusWord.OK, f"The residual is {told}.")
 
 
 def _simulated_fit(model: PolynomialModel, record: Record, i: int) -> float:

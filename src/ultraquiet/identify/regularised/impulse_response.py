@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, one_of, whole
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.regularised import marginal_likelihood
 from ultraquiet.identify.regularised.posterior import (
@@ -176,10 +177,12 @@ def _verdict(converged: bool, p: float, left: float) -> Status:
     if p < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_WHITE,
-            f"The error holds something of inputs before the last tap (p = {p:.1e}): raise 'taps'.",
+            f"The error holds something of inputs before the last tap ({p_in_words(p)}): raise 'taps'.",
         )
     if left > RAN_OUT:
         return Status(
             StatusWord.NOT_WHITE, f"The last twentieth of the taps holds {left:.0%} of the response: raise 'taps'."
         )
-    return Status(StatusWord.OK, f"The response has decayed, and the error is free of earlier inputs (p = {p:.2g}).")
+    return Status(
+        StatusWord.OK, f"The response has decayed, and the error is free of earlier inputs ({p_in_words(p)})."
+    )

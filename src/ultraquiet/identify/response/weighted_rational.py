@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import exciting, usable
 from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response
@@ -37,7 +38,6 @@ TRIAL_STEPS = 15
 DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 15)
 # Poles and a fraction of a sample stand in for each other: whole delays are tried so far around the free one.
 DELAY_REACH = 3
-SMALLEST_P = 1e-12
 TEST_LAGS = 10
 
 
@@ -303,16 +303,13 @@ def _verdict(fit: _OrderFit, cost: float, p: float, at_limit: bool) -> Status:
     if p < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_WHITE,
-            f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines ({_chance(p)}){more}: "
+            f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines ({p_in_words(p)}){more}: "
             f"raise the order, free the delay, or set 'floor' to the relative error you can live with.",
         )
     return Status(
-        StatusWord.OK, f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines ({_chance(p)}){more}."
+        StatusWord.OK,
+        f"The fit misses {np.sqrt(cost):.3g} times the noise, white over the lines ({p_in_words(p)}){more}.",
     )
-
-
-def _chance(p: float) -> str:
-    return f"p = {p:.2g}" if p > SMALLEST_P else f"p below {SMALLEST_P:g}"
 
 
 def _model(method: WeightedRational, data: Data, fit: _OrderFit) -> StateSpace:

@@ -9,6 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
@@ -214,11 +215,12 @@ def _verdict(search: SearchSummary, free: float, white: float, spare: int, order
         whose = "one-step" if search.predicts else "simulated"
         return Status(
             StatusWord.NOT_WHITE,
-            f"The {whose} error {what} (p = {min(free, white):.1e}): the order or the horizon leaves part of the "
+            f"The {whose} error {what} ({p_in_words(min(free, white))}): the order or the horizon leaves part of the "
             f"record unexplained.",
         )
     if search.predicts:
         return Status(
-            StatusWord.OK, f"The one-step error is white (p = {white:.2g}) and free of the inputs (p = {free:.2g})."
+            StatusWord.OK,
+            f"The one-step error is white ({p_in_words(white)}) and free of the inputs ({p_in_words(free)}).",
         )
-    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {free:.2g}).")
+    return Status(StatusWord.OK, f"The simulated error is free of the inputs ({p_in_words(free)}).")

@@ -1,6 +1,6 @@
 """What the report says of controllers, loops and code."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -301,30 +301,46 @@ def code(result: StudyResult) -> Section:
     sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
     note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
     failed = [name for name, facts in result.deployment.items() if facts.failed]
+    reductions = _reductions(result)
+    beside = "; what a reduction left of each law stands beside it" if reductions else ""
     text = (
         f"The proof of the code found a fault in {', '.join(failed)}; see below."
         if failed
-        else "The code of every law was compiled and compared with its twin; what a reduction left of each law stands "
-        "beside it."
+        else f"The code of every law was compiled and compared with its twin{beside}."
     )
-    tables = [Table("Generated C99", heads, rows), *_word_lengths(result), *_reductions(result)]
+    tables = [Table("Generated C99", heads, rows), *_word_lengths(result), *reductions]
     return Section("Code", [text, note] if c31 else [text], tables, [], sentences)
 
 
 def _word_lengths(result: StudyResult) -> list[Table]:
     """Return the words that every law's code computes in, and what they cost; nothing where there is no code."""
     codes = {name: facts for name, facts in result.deployment.items() if isinstance(facts, CodeFacts)}
-    quantities = list(dict.fromkeys(kept.quantity for facts in codes.values() for kept in facts.word_formats))
+    columns = _formats(list(codes.values()))
     rows: list[tuple[object, ...]] = []
-    for name, facts in codes.items():
-        words = {kept.quantity: kept.words for kept in facts.word_formats}
+    for k, (name, facts) in enumerate(codes.items()):
         held = sum(kept.bits for kept in facts.word_formats if kept.quantity == "coefficients") // 8
         figures = (facts.coefficients, facts.coefficients * held, figure_text(facts.response_error))
-        rows.append((name, facts.precision, *(words.get(each, "-") for each in quantities), *figures))
+        rows.append((name, facts.precision, *(words[k] for _, words in columns), *figures))
     size, error = figure_words("coefficient_bytes"), figure_words("response_error")
-    columns = ("controller", figure_words("precision"), *quantities, "coefficients, how many", size, error)
+    heads = (
+        "controller",
+        figure_words("precision"),
+        *(what for what, _ in columns),
+        "coefficients, how many",
+        size,
+        error,
+    )
     caption = "Word lengths of the code; the error is of the loop's sensitivity on the design model, over its size"
-    return [Table(caption, columns, rows)] if quantities else []
+    return [Table(caption, heads, rows)] if columns else []
+
+
+def _formats(codes: Sequence[CodeFacts]) -> list[tuple[str, tuple[str, ...]]]:
+    """Return quantities and their format in each law's code; those that are alike in every code stand together."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for quantity in dict.fromkeys(kept.quantity for facts in codes for kept in facts.word_formats):
+        each = ({kept.quantity: kept.words for kept in facts.word_formats} for facts in codes)
+        alike.setdefault(tuple(words.get(quantity, "-") for words in each), []).append(quantity)
+    return [(", ".join(quantities), words) for words, quantities in alike.items()]
 
 
 def _of_code(facts: CodeFacts | NoCode, column: str) -> str:

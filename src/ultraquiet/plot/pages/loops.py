@@ -174,7 +174,7 @@ def loci(name: str, loop: ComplexArray) -> Chart:
         Curve(f"locus {k + 1}", *_within(locus), colour="chosen" if k == 0 else f"law-{(k - 1) % 8 + 1}", kind="path")
         for k, locus in enumerate(curves)
     ]
-    critical = Curve("critical point", [-1.0], [0.0], "bad", kind="points", symbol="+")
+    critical = Curve("critical point", [-1.0], [0.0], "measured", kind="points", symbol="+")
     near = min(float(np.abs(locus + 1).min()) for locus in curves)
     panel = ChartPanel(
         Axis("real part (1)", range=(-1.5 * SPAN, SPAN / 2)),

@@ -5,19 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import chance
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark
 
 COLUMNS = 3
-LEAST_CHANCE = 1e-12  # a p-value below it has no digit that says anything
-
-
-def chance(p: float) -> str:
-    """Return a p-value as a sentence says it.
-
-    >>> chance(0.0312), chance(6.2e-309)
-    ('0.031', 'below 1e-12')
-    """
-    return f"{p:.2g}" if p > LEAST_CHANCE else f"below {LEAST_CHANCE:g}"
 
 
 def residual_chart(

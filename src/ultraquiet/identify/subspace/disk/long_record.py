@@ -11,6 +11,7 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.long_record_statistics import LongRecordStatistics, survey
 from ultraquiet.identify.record_checks import usable
@@ -267,12 +268,12 @@ def _verdict(
     if p < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_WHITE,
-            f"The simulated error still holds something of the inputs (p = {p:.1e}): the order or the horizon leaves "
-            f"part of the record unexplained.",
+            f"The simulated error still holds something of the inputs ({p_in_words(p)}): the order or the horizon "
+            "leaves part of the record unexplained.",
         )
     if statistics.clipped[output]:
         return Status(
             StatusWord.NOT_WHITE,
             f"{statistics.clipped[output]} readings of '{record.sensors[output].name}' stand at its limits.",
         )
-    return Status(StatusWord.OK, f"The simulated error is free of the inputs (p = {p:.2g}).")
+    return Status(StatusWord.OK, f"The simulated error is free of the inputs ({p_in_words(p)}).")
