@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import ultraquiet as uq
 from ultraquiet.values import Channel
 from ultraquiet.workbench.figures.responses import Modelled, SeenResponse, response_grid
 from ultraquiet.workbench.figures.scale import Scale
@@ -65,3 +66,25 @@ def test_residuals_are_drawn_from_the_first_lag_that_says_something():
     assert sorted(mark.y for mark in own.marks) == [-0.05, 0.05]
     assert list(inputs.curves[0].y) == [0.01, 0.02, 0.04]
     assert [mark.y for mark in inputs.marks] == [0.05]
+
+
+@pytest.mark.parametrize(("units", "label"), [(("N", "N"), "gain ((m/s)/N)"), (("N", "V"), "gain (m/s per unit)")])
+def test_what_disturbances_leave_has_the_unit_of_a_gain_and_names_the_output_that_gains_least(units, label):
+    pytest.importorskip("nicegui")
+    from ultraquiet.workbench.web.pages.closed_loop import noise_figure
+
+    plant = uq.StateSpace(
+        0.9 * np.eye(2),
+        0.1 * np.eye(2),
+        np.eye(2),
+        np.zeros((2, 2)),
+        350.0,
+        actuators=[uq.Channel(f"force {k}", unit) for k, unit in enumerate(units)],
+        sensors=[uq.Channel("still", "m/s"), uq.Channel("loud", "m/s")],
+    )
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), np.diag([-2.0, 1.0]), 350.0)
+    chart = noise_figure("law", plant, law)
+    assert [panel.y.label for panel in chart.panels] == [label] * 2
+    opened, closed = (np.asarray(curve.y) for curve in chart.panels[1].curves)
+    assert (closed[:10] > opened[:10]).all()
+    assert "The rms that gains least is that of loud: louder by " in chart.caption

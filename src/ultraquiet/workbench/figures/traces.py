@@ -101,6 +101,6 @@ def correlations(title: str, auto: FloatArray, cross: FloatArray, bound: float, 
         sides = ("with itself", auto, 1, [above, below]), ("with the inputs, largest", cross, 0, [above])
         for word, rows, first, marks in sides:
             curve = Curve(word, lags[first:], rows[k, first:], "measured", kind="stems")
-            axes = Axis("lag (samples)"), Axis("correlation")
+            axes = Axis("lag (samples)"), Axis("correlation (1)")
             panels.append(ChartPanel(*axes, [curve], title=f"residual of {name} {word}", marks=marks, height=150))
     return Chart("residuals", title, "Bars beyond the dashed bounds are what the model left.", panels, columns=2)

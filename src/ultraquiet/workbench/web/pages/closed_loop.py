@@ -8,6 +8,7 @@ from nicegui import ui
 from ultraquiet._base.shown.line import loudness
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve, Region
 from ultraquiet.values import StateSpace
+from ultraquiet.values.channel import ratio
 from ultraquiet.workbench.engine.live import grid_hz, responses
 from ultraquiet.workbench.figures.scale import Scale
 from ultraquiet.workbench.jobs.lane import WorkItem
@@ -139,11 +140,21 @@ def noise_figure(name: str, plant: StateSpace, law: StateSpace) -> Chart:
     G, K = plant.frequency_response(f), law.frequency_response(f)
     g, k = np.moveaxis(G, 2, 0), np.moveaxis(K, 2, 0)
     closed = np.linalg.solve(np.eye(g.shape[1]) - g @ k, g)
-    panels = []
+    panels: list[ChartPanel] = []
+    lower_db: list[float] = []
+    units = {channel.unit for channel in plant.actuators}
     for i, wire in enumerate(plant.sensors):
         opened, quiet = (np.sqrt(np.sum(np.abs(r[:, i, :]) ** 2, axis=1)) for r in (g, closed))
-        axes = Axis("frequency (Hz)", "log"), Axis(f"{wire.unit} per input".strip(), "log")
+        had, left = (float(np.trapezoid(density**2, f)) for density in (opened, quiet))
+        lower_db.append(10 * float(np.log10(had / left)) if had > 0 and left > 0 else 0.0)
+        gain = ratio(wire.unit, next(iter(units))) if len(units) == 1 else f"{wire.unit} per unit".strip()
+        axes = Axis("frequency (Hz)", "log"), Axis(f"gain ({gain})", "log")
         curves = [Curve("without", f, opened, "open"), Curve("with the law", f, quiet, "chosen")]
         panels.append(ChartPanel(*axes, curves, title=wire.name, height=170))
     title = f"White disturbances at all inputs: what each output reads, without and with {name}"
-    return Chart("densities", title, "", panels, columns=1 if len(panels) < 3 else 2)
+    least = int(np.argmin(lower_db))
+    caption = (
+        "Density of each output over that of the disturbances, alike and independent at all inputs, on the model. The "
+        f"rms that gains least is that of {plant.sensors[least].name}: {loudness(lower_db[least])}."
+    )
+    return Chart("densities", title, caption, panels, columns=1 if len(panels) < 3 else 2)

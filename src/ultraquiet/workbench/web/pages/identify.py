@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
+from ultraquiet._base.shown.line import chance
 from ultraquiet.chart.spec import Axis, Chart, ChartPanel, Curve
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.identification import grouped
@@ -302,7 +303,7 @@ def _row(item: Any) -> tuple[str, ...]:
     fit = facts.get("plant", {}).get("fit_percent")
     fits = "" if fit is None else ", ".join(f"{f:.1f}" for f in fit[:4]) + (" …" if len(fit) > 4 else "")
     white = facts.get("whiteness_p")
-    whites = "" if not white else f"{min(white):.2g}"
+    whites = "" if not white else chance(min(white))
     method = f"{recipe['method']['method']} {recipe['method'].get('order', '')}".strip()
     status = facts.get("status", "not made yet")
     return item.name, method, ", ".join(recipe["records"][:3]), str(facts.get("states", "")), fits, whites, status

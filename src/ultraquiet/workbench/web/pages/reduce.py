@@ -104,7 +104,7 @@ class _Reduce:
         x = np.arange(1, some.size + 1, dtype=float)
         curve = Curve("Hankel values", x, some / some[0], "chosen", kind="points")
         marks = [Mark("a thousandth", y=1e-3)]
-        axes = Axis("state"), Axis("of the largest", "log")
+        axes = Axis("state"), Axis("of the largest (1)", "log")
         panel = ChartPanel(*axes, [curve], marks=marks, height=220)
         few = int(np.count_nonzero(values > 1e-3 * values[0]))
         kind = "" if values.size == law.states else "stable "
