@@ -1,6 +1,7 @@
 """From poles and directions of a subspace to a whole model: least squares, refinement, noise."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -101,6 +102,14 @@ class Options:
         return D, direct[:, -1] if self.offset else np.zeros(ny)
 
 
+class Fitted(NamedTuple):
+    """A system, the steps of the search for it, and whether that came to its end."""
+
+    system: System
+    steps: int
+    converged: bool
+
+
 def modes_of(A: FloatArray, C: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return the poles of the upper half plane, drawn inside the circle, output directions `(ny, m)` of unit size.
 
@@ -129,8 +138,8 @@ def system(modes: modal_least_squares.Modes) -> System:
     return System(real.A, real.B[:, :nu], real.C, modes.D, K, real.B[:, nu], modes.constant)
 
 
-def refined_simulation(start: System, data: Scaled, options: Options) -> tuple[System, int, bool]:
-    """Return the system of least simulated error, the steps taken, and whether the search came to its end."""
+def refined_simulation(start: System, data: Scaled, options: Options) -> Fitted:
+    """Return the system of least simulated error."""
     drive = np.hstack([start.B, start.x0[:, None]])
     at = gauss_newton.BlockModel.of(start.A, drive, start.C, options.direct(start))
     signals = gauss_newton.Signals.of(data.u, data.u, data.y, options.feedthrough, options.offset)
@@ -138,18 +147,18 @@ def refined_simulation(start: System, data: Scaled, options: Options) -> tuple[S
     A, B, C = outcome.point.matrices()
     D, constant = options.parts(outcome.point.direct, len(data.u))
     none = np.zeros((len(A), len(C)))
-    return System(A, B[:, :-1], C, D, none, B[:, -1], constant), outcome.steps, outcome.converged
+    return Fitted(System(A, B[:, :-1], C, D, none, B[:, -1], constant), outcome.steps, outcome.converged)
 
 
-def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> tuple[System, int, bool]:
-    """Return the system of least one-step error, the steps taken, and whether the search came to its end.
+def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> Fitted:
+    """Return the system of least one-step error.
 
     A start whose predictor has no modal form (parallel eigenvectors) is returned as it is, not converged.
     """
     nu, ny = len(data.u), len(data.y)
     inner = start.A - start.K @ start.C
     if np.linalg.cond(np.linalg.eig(inner)[1]) > PARALLEL or not start.predicts():
-        return start, 0, False
+        return Fitted(start, 0, False)
     # a constant at the outputs enters the predictor with them: the search knows its sum with what K makes of it
     settled = np.linalg.solve(np.eye(len(inner)) - inner, start.K)
     shifted = replace(start, constant=start.constant - start.C @ settled @ start.constant)
@@ -169,7 +178,7 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         return at.radius <= STABLE_RADIUS and (not stable or system_at(at).stable())
 
     outcome = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
-    return system_at(outcome.point), outcome.steps, outcome.converged
+    return Fitted(system_at(outcome.point), outcome.steps, outcome.converged)
 
 
 def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:

@@ -156,17 +156,14 @@ def _inputs_of(
     below[:ny, :ny] = np.eye(ny)
     below[ny:, ny:] = gamma
     below = below[: rows * ny]
-    total = np.zeros((target.size, (ny + order) * nu))
-    future = lq.L[: lq.first, : lq.first].reshape(rows, nu, lq.first)
+    N = np.zeros((rows, order + ny, ny + order))
+    N[0, :order, ny:], N[0, order:, :ny] = np.eye(order), np.eye(ny)
     for q in range(rows):
-        N = np.zeros((order + ny, ny + order))
-        if q == 0:
-            N[:order, ny:] = np.eye(order)
-            N[order:, :ny] = np.eye(ny)
-        else:
-            N[:order] = shorter[:, (q - 1) * ny :] @ below[: (rows - q) * ny]
-        N -= left[:, q * ny :] @ below[: (rows - q) * ny]
-        total += np.einsum("rp,jc->rcpj", N, future[q]).reshape(total.shape)
+        if q > 0:
+            N[q, :order] = shorter[:, (q - 1) * ny :] @ below[: (rows - q) * ny]
+        N[q] -= left[:, q * ny :] @ below[: (rows - q) * ny]
+    future = lq.L[: lq.first, : lq.first].reshape(rows, nu, lq.first)
+    total = np.tensordot(N, future, axes=(0, 0)).transpose(0, 3, 1, 2).reshape(target.size, -1)
     solution = np.linalg.lstsq(total, target.ravel(), rcond=None)[0].reshape(ny + order, nu).astype(np.float64)
     return solution[ny:], solution[:ny]
 

@@ -127,26 +127,36 @@ class Subspace(SubspaceSettings):
     def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
         return missing_modes.Sought(data, bool(self.feedthrough), self.offset, self.given_order is None)
 
-    def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> tuple[fit.System, int, bool]:
+    def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> fit.Fitted:
         """Return the system of least simulated error, modes that it misses put in and sought with the others."""
         sought = self._sought(data)
         found = fit.refined_simulation(fit.system(modes), data, self.options())
-        steps = found[1]
-        bank, modes = sought.fitted(found[0])
+        steps = found.steps
+        bank, modes = sought.fitted(found.system)
         for _ in range(RETURNS):
             other_bank, other = missing_modes.replenished(bank, modes, sought)
             if np.array_equal(other.poles, modes.poles):
                 break
             trial = fit.refined_simulation(fit.system(other), data, self.options())
-            other_bank, other = sought.fitted(trial[0])
-            steps += trial[1]
+            other_bank, other = sought.fitted(trial.system)
+            steps += trial.steps
             if not modal_least_squares.cost(other_bank, other) < modal_least_squares.cost(bank, modes):
                 break
             found, bank, modes = trial, other_bank, other
-        return found[0], steps, found[2]
+        return fit.Fitted(found.system, steps, found.converged)
 
     def _finished(self, record: Record, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> Result:
         """Return the result of a search on `heard`, the data topped up where they are silent, judged on the data."""
+        system, steps, converged = self._searched(data, heard, start)
+        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
+        predicts = self.focus == "prediction" and self.refine
+        search = evidence.SearchSummary(steps, converged, predicts, self.refine, self.weighted)
+        details = {"horizon": start.horizon.rows, "order": len(system.A), "singular_values": start.horizon.values}
+        result = evidence.judged(system, record, data, search, provenance, details)
+        return missing_modes.told(result, system, data, record.rate_hz, predicts)
+
+    def _searched(self, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> fit.Fitted:
+        """Return the system with its noise gain, in scaled units."""
         if self.refine:
             system, steps, converged = self._refined(heard, start.modes)
         else:
@@ -155,9 +165,15 @@ class Subspace(SubspaceSettings):
         if self.refine and self.focus == "prediction":
             system, more, converged = fit.refined_prediction(system, heard, self.options())
             steps += more
-        provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        predicts = self.focus == "prediction" and self.refine
-        search = evidence.SearchSummary(steps, converged, predicts, self.refine, self.weighted)
-        details = {"horizon": start.horizon.rows, "order": len(system.A), "singular_values": start.horizon.values}
-        result = evidence.judged(system, record, data, search, provenance, details)
-        return result if search.predicts else missing_modes.told(result, system, data, record.rate_hz)
+        return fit.Fitted(system, steps, converged)
+
+
+def fitted(settings: Subspace, record: Record) -> fit.Fitted:
+    """Return what `Subspace.identify` finds, in scaled units and without evidence.
+
+    Raises:
+        InputError: as `Subspace.identify`.
+    """
+    data, heard, start = settings.allowing_feedthrough()._begun(record)
+    settled, start = settings.of_start(start)
+    return settled._searched(data, heard, start)

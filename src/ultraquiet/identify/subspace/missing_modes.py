@@ -67,18 +67,23 @@ def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterB
     return modal_least_squares.pruned(bank, modes) if sought.may_grow else (bank, modes)
 
 
-def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float) -> Result:
-    """Return the result, no longer `ok` where the simulated error plainly shows a mode that the model has not."""
-    if not result.status.ok or not system.stable():
+def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float, predicts: bool = False) -> Result:
+    """Return the result, no longer `ok` where its error plainly shows a mode that the model has not.
+
+    The one-step error, where the model `predicts`, is independent of past inputs in a closed loop too.
+    """
+    if not (result.status.ok and (predicts or system.stable())):
         return result
-    pole, explained = strongest(data.y - system.simulated(data.u), data.u)
+    error = system.errors(data.u, data.y) if predicts else data.y - system.simulated(data.u)
+    pole, explained = strongest(error, data.u)
     if explained < _asked_for(len(data.u), len(data.y), data.samples):
         return result
     f_hz = abs(np.log(pole)) * rate_hz / (2 * np.pi)
     status = Status(
         StatusWord.NOT_WHITE,
-        f"The simulated error holds a response to the inputs near {f_hz:.3g} Hz ({explained:.0f} times the noise's "
-        f"variance there): a mode is missing or off its place; set refine=True, or raise the order or the horizon.",
+        f"The {'one-step' if predicts else 'simulated'} error holds a response to the inputs near {f_hz:.3g} Hz "
+        f"({explained:.0f} times the noise's variance there): a mode is missing or off its place; set refine=True, or "
+        f"raise the order or the horizon.",
     )
     return replace(result, status=status, statuses=(status,) * len(result.statuses))
 

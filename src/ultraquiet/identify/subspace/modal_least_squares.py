@@ -98,15 +98,14 @@ class FilterBank:
         size = self.modes
         total = size + self.ny * self.direct
         N, r = np.zeros((total, total)), np.zeros(total)
+        T = rotations(c)
+        N[:size, :size] = _turned_alike(T, self.G[:size, :size], inputs)
         for i in range(self.ny):
-            T = rotation(c[i])
-            SS = _left(T, _left(T, self.G[:size, :size], m, inputs).T, m, inputs)
-            SW = _left(T, self.G[:size, self._direct_rows()], m, inputs)
+            SW = _left(T[i], self.G[:size, self._direct_rows()], m, inputs)
             rows = slice(size + i * self.direct, size + (i + 1) * self.direct)
-            N[:size, :size] += SS
             N[:size, rows], N[rows, :size] = SW, SW.T
             N[rows, rows] = self.G[self._direct_rows(), self._direct_rows()]
-            r[:size] += _left(T, self.G[:size, self.modes + self.direct + i, None], m, inputs)[:, 0]
+            r[:size] += _left(T[i], self.G[:size, self.modes + self.direct + i, None], m, inputs)[:, 0]
             r[rows] = self.G[self._direct_rows(), self.modes + self.direct + i]
         x = solve(N, r)
         beta = x[:size].reshape(m, inputs, 2)
@@ -206,9 +205,23 @@ def state_map(b: ComplexArray, extra: int, direct: int) -> FloatArray:
     return X
 
 
-def rotation(c: ComplexArray) -> FloatArray:
-    """Return for each mode the 2 x 2 matrix from (Re s, Im s) to the factors of (Re b, Im b) in Re(c b s)."""
-    return np.stack([np.stack([c.real, -c.imag], axis=1), np.stack([-c.imag, -c.real], axis=1)], axis=1)
+def rotations(c: ComplexArray) -> FloatArray:
+    """Return, for each output and mode, the 2 x 2 matrix from (Re s, Im s) to the factors of (Re b, Im b) in Re(c b s).
+
+    c is `(ny, m)`, the result `(ny, m, 2, 2)`.
+    """
+    return np.stack([np.stack([c.real, -c.imag], axis=-1), np.stack([-c.imag, -c.real], axis=-1)], axis=-2)
+
+
+def _turned_alike(T: FloatArray, G: FloatArray, inputs: int) -> FloatArray:
+    """Return sum_i T_i G T_i' for the block-diagonal T_i of output i, whatever the outputs for the price of four."""
+    m = T.shape[1]
+    shaped = G.reshape(m, inputs, 2, m, inputs, 2)
+    out = np.zeros_like(shaped)
+    for a, b, c, d in np.ndindex(2, 2, 2, 2):
+        share = T[:, :, a, c].T @ T[:, :, b, d]
+        out[:, :, a, :, :, b] += share[:, None, :, None] * shaped[:, :, c, :, :, d]
+    return out.reshape(G.shape)
 
 
 def _left(T: FloatArray, X: FloatArray, m: int, inputs: int) -> FloatArray:

@@ -12,7 +12,8 @@ from ultraquiet._base.registry import register
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
-from ultraquiet.identify.subspace import evidence, fit
+from ultraquiet.identify.subspace import evidence, fit, missing_modes, other_starts
+from ultraquiet.identify.subspace.method import Subspace
 from ultraquiet.linalg.polynomial_roots import mirrored_inside
 from ultraquiet.values import Record
 
@@ -92,19 +93,35 @@ class PredictorSubspace(SearchedOrder):
         regression = Regression.of(data, longest, self.feedthrough)
         past = self.horizon or regression.memory(1 + (self.given_order or 1) // len(record.sensors))
         states = regression.states(past)
-        order = min(self.given_order or states.order(), len(states.values))
-        start = states.model(order)
-        if self.stable:
-            start = _mirrored_inside(start)
-        start = replace(start, K=start.K if start.predicts() else np.zeros_like(start.K))
-        system, steps, converged = start, 0, True
+        start = self._start(states)
+        found = fit.Fitted(start, 0, True)
         if self.refine:
             options = fit.Options(self.feedthrough, self.offset, self.weighted, self.max_iterations)
-            system, steps, converged = fit.refined_prediction(start, data, options, self.stable)
+            own = fit.refined_prediction(start, data, options, self.stable)
+            others = other_starts.from_simulation(self._simulating(), record, data, options) if self.stable else []
+            found = other_starts.best([own, *others], data, self.weighted)
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
-        details = {"horizon": past, "order": order, "singular_values": states.values}
-        search = evidence.SearchSummary(steps, converged, True, self.refine, self.weighted)
-        return evidence.judged(system, record, data, search, provenance, details)
+        details = {"horizon": past, "order": len(found.system.A), "singular_values": states.values}
+        search = evidence.SearchSummary(found.steps, found.converged, True, self.refine, self.weighted)
+        result = evidence.judged(found.system, record, data, search, provenance, details)
+        return missing_modes.told(result, found.system, data, record.rate_hz, predicts=True)
+
+    def _start(self, states: "States") -> fit.System:
+        start = states.model(min(self.given_order or states.order(), len(states.values)))
+        if self.stable:
+            start = _mirrored_inside(start)
+        return replace(start, K=start.K if start.predicts() else np.zeros_like(start.K))
+
+    def _simulating(self) -> Subspace:
+        """Return the method that fits the plant by its simulated error, on the same terms."""
+        return Subspace(
+            order=self.order,
+            feedthrough=self.feedthrough,
+            offset=self.offset,
+            refine=True,
+            weighted=self.weighted,
+            max_iterations=self.max_iterations,
+        )
 
     def _longest(self, record: Record) -> int:
         width = len(record.actuators) + len(record.sensors)
