@@ -14,7 +14,7 @@ def main(source: str, target: str) -> None:
     for name in str(given["names"]).split(" "):
         A, B, C = (given[f"{name}_{k}"] for k in "ABC")
         spent, order, reduced = [], 0, []
-        for _ in range(int(given["repeats"])):
+        for _ in range(int(given[f"{name}_repeats"])):
             copies = [np.array(M, order="F") for M in (A, B, C)]
             started = time.process_time()
             order, *reduced = slycot.ab09ad(

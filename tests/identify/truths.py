@@ -50,19 +50,19 @@ def draw(name, rng, samples=None, u=None):
     return Draw(uq.Record(u, clean + noise, rate_hz), clean, e[SETTLE:], model)
 
 
-def modal_truth(rng, samples=24_000, snr_db=30.0):
-    """A 6 x 6 system of 15 modes and a record of it, as `modal_6x6` says."""
-    rate_hz, modes, wires = 3500.0, 15, 6
+def modal_truth(rng, samples=24_000, snr_db=30.0, shape=(6, 6), modes=15, units=(1.0, 1.0)):
+    """A 6 x 6 system of 15 modes and a record of it, as `modal_6x6` says; or others of their kind, in other units."""
+    rate_hz, (ny, nu), (volts, metres) = 3500.0, shape, units
     f = np.geomspace(8, 350, modes) * np.exp(0.05 * rng.standard_normal(modes))
     zeta = rng.uniform(0.005, 0.03, modes)
-    A, B, C = np.zeros((30, 30)), np.zeros((30, wires)), np.zeros((wires, 30))
+    A, B, C = np.zeros((2 * modes, 2 * modes)), np.zeros((2 * modes, nu)), np.zeros((ny, 2 * modes))
     for k in range(modes):
         p = np.exp(2 * np.pi * f[k] * (-zeta[k] + 1j * np.sqrt(1 - zeta[k] ** 2)) / rate_hz)
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
-        B[2 * k + 1] = rng.standard_normal(wires) * np.sqrt(1 - abs(p) ** 2)
-        C[:, 2 * k] = rng.standard_normal(wires)
-    plant = uq.StateSpace(A, B, C, np.zeros((wires, wires)), rate_hz)
-    u = rng.standard_normal((wires, samples))
+        B[2 * k + 1] = rng.standard_normal(nu) * np.sqrt(1 - abs(p) ** 2)
+        C[:, 2 * k] = rng.standard_normal(ny)
+    plant = uq.StateSpace(A, B / volts, metres * C, np.zeros((ny, nu)), rate_hz)
+    u = volts * rng.standard_normal((nu, samples))
     clean = plant.simulate(u)
     noise = 10 ** (-snr_db / 20) * clean.std(axis=1, keepdims=True) * rng.standard_normal(clean.shape)
     return plant, uq.Record(u, clean + noise, rate_hz), clean

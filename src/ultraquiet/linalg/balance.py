@@ -4,7 +4,8 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_sylvester
+from scipy.linalg import LinAlgError, solve_sylvester
+from scipy.linalg.lapack import dgesdd, dpstrf  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse.csgraph import connected_components
 
 from ultraquiet.linalg.discretize import bilinear_to_discrete
@@ -68,11 +69,22 @@ def gramian_factors(A: Array, B: Array, C: Array, discrete: bool) -> tuple[Array
 
 
 def square_root(P: Array) -> Array:
-    """Return L with L L' = P for symmetric P >= 0, negative round-off set to zero; small states keep their digits."""
+    """Return L `(n, n)` with L L' = P for symmetric P >= 0 to round-off; small states keep their digits.
+
+    Cholesky's factor with pivots, of the matrix scaled to a unit diagonal; what is left below n eps is round-off, and
+    so is what a P of lower rank has below zero.
+
+    Reference: Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., section 10.3.
+    """
+    n = len(P)
+    if n == 0:
+        return np.zeros((0, 0))
     d = np.sqrt(np.maximum(np.diag(P), 0.0))
     d[d == 0] = 1.0
-    values, vectors = np.linalg.eigh((P + P.T) / (2 * np.outer(d, d)))
-    return d[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    factor, pivots, rank, _ = dpstrf(((P + P.T) / (2 * d[:, None] * d)).T, lower=1, overwrite_a=1)
+    root = np.zeros((n, n))
+    root[pivots - 1, :rank] = np.tril(factor)[:, :rank]
+    return d[:, None] * root
 
 
 def balancing(P: Array, Q: Array, order: int) -> tuple[Array, Array, Array]:
@@ -85,8 +97,13 @@ def balancing(P: Array, Q: Array, order: int) -> tuple[Array, Array, Array]:
 
 def balancing_by(R: Array, L: Array, order: int) -> tuple[Array, Array, Array]:
     """Return what `balancing` does, from factors of the Gramians R R' and L L'."""
-    U, s, Vt = np.linalg.svd(L.T @ R)
-    order = min(order, int(np.sum(s > 1e-15 * max(float(s[0]), 1e-300)))) if s.size else 0
+    product = L.T @ R
+    if not product.size:
+        return L.T, R, np.zeros(0)
+    U, s, Vt, info = dgesdd(np.asfortranarray(product), overwrite_a=1)
+    if info:
+        raise LinAlgError("the singular values of the Gramians' factors were not found")
+    order = min(order, int(np.sum(s > 1e-15 * max(float(s[0]), 1e-300))))
     root = np.sqrt(s[:order])
     return (L @ U[:, :order] / root).T, R @ Vt[:order].T / root, s
 

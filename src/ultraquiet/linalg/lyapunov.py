@@ -11,7 +11,7 @@ from ultraquiet.linalg.ordered import Array, complex_schur, real_schur
 
 DOUBLINGS = 60  # 2^60 steps of the underlying recursion
 ROUND_OFF = 1e-16
-LEAST = 48  # rows and columns of a triangular block that LAPACK solves
+LEAST = 45  # rows and columns of a triangular block that LAPACK solves: halves of fewer cost more than they spare
 OPPOSED = 8 * float(np.finfo(float).eps)  # of the sizes of two eigenvalues: a smaller sum is none
 SOLVED = 1e-8  # of the sizes of the terms; what is left above it means that there was nothing to find
 

@@ -16,9 +16,7 @@ from ultraquiet.identify.subspace.method import Subspace, fitted
 from ultraquiet.values import Record
 
 
-def from_simulation(
-    settings: Subspace, record: Record, data: fit.Scaled, options: fit.Options
-) -> list[fit.Fitted]:
+def from_simulation(settings: Subspace, record: Record, data: fit.Scaled, options: fit.Options) -> list[fit.Fitted]:
     """Return the model of least one-step error near that of least simulated error, and the latter where it has no K.
 
     A plant whose outputs carry white noise alone has K = 0, and both errors are one; a K that is searched all the same

@@ -69,7 +69,7 @@ class PredictorSubspace(SearchedOrder):
     refine: bool = True
     weighted: bool = True
     stable: bool = True
-    max_iterations: int = 50
+    max_iterations: int = 100
 
     def __post_init__(self) -> None:
         self.settle_order(500)

@@ -31,7 +31,7 @@ class SubspaceSettings(SearchedOrder):
     refine: bool = False
     focus: str = "simulation"
     weighted: bool = True
-    max_iterations: int = 50
+    max_iterations: int = 100
 
     def __post_init__(self) -> None:
         self.settle_order(HIGHEST_ORDER)
