@@ -102,7 +102,7 @@ class Options:
         return D, direct[:, -1] if self.offset else np.zeros(ny)
 
 
-class Fitted(NamedTuple):
+class SystemFit(NamedTuple):
     """A system, the steps of the search for it, and whether that came to its end."""
 
     system: System
@@ -138,7 +138,7 @@ def system(modes: modal_least_squares.Modes) -> System:
     return System(real.A, real.B[:, :nu], real.C, modes.D, K, real.B[:, nu], modes.constant)
 
 
-def refined_simulation(start: System, data: Scaled, options: Options) -> Fitted:
+def refined_simulation(start: System, data: Scaled, options: Options) -> SystemFit:
     """Return the system of least simulated error."""
     drive = np.hstack([start.B, start.x0[:, None]])
     at = gauss_newton.BlockModel.of(start.A, drive, start.C, options.direct(start))
@@ -147,10 +147,10 @@ def refined_simulation(start: System, data: Scaled, options: Options) -> Fitted:
     A, B, C = outcome.point.matrices()
     D, constant = options.parts(outcome.point.direct, len(data.u))
     none = np.zeros((len(A), len(C)))
-    return Fitted(System(A, B[:, :-1], C, D, none, B[:, -1], constant), outcome.steps, outcome.converged)
+    return SystemFit(System(A, B[:, :-1], C, D, none, B[:, -1], constant), outcome.steps, outcome.converged)
 
 
-def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> Fitted:
+def refined_prediction(start: System, data: Scaled, options: Options, stable: bool = True) -> SystemFit:
     """Return the system of least one-step error.
 
     A start whose predictor has no modal form (parallel eigenvectors) is returned as it is, not converged.
@@ -158,7 +158,7 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
     nu, ny = len(data.u), len(data.y)
     inner = start.A - start.K @ start.C
     if np.linalg.cond(np.linalg.eig(inner)[1]) > PARALLEL or not start.predicts():
-        return Fitted(start, 0, False)
+        return SystemFit(start, 0, False)
     # a constant at the outputs enters the predictor with them: the search knows its sum with what K makes of it
     settled = np.linalg.solve(np.eye(len(inner)) - inner, start.K)
     shifted = replace(start, constant=start.constant - start.C @ settled @ start.constant)
@@ -178,7 +178,7 @@ def refined_prediction(start: System, data: Scaled, options: Options, stable: bo
         return at.radius <= STABLE_RADIUS and (not stable or system_at(at).stable())
 
     outcome = gauss_newton.search(at, signals, options.weighted, options.steps, admissible)
-    return Fitted(system_at(outcome.point), outcome.steps, outcome.converged)
+    return SystemFit(system_at(outcome.point), outcome.steps, outcome.converged)
 
 
 def noise_gain(start: System, e: FloatArray, data: Scaled) -> FloatArray:

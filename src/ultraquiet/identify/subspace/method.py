@@ -127,7 +127,7 @@ class Subspace(SubspaceSettings):
     def _sought(self, data: fit.Scaled) -> missing_modes.Sought:
         return missing_modes.Sought(data, bool(self.feedthrough), self.offset, self.given_order is None)
 
-    def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> fit.Fitted:
+    def _refined(self, data: fit.Scaled, modes: modal_least_squares.Modes) -> fit.SystemFit:
         """Return the system of least simulated error, modes that it misses put in and sought with the others."""
         sought = self._sought(data)
         found = fit.refined_simulation(fit.system(modes), data, self.options())
@@ -143,7 +143,7 @@ class Subspace(SubspaceSettings):
             if not modal_least_squares.cost(other_bank, other) < modal_least_squares.cost(bank, modes):
                 break
             found, bank, modes = trial, other_bank, other
-        return fit.Fitted(found.system, steps, found.converged)
+        return fit.SystemFit(found.system, steps, found.converged)
 
     def _finished(self, record: Record, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> Result:
         """Return the result of a search on `heard`, the data topped up where they are silent, judged on the data."""
@@ -155,7 +155,7 @@ class Subspace(SubspaceSettings):
         result = evidence.judged(system, record, data, search, provenance, details)
         return missing_modes.told(result, system, data, record.rate_hz, predicts)
 
-    def _searched(self, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> fit.Fitted:
+    def _searched(self, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> fit.SystemFit:
         """Return the system with its noise gain, in scaled units."""
         if self.refine:
             system, steps, converged = self._refined(heard, start.modes)
@@ -165,10 +165,10 @@ class Subspace(SubspaceSettings):
         if self.refine and self.focus == "prediction":
             system, more, converged = fit.refined_prediction(system, heard, self.options())
             steps += more
-        return fit.Fitted(system, steps, converged)
+        return fit.SystemFit(system, steps, converged)
 
 
-def fitted(settings: Subspace, record: Record) -> fit.Fitted:
+def fitted(settings: Subspace, record: Record) -> fit.SystemFit:
     """Return what `Subspace.identify` finds, in scaled units and without evidence.
 
     Raises:
