@@ -8,7 +8,8 @@ from test_subspace import fit_percent, modes_found
 from truths import modal_truth
 
 import ultraquiet as uq
-from ultraquiet.identify.subspace import fit, other_starts
+from ultraquiet.identify.subspace import fit
+from ultraquiet.identify.subspace.one_step import other_starts
 
 METHODS = {
     "subspace": lambda n: uq.identify.Subspace(order=n, refine=True),

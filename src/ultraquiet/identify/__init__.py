@@ -30,7 +30,7 @@ from ultraquiet.identify.response.rational import Rational, ResponseFit
 from ultraquiet.identify.response.weighted_rational import WeightedRational
 from ultraquiet.identify.result import Identification, Result
 from ultraquiet.identify.subspace.method import Subspace
-from ultraquiet.identify.subspace.predictor import PredictorSubspace
+from ultraquiet.identify.subspace.one_step.predictor import PredictorSubspace
 
 __all__ = [
     "Armax",

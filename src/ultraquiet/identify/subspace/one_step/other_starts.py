@@ -14,7 +14,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.subspace import fit
 from ultraquiet.identify.subspace.method import Subspace, fitted
-from ultraquiet.identify.subspace.past_regression import (
+from ultraquiet.identify.subspace.one_step.past_regression import (
     LONGEST,
     SAMPLES_PER_COLUMN,
     PastRegression,

@@ -12,9 +12,10 @@ from ultraquiet._base.registry import register
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
-from ultraquiet.identify.subspace import evidence, fit, missing_modes, other_starts
+from ultraquiet.identify.subspace import evidence, fit, missing_modes
 from ultraquiet.identify.subspace.method import Subspace
-from ultraquiet.identify.subspace.past_regression import (
+from ultraquiet.identify.subspace.one_step import other_starts
+from ultraquiet.identify.subspace.one_step.past_regression import (
     LONGEST,
     SAMPLES_PER_COLUMN,
     PastRegression,
