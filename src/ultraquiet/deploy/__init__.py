@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from ultraquiet.deploy.law.realisation import Realisation as Realisation
     from ultraquiet.deploy.law.realisation import realisation as realisation
     from ultraquiet.deploy.law.twin import Twin as Twin
-    from ultraquiet.deploy.law.word_format import WordFormat as WordFormat
+    from ultraquiet.deploy.law.word_length import WordFormat as WordFormat
     from ultraquiet.deploy.law.word_length import rounding_errors as rounding_errors
     from ultraquiet.deploy.options import C31Budget as C31Budget
     from ultraquiet.deploy.options import CodeOptions as CodeOptions
@@ -79,7 +79,7 @@ _HOME = {
     "Reanalysis": "verification.rounded_loop",
     "Twin": "law.twin",
     "Verification": "verification.verify",
-    "WordFormat": "law.word_format",
+    "WordFormat": "law.word_length",
     "WordLength": "fixed_point.word_lengths",
     "c31_code": "c31.assembly",
     "conditioning_gain": "law.anti_windup",

@@ -18,7 +18,7 @@ from ultraquiet.deploy.law.coefficients import CoefficientBank, bank_for
 from ultraquiet.deploy.law.coordinates import balanced
 from ultraquiet.deploy.law.law import require_discrete, require_plant
 from ultraquiet.deploy.law.twin import Twin
-from ultraquiet.deploy.law.word_format import WordFormat, float_formats
+from ultraquiet.deploy.law.word_length import WordFormat, float_formats
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.toolchain.targets import TARGETS
 from ultraquiet.deploy.verification.bench_tones import on_bench

@@ -15,7 +15,7 @@ from ultraquiet.deploy.fixed_point.compiled import FixedCode, self_test_passes
 from ultraquiet.deploy.fixed_point.law import FixedLaw, Whole
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
 from ultraquiet.deploy.fixed_point.word_formats import fixed_formats
-from ultraquiet.deploy.law.word_format import WordFormat
+from ultraquiet.deploy.law.word_length import WordFormat
 from ultraquiet.deploy.toolchain import compiler
 from ultraquiet.deploy.verification.verify import MOST_STEPS
 from ultraquiet.values.state_space import StateSpace

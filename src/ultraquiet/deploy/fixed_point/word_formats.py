@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet.deploy.fixed_point.law import FixedLaw
-from ultraquiet.deploy.law.word_format import WordFormat
+from ultraquiet.deploy.law.word_length import WordFormat
 
 
 def fixed_formats(law: FixedLaw) -> tuple[WordFormat, ...]:

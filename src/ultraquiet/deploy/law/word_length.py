@@ -1,17 +1,22 @@
-"""How many bits a controller's coefficients need, form by form."""
+"""How many bits a controller's coefficients need, form by form, and what its code keeps of each quantity."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.form_choice import error_of
+from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.realisation import FORMS, Realisation, realisation
 from ultraquiet.values.state_space import StateSpace
 
 SIGNIFICANT = (8, 12, 16, 20, 24)  # 24: float32, and the TMS320C31's own format
+Quantity = Literal["coefficients", "states", "sums", "readings and commands"]
+QUANTITIES: tuple[Quantity, ...] = ("coefficients", "states", "sums", "readings and commands")
 
 
 def rounding_errors(
@@ -63,3 +68,38 @@ def _state_space(parts: Realisation, bits: int, rate_hz: float) -> StateSpace:
 def _round(matrix: FloatArray, bits: int) -> FloatArray:
     mantissa, exponent = np.frexp(matrix)
     return np.ldexp(np.rint(np.ldexp(mantissa, bits)), exponent - bits)
+
+
+@dataclass(frozen=True)
+class WordFormat(Shown):
+    """The words of one quantity of a law's code.
+
+    Attributes:
+        quantity: what is kept in them; sums are what the products of a step add up in.
+        bits: of a word, its sign included.
+        significant: bits of a floating-point number's fraction, the leading one that is not stored included; None in
+            fixed point.
+        fractional: fewest and most bits behind the point in fixed point, rows are scaled one by one; None otherwise.
+    """
+
+    quantity: Quantity
+    bits: int
+    significant: int | None = None
+    fractional: tuple[int, int] | None = None
+
+    def __str__(self) -> str:
+        """Return it in words.
+
+        >>> str(WordFormat("states", 32, 24)), str(WordFormat("coefficients", 16, fractional=(14, 17)))
+        ('32 bits, 24 significant', '16 bits, 14 to 17 fractional')
+        """
+        if self.fractional is None:
+            return f"{self.bits} bits, {self.significant} significant"
+        fewest, most = self.fractional
+        return f"{self.bits} bits, {fewest}{'' if fewest == most else f' to {most}'} fractional"
+
+
+def float_formats(law: Law) -> tuple[WordFormat, ...]:
+    """Return the formats of a law in floating point: one for all, the C code computes in the precision it stores."""
+    kept = np.finfo(law.dtype)
+    return tuple(WordFormat(quantity, kept.bits, kept.nmant + 1) for quantity in QUANTITIES)
