@@ -33,6 +33,7 @@ def modes_carried(plant, record, clean):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize(("name", "order"), [("subspace", None), ("predictor", None), ("predictor", 30)])
 def test_fifteen_modes_at_ten_decibels_in_nineteen_of_twenty(name, order):
     """6 x 6, 8 to 350 Hz at 3.5 kHz, 8000 samples, draws of their own."""
@@ -52,6 +53,7 @@ def test_fifteen_modes_at_ten_decibels_in_nineteen_of_twenty(name, order):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("given", [True, False])
 @pytest.mark.parametrize("name", METHODS)
 def test_other_channels_and_units(name, given):

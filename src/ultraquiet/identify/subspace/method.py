@@ -136,7 +136,11 @@ class Subspace(SubspaceSettings):
         for _ in range(RETURNS):
             other_bank, other = missing_modes.replenished(bank, modes, sought)
             if np.array_equal(other.poles, modes.poles):
-                break
+                detour = self._by_a_detour(data, bank, modes)
+                if detour is None:
+                    break
+                (other_bank, other), more = detour
+                steps += more
             trial = fit.refined_simulation(fit.system(other), data, self.options())
             other_bank, other = sought.fitted(trial.system)
             steps += trial.steps
@@ -144,6 +148,21 @@ class Subspace(SubspaceSettings):
                 break
             found, bank, modes = trial, other_bank, other
         return fit.SystemFit(found.system, steps, found.converged)
+
+    def _by_a_detour(
+        self, data: fit.Scaled, bank: FilterBank, modes: modal_least_squares.Modes
+    ) -> tuple[tuple[FilterBank, modal_least_squares.Modes], int] | None:
+        """Return other modes for a search that ended with one missing though none is faint, and the steps to them.
+
+        Two that share the place of one each carry much, and only beside the missing one does either become idle: it is
+        put in, all are sought, and then the one that is missed least leaves. None where the error shows no mode.
+        """
+        sought = self._sought(data)
+        wide = None if sought.may_grow else missing_modes.widened(bank, modes, sought)
+        if wide is None:
+            return None
+        found = fit.refined_simulation(fit.system(wide[1]), data, self.options())
+        return missing_modes.narrowed(*sought.fitted(found.system)), found.steps
 
     def _finished(self, record: Record, data: fit.Scaled, heard: fit.Scaled, start: SubspaceStart) -> Result:
         """Return the result of a search on `heard`, the data topped up where they are silent, judged on the data."""

@@ -22,6 +22,7 @@ SLOWEST = 8.0  # periods that a record must hold of a mode that is sought
 FASTEST = 0.9 * np.pi  # radians a sample
 FINER = (0.03, 0.015, 0.008)  # steps by which the best filter is then moved, in the logarithm of frequency and damping
 ROUNDS, GAIN = 20, 1e-5  # of alternating least squares, and what one must gain for another to follow
+TRIAL_ROUNDS = 4  # of it by which modes that may leave are compared
 MEMORY = 8  # samples of the autoregressions that tell how much of the error's power is noise at a frequency
 MOST = 3  # modes put in at most
 
@@ -56,15 +57,52 @@ def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterB
         if kept is None and not sought.may_grow:
             break
         kept = np.arange(modes.poles.size) if kept is None or sought.may_grow else kept
-        poles = np.concatenate([modes.poles[kept], np.array([pole], dtype=np.complex128)])
-        c = np.column_stack([modes.c[:, kept], _direction(error, sought.data.u, pole)])
-        pairs_first = np.argsort(poles.imag == 0.0, kind="stable")
-        other = sought.bank(poles[pairs_first])
-        trial = modal_least_squares.alternate(other, c[:, pairs_first], ROUNDS, GAIN)
+        other, trial = _joined(modes, kept, pole, error, sought)
         if not modal_least_squares.cost(other, trial) < modal_least_squares.cost(bank, modes):
             break
         bank, modes = other, trial
     return modal_least_squares.pruned(bank, modes) if sought.may_grow else (bank, modes)
+
+
+def widened(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterBank, Modes] | None:
+    """Return the modes and the one that the error shows plainest, none left out; None where it shows none."""
+    error = sought.data.y - fit.system(modes).simulated(sought.data.u)
+    pole, explained = strongest(error, sought.data.u)
+    if explained < _asked_for(bank.nu, bank.ny, bank.n):
+        return None
+    return _joined(modes, np.arange(modes.poles.size), pole, error, sought)
+
+
+def narrowed(bank: FilterBank, modes: Modes) -> tuple[FilterBank, Modes]:
+    """Return the modes without the two states that are missed least, b and c of the others fitted again each time.
+
+    What `carried` says of two modes at one place is that each has inputs of its own, not that one would do for both.
+    """
+    tried = [(bank, modes)]
+    for gone in _leaving(modes, np.argsort(modal_least_squares.carried(bank, modes), kind="stable")):
+        kept = np.setdiff1d(np.arange(modes.poles.size), gone)
+        other = bank.only(kept)
+        tried.append((other, modal_least_squares.alternate(other, modes.c[:, kept], TRIAL_ROUNDS, GAIN)))
+    return min(tried[1:] or tried, key=lambda one: modal_least_squares.cost(*one))
+
+
+def _leaving(modes: Modes, faintest_first: np.ndarray) -> list[np.ndarray]:
+    """Return which modes may leave when two states are freed: any pair, or the two faintest real ones."""
+    real = modes.poles.imag == 0.0
+    choices = [np.array([k]) for k in np.flatnonzero(~real)]
+    alone = faintest_first[real[faintest_first]]
+    return [*choices, alone[:2]] if alone.size > 1 else choices
+
+
+def _joined(
+    modes: Modes, kept: np.ndarray, pole: complex, error: FloatArray, sought: Sought
+) -> tuple[FilterBank, Modes]:
+    """Return the modes that are kept and one at `pole`, all fitted again."""
+    poles = np.concatenate([modes.poles[kept], np.array([pole], dtype=np.complex128)])
+    c = np.column_stack([modes.c[:, kept], _direction(error, sought.data.u, pole)])
+    pairs_first = np.argsort(poles.imag == 0.0, kind="stable")
+    bank = sought.bank(poles[pairs_first])
+    return bank, modal_least_squares.alternate(bank, c[:, pairs_first], ROUNDS, GAIN)
 
 
 def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float, predicts: bool = False) -> Result:
@@ -157,10 +195,7 @@ def _alone(pole: complex, error: FloatArray, u: FloatArray) -> tuple[FilterBank,
 def _without_the_faintest(bank: FilterBank, modes: Modes, explained: float) -> np.ndarray | None:
     """Return which modes stay when two states are freed, or None where none is fainter than what is sought."""
     carried = modal_least_squares.carried(bank, modes)
-    real = np.flatnonzero(modes.poles.imag == 0.0)
-    choices = [np.array([k]) for k in np.flatnonzero(modes.poles.imag != 0.0)]
-    if real.size > 1:
-        choices.append(real[np.argsort(carried[real], kind="stable")[:2]])
+    choices = _leaving(modes, np.argsort(carried, kind="stable"))
     if not choices:
         return None
     gone = min(choices, key=lambda some: float(carried[some].sum()))
