@@ -95,18 +95,18 @@ def advance(A, A_first, A_end, B, B_first, B_end, x, driven, work):
 def loop(plant, law, code, signals, limits, state, xk, results):
     """Run on from `state` and the state of the law, both left where the samples end.
 
-    Signals and results are `(samples, channels)`, matrices as `columns.spanned` lays them out. plant = (A, B, C,
-    thresholds and weights of the plays), law = (A, B, C, D) with the state `xk`, signals = (actuation, disturbance,
-    noise, gain of whatever is sent), limits = (commands, actuators, readings, step of the converter), state = (x, held
-    commands, anchors of the plays), results = (commands, readings, counts of limited commands and actuators), all of
-    them filled here.
+    Signals and results are `(samples, channels)`, A and B as `columns.spanned` lays them out, C and D by their columns.
+    plant = (A, B, C, thresholds and weights of the plays), law = (A, B, C, D) with the state `xk`, signals =
+    (actuation, disturbance, noise, gain of whatever is sent), limits = (commands, actuators, readings, step of the
+    converter), state = (x, held commands, anchors of the plays), results = (commands, readings, counts of limited
+    commands and actuators), all of them filled here.
 
     code = (addresses of the step of a law of machine code, of its state, of what it reads and gives, the arrays at the
     last two in the code's precision, and the places of these channels among the bench's); such a law adds to the
     linear one, and an address of 0 is none.
     """
-    (A, A_first, A_end), (B, B_first, B_end), (C, _, _), thresholds, weights = plant
-    (KA, KA_first, KA_end), (KB, KB_first, KB_end), (KC, _, _), (KD, _, _) = law
+    (A, A_first, A_end), (B, B_first, B_end), C, thresholds, weights = plant
+    (KA, KA_first, KA_end), (KB, KB_first, KB_end), KC, KD = law
     law_step, law_state, at_readings, at_commands, readings, commands, reads, drives = code
     actuation, disturbance, noise, gain = signals
     sent, moved, seen, step = limits

@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet.bench._abstract import checked_controller, checked_law, commands
-from ultraquiet.bench.columns import Spanned, spanned
+from ultraquiet.bench.columns import Spanned, spanned, turned
 from ultraquiet.linalg.balance import modal
 from ultraquiet.values import Controller, StateSpace
 from ultraquiet.values.controller import MachineStep
@@ -16,7 +16,7 @@ from ultraquiet.values.controller import MachineStep
 WHO = "Hexapod.run"
 LAWS_KEPT = 16  # in the coordinates of a run, while a study measures them
 Matrices = tuple[FloatArray, ...]
-Plant = tuple[Spanned, Spanned, Spanned, FloatArray, FloatArray]
+Plant = tuple[Spanned, Spanned, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ class CompiledLaw:
         B, C, D = np.zeros((n, sensors)), np.zeros((actuators, n)), np.zeros((actuators, sensors))
         A, B[:, :ny], C[:nu] = _in_blocks(law)
         D[:nu, :ny] = law.D
-        self._law = spanned(A), spanned(B), spanned(C), spanned(D)
+        self._law = spanned(A), spanned(B), turned(C), turned(D)
         self._x = np.zeros(n)
         self._code, self._machine = _called(machine), machine
 
@@ -79,7 +79,7 @@ class SteppedLaw:
         work = np.empty_like(x)
         y[:] = noise
         for k in range(len(u)):
-            kernels.read(C[0], x, limits.reading_v, limits.step_v, y[k])
+            kernels.read(C, x, limits.reading_v, limits.step_v, y[k])
             try:
                 answer = commands(WHO, self._law.step(y[k, : self._ny].copy()), self._nu, self._k)
             except BaseException as error:  # an interrupt, too, leaves the samples before it to be handed over

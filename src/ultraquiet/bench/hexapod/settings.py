@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, one_of, whole
 from ultraquiet._base.provenance import Provenance
-from ultraquiet.bench.columns import spanned
+from ultraquiet.bench.columns import spanned, turned
 from ultraquiet.bench.hexapod.chain import Chain
 from ultraquiet.bench.hexapod.laws import Limits, Plant
 from ultraquiet.bench.hexapod.model import Model, built
@@ -124,7 +124,7 @@ class HexapodSettings:
         """Return the plant as the kernels take it."""
         A, B, C = self.model.stepped_at(temperature_c)
         plays = typical() if self.hysteresis and not self.linear else none()
-        return spanned(A), spanned(B), spanned(C), plays.thresholds_v, plays.weights
+        return spanned(A), spanned(B), turned(C), plays.thresholds_v, plays.weights
 
     @cached_property
     def _limits(self) -> Limits:

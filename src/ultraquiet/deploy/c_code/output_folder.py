@@ -5,6 +5,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +51,23 @@ def rewrite(folder: Path, files: Mapping[str, str]) -> None:
     """
     for name, text in files.items():
         try:
-            # A name that nobody can have taken, by a link least of all.
-            handle, work = tempfile.mkstemp(prefix=f".{name}.", suffix=".new", dir=folder)
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            os.chmod(work, 0o644)
-            os.replace(work, folder / name)
+            _replace(folder / name, text)
         except OSError as error:
             raise StorageError(f"deploy: cannot write '{folder / name}' ({error.strerror}).") from None
+
+
+def _replace(path: Path, text: str) -> None:
+    """Put a file in the place of what stands there; a link is replaced, where `files.write_bytes` follows it."""
+    # A name that nobody can have taken, by a link least of all.
+    handle, work = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".new", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(work, 0o644)
+        os.replace(work, path)
+    finally:
+        with suppress(OSError):  # it has the file's own name, unless that failed
+            os.unlink(work)
 
 
 def manifest_text(manifest: Mapping[str, Any]) -> str:

@@ -136,7 +136,7 @@ class Subspace(SubspaceSettings):
         for _ in range(RETURNS):
             other_bank, other = missing_modes.replenished(bank, modes, sought)
             if np.array_equal(other.poles, modes.poles):
-                detour = self._by_a_detour(data, bank, modes)
+                detour = self._by_a_detour(data, modes)
                 if detour is None:
                     break
                 (other_bank, other), more = detour
@@ -150,7 +150,7 @@ class Subspace(SubspaceSettings):
         return fit.SystemFit(found.system, steps, found.converged)
 
     def _by_a_detour(
-        self, data: fit.Scaled, bank: FilterBank, modes: modal_least_squares.Modes
+        self, data: fit.Scaled, modes: modal_least_squares.Modes
     ) -> tuple[tuple[FilterBank, modal_least_squares.Modes], int] | None:
         """Return other modes for a search that ended with one missing though none is faint, and the steps to them.
 
@@ -158,7 +158,7 @@ class Subspace(SubspaceSettings):
         put in, all are sought, and then the one that is missed least leaves. None where the error shows no mode.
         """
         sought = self._sought(data)
-        wide = None if sought.may_grow else missing_modes.widened(bank, modes, sought)
+        wide = None if sought.may_grow else missing_modes.widened(modes, sought)
         if wide is None:
             return None
         found = fit.refined_simulation(fit.system(wide[1]), data, self.options())

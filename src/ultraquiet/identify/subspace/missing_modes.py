@@ -39,6 +39,10 @@ class Sought(NamedTuple):
         """Return the products of the filters at some poles."""
         return FilterBank(poles, self.data.u, self.data.y, self.feedthrough, self.offset)
 
+    def error(self, modes: Modes) -> FloatArray:
+        """Return what the modes leave of the outputs, simulated, `(ny, n)`."""
+        return self.data.y - fit.system(modes).simulated(self.data.u)
+
     def fitted(self, system: fit.System) -> tuple[FilterBank, Modes]:
         """Return the modes of a system, fitted again to the record."""
         poles, directions, _ = fit.modes_of(system.A, system.C)
@@ -49,10 +53,11 @@ class Sought(NamedTuple):
 def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterBank, Modes]:
     """Return the modes, faint ones replaced by those that the error shows, as long as that lowers it."""
     for _ in range(MOST):
-        error = sought.data.y - fit.system(modes).simulated(sought.data.u)
-        pole, explained = strongest(error, sought.data.u)
-        if explained < _asked_for(bank.nu, bank.ny, bank.n):
+        error = sought.error(modes)
+        plain = plainest(error, sought.data.u)
+        if plain is None:
             break
+        pole, explained = plain
         kept = _without_the_faintest(bank, modes, explained)
         if kept is None and not sought.may_grow:
             break
@@ -64,13 +69,11 @@ def replenished(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterB
     return modal_least_squares.pruned(bank, modes) if sought.may_grow else (bank, modes)
 
 
-def widened(bank: FilterBank, modes: Modes, sought: Sought) -> tuple[FilterBank, Modes] | None:
+def widened(modes: Modes, sought: Sought) -> tuple[FilterBank, Modes] | None:
     """Return the modes and the one that the error shows plainest, none left out; None where it shows none."""
-    error = sought.data.y - fit.system(modes).simulated(sought.data.u)
-    pole, explained = strongest(error, sought.data.u)
-    if explained < _asked_for(bank.nu, bank.ny, bank.n):
-        return None
-    return _joined(modes, np.arange(modes.poles.size), pole, error, sought)
+    error = sought.error(modes)
+    plain = plainest(error, sought.data.u)
+    return None if plain is None else _joined(modes, np.arange(modes.poles.size), plain[0], error, sought)
 
 
 def narrowed(bank: FilterBank, modes: Modes) -> tuple[FilterBank, Modes]:
@@ -113,9 +116,10 @@ def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float, p
     if not (result.status.ok and (predicts or system.stable())):
         return result
     error = system.errors(data.u, data.y) if predicts else data.y - system.simulated(data.u)
-    pole, explained = strongest(error, data.u)
-    if explained < _asked_for(len(data.u), len(data.y), data.samples):
+    plain = plainest(error, data.u)
+    if plain is None:
         return result
+    pole, explained = plain
     f_hz = abs(np.log(pole)) * rate_hz / (2 * np.pi)
     status = Status(
         StatusWord.NOT_WHITE,
@@ -129,6 +133,12 @@ def told(result: Result, system: fit.System, data: fit.Scaled, rate_hz: float, p
 def _asked_for(nu: int, ny: int, n: int) -> float:
     """Return how many noise variances a mode must explain: log n for each of its numbers, by Schwarz's criterion."""
     return float(2 * (nu + ny) * np.log(n))
+
+
+def plainest(error: FloatArray, u: FloatArray) -> tuple[complex, float] | None:
+    """Return what `strongest` does; None where it explains less than a mode must."""
+    pole, explained = strongest(error, u)
+    return None if explained < _asked_for(len(u), *error.shape) else (pole, explained)
 
 
 def strongest(error: FloatArray, u: FloatArray) -> tuple[complex, float]:

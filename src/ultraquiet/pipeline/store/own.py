@@ -10,10 +10,11 @@ from pathlib import Path
 
 from ultraquiet._base.errors import StorageError
 from ultraquiet.files.names import refuse_way_out
+from ultraquiet.pipeline.store.entry import STAGES
 
 # What a study writes, right in its folder and in rooms of it; everything else there is its owner's.
 FILES = ("study.lock", "study.json", "summary.json", "report.html", "campaign.json", "campaign.parquet")
-ROOMS = ("records", "models", "controllers", "loops", "code", "stages", "campaign")
+ROOMS = ("records", "models", "controllers", "loops", "code", STAGES, "campaign")
 
 
 def require_own(folder: Path) -> None:
