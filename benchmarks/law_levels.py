@@ -1,12 +1,18 @@
 """The packaged study's quiet law as its compiled code, driven louder and softer, on both units with hysteresis on.
 
-In passes of 3-10, 10-20, 20-50, 50-130 and 130-1700 Hz one actuator after the other is disturbed by periodic noise, at
-shares of the level at which that pass first meets a limit, in open loop and in closed. S = Y_closed Y_open^-1 at every
-line. Its largest singular value s = u* S v is counted with two deviations of what noise leaves on top,
+In passes of 3-10, 10-20, 20-50, 50-130 and 130-1700 Hz all actuators are disturbed at once by a multisine, in as many
+runs as there are actuators, turned against one another by the columns of the Fourier matrix F; in open loop and in
+closed, at shares of the level at which that pass first meets a limit. The loop is not linear: what one draw of the
+phases leaves at a line, another does not, so several draws are listened to, and what counts is their mean (robust
+method, Pintelon and Schoukens 2012, doi:10.1002/9781118287422, section 4.3). With a draw d of the multisine's spectrum
 
-    var s = sum_ik (|u_i|^2 var Yc_ik + s^2 |v_i|^2 var Yo_ik) |w_k|^2,   w = Y_open^-1 v,
+    R = Y (d F)^-1, mean and variance over the draws, open and closed;   S = R_closed R_open^-1.
 
-the variances from the scatter of the periods. ULTRAQUIET_DEMO names the folder of a study walked before.
+Its largest singular value s = u* S v is counted with two deviations of what noise and the loop's curves leave, on top:
+
+    var s = sum_ik (|u_i|^2 var Rc_ik + s^2 |v_i|^2 var Ro_ik) |w_k|^2,   w = R_open^-1 v.
+
+Lines that the plant answers faintly are driven harder. ULTRAQUIET_DEMO names the folder of a study walked before.
 """
 
 import os
@@ -20,19 +26,19 @@ import numpy as np
 import ultraquiet as uq
 from benchmarks.quiet_law import BAND_HZ, FOLDER, LAW, UNITS, plants
 from ultraquiet.pipeline.study import packaged_study
-from ultraquiet.simulate.noise import band_noise
 
 PASSES_HZ = ((3.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 130.0), (130.0, 1700.0))
 ASKED = {0.1: (19.0, 6.5), 0.4: (20.0, 6.0), 0.8: (19.0, 6.5)}
-PERIOD_S, FEW, MANY, KNOWN, DEVIATIONS = 4.0, 3, 15, 0.02, 2.0
+PERIOD_S, DRAWS, PERIODS, DEVIATIONS = 4.0, 5, 3, 2.0  # 60 s are listened to in each run of a pass
+HARDEST = 30.0  # how much harder than one in the middle a faint line is driven, at most
 LEVELLINGS = 3
 
 Row = tuple[str, str, str, bool]
 
 
 @dataclass(frozen=True, eq=False)
-class Periods:
-    """Mean over the periods of a run, `(ny, lines)`, its variance, and the largest share of a limit that was used."""
+class Responses:
+    """Mean over the draws, `(lines, ny, nu)`, the variance of that mean, and the largest share of a limit used."""
 
     mean: np.ndarray
     variance: np.ndarray
@@ -48,17 +54,26 @@ def law(seed: int) -> uq.StateSpace:
     return result.controller
 
 
-def listened(bench, controller, actuator: int, noise: np.ndarray, lines: np.ndarray, periods: int) -> Periods:
-    """Disturb one actuator by periods of noise `(n,)`; the first one settles."""
-    d = np.zeros((len(bench.actuators), noise.size * (1 + periods)))
-    d[actuator] = np.tile(noise, 1 + periods)
-    record = bench.run(np.zeros_like(d), disturbance=d, controller=controller)
-    y = record.outputs[:, noise.size :].reshape(len(bench.sensors), periods, noise.size)
-    spectra = np.fft.rfft(y, axis=2)[:, :, lines]
-    variance = spectra.var(axis=1, ddof=1) / periods
-    sent = [np.abs(d).max() / bench.actuators[actuator].high]
-    used = [np.abs(x).max() / c.high for x, c in _channels(record)]
-    return Periods(spectra.mean(axis=1), variance, max(*used, *sent))
+def listened(bench, controller, sizes: np.ndarray, lines: np.ndarray, seeds: list[int], periods: int) -> Responses:
+    """Disturb all actuators by lines of the given sizes, drawn phases for each seed; the first period settles."""
+    n, nu = round(PERIOD_S * bench.rate_hz), len(bench.actuators)
+    F = np.exp(2j * np.pi * np.outer(np.arange(nu), np.arange(nu)) / nu)
+    found, used = [], 0.0
+    for seed in seeds:
+        drawn = sizes * np.exp(2j * np.pi * np.random.default_rng(seed).random(lines.size))
+        Y = np.zeros((lines.size, len(bench.sensors), nu), dtype=complex)
+        for k in range(nu):
+            spectrum = np.zeros((nu, n // 2 + 1), dtype=complex)
+            spectrum[:, lines] = F[:, k : k + 1] * drawn * n / 2
+            d = np.tile(np.fft.irfft(spectrum, n), 1 + periods)
+            record = bench.run(np.zeros_like(d), disturbance=d, controller=controller)
+            mean = record.outputs[:, n:].reshape(len(bench.sensors), periods, n).mean(axis=1)
+            Y[:, :, k] = np.fft.rfft(mean)[:, lines].T * 2 / n
+            used = max(used, *(np.abs(x).max() / c.high for x, c in _channels(record)))
+            used = max(used, *(np.abs(x).max() / c.high for x, c in zip(d, bench.actuators, strict=True)))
+        found.append(Y @ F.conj().T / nu / drawn[:, None, None])
+    variance = np.var(found, axis=0, ddof=1) / len(seeds) if len(seeds) > 1 else np.zeros_like(found[0], dtype=float)
+    return Responses(np.mean(found, axis=0), variance, used)
 
 
 def _channels(record: uq.Record) -> Iterator[tuple[np.ndarray, uq.Channel]]:
@@ -66,44 +81,42 @@ def _channels(record: uq.Record) -> Iterator[tuple[np.ndarray, uq.Channel]]:
     yield from zip(record.inputs, record.actuators, strict=True)
 
 
-def first_clip(bench, code, actuator: int, noise: np.ndarray, lines: np.ndarray) -> float:
-    """Return the level of a noise of RMS one at which a command, a reading or the disturbance meets its limit."""
+def shape(bench, lines: np.ndarray, seed: int) -> np.ndarray:
+    """Return sizes of lines, of RMS one together, at which noise leaves as much open of S at one as at another."""
+    heard = listened(bench, None, np.full(lines.size, 1e-2), lines, [seed], 1).mean
+    faint = np.linalg.svd(heard, compute_uv=False)[:, -1]
+    sizes = np.minimum(np.median(faint) / np.maximum(faint, 1e-300), HARDEST)
+    return sizes * np.sqrt(2) / np.linalg.norm(sizes)
+
+
+def first_clip(bench, code, sizes: np.ndarray, lines: np.ndarray, seed: int) -> float:
+    """Return by what the lines may grow until a command, a reading or the disturbance meets its limit."""
     level = 1.0
     for _ in range(LEVELLINGS):  # hysteresis: what is used does not rise in proportion
-        level /= max(listened(bench, each, actuator, level * noise, lines, 2).used for each in (None, code))
+        level /= max(listened(bench, each, level * sizes, lines, [seed], 1).used for each in (None, code))
     return level
 
 
 def sizes(bench, code, band_hz: tuple[float, float], share: float, seed: int) -> tuple[np.ndarray, np.ndarray, float]:
     """Return the lines of a pass in Hz, the largest singular value of S as it is counted, and the worst deviation."""
-    n = round(PERIOD_S * bench.rate_hz)
-    f = np.fft.rfftfreq(n, 1 / bench.rate_hz)
+    f = np.fft.rfftfreq(round(PERIOD_S * bench.rate_hz), 1 / bench.rate_hz)
     lines = np.flatnonzero((f >= band_hz[0]) & (f <= band_hz[1]))
-    noise = band_noise("law_levels", 1, n, bench.rate_hz, band_hz, seed, even=True)[0]
-    levels = [share * first_clip(bench, code, k, noise, lines) for k in range(len(bench.actuators))]
-    for periods in (FEW, MANY):
-        opened, closed = (
-            [listened(bench, each, k, level * noise, lines, periods) for k, level in enumerate(levels)]
-            for each in (None, code)
-        )
-        s, deviation = counted(opened, closed)
-        if (deviation <= KNOWN * s).all():
-            break
+    even = shape(bench, lines, seed)
+    level = share * first_clip(bench, code, even, lines, seed)
+    seeds = [DRAWS * seed + k for k in range(DRAWS)]
+    opened, closed = (listened(bench, each, level * even, lines, seeds, PERIODS) for each in (None, code))
+    s, deviation = counted(opened, closed)
     return f[lines], s + DEVIATIONS * deviation, float((deviation / s).max())
 
 
-def counted(opened: list[Periods], closed: list[Periods]) -> tuple[np.ndarray, np.ndarray]:
+def counted(opened: Responses, closed: Responses) -> tuple[np.ndarray, np.ndarray]:
     """Return the largest singular value of S at each line and its deviation, both `(lines,)`."""
-    yo, yc, vo, vc = (
-        np.moveaxis(np.stack([getattr(p, part) for p in runs], axis=1), 2, 0)
-        for part in ("mean", "variance")
-        for runs in (opened, closed)
-    )
-    inverse = np.linalg.inv(yo)
-    u, s, vh = np.linalg.svd(yc @ inverse)
+    inverse = np.linalg.inv(opened.mean)
+    u, s, vh = np.linalg.svd(closed.mean @ inverse)
     left, right = np.abs(u[:, :, 0]) ** 2, np.abs(vh[:, 0]) ** 2
     w = np.abs(inverse @ np.conj(vh[:, 0])[:, :, None])[:, :, 0] ** 2
-    variance = np.einsum("li,lik,lk->l", left, vc, w) + s[:, 0] ** 2 * np.einsum("li,lik,lk->l", right, vo, w)
+    variance = np.einsum("li,lik,lk->l", left, closed.variance, w)
+    variance += s[:, 0] ** 2 * np.einsum("li,lik,lk->l", right, opened.variance, w)
     return s[:, 0], np.sqrt(variance)
 
 

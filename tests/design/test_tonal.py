@@ -10,9 +10,10 @@ from tone_runs import reduction_db, run, seconds, tone
 import ultraquiet as uq
 from ultraquiet._base.errors import InputError
 from ultraquiet.design import AdaptiveFeedforward, FilteredXLms, Resonators, YoulaKucera
+from ultraquiet.linalg.discretize import zero_order_hold
 from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import Channel, StateSpace
-from ultraquiet.values.interconnect import append, feedback
+from ultraquiet.values.interconnect import append, feedback, series
 
 EVERYWHERE = np.geomspace(1, 1749, 3000)
 
@@ -73,6 +74,63 @@ def test_bank_around_a_broadband_law(ground):
     assert both.status.ok
     assert more.min() > 40
     assert rise <= 3.0
+
+
+def test_each_tone_settles_in_its_own_time(ground):
+    asked = {25.0: 0.5, 60.0: 2.0}
+    result = Resonators(tones_hz=tuple(asked), settling_s=tuple(asked.values()), peak_db=6.0).design(ground)
+    assert result.status.ok
+    for tone_hz, settling in result.details["settling_s"].items():
+        slowed = result.details["slowed"][tone_hz]
+        assert settling == pytest.approx(slowed * asked[tone_hz], rel=0.2)
+    with pytest.raises(InputError, match="one number or 2, one a tone, got 3"):
+        Resonators(tones_hz=(25.0, 60.0), settling_s=(1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("method", [Resonators, AdaptiveFeedforward])
+def test_the_whole_loop_keeps_below_its_peak(seed, method):
+    plant = damped_plant(seed)
+    lqg = uq.design.Lqg().design(plant).controller
+    inner = StateSpace(lqg.A, lqg.B, 0.2 * lqg.C, 0.2 * lqg.D, lqg.rate_hz)
+    f_hz = np.geomspace(1e-2, 0.499 * plant.rate_hz, 5000)
+    own = sensitivity_db(plant, inner, f_hz).max()
+    more = {"limit": 1.0} if method is AdaptiveFeedforward else {}
+    how = {"tones_hz": (25.0,), "settling_s": 0.05, "around": inner, **more}
+    free = method(peak_db=6.0, **how).design(plant)
+    held = method(peak_db=6.0, loop_peak_db=own + 0.05, **how).design(plant)
+    peaks = [sensitivity_db(plant, each.controller, f_hz).max() for each in (free, held)]
+    print(f"without a bank {own:.2f} dB, with one {peaks[0]:.2f} dB, held {peaks[1]:.2f} dB; {held.details['slowed']}")
+    assert peaks[1] <= own + 0.05 + 1e-6
+    assert peaks[0] > peaks[1]
+    below = method(loop_peak_db=own - 0.1, **how).design(plant)
+    assert below.controller is None
+    assert "already; 'loop_peak_db' must be above that" in str(below.status)
+
+
+def faint_and_loud(ny, nu, unit, rng):
+    """A plant that answers 5 Hz a thousand times more faintly than 100 Hz: a high-pass in front of a mode."""
+    shape = rng.standard_normal((ny, nu)) / unit
+    wide = StateSpace(*zero_order_hold(-2 * np.pi * 200 * np.eye(nu), np.eye(nu), shape, np.zeros((ny, nu)), 1e-3), 1e3)
+    a = np.exp(-2 * np.pi * 60 / 1e3)
+    high = StateSpace(a * np.eye(ny), (a - 1) * np.eye(ny), np.eye(ny), np.eye(ny), 1e3)
+    return series(series(wide, high), series(high, high))
+
+
+@pytest.mark.parametrize(("ny", "nu", "unit"), [(1, 1, 1.0), (4, 3, 1e9), (3, 5, 1e-9)])
+def test_a_bank_that_rolls_off_disturbs_what_is_above_its_tone_less(rng, ny, nu, unit):
+    plant = faint_and_loud(ny, nu, unit, rng)
+    depths, far = [], []
+    for roll_off in (None, 2.0):
+        result = Resonators(tones_hz=(5.0,), settling_s=8.0, peak_db=40.0, roll_off=roll_off).design(plant)
+        assert result.status.word in ("ok", "fragile")
+        depths.append(result.details["depth_db"][5.0])
+        G, K = (np.moveaxis(s.frequency_response([100.0]), 2, 0)[0] for s in (plant, result.controller))
+        far.append(np.linalg.norm(G @ K, 2))
+    print(
+        f"{ny}x{nu}: {depths[0]:.1f} and {depths[1]:.1f} dB at the tone, |G K| at 100 Hz {far[0]:.3g} and {far[1]:.3g}"
+    )
+    assert min(depths) > 59.0
+    assert far[1] < far[0] / 3  # the phase of the plant at the tone decides how the plain one falls
 
 
 def test_named_law_is_made_and_put_inside(seed):

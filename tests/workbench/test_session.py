@@ -122,6 +122,23 @@ def test_the_recorded_python_gives_the_same_numbers(tmp_path, seed, monkeypatch,
     assert found["law_quiet"].hash == law.hash
 
 
+def test_a_law_is_put_round_another_and_goes_stale_with_it(tmp_path, seed, monkeypatch):
+    made = walked(tmp_path, seed, 1, 1, 1.0)
+    hum = {"method": "resonators", "tones_hz": [8.0], "settling_s": 2.0}
+    made.do({"op": "design", "name": "hum", "model": "arx4", "method": hum, "reduce": None, "around": "quiet"})
+    law = made.make("laws", "hum").value()
+    monkeypatch.chdir(made.folder)
+    found: dict[str, object] = {}
+    exec(compile((made.folder / "study.py").read_text(), "study.py", "exec"), found)
+    assert found["law_hum"].hash == law.hash
+    assert parse((made.folder / "study.toml").read_text()).controllers["hum"].around == "quiet"
+    lqg = {"method": "lqg", "control_weight": 10.0}
+    made.do({"op": "design", "name": "quiet", "model": "arx4", "method": lqg, "reduce": None})
+    assert not made.item("laws", "hum").ready
+    with pytest.raises(InputError, match="'hum' is made of 'quiet'"):
+        made.do({"op": "design", "name": "quiet", "model": "arx4", "method": lqg, "reduce": None, "around": "hum"})
+
+
 def test_the_recorded_study_is_a_study_and_holds_the_same_records(tmp_path, seed):
     made = walked(tmp_path, seed, 1, 1, 1.0)
     text = (made.folder / "study.toml").read_text()

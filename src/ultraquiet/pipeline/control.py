@@ -15,6 +15,7 @@ from ultraquiet._base.registry import lookup, older_names
 from ultraquiet._base.tables import Method
 from ultraquiet._base.threads import in_threads
 from ultraquiet.design import DesignResult
+from ultraquiet.design.result import refused
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.pipeline.facts import stored
@@ -37,6 +38,8 @@ from ultraquiet.pipeline.study import Band, Deploy, Design, Study
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
+NO_LAW = "'{0}', round which it is to be put, has no law."  # of a design
+
 
 def designed(
     name: str,
@@ -44,19 +47,20 @@ def designed(
     settings: Design,
     loop: LoopPlan,
     others: Mapping[str, StateSpace] | None = None,
+    around: StateSpace | None = None,
 ) -> Outcome[DesignFacts]:
     """Design one controller from the identified plant, and reduce it when the study says so.
 
     What a reduction must keep is what the study measures: the worst direction over its band, its tones, the peak, and
     the margins. The facts are those of the law that runs, the reduced one unless it loses the loop. `others` are models
-    of further units, for designs that hold on several plants.
+    of further units, for designs that hold on several plants; `around` is the law that the study puts this one round.
     """
     with task(f"design {name}", 1 + (settings.reduce is not None)) as progress:
-        method = settings.design.make("design")
-        result = method.design(for_method(method, plant, others or {}))
+        method = method_of(settings, around)
+        result = refused(NO_LAW.format(settings.around)) if method is None else _by(method, plant, others or {})
         progress.advance(note=str(result.status))
         law = result.controller
-        if law is None:
+        if method is None or law is None:
             return Outcome({}, _design_facts(result, settings, None, 0, {"design": {}, "law": {}}))
         weights = _weights(name, result)
         if settings.reduce is None:
@@ -169,9 +173,21 @@ def _at_ends(margins: Mapping[str, Any], plant: StateSpace) -> dict[str, LoopMar
     return found
 
 
-def adapting(plant: StateSpace, settings: Design) -> Controller | None:
+def method_of(settings: Design, around: StateSpace | None) -> Any:
+    """Return the design of a table, put round a law where the table says so; None where that law is missing."""
+    if settings.around is None:
+        return settings.design.make("design")
+    return None if around is None else settings.design.make("design", around=around)
+
+
+def _by(method: Any, plant: StateSpace, others: Mapping[str, StateSpace]) -> DesignResult:
+    return method.design(for_method(method, plant, others))  # type: ignore[no-any-return]
+
+
+def adapting(plant: StateSpace, settings: Design, around: StateSpace | None = None) -> Controller | None:
     """Return the law that runs where a design adapts: it is no value that could be kept, so it is made again."""
-    return settings.design.make("design").design(plant).law
+    method = method_of(settings, around)
+    return None if method is None else method.design(plant).law
 
 
 _Runs = tuple[simulate.Attenuation | None, simulate.MeasuredSensitivity | None]

@@ -3,8 +3,9 @@
 import json
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
+from threading import Lock
 from typing import Any
 
 from ultraquiet._base.beside import Said, beside
@@ -64,6 +65,7 @@ class Stages:
     records: Mapping[str, Record]
     say: Say
     bench_key: Any = None
+    turns: dict[str, Lock] = field(default_factory=dict)  # whose design is being made, or read
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
@@ -196,7 +198,9 @@ class Stages:
         code = self._deploy(name, law, plant, plan, design.facts.adaptive)
         if payloads is None or loop is None:
             return _Controller(design, law, loop, code)
-        adapting = partial(control.adapting, plant, self.study.controllers[name]) if design.facts.adaptive else None
+        around = self._around(name, plant, plan) if design.facts.adaptive else None
+        settings = self.study.controllers[name]
+        adapting = partial(control.adapting, plant, settings, around) if design.facts.adaptive else None
         return _Controller(design, law, loop, code, self._listen(name, law, adapting, payloads, loop.facts))
 
     def _payloads(self, plan: LoopPlan) -> OpenPayloads | None:
@@ -306,13 +310,28 @@ class Stages:
         return self.cache.stage("analyse", "models", key, compute, AnalysisFacts)
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
-        return self.cache.holds(f"design-{name}", design_key(plant, self.study.controllers[name], plan, self._further))
+        settings = self.study.controllers[name]
+        if settings.around is not None and not self._is_designed(settings.around, plant, plan):
+            return False
+        key = design_key(plant, settings, plan, self._further, self._around(name, plant, plan))
+        return self.cache.holds(f"design-{name}", key)
 
     def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
         """Design and reduce one controller."""
-        outcome = design_stage(self.cache, name, self.study.controllers[name], plant, plan, self._further)
+        outcome = self._made(name, plant, plan)
         self.say(f"designed {name}: {outcome.facts.status}")
         return outcome
+
+    def _made(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
+        """Return the stage of one controller; whoever comes second to it waits, and reads it."""
+        around = self._around(name, plant, plan)
+        with self.turns.setdefault(name, Lock()):
+            return design_stage(self.cache, name, self.study.controllers[name], plant, plan, self._further, around)
+
+    def _around(self, name: str, plant: StateSpace, plan: LoopPlan) -> StateSpace | None:
+        """Return the law round which a controller is put; None where it stands alone, or where that has no law."""
+        inner = self.study.controllers[name].around
+        return None if inner is None else self._made(inner, plant, plan).values.get(inner)
 
     def _close(
         self, name: str, law: StateSpace, plant: StateSpace, opened: control.OpenLoops, adaptive: bool
@@ -320,11 +339,12 @@ class Stages:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
         plan, design = opened.plan, self.study.controllers[name]
         required_hz = self._required_hz(name, plan)
+        around = self._around(name, plant, plan) if adaptive else None
         key = [law.hash, self.bench_key, plan, *([plant.hash, key_of(design.design)] if adaptive else [])]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
-            acting = control.adapting(plant, design) if adaptive else None
+            acting = control.adapting(plant, design, around) if adaptive else None
             return control.closed(name, acting or law, opened, required_hz)
 
         outcome = self.cache.stage(f"loop-{name}", "loops", key, compute, LoopFacts)

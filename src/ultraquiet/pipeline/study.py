@@ -14,6 +14,7 @@ from ultraquiet._base.regular import read_regular_text
 from ultraquiet._base.tables import Method, Strict, settings_object
 from ultraquiet.files import reason, refuse_data
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
+from ultraquiet.pipeline.tables.around import check_around
 from ultraquiet.pipeline.tables.blending import BlendingTable
 from ultraquiet.pipeline.tables.files import with_all_records
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
@@ -107,10 +108,14 @@ class Plant(Method):
 
 
 class Design(Strict):
-    """`[controllers.NAME]`: a design method with its settings, and what follows it."""
+    """`[controllers.NAME]`: a design method with its settings, and what follows it.
+
+    `around` names another law of the study, as it runs, round which this one is put.
+    """
 
     design: Method
     reduce: Method | None = None
+    around: Name | None = None
 
 
 class ClosedLoop(Strict):
@@ -289,6 +294,7 @@ def parse(text: str, name: str = "study") -> Study:
     except ValidationError as error:
         mistakes.add_refusal((), error, Study)
         raise StudyError(name, mistakes.by_line()) from None
+    check_around(study.controllers, mistakes)
     _check_requirements(study, mistakes)
     mistakes.refuse(StudyError, name)
     return study.at(places)

@@ -13,8 +13,16 @@ from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.tones.adaptive_law import AdaptiveLaw, adapting, contiguous, limits_of
-from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse
-from ultraquiet.design.tones.resonators import SETTLED, facts, quiet_bank, resonators
+from ultraquiet.design.tones.bank import (
+    SETTLED,
+    Amplification,
+    BankShape,
+    facts,
+    quiet_bank,
+    resonators,
+    too_loud,
+)
+from ultraquiet.design.tones.inner_loop import Around, Inner, checked_tones, inner_loop, inverse, settlings
 from ultraquiet.design.verification import judged
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
@@ -43,12 +51,12 @@ class AdaptiveFeedforward(StatedRobustness):
     Args:
         tones_hz: nominal frequencies, Hz; at least one.
         span: how far each may be from its nominal frequency, as a share of that.
-        settling_s: time of the amplitudes to within two per cent.
+        settling_s: time of the amplitudes to within two per cent, one number or one a tone.
         track_hz: bandwidth of the loop that follows the frequency, Hz.
         find_s: how long the bank listens.
         limit: largest command of the law per actuator, in its unit; its own when absent. Amplitudes that would exceed
             it are shrunk together.
-        depth_db, peak_db, weakest, around: as those of `Resonators`.
+        depth_db, peak_db, weakest, around, loop_peak_db: as those of `Resonators`.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
     >>> result = AdaptiveFeedforward(tones_hz=(30.0,), limit=5.0).design(plant)
@@ -60,7 +68,7 @@ class AdaptiveFeedforward(StatedRobustness):
 
     tones_hz: tuple[float, ...] = ()
     span: float = 0.1
-    settling_s: float = 0.3
+    settling_s: float | tuple[float, ...] = 0.3
     track_hz: float = 1.0
     find_s: float = 0.5
     limit: float | tuple[float, ...] | None = None
@@ -68,13 +76,17 @@ class AdaptiveFeedforward(StatedRobustness):
     peak_db: float = 3.0
     weakest: float = 0.01
     around: Around = None
+    loop_peak_db: float | None = None
 
     asks_limit: ClassVar[bool] = True  # a study gives it what it knows
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("settling_s", "track_hz", "find_s", "depth_db", "peak_db"):
+        settlings("AdaptiveFeedforward", self.settling_s, len(np.atleast_1d(self.tones_hz)))
+        for name in ("track_hz", "find_s", "depth_db", "peak_db"):
             positive("AdaptiveFeedforward", name, getattr(self, name))
+        if self.loop_peak_db is not None:
+            positive("AdaptiveFeedforward", "loop_peak_db", self.loop_peak_db)
         between("AdaptiveFeedforward", "span", self.span, 0.0, 0.5)
         between("AdaptiveFeedforward", "weakest", self.weakest, 0.0, 1.0)
 
@@ -96,15 +108,19 @@ class AdaptiveFeedforward(StatedRobustness):
         assert rate is not None
         tones = checked_tones(who, self.tones_hz, rate)
         edges = self._edges(tones, rate)
-        slowed = self._slowed(inner, tones)
+        most = Amplification(self.peak_db, self.loop_peak_db)
+        refusal = too_loud(who, inner, most)
+        if refusal:
+            return refused(refusal)
+        slowed = self._slowed(inner, tones, most)
         if slowed is None:
-            return refused(f"{who}: no bank keeps below {self.peak_db:g} dB of amplification over the whole span.")
+            return refused(f"{who}: no bank keeps below {most} of amplification over the whole span.")
         inverses = [inverse(who, inner.seen, f, self.weakest) for f in tones]
         limit = limits_of(who, self.limit, plant.actuators)
-        speeds = SETTLED / (self.settling_s * slowed * rate)
-        bank = resonators(tones, inverses, rate, speeds, self.depth_db)
+        speeds = SETTLED / (settlings(who, self.settling_s, tones.size) * slowed * rate)
+        bank = resonators(tones, inverses, rate, speeds, BankShape(self.depth_db))
         details: dict[str, Any] = {
-            **facts(inner, bank, tones, inverses),
+            **facts(inner, bank, tones, inverses, BankShape(self.depth_db)),
             "slowed": dict(zip(tones.tolist(), slowed.tolist(), strict=True)),
             "span_hz": {f: tuple(e) for f, e in zip(tones.tolist(), edges.tolist(), strict=True)},
         }
@@ -129,13 +145,13 @@ class AdaptiveFeedforward(StatedRobustness):
                 )
         return edges
 
-    def _slowed(self, inner: Inner, tones_hz: FloatArray) -> FloatArray | None:
+    def _slowed(self, inner: Inner, tones_hz: FloatArray, most: Amplification) -> FloatArray | None:
         """Return how much slower than asked each tone must be over the whole span."""
-        slowed = np.ones(tones_hz.size)
+        slowed, times = np.ones(tones_hz.size), settlings("AdaptiveFeedforward", self.settling_s, tones_hz.size)
         for share in np.linspace(1 - self.span, 1 + self.span, STATIONS if self.span else 1):
             moved = tones_hz * share
             inverses = [inverse("AdaptiveFeedforward", inner.seen, f, self.weakest) for f in moved]
-            bank, slowed = quiet_bank(inner, moved, inverses, self.settling_s, self.depth_db, self.peak_db, slowed)
+            bank, slowed = quiet_bank(inner, moved, inverses, times, BankShape(self.depth_db), most, slowed)
             if bank is None:
                 return None
         return slowed

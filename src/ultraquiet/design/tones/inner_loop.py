@@ -17,10 +17,14 @@ COARSE = 64  # points of that grid
 
 @dataclass(frozen=True)
 class Inner:
-    """`first` K0, zero when there is none, and `seen` (I - G K0)^-1 G, from what is added to its commands to y."""
+    """`first` K0, zero when there is none, and `seen` (I - G K0)^-1 G, from what is added to its commands to y.
+
+    `plant` is G itself.
+    """
 
     first: StateSpace
     seen: StateSpace
+    plant: StateSpace
 
     def joined(self, added: StateSpace) -> StateSpace:
         """Return K0 + K."""
@@ -45,7 +49,7 @@ def inner_loop(who: str, plant: StateSpace, around: Around, stable: bool = True)
         first = gain(np.zeros(plant.D.shape[::-1]), plant.rate_hz)
         if stable and not plant.is_stable():
             raise InputError(f"{who}: the plant is unstable by itself; give a stabilising controller as 'around'.")
-        return Inner(first, plant)
+        return Inner(first, plant, plant)
     first = _made(who, plant, around)
     if first.D.shape != plant.D.shape[::-1]:
         raise InputError(
@@ -55,7 +59,7 @@ def inner_loop(who: str, plant: StateSpace, around: Around, stable: bool = True)
     seen = feedback(plant, first)
     if not seen.is_stable():
         raise InputError(f"{who}: the loop with the controller 'around' is unstable.")
-    return Inner(first, seen)
+    return Inner(first, seen, plant)
 
 
 def _made(who: str, plant: StateSpace, around: StateSpace | str) -> StateSpace:
@@ -67,6 +71,16 @@ def _made(who: str, plant: StateSpace, around: StateSpace | str) -> StateSpace:
     if result.controller is None:
         raise InputError(f"{who}: '{around}' made no controller to be put around: {result.status.sentence}")
     return result.controller
+
+
+def settlings(who: str, settling_s: float | tuple[float, ...], tones: int) -> FloatArray:
+    """Return the time that each tone is given to settle, seconds, `(tones,)`; one number is that of all."""
+    times = real_array(who, "settling_s", np.atleast_1d(np.asarray(settling_s)), 1)
+    if not times.min(initial=np.inf) > 0:
+        raise InputError(f"{who}: 'settling_s' must be above zero, got {times.min():g}.")
+    if times.size not in (1, tones):
+        raise InputError(f"{who}: 'settling_s' must be one number or {tones}, one a tone, got {times.size}.")
+    return np.broadcast_to(times, (tones,))
 
 
 def checked_tones(who: str, tones_hz: tuple[float, ...], rate_hz: float) -> FloatArray:

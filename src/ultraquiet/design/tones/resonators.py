@@ -2,27 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, positive
+from ultraquiet._base.constraints import FloatArray, between, positive
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.inner_loop import Around, Inner, Inverse, checked_tones, inner_loop, inverse
+from ultraquiet.design.tones.bank import Amplification, BankShape, facts, quiet_bank, too_loud
+from ultraquiet.design.tones.inner_loop import Around, Inverse, checked_tones, inner_loop, inverse, settlings
 from ultraquiet.design.verification import judged
 from ultraquiet.values.door import takes_systems
-from ultraquiet.values.interconnect import feedback, gain, parallel, sensitivity
 from ultraquiet.values.state_space import StateSpace
-
-SETTLED = 4.0  # time constants until an exponential is within two per cent
-SLOWER = 2**0.5  # steps in which a tone's resonator is made slower
-SLOWINGS = 20  # such steps per tone, a factor of a thousand, before a design is given up
 
 
 @register("design", "resonators")
@@ -36,10 +28,15 @@ class Resonators(StatedRobustness):
 
     Args:
         tones_hz: the tones, Hz; a law against tones must be told at least one.
-        settling_s: time to within two per cent, per tone.
+        settling_s: time to within two per cent, one number or one a tone.
         depth_db: how deep the notch in S is, which keeps the resonators stable by themselves: rho = 1 - a / depth.
-        peak_db: how far the bank may amplify elsewhere, dB; it is made slower until it does not.
+        peak_db: how far the bank may amplify elsewhere what the loop without it leaves, dB; it is made slower until it
+            does not.
+        loop_peak_db: how far the whole loop may amplify, K0 included, dB; kept in the same way, nothing when absent.
         weakest: directions of G at a tone weaker than this share of the strongest are left alone.
+        roll_off: corner of a first-order low-pass F before each tone's resonator, in multiples of its tone; none when
+            absent. G F takes the place of G, and where the plant answers a low tone faintly and others loudly the bank
+            disturbs these less: far above the tone it falls with the square of frequency.
         around: K0: a `StateSpace`, or the name of a design method, used with its own settings.
 
     >>> plant = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], rate_hz=1000.0)
@@ -53,16 +50,22 @@ class Resonators(StatedRobustness):
     """
 
     tones_hz: tuple[float, ...] = ()
-    settling_s: float = 0.5
+    settling_s: float | tuple[float, ...] = 0.5
     depth_db: float = 60.0
     peak_db: float = 3.0
     weakest: float = 0.01
     around: Around = None
+    loop_peak_db: float | None = None
+    roll_off: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("settling_s", "depth_db", "peak_db"):
+        settlings("Resonators", self.settling_s, len(np.atleast_1d(self.tones_hz)))
+        for name in ("depth_db", "peak_db"):
             positive("Resonators", name, getattr(self, name))
+        for name in ("loop_peak_db", "roll_off"):
+            if getattr(self, name) is not None:
+                positive("Resonators", name, getattr(self, name))
         between("Resonators", "weakest", self.weakest, 0.0, 1.0)
 
     @takes_systems
@@ -96,128 +99,24 @@ class Resonators(StatedRobustness):
                 f"the {len(drawn)} plants drawn; no bank is stable there: identify better at this tone.",
                 least_real=least,
             )
-        bank, slowed = quiet_bank(inner, tones, inverses, self.settling_s, self.depth_db, self.peak_db)
+        most = Amplification(self.peak_db, self.loop_peak_db)
+        refusal = too_loud("Resonators", inner, most)
+        if refusal:
+            return refused(refusal)
+        times = settlings("Resonators", self.settling_s, tones.size)
+        shape = BankShape(self.depth_db, self.roll_off)
+        bank, slowed = quiet_bank(inner, tones, inverses, times, shape, most)
         if bank is None:
             return refused(
-                f"Resonators: no bank for {_listed(tones)} Hz keeps below {self.peak_db:g} dB of amplification, when "
-                f"it is {slowed.max():.0f} times slower than {self.settling_s:g} s; tones lie too near to each other."
+                f"Resonators: no bank for {_listed(tones)} Hz keeps below {most} of amplification, when "
+                f"it settles in {(slowed * times).max():.0f} s; tones lie too near to each other."
             )
         details = {
-            **facts(inner, bank, tones, inverses),
+            **facts(inner, bank, tones, inverses, shape),
             "slowed": dict(zip(tones.tolist(), slowed.tolist(), strict=True)),
             "least_real": least,
         }
         return judged(plant, inner.joined(bank), self, float("nan"), float("nan"), {}, details)
-
-
-def quiet_bank(
-    inner: Inner,
-    tones_hz: FloatArray,
-    inverses: list[Inverse],
-    settling_s: float,
-    depth_db: float,
-    peak_db: float,
-    slowed: FloatArray | None = None,
-) -> tuple[StateSpace | None, FloatArray]:
-    """Return a bank that is stable and amplifies by `peak_db` at most, and how much slower than asked each tone is.
-
-    Where a bank amplifies too much, the tone whose resonator is the loudest there is slowed, and so on: a tone where
-    the plant is weak has a strong inverse, and pays alone for it.
-    """
-    rate = inner.seen.rate_hz
-    assert rate is not None
-    slowed = np.ones(tones_hz.size) if slowed is None else slowed.copy()
-    for _ in range(SLOWINGS * tones_hz.size):
-        bank = resonators(tones_hz, inverses, rate, SETTLED / (settling_s * slowed * rate), depth_db)
-        peak, at_hz = _worst_spot(inner.seen, bank)
-        if peak <= peak_db:
-            return bank, slowed
-        G = inner.seen.frequency_response([at_hz])[:, :, 0]
-        parts = [_only(bank, np.arange(bank.states)[own]) for own in _owned(inverses)]
-        loud = [float(np.linalg.norm(G @ K.frequency_response([at_hz])[:, :, 0], 2)) for K in parts]
-        slowed[int(np.argmax(loud))] *= SLOWER
-    return None, slowed
-
-
-def _worst_spot(plant: StateSpace, bank: StateSpace) -> tuple[float, float]:
-    """Return the peak of S in dB and where it is, Hz; for an unstable loop infinity and its most unstable pole's."""
-    poles = feedback(plant, bank).poles()
-    worst = poles[np.argmax(np.abs(poles))]
-    assert plant.rate_hz is not None
-    if np.abs(worst) >= 1:
-        return np.inf, float(np.abs(np.angle(worst))) * plant.rate_hz / (2 * np.pi)
-    return peak_sensitivity(plant, bank)
-
-
-def resonators(
-    tones_hz: FloatArray, inverses: list[Inverse], rate_hz: float, speed: FloatArray, depth_db: float
-) -> StateSpace:
-    """Return the bank: two states for each direction of each tone, poles at rho e^jw.
-
-    Args:
-        tones_hz: tones, `(nt,)`.
-        inverses: of G at each.
-        rate_hz: sampling rate.
-        speed: a, the share of each tone that goes in each sample, `(nt,)`.
-        depth_db: depth of the notch, a / (1 - rho).
-    """
-    rho = 1.0 - speed / 10 ** (depth_db / 20)
-    w = 2 * np.pi * tones_hz / rate_hz
-    return stacked([_resonator(w[i], g, rate_hz, speed[i], rho[i]) for i, g in enumerate(inverses)])
-
-
-def stacked(parts: list[StateSpace]) -> StateSpace:
-    """Return the sum of systems, their states one after the other."""
-    total = parts[0]
-    for part in parts[1:]:
-        total = parallel(total, part)
-    return total
-
-
-def _resonator(w: float, g: Inverse, rate_hz: float, speed: float, rho: float) -> StateSpace:
-    one = np.eye(g.S.size)
-    turn: ComplexArray = np.exp(1j * w) * one
-    drive = -2 * speed * np.exp(1j * w) * (g.U / g.S).conj().T
-    A = rho * np.block([[turn.real, -turn.imag], [turn.imag, turn.real]])
-    B, C = np.vstack([drive.real, drive.imag]), np.hstack([g.V.real, -g.V.imag])
-    return StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])), rate_hz)
-
-
-def facts(inner: Inner, bank: StateSpace, tones_hz: FloatArray, inverses: list[Inverse]) -> dict[str, Any]:
-    """Return what the bank does at each tone: depth, settling, margin of phase, directions."""
-    poles = feedback(inner.seen, bank).poles()
-    S = sensitivity(inner.seen, bank).frequency_response(tones_hz)
-    rows: dict[str, dict[float, Any]] = {"depth_db": {}, "settling_s": {}, "phase_margin_deg": {}, "directions": {}}
-    rate = bank.rate_hz
-    assert rate is not None
-    for i, (tone, g, mine) in enumerate(zip(tones_hz.tolist(), inverses, _owned(inverses), strict=True)):
-        rows["depth_db"][tone] = -20 * float(np.log10(np.linalg.norm(g.U.conj().T @ S[:, :, i] @ g.U, 2)))
-        # the poles that this tone's directions own: those nearest to where a slow loop would have them
-        place = np.linalg.eigvals(bank.A[mine, mine])[0]
-        place = place.real + 1j * abs(place.imag)
-        nearest = poles[np.argsort(np.abs(poles - place))[: g.S.size]]
-        rows["settling_s"][tone] = -SETTLED / (rate * float(np.log(np.abs(nearest).max())))
-        G = feedback(inner.seen, _without(bank, mine)).frequency_response([tone])[:, :, 0]
-        turned = np.angle(np.linalg.eigvals(g.U.conj().T @ G @ (g.V / g.S)))
-        rows["phase_margin_deg"][tone] = 90.0 - float(np.degrees(np.abs(turned).max()))
-        rows["directions"][tone] = g.S.size
-    return rows
-
-
-def _owned(inverses: list[Inverse]) -> list[slice]:
-    """Return which of a bank's states belong to each tone."""
-    ends = np.cumsum([0] + [2 * g.S.size for g in inverses]).tolist()
-    return [slice(*pair) for pair in pairwise(ends)]
-
-
-def _without(bank: StateSpace, mine: slice) -> StateSpace:
-    return _only(bank, np.delete(np.arange(bank.states), mine))
-
-
-def _only(bank: StateSpace, kept: NDArray[np.intp]) -> StateSpace:
-    if not kept.size:
-        return gain(np.zeros(bank.D.shape), bank.rate_hz)
-    return StateSpace(bank.A[np.ix_(kept, kept)], bank.B[kept], bank.C[:, kept], bank.D, bank.rate_hz)
 
 
 def _least_real(

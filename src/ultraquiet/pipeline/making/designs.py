@@ -12,6 +12,7 @@ from ultraquiet.pipeline.facts.models import IdentificationFacts
 from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Design, Plant, Study
+from ultraquiet.pipeline.tables.around import inside
 from ultraquiet.values import Record, StateSpace
 
 
@@ -32,11 +33,21 @@ def plant_key(record_hashes: Mapping[str, str], settings: Plant) -> list[Any]:
     return [dict(record_hashes), settings.model_dump(exclude={"units"})]
 
 
-def design_key(plant: StateSpace, settings: Design, loop: LoopPlan, others: Mapping[str, StateSpace]) -> list[Any]:
-    """Return what the stage `design-NAME` depends on: plants that it takes, the table, what a reduction is held to."""
+def design_key(
+    plant: StateSpace,
+    settings: Design,
+    loop: LoopPlan,
+    others: Mapping[str, StateSpace],
+    around: StateSpace | None = None,
+) -> list[Any]:
+    """Return what the stage `design-NAME` depends on.
+
+    Plants that it takes, the table, what a reduction is held to, and the law inside, where there is one.
+    """
     promised = settings.reduce and [key_of(settings.reduce), loop.band_hz, loop.tones_hz]
     further = [{unit: model.hash for unit, model in others.items()}] if others and takes_several(settings) else []
-    return [plant.hash, key_of(settings.design), promised, *further]
+    within = [] if settings.around is None else [settings.around, around and around.hash]
+    return [plant.hash, key_of(settings.design), promised, *further, *within]
 
 
 def design_stage(
@@ -46,21 +57,36 @@ def design_stage(
     plant: StateSpace,
     plan: LoopPlan,
     others: Mapping[str, StateSpace],
+    around: StateSpace | None = None,
 ) -> Outcome[DesignFacts]:
-    """Design and reduce one controller; `others` are models of further units, for designs that hold on several."""
-    compute = partial(control.designed, name, plant, settings, plan, others)
-    return cache.stage(f"design-{name}", "controllers", design_key(plant, settings, plan, others), compute, DesignFacts)
+    """Design and reduce one controller.
+
+    Args:
+        cache: of the study.
+        name: of the controller.
+        settings: its table.
+        plant: G.
+        plan: what is measured of the loop.
+        others: models of further units, for designs that hold on several.
+        around: the law inside, where the table names one.
+    """
+    key = design_key(plant, settings, plan, others, around)
+    compute = partial(control.designed, name, plant, settings, plan, others, around)
+    return cache.stage(f"design-{name}", "controllers", key, compute, DesignFacts)
 
 
 def by_need(study: Study) -> list[str]:
     """Return the names of a study's controllers, the one of which something is required among the first two.
 
     What is required takes the longest to design, mostly, and to measure. Before it there is one other law, whose loop
-    is measured meanwhile.
+    is measured meanwhile. A law that is put round another comes after that.
     """
     asked = study.requirements
     first, *others = sorted(study.controllers, key=lambda name: asked is None or name != asked.law)
-    return [*others[:1], first, *others[1:]] if asked is not None else [first, *others]
+    ordered: list[str] = []
+    for name in [*others[:1], first, *others[1:]] if asked is not None else [first, *others]:
+        ordered += [each for each in reversed(inside(study.controllers, name)) if each not in ordered]
+    return ordered
 
 
 def takes_several(settings: Design) -> bool:

@@ -42,8 +42,10 @@ def design(folder: Path, plan: LoopPlan, units: list[str]) -> None:
     others = {unit: _model(folder, of_unit(unit)) for unit in units}
     laws: dict[str, StateSpace] = {}
     for name in by_need(study):
+        settings = study.controllers[name]
         with suppress(UltraquietError):
-            laws |= design_stage(cache, name, study.controllers[name], plant, plan, others).values
+            around = laws.get(settings.around or "")
+            laws |= design_stage(cache, name, settings, plant, plan, others, around).values
         print(name, TICKS // (1 + len(study.controllers)), sep="\n", flush=True)
     with suppress(UltraquietError):
         known = {name: laws[name] for name in study.controllers if name in laws}

@@ -41,7 +41,8 @@ def _boards(study: Study, folder: Path) -> Iterator[dict[str, Any]]:
     yield {"op": "identify", "name": "plant", "records": wanted, "period_samples": period, "method": method, **units}
     for name, law in study.controllers.items():
         tables = [None if t is None else {"method": t.method, **_plain(t.settings)} for t in (law.design, law.reduce)]
-        yield {"op": "design", "name": name, "model": "plant", "method": tables[0], "reduce": tables[1]}
+        inside = {} if law.around is None else {"around": law.around}
+        yield {"op": "design", "name": name, "model": "plant", "method": tables[0], "reduce": tables[1], **inside}
 
 
 def _plain(settings: Any) -> dict[str, Any]:

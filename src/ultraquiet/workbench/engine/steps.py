@@ -20,7 +20,7 @@ PARENTS = {
     "cut": {"of": "data"},
     "detrend": {"of": "data"},
     "identify": {"records": "data"},
-    "design": {"model": "models"},
+    "design": {"model": "models", "around": "laws"},
     "deploy": {"law": "laws"},
 }
 BOARD_OF = {
@@ -61,7 +61,7 @@ def parents(recipe: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return board and name of everything that an item is made of."""
     found: list[tuple[str, str]] = []
     for key, board in PARENTS[recipe["op"]].items():
-        named = recipe[key]
+        named = recipe.get(key) or ()  # a law need not be put round another
         found += [(board, name) for name in ([named] if isinstance(named, str) else named)]
     return found
 

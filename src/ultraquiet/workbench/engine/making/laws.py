@@ -22,8 +22,8 @@ BY_CHANNEL = ("disk", "gain_up_db", "gain_down_db", "phase_deg", "delay_s")
 
 def design_table(recipe: Mapping[str, Any]) -> dict[str, Any]:
     """Return `[controllers.NAME]` of a study for a law on the boards."""
-    reduce = {} if recipe.get("reduce") is None else {"reduce": recipe["reduce"]}
-    return {"design": recipe["method"], **reduce}
+    further = {key: recipe[key] for key in ("reduce", "around") if recipe.get(key) is not None}
+    return {"design": recipe["method"], **further}
 
 
 def plan_of(plant: StateSpace, tables: Tables, bench: Any = None) -> LoopPlan:
@@ -38,11 +38,12 @@ def designed(
     tables: Tables,
     stages: Cache | None = None,
     others: Mapping[str, StateSpace] | None = None,
+    around: StateSpace | None = None,
 ) -> Made:
     """Design a law as the stage of a study does, and say what its loop keeps.
 
     With the `stages` of the study it is read from there where it is there, and left there for a run. `others` are the
-    models of further units, for designs that hold on several.
+    models of further units, for designs that hold on several; `around` is the law that the recipe puts this one round.
 
     Raises:
         InputError: the design found no law; the sentence says why.
@@ -50,9 +51,9 @@ def designed(
     plan = plan_of(plant, tables)
     settings = Design.model_validate(design_table(recipe))
     if stages is None:
-        outcome = control.designed(name, plant, settings, plan, others)
+        outcome = control.designed(name, plant, settings, plan, others, around)
     else:
-        outcome = design_stage(stages, name, settings, plant, plan, others or {})
+        outcome = design_stage(stages, name, settings, plant, plan, others or {}, around)
     if name not in outcome.values:
         raise InputError(f"design: {outcome.facts.status}")
     law: StateSpace = outcome.values[name]

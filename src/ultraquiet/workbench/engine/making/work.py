@@ -173,8 +173,10 @@ def _law(item: Item, around: Surroundings) -> Made:
     plant, units = around.value("models", model), around.recipe("models", model).get("units") or ()
     several = takes_several(Design.model_validate(laws.design_table(item.recipe)))
     others = {unit: around.value("models", model, of_unit(unit)) for unit in units} if several else {}
+    inner = item.recipe.get("around")
+    inside = None if inner is None else around.value("laws", inner)
     with around.stages as cache:
-        return laws.designed(item.name, plant, item.recipe, around.tables, cache, others)
+        return laws.designed(item.name, plant, item.recipe, around.tables, cache, others, inside)
 
 
 def _code(item: Item, around: Surroundings) -> Made:

@@ -71,6 +71,7 @@ def law(
     table: Mapping[str, Any],
     loop: Mapping[str, Any],
     others: Mapping[str, StateSpace] | None = None,
+    around: StateSpace | None = None,
 ) -> StateSpace:
     """Return the law that `[controllers.NAME]` of a study leads to, reduced where the table says so.
 
@@ -80,10 +81,11 @@ def law(
         table: `[controllers.NAME]`, as in a study file.
         loop: `[closed_loop]`: over which band and tones a reduction keeps what the law does.
         others: models of further units by name, for designs that hold on several.
+        around: the law that the table puts this one round.
 
     Raises:
         KeyError: the design finds no law.
     """
     tables = Tables(ClosedLoop.model_validate(loop), Deploy(), None)
-    made = control.designed(name, model, Design.model_validate(table), plan_of(model, tables), others)
+    made = control.designed(name, model, Design.model_validate(table), plan_of(model, tables), others, around)
     return made.values[name]

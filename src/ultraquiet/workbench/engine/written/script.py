@@ -102,11 +102,13 @@ def _law(variable: str, name: str, recipe: Mapping[str, Any], state: State, fold
     model = _variable("models", recipe["model"])
     table = design_table(recipe)
     several = state["models"][recipe["model"]].get("units") and takes_several(Design.model_validate(table))
-    if recipe.get("reduce") is None and not several:
+    inner = recipe.get("around")
+    if recipe.get("reduce") is None and not several and inner is None:
         return [f"{variable} = {_settings('design', recipe['method'])}.design({model}).controller"]
     loop = state["tables"].get("closed_loop", {})
     others = f", {model}_units" if several else ""
-    return [f"{variable} = workbench.law({name!r}, {model}, {table!r}, {loop!r}{others})"]
+    inside = "" if inner is None else f", around={_variable('laws', inner)}"
+    return [f"{variable} = workbench.law({name!r}, {model}, {table!r}, {loop!r}{others}{inside})"]
 
 
 def _code(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:

@@ -20,6 +20,7 @@ from ultraquiet.workbench.web.view import Looker, View
 MOVED = "by hand"
 THROTTLE_S = 0.05
 USUAL = "mixed-sensitivity"
+ALONE = "none"
 
 
 def build(view: View, columns: Columns) -> None:
@@ -56,6 +57,8 @@ class _Design:
             "Name the band that is to be quiet; a method that takes one takes the plant's whole range without it.",
             "caption",
         )
+        laws = [ALONE, *self.view.session.state["laws"]]
+        self.around = choice("put round the law", laws, "design-around", ALONE, lambda _: None)
         self.name = field("name of the law", "law-name", "", "the method")
         button("Design", self._design, "design", main=True)
 
@@ -105,6 +108,7 @@ class _Design:
             say("design: there is no model yet; identify one first.")
             return
         step = {"op": "design", "name": name, "model": self.model.value, "method": method, "reduce": None}
+        step |= {} if self.around.value in (None, ALONE) else {"around": self.around.value}
         if doing(self.view, step):
             making(self.view, "laws", name)
             shown = [each for each in self.view.shown("laws") if each != name]
@@ -135,6 +139,9 @@ class _Design:
         models = list(self.view.session.state["models"])
         if self.model.options != models:
             self.model.set_options(models, value=self.view.session.state["model"])
+        inside = [ALONE, *self.view.session.state["laws"]]
+        if self.around.options != inside:
+            self.around.set_options(inside, value=self.around.value if self.around.value in inside else ALONE)
         laws = self.view.ready("laws")
         chosen = self.view.session.state["law"]
         asked = ([item.key for item in laws], chosen, self.view.scale, str(self.view.session.state["tables"]))

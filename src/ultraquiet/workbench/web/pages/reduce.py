@@ -55,6 +55,7 @@ class _Reduce:
         recipe = self.view.session.state["laws"][self.law.value]
         name = str(self.name.value or f"{self.law.value}-small")
         step = {"op": "design", "name": name, "model": recipe["model"], "method": recipe["method"], "reduce": made}
+        step |= {"around": recipe["around"]} if recipe.get("around") else {}
         if doing(self.view, step):
             making(self.view, "laws", name)
             shown = [each for each in self.view.shown("laws") if each != name]

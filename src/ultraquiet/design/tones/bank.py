@@ -1,0 +1,195 @@
+"""A bank of resonators: how it is built, how slow it must be to stay quiet, and what it does at each tone."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.analyse.margins import peak_sensitivity
+from ultraquiet.design.tones.inner_loop import Inner, Inverse
+from ultraquiet.values.interconnect import feedback, gain, parallel, sensitivity
+from ultraquiet.values.state_space import StateSpace
+
+SETTLED = 4.0  # time constants until an exponential is within two per cent
+SLOWER = 2**0.5  # steps in which a tone's resonator is made slower
+SLOWINGS = 20  # such steps per tone, a factor of a thousand, before a design is given up
+
+
+@dataclass(frozen=True)
+class BankShape:
+    """How deep the notches of a bank are, dB, and where its low-passes begin, in multiples of the tones."""
+
+    depth_db: float
+    roll_off: float | None = None
+
+    def states(self, g: Inverse) -> int:
+        """Return how many states a tone takes: two a direction, and one a reading for a low-pass."""
+        return 2 * g.S.size + (0 if self.roll_off is None else g.U.shape[0])
+
+    def owned(self, inverses: list[Inverse]) -> list[slice]:
+        """Return which of a bank's states belong to each tone; those of its directions come first."""
+        ends = np.cumsum([0] + [self.states(g) for g in inverses]).tolist()
+        return [slice(*pair) for pair in pairwise(ends)]
+
+
+@dataclass(frozen=True)
+class Amplification:
+    """How far a bank may amplify by itself, and with the law around it, in dB; None is not asked."""
+
+    bank_db: float
+    loop_db: float | None = None
+
+    def __str__(self) -> str:
+        own = f"{self.bank_db:g} dB"
+        return own if self.loop_db is None else f"{own}, and the whole loop below {self.loop_db:g} dB,"
+
+
+def too_loud(who: str, inner: Inner, most: Amplification) -> str:
+    """Return why no bank can keep to what the whole loop may amplify: without it, it does already; else nothing."""
+    if most.loop_db is None or not inner.first.states:
+        return ""
+    peak, at_hz = peak_sensitivity(inner.plant, inner.first)
+    if peak < most.loop_db:
+        return ""
+    return (
+        f"{who}: without a bank the loop amplifies by {peak:.3g} dB at {at_hz:.4g} Hz already; 'loop_peak_db' must be "
+        f"above that, got {most.loop_db:g}."
+    )
+
+
+def quiet_bank(
+    inner: Inner,
+    tones_hz: FloatArray,
+    inverses: list[Inverse],
+    settling_s: FloatArray,
+    shape: BankShape,
+    most: Amplification,
+    slowed: FloatArray | None = None,
+) -> tuple[StateSpace | None, FloatArray]:
+    """Return a bank that is stable and amplifies by `most` at most, and how much slower than asked each tone is.
+
+    Where a bank amplifies too much, the tone whose resonator is the loudest there is slowed, and so on: a tone where
+    the plant is weak has a strong inverse, and pays alone for it.
+    """
+    rate = inner.seen.rate_hz
+    assert rate is not None
+    slowed = np.ones(tones_hz.size) if slowed is None else slowed.copy()
+    for _ in range(SLOWINGS * tones_hz.size):
+        bank = resonators(tones_hz, inverses, rate, SETTLED / (settling_s * slowed * rate), shape)
+        excess, at_hz = _worst_spot(inner, bank, most)
+        if excess <= 0:
+            return bank, slowed
+        G = inner.seen.frequency_response([at_hz])[:, :, 0]
+        parts = [_only(bank, np.arange(bank.states)[own]) for own in shape.owned(inverses)]
+        loud = [float(np.linalg.norm(G @ K.frequency_response([at_hz])[:, :, 0], 2)) for K in parts]
+        slowed[int(np.argmax(loud))] *= SLOWER
+    return None, slowed
+
+
+def _worst_spot(inner: Inner, bank: StateSpace, most: Amplification) -> tuple[float, float]:
+    """Return by how many dB a bank amplifies too much and where it does, Hz.
+
+    For an unstable loop infinity and its most unstable pole's frequency.
+    """
+    poles = feedback(inner.seen, bank).poles()
+    worst = poles[np.argmax(np.abs(poles))]
+    assert bank.rate_hz is not None
+    if np.abs(worst) >= 1:
+        return np.inf, float(np.abs(np.angle(worst))) * bank.rate_hz / (2 * np.pi)
+    peak, at_hz = peak_sensitivity(inner.seen, bank)
+    found = [(peak - most.bank_db, at_hz)]
+    if most.loop_db is not None:
+        peak, at_hz = peak_sensitivity(inner.plant, inner.joined(bank))
+        found.append((peak - most.loop_db, at_hz))
+    return max(found)
+
+
+def resonators(
+    tones_hz: FloatArray, inverses: list[Inverse], rate_hz: float, speed: FloatArray, shape: BankShape
+) -> StateSpace:
+    """Return the bank: two states for each direction of each tone, poles at rho e^jw, and those of low-passes.
+
+    Args:
+        tones_hz: tones, `(nt,)`.
+        inverses: of G at each.
+        rate_hz: sampling rate.
+        speed: a, the share of each tone that goes in each sample, `(nt,)`.
+        shape: depth of the notch, a / (1 - rho), and roll-off.
+    """
+    rho = 1.0 - speed / 10 ** (shape.depth_db / 20)
+    w = 2 * np.pi * tones_hz / rate_hz
+    plain = [_resonator(w[i], g, rate_hz, speed[i], rho[i]) for i, g in enumerate(inverses)]
+    if shape.roll_off is None:
+        return stacked(plain)
+    return stacked([_heard_through(each, tone, shape.roll_off) for each, tone in zip(plain, w, strict=True)])
+
+
+def stacked(parts: list[StateSpace]) -> StateSpace:
+    """Return the sum of systems, their states one after the other."""
+    total = parts[0]
+    for part in parts[1:]:
+        total = parallel(total, part)
+    return total
+
+
+def _resonator(w: float, g: Inverse, rate_hz: float, speed: float, rho: float) -> StateSpace:
+    one = np.eye(g.S.size)
+    turn: ComplexArray = np.exp(1j * w) * one
+    drive = -2 * speed * np.exp(1j * w) * (g.U / g.S).conj().T
+    A = rho * np.block([[turn.real, -turn.imag], [turn.imag, turn.real]])
+    B, C = np.vstack([drive.real, drive.imag]), np.hstack([g.V.real, -g.V.imag])
+    return StateSpace(A, B, C, np.zeros((C.shape[0], B.shape[1])), rate_hz)
+
+
+def _heard_through(resonator: StateSpace, w: float, roll_off: float) -> StateSpace:
+    """Return a resonator behind F = (1 - p) / (z - p), p = e^(-roll_off w), its drive turned such that F is one at w.
+
+    The drive of a resonator is complex, (B_re + j B_im) y, and so is what turns it.
+    """
+    n, ny = resonator.states, resonator.B.shape[1]
+    p = np.exp(-roll_off * w)
+    turned = (resonator.B[: n // 2] + 1j * resonator.B[n // 2 :]) * (np.exp(1j * w) - p) / (1 - p)
+    drive = np.vstack([turned.real, turned.imag])
+    A = np.block([[resonator.A, drive], [np.zeros((ny, n)), p * np.eye(ny)]])
+    B, C = (
+        np.vstack([np.zeros((n, ny)), (1 - p) * np.eye(ny)]),
+        np.hstack([resonator.C, np.zeros((len(resonator.C), ny))]),
+    )
+    return StateSpace(A, B, C, resonator.D, resonator.rate_hz)
+
+
+def facts(
+    inner: Inner, bank: StateSpace, tones_hz: FloatArray, inverses: list[Inverse], shape: BankShape
+) -> dict[str, Any]:
+    """Return what the bank does at each tone: depth, settling, margin of phase, directions."""
+    poles = feedback(inner.seen, bank).poles()
+    S = sensitivity(inner.seen, bank).frequency_response(tones_hz)
+    rows: dict[str, dict[float, Any]] = {"depth_db": {}, "settling_s": {}, "phase_margin_deg": {}, "directions": {}}
+    rate = bank.rate_hz
+    assert rate is not None
+    for i, (tone, g, mine) in enumerate(zip(tones_hz.tolist(), inverses, shape.owned(inverses), strict=True)):
+        rows["depth_db"][tone] = -20 * float(np.log10(np.linalg.norm(g.U.conj().T @ S[:, :, i] @ g.U, 2)))
+        # the poles that this tone's directions own: those nearest to where a slow loop would have them
+        own = slice(mine.start, mine.start + 2 * g.S.size)
+        place = np.linalg.eigvals(bank.A[own, own])[0]
+        place = place.real + 1j * abs(place.imag)
+        nearest = poles[np.argsort(np.abs(poles - place))[: g.S.size]]
+        rows["settling_s"][tone] = -SETTLED / (rate * float(np.log(np.abs(nearest).max())))
+        G = feedback(inner.seen, _without(bank, mine)).frequency_response([tone])[:, :, 0]
+        turned = np.angle(np.linalg.eigvals(g.U.conj().T @ G @ (g.V / g.S)))
+        rows["phase_margin_deg"][tone] = 90.0 - float(np.degrees(np.abs(turned).max()))
+        rows["directions"][tone] = g.S.size
+    return rows
+
+
+def _without(bank: StateSpace, mine: slice) -> StateSpace:
+    return _only(bank, np.delete(np.arange(bank.states), mine))
+
+
+def _only(bank: StateSpace, kept: NDArray[np.intp]) -> StateSpace:
+    if not kept.size:
+        return gain(np.zeros(bank.D.shape), bank.rate_hz)
+    return StateSpace(bank.A[np.ix_(kept, kept)], bank.B[kept], bank.C[:, kept], bank.D, bank.rate_hz)
