@@ -29,10 +29,9 @@ Controllers = Mapping[str, Controller]
 def inside(controllers: Controllers, name: str) -> list[str]:
     """Return a law and those that stand inside it, outermost first; a circle is gone through once."""
     found: list[str] = []
-    at: str | None = name
-    while at in controllers and at not in found:
-        found.append(at)
-        at = controllers[at].around
+    while name in controllers and name not in found:
+        found.append(name)
+        name = controllers[name].around or ""
     return found
 
 
