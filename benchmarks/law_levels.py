@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 import ultraquiet as uq
 from benchmarks.quiet_law import BAND_HZ, FOLDER, LAW, UNITS, plants
@@ -30,8 +31,9 @@ from ultraquiet.pipeline.study import packaged_study
 PASSES_HZ = ((3.0, 10.0), (10.0, 20.0), (20.0, 50.0), (50.0, 130.0), (130.0, 1700.0))
 ASKED = {0.1: (19.0, 6.5), 0.4: (20.0, 6.0), 0.8: (19.0, 6.5)}
 PERIOD_S, DRAWS, PERIODS, DEVIATIONS = 4.0, 5, 3, 2.0  # 60 s are listened to in each run of a pass
-HARDEST = 30.0  # how much harder than one in the middle a faint line is driven, at most
+POWER, HARDEST = 0.25, 10.0  # of how faint a line is, by which it is driven harder, and how much at most
 LEVELLINGS = 3
+BESIDE = 5  # lines over which a variance is smoothed: that of five draws alone is known to a factor of two
 
 Row = tuple[str, str, str, bool]
 
@@ -73,7 +75,7 @@ def listened(bench, controller, sizes: np.ndarray, lines: np.ndarray, seeds: lis
             used = max(used, *(np.abs(x).max() / c.high for x, c in zip(d, bench.actuators, strict=True)))
         found.append(Y @ F.conj().T / nu / drawn[:, None, None])
     variance = np.var(found, axis=0, ddof=1) / len(seeds) if len(seeds) > 1 else np.zeros_like(found[0], dtype=float)
-    return Responses(np.mean(found, axis=0), variance, used)
+    return Responses(np.mean(found, axis=0), uniform_filter1d(variance, BESIDE, axis=0, mode="nearest"), used)
 
 
 def _channels(record: uq.Record) -> Iterator[tuple[np.ndarray, uq.Channel]]:
@@ -82,10 +84,10 @@ def _channels(record: uq.Record) -> Iterator[tuple[np.ndarray, uq.Channel]]:
 
 
 def shape(bench, lines: np.ndarray, seed: int) -> np.ndarray:
-    """Return sizes of lines, of RMS one together, at which noise leaves as much open of S at one as at another."""
+    """Return sizes of lines, of RMS one together: between even ones and those at which all are heard alike."""
     heard = listened(bench, None, np.full(lines.size, 1e-2), lines, [seed], 1).mean
     faint = np.linalg.svd(heard, compute_uv=False)[:, -1]
-    sizes = np.minimum(np.median(faint) / np.maximum(faint, 1e-300), HARDEST)
+    sizes = np.minimum((faint.mean() / np.maximum(faint, 1e-300)) ** POWER, HARDEST)
     return sizes * np.sqrt(2) / np.linalg.norm(sizes)
 
 

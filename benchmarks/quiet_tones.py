@@ -32,7 +32,8 @@ def laws(seed: int) -> tuple[uq.StateSpace, uq.StateSpace, uq.StateSpace]:
         quiet = uq.files.load(Path(os.environ[FOLDER]) / "controllers" / f"{LAW}.h5")
     else:
         quiet = packaged_study("suite").controllers[LAW].design.make("design").design(models).controller
-    law = packaged_study("suite").controllers["quiet-tones"].design.make("design", around=quiet).design(models[0]).controller
+    design = packaged_study("suite").controllers["quiet-tones"].design.make("design", around=quiet)
+    law = design.design(models[0]).controller
     assert quiet is not None
     assert law is not None
     return models[0], quiet, law
