@@ -6,14 +6,16 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, NumericalError
-from ultraquiet.linalg import balance, response
-from ultraquiet.linalg.ordered import Array, Matrices
-from ultraquiet.reduce._abstract import joined, project, split
+from ultraquiet.linalg import balance
+from ultraquiet.linalg.modal_response import residues
+from ultraquiet.linalg.ordered import Matrices
+from ultraquiet.reduce._abstract import METHODS, joined, project, split
 from ultraquiet.reduce.certificate import loop_norm
 from ultraquiet.reduce.grid import grid_of
+from ultraquiet.reduce.stepwise import in_steps, inside, loop_gramians, mean_block, repeated
 from ultraquiet.reduce.tuning import Descent, LawSizes, matrices, packed
 from ultraquiet.reduce.weighting import output_gramian
-from ultraquiet.values.interconnect import append, lft
+from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 
 # Exponents of the smooth peak, one descent after the other: the first sees the whole band, the last the peak alone.
@@ -54,7 +56,7 @@ class Candidates:
         # a direct term that was not there makes a continuous mean square infinite
         truncation_only = norm == "mean-square" and not self._discrete
         self._ways = ("truncation",) if truncation_only else tuple(dict.fromkeys((method, "truncation")))
-        if not _inside(poles, self._discrete):
+        if not inside(poles, self._discrete):
             raise InputError("ClosedLoopWeighted: the loop with the full controller is unstable; nothing can be kept.")
         self.before = loop_norm(loop, norm)
         if not np.isfinite(self.before):
@@ -64,6 +66,12 @@ class Candidates:
         self._grid = grid_of(P, K, poles)
         self._full = self._grid.norm(self._grid.K, norm)
 
+    @property
+    def channels(self) -> tuple[int, int]:
+        """Outputs and inputs of the plant."""
+        nu, ny = self._K.D.shape
+        return ny, nu
+
     def projected(self, count: int) -> ReducedLaw:
         """Return the best projection to `count` states."""
         if count >= self._K.states:
@@ -72,6 +80,18 @@ class Candidates:
         if not tries:
             raise NumericalError(f"ClosedLoopWeighted: no projection to {count} states could be formed; keep more.")
         return min(tries, key=lambda t: t.cost)
+
+    def in_steps(self, count: int) -> ReducedLaw:
+        """Return the law of `count` states that a few less at a time lead to; at an infinite cost where they do not."""
+        methods = [method for method in METHODS if method in self._ways]
+        try:
+            found = in_steps(self.P, self._law, self._copies, count // self._copies, methods)
+        except (np.linalg.LinAlgError, NumericalError):
+            found = None
+        if found is None:
+            return ReducedLaw(self._K, np.zeros(0), np.inf, "none")
+        law, hankel = found
+        return self._seen((law.A, law.B, law.C, law.D), hankel, "loop, in steps")
 
     def tuned(self, count: int, steps: int, allowed: float) -> ReducedLaw:
         """Return the best controller of `count` states after descents from projections; stops when good enough."""
@@ -134,14 +154,14 @@ class Candidates:
 
     def _seen(self, M: Matrices, hankel: FloatArray, way: str) -> ReducedLaw:
         """Judge a controller on the grid, and by the poles of its loop."""
-        small = _repeated(StateSpace(*M, rate_hz=self._K.rate_hz), self._copies)
+        small = repeated(StateSpace(*M, rate_hz=self._K.rate_hz), self._copies)
         try:
             poles = lft(self.P, small).poles()
         except InputError:
             return ReducedLaw(small, hankel, np.inf, way)
-        if not _inside(poles, self._discrete):
+        if not inside(poles, self._discrete):
             return ReducedLaw(small, hankel, np.inf, way)
-        seen = np.moveaxis(_response(small, self._grid.points), 2, 0)
+        seen = np.moveaxis(residues(small.A, small.B, small.C, small.D).at(self._grid.points), 2, 0)
         cost = self._grid.norm(seen, self._norm) / self._full if self._full else 1.0
         return ReducedLaw(small, hankel, cost, way)
 
@@ -150,11 +170,11 @@ class Candidates:
 
         Both are controlled in one way: a state of K has the same covariance in the loop as behind (I - P22 K)^-1 P21.
         """
-        K, copies, n = self._law, self._copies, self.P.states
-        Pc, Qo = (W[n:, n:] for W in balance.gramians(loop.A, loop.B, loop.C, self._discrete))
+        K, copies = self._law, self._copies
+        Pc, Qo = loop_gramians(self.P, loop, copies)
         M: Matrices = (K.A, K.B, K.C, K.D)
         none = (np.zeros((0, 0)), np.zeros((0, K.D.shape[1])), np.zeros((K.D.shape[0], 0)))
-        sources = [_Source("loop", M, _mean_block(Pc, copies), _mean_block(Qo, copies), none)]
+        sources = [_Source("loop", M, Pc, Qo, none)]
         after = _influence(self.P, self._K)
         if copies == 1:
             stable, kept, rows = split(self._K)
@@ -163,7 +183,7 @@ class Candidates:
         if not self._K.is_stable():
             return sources
         Q = output_gramian((self._K.A, self._K.B, self._K.C, self._K.D), after, self._discrete)
-        return [*sources, _Source("cascade", M, _mean_block(Pc, copies), _mean_block(Q, copies), none)]
+        return [*sources, _Source("cascade", M, Pc, mean_block(Q, copies), none)]
 
 
 def _influence(P: StateSpace, K: StateSpace) -> Matrices:
@@ -172,14 +192,6 @@ def _influence(P: StateSpace, K: StateSpace) -> Matrices:
     B2, D12 = P.B[:, m:], P.D[:, m:]
     felt = lft(StateSpace(P.A, np.hstack([B2, B2]), P.C, np.hstack([D12, D12]), P.rate_hz), K)
     return felt.A, felt.B, felt.C, felt.D
-
-
-def _response(system: StateSpace, points: Array) -> Array:
-    return response.frequency_response(system.A, system.B, system.C, system.D, points)
-
-
-def _inside(poles: Array, discrete: bool) -> bool:
-    return bool(np.all(np.abs(poles) < 1) if discrete else np.all(poles.real < 0))
 
 
 def _scalar_law(K: StateSpace) -> tuple[StateSpace, int]:
@@ -192,17 +204,6 @@ def _scalar_law(K: StateSpace) -> tuple[StateSpace, int]:
         return K, 1
     m = K.states // n
     first = StateSpace(K.A[:m, :m], K.B[:m, :1], K.C[:1, :m], K.D[:1, :1], K.rate_hz)
-    copies = _repeated(first, n)
+    copies = repeated(first, n)
     same = all(np.array_equal(getattr(K, key), getattr(copies, key)) for key in "ABCD")
     return (first, n) if same else (K, 1)
-
-
-def _mean_block(gramian: FloatArray, copies: int) -> FloatArray:
-    """Return the mean of a Gramian's diagonal blocks: what the copies' states have in common."""
-    m = gramian.shape[0] // copies
-    return np.mean([gramian[k * m : (k + 1) * m, k * m : (k + 1) * m] for k in range(copies)], axis=0)
-
-
-def _repeated(k: StateSpace, copies: int) -> StateSpace:
-    """Return diag(k, ..., k)."""
-    return k if copies == 1 else append(*[k] * copies)

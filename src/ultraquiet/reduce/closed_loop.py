@@ -1,5 +1,6 @@
 """Reduction of a controller by what its states do for the closed loop."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -9,15 +10,20 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.linalg.cost import largest_order
+from ultraquiet.linalg.cost import largest_order, multiply_adds
 from ultraquiet.reduce._abstract import METHODS, ReductionResult, Weights, renamed
 from ultraquiet.reduce.candidates import Candidates, ReducedLaw
 from ultraquiet.reduce.certificate import NORMS, certified, fits, held, judging_plant
 from ultraquiet.reduce.promises import LOSS_DB, Judge, Promise
 from ultraquiet.values.door import takes_systems
 from ultraquiet.values.state_space import StateSpace
+from ultraquiet.values.status import Status, StatusWord
 
 USUAL_LOSS = 0.05  # allowed growth of a mean square where neither states, nor budget, nor a loss are asked for
+# Numbers in a law, up to which descents are sent off from projections that lose the loop, most of them in vain: of
+# twice as many each takes a quarter of a minute.
+TUNABLE = 4000
+NEAR = 60  # of a law's states: how closely the number that would be enough is told
 STEPS_UP = 20  # of the states, at most, from the fewest that keep the peak, band and tones to those that keep margins
 
 
@@ -29,7 +35,8 @@ class ClosedLoopWeighted:
     F(P, K + dK) - F(P, K) = P12 (I - K P22)^-1 dK (I - P22 K)^-1 P21 to first order: the reduction is weighted by both
     factors. The controllability weight is the covariance of K's state in the loop, the observability weight the energy
     that K's state leaves in the cost of the loop. Where that costs more than `loss`, or the loop itself, the reduced
-    controller's parameters are moved downhill, first on this error, then on the norm of the loop.
+    controller's parameters are moved downhill, first on this error, then on the norm of the loop. Where the loop is
+    lost all the same, states leave a few at a time, weighted anew by the loop with the law so far.
 
     Args:
         states: states to keep, rounded down to a multiple of the copies when the controller is the same law on several
@@ -101,7 +108,8 @@ class ClosedLoopWeighted:
 
         Returns:
             A `ReductionResult`; its status is `unstable` when the loop is not stable with so few states, `loss` when
-            it costs more than allowed.
+            it costs more than allowed. Where states or a budget were asked for that lose the loop or break a promise,
+            its sentence and `details["enough"]` say how many states would have been enough, by projection.
 
         Raises:
             InputError: no plant, the loop with the full controller is not stable, the weights do not fit, or the budget
@@ -114,8 +122,8 @@ class ClosedLoopWeighted:
         nothing = self.states is None and self.budget is None and self.loss is None
         promise = self._promise(controller, plant, nothing)
         allowed = USUAL_LOSS if nothing and promise is None else self.loss
-        judge = Judge(plant, controller, promise) if nothing and promise is not None else None
-        if judge is not None:
+        judge = None if promise is None else Judge(plant, controller, promise)
+        if nothing and judge is not None:
             best = _fewest_that_keep(tried, controller, judge)
         else:
             best = self._chosen(tried, controller, allowed)
@@ -134,7 +142,8 @@ class ClosedLoopWeighted:
             budget=self.budget,
             details={"way": best.way},
         )
-        return held(result, controller, plant, promise, judge)
+        result = held(result, controller, plant, promise, judge)
+        return result if nothing else _with_enough(result, tried, controller, judge)
 
     def _promise(self, controller: StateSpace, plant: StateSpace, choosing: bool) -> Promise | None:
         """Return what is to be kept: as stated here, else as the law's design states it; some where it must choose."""
@@ -163,11 +172,17 @@ class ClosedLoopWeighted:
         return self._fewest(tried, most, allowed)
 
     def _at(self, tried: Candidates, count: int, allowed: float) -> ReducedLaw:
-        """Return the best controller of an order: projected, then tuned where that costs too much or the loop."""
+        """Return the best controller of an order: projected, then tuned where that costs too much or the loop.
+
+        Where neither keeps the loop, states leave a few at a time.
+        """
         best = tried.projected(count)
-        if (np.isfinite(best.cost) and best.cost <= 1 + allowed) or not self.steps:
+        if np.isfinite(best.cost) and best.cost <= 1 + allowed:
             return best
-        return min(best, tried.tuned(count, self.steps, allowed), key=lambda c: c.cost)
+        kept = bool(np.isfinite(best.cost))
+        if self.steps and (kept or multiply_adds(count, *tried.channels) <= TUNABLE):
+            best = min(best, tried.tuned(count, self.steps, allowed), key=lambda c: c.cost)
+        return best if np.isfinite(best.cost) else min(best, tried.in_steps(count), key=lambda c: c.cost)
 
     def _fewest(self, tried: Candidates, most: int, allowed: float) -> ReducedLaw:
         """Return the fewest states within the allowed loss, by bisection (the loss falls with the states, nearly)."""
@@ -182,18 +197,56 @@ class ClosedLoopWeighted:
         return best
 
 
-def _fewest_that_keep(tried: Candidates, controller: StateSpace, judge: Judge) -> ReducedLaw:
+def _with_enough(
+    result: ReductionResult, tried: Candidates, controller: StateSpace, judge: Judge | None
+) -> ReductionResult:
+    """Return a reduction that lost the loop or broke a promise with the number of states that would have been enough.
+
+    It is the fewest that projections need, to a sixtieth of the full law's; `details["enough"]` holds it.
+    """
+    lost = result.status.word is StatusWord.UNSTABLE
+    if not (lost or result.broken):
+        return result
+    few, near = result.controller.states, max(1, controller.states // NEAR)
+    if judge is None:
+        best = _fewest(tried, controller, lambda trial: bool(np.isfinite(trial.cost)), few, near)
+        kept = "the loop stable"
+    else:
+        best, kept = _fewest_that_keep(tried, controller, judge, few, near), "all that was promised"
+    if best.system.states >= controller.states:
+        said = f"By projection no fewer than all {controller.states} states keep {kept}."
+    else:
+        said = f"By projection {best.system.states} states keep {kept}."
+    status = Status(result.status.word, f"{result.status.sentence} {said}")
+    return replace(result, status=status, details={**result.details, "enough": best.system.states})
+
+
+def _fewest_that_keep(
+    tried: Candidates, controller: StateSpace, judge: Judge, few: int = -1, near: int = 1
+) -> ReducedLaw:
     """Return the fewest states that break no promise: by bisection on what is quick to judge, then up for margins."""
-    low, high, best = -1, controller.states, tried.projected(controller.states)
-    while high - low > 1:
-        middle = (low + high) // 2
-        trial = tried.projected(middle)
-        if np.isfinite(trial.cost) and not judge.broken(judge.of(trial.system, margins=False)):
-            high, best = middle, trial
-        else:
-            low = middle
-    step = max(1, controller.states // STEPS_UP)
+
+    def quickly(trial: ReducedLaw) -> bool:
+        return bool(np.isfinite(trial.cost)) and not judge.broken(judge.of(trial.system, margins=False))
+
+    best = _fewest(tried, controller, quickly, few, near)
+    high, step = best.system.states, max(1, controller.states // STEPS_UP)
     while high < controller.states and not (np.isfinite(best.cost) and not judge.broken(judge.of(best.system))):
         high = min(high + step, controller.states)
         best = tried.projected(high)
+    return best
+
+
+def _fewest(
+    tried: Candidates, controller: StateSpace, enough: Callable[[ReducedLaw], bool], few: int, near: int
+) -> ReducedLaw:
+    """Return the projection to the fewest states that do, more than `few` of them, found by bisection to `near`."""
+    low, high, best = few, controller.states, tried.projected(controller.states)
+    while high - low > near:
+        middle = (low + high) // 2
+        trial = tried.projected(middle)
+        if enough(trial):
+            high, best = middle, trial
+        else:
+            low = middle
     return best

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, peak_sensitivity, reached_directions
+from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
@@ -70,7 +71,9 @@ class Judge:
         self._plant, self.promise = plant, promise
         S = sensitivity(plant, controller)
         self._f = np.union1d(default_grid(S), promise.band_hz or ())
-        self._quiet = _quiet(self._f, _sizes(plant, controller, self._f)[0]) if promise.band_hz is None else None
+        self._quiet = None
+        if promise.band_hz is None:
+            self._quiet = _quiet(self._f, _sizes(_responses(plant, controller, self._f)[0]))
         self._even = even_plant(plant, promise.band_hz, "reduce")
         self._known: list[tuple[StateSpace, Delivered]] = []
         self.before = self.of(controller)
@@ -88,10 +91,10 @@ class Judge:
     def _measured(self, law: StateSpace, margins: bool) -> Delivered:
         own = default_grid(sensitivity(self._plant, law))
         f = np.union1d(self._f, own)
-        size, control = _sizes(self._plant, law, f)
+        size, control = (_sizes(each) for each in _responses(self._plant, law, f))
         band = self._in_band(f)
         tones = np.array(self.promise.tones_hz)
-        at_tones = _sizes(self._plant, law, tones)[0] if tones.size else tones
+        at_tones = _sizes(_responses(self._plant, law, tones)[0]) if tones.size else tones
         return Delivered(
             peak_db=peak_sensitivity(self._plant, law)[0] if margins else float(_db(size.max())),
             band_db=-float(_db(size[band].max())) if band.any() else None,
@@ -139,15 +142,19 @@ def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
     return (reduction >= QUIET_SHARE * best) & (best >= AUDIBLE_DB) & np.isfinite(f)
 
 
-def _sizes(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the largest singular values of S = (I - G K)^-1, in what G reaches, and of K S at each line."""
-    response = plant.frequency_response(f)
-    G, K = np.moveaxis(response, 2, 0), np.moveaxis(law.frequency_response(f), 2, 0)
+def _responses(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return S = (I - G K)^-1, in what G reaches, and K S at each line, frequency first."""
+    response = response_at(plant)(f)
+    G, K = np.moveaxis(response, 2, 0), np.moveaxis(response_at(law)(f), 2, 0)
     S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
     in_reach = S @ reached_directions(response) if G.shape[1] > G.shape[2] else S
-    sizes = (np.linalg.svd(each, compute_uv=False)[:, 0] for each in (in_reach, K @ S))
-    of_S, of_KS = (np.maximum(np.asarray(size, dtype=np.float64), np.finfo(float).tiny) for size in sizes)
-    return of_S, of_KS
+    return np.asarray(in_reach, dtype=np.complex128), np.asarray(K @ S, dtype=np.complex128)
+
+
+def _sizes(response: ComplexArray) -> FloatArray:
+    """Return the largest singular value at each line."""
+    size = np.asarray(np.linalg.svd(response, compute_uv=False)[:, 0], dtype=np.float64)
+    return np.maximum(size, np.finfo(float).tiny)
 
 
 def _db(size: FloatArray | float) -> FloatArray:
