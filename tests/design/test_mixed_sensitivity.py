@@ -5,7 +5,7 @@ import pytest
 from named_plants import sensitivity_db
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse import hinf_norm
+from ultraquiet.analyse import hinf_norm, plant_scale
 from ultraquiet.design import MixedSensitivity, band_pass
 from ultraquiet.design.weights.filters import rational
 from ultraquiet.design.weights.weight import weight
@@ -182,3 +182,19 @@ def test_a_plant_that_is_loud_from_rest_on_has_a_weight_without_a_lower_edge(rat
     rest, quick = np.abs(W.frequency_response([0.0, 0.4 * (rate or 1e5)])[0, 0])
     assert rest > 5 * quick
     assert result.achieved == pytest.approx(result.gamma, rel=1e-3)
+
+
+def test_a_plant_is_evened_out_once_a_band(rng):
+    """Its scales are asked for by the search, by the verdict and by a reduction: twins of the same contents share."""
+    T = np.linalg.qr(rng.standard_normal((4, 4)))[0]
+    plain = skogestads_plant()
+    for settings in ({"band_hz": (0.05, 5.0)}, {"height": 10.0 + float(rng.uniform())}):
+        plant = StateSpace(T.T @ plain.A @ T, T.T @ plain.B, plain.C @ T * rng.uniform(1, 2), plain.D)
+        before = plant_scale._even.cache_info()
+        MixedSensitivity(**settings).design(plant)
+        after = plant_scale._even.cache_info()
+        assert after.misses - before.misses == 1
+        assert after.hits > before.hits
+    twin = plant_scale.even_plant(StateSpace(plant.A, plant.B, plant.C, plant.D))
+    assert twin is plant_scale.even_plant(plant)
+    assert not any(kept.flags.writeable for kept in (twin.inputs, twin.outputs, twin.f_hz))

@@ -1,10 +1,12 @@
 """What a plant says of itself: the band in which it answers, and the units in which its channels weigh alike."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, rising_band
+from ultraquiet._base.constraints import FloatArray, frozen, rising_band
+from ultraquiet._base.provenance import ByContents
 from ultraquiet.analyse.margins import default_grid, pulled_in
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.linalg.even import evened
@@ -103,11 +105,19 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
 
     Sinkhorn 1964, doi:10.1214/aoms/1177703591 (rows and columns in turn).
     """
+    asked = None if band_hz is None else rising_band(who, band_hz, plant.rate_hz)
+    return _even(ByContents(plant, plant.hash), asked)
+
+
+# A design asks for its plant's scales before its search and for its verdict, its reduction and its report ask again.
+@lru_cache(maxsize=16)
+def _even(asked: ByContents[StateSpace], band_hz: tuple[float, float] | None) -> EvenPlant:
+    plant = asked.value
     seen = pulled_in(plant)
     f = default_grid(seen)
     f = f[(f > 0) & (f <= below_nyquist(np.inf, plant.rate_hz))]
     if band_hz is not None:
-        low, high = rising_band(who, band_hz, plant.rate_hz)
+        low, high = band_hz
         f = np.unique(np.concatenate([f[(f > low) & (f < high)], np.geomspace(low, high, LINES)]))
     G = np.moveaxis(response_at(seen)(f), 2, 0)
     power, widths = np.abs(G) ** 2, _widths(f)
@@ -127,7 +137,7 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
     states = evened(plant.A, plant.B * u, plant.C * y[:, None])
     even = StateSpace(*states, plant.D * u * y[:, None], plant.rate_hz)
     from_rest = band_hz is None and bool(inside[0])
-    return EvenPlant(even, u, y, (float(lines[0]), float(lines[-1])), lines, from_rest)
+    return EvenPlant(even, frozen(u), frozen(y), (float(lines[0]), float(lines[-1])), frozen(lines), from_rest)
 
 
 def below_nyquist(corner_hz: float, rate_hz: float | None) -> float:
