@@ -197,6 +197,8 @@ LAWS = {
     "modal, anti-windup": lambda rng: law_in(rng, 4, "modal", True, 3, 2, limit_v=LIMITS[:2]),
     "delta": lambda rng: law_in(rng, 4, "delta", False, 4, 2, limit_v=LIMITS[:2]),
     "delta, anti-windup": lambda rng: law_in(rng, 6, "delta", True, 2, 2, limit_v=LIMITS[:2]),
+    # Commands of one measurement go to their limits together, and each takes back what the others had.
+    "delta, anti-windup, one measurement": lambda rng: law_in(rng, 6, "delta", True, 1, 3, limit_v=LIMITS),
     "six of each": lambda rng: law_in(
         rng, 8, "modal", True, 6, 6, limit_v=[*LIMITS, [-0.5, 0.6], [-1.3, 1.4], [-0.3, 1]]
     ),

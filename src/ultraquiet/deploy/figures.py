@@ -24,6 +24,7 @@ SAYS = {
     "c31_words": "TMS320C31, data and coefficients (32-bit words)",
     "c31_internal_words": "TMS320C31, words on the chip",
     "c31_largest_order": "most states of this form that would fit",
+    "c31_vectors": "TMS320C31, how far its test vectors go",
     "coefficients": "coefficients",
     "response_error": "error by rounding, relative",
     "forms_tried": "error by rounding of each form, relative",

@@ -12,6 +12,7 @@ from ultraquiet._base.constraints import FloatArray, one_of
 from ultraquiet._base.errors import NumericalError
 from ultraquiet.deploy.c31 import cycles
 from ultraquiet.deploy.c31.assembly import c31_files
+from ultraquiet.deploy.c31.pushes import pushes, reach_words
 from ultraquiet.deploy.c31.vectors import vectors
 from ultraquiet.deploy.c_code import render
 from ultraquiet.deploy.c_code.footprint import footprint
@@ -103,7 +104,10 @@ def generate(
     tables |= _wires(controller, plan.law)
     files["vectors.csv"] = render.vectors(plan.law)
     if "c31" in options.targets:
-        files |= c31_files(plan) | {f"{plan.law.name}_c31.csv": vectors(plan.law)}
+        files |= c31_files(plan)
+        driven = pushes(plan.law)
+        files[f"{plan.law.name}_c31.csv"] = vectors(plan.law, driven)
+        tables["c31_vectors"] = reach_words(plan.law, driven)
     deployment = Deployment(plan, folder, tables, status, even, loop, controller)
     write_folder(folder, files | deployment.documents())
     return deployment

@@ -40,11 +40,15 @@ class C31Twin(Shown):
 
     def frame(self, counts: ArrayLike) -> NDArray[np.int64]:
         """Return the codes `(nu,)` for converters that read `counts` `(ny,)`; `u` and `x` are those after it."""
-        y = stored(multiplied(np.asarray(counts, np.float64), self._read))
+        y = self.read(counts)
         self.u = self.output(y)
         limited = np.clip(self.u, self.limits[:, 0], self.limits[:, 1])
         self.update(y, self.u, limited)
         return np.floor(multiplied(limited, self._write)).astype(np.int64)
+
+    def read(self, counts: ArrayLike) -> FloatArray:
+        """Return the measurements `(ny,)` in volts for codes of the reading converters."""
+        return stored(multiplied(np.asarray(counts, np.float64), self._read))
 
     def output(self, y: FloatArray) -> FloatArray:
         """Return D y + C x."""
