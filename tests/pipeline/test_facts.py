@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import ultraquiet as uq
+from ultraquiet.pipeline.facts.code import CodeFacts, DeploymentFacts, NoCode
 from ultraquiet.pipeline.facts.limits import BandLimit, LimitFacts, RefusedBand
-from ultraquiet.pipeline.facts.loops import CodeFacts, DeploymentFacts, LoopFacts, NoCode, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.loops import LoopFacts, StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.models import PlantFacts, RecordFit, RecordPlant, ResponsePlant, Root, SingularValues
 from ultraquiet.pipeline.facts.typed import finite, from_plain, to_plain
 from ultraquiet.pipeline.making.code import generated

@@ -8,7 +8,7 @@ from small_study import STUDY, walk, written
 
 import ultraquiet as uq
 from read_page import Page
-from ultraquiet.pipeline.facts.loops import CodeFacts
+from ultraquiet.pipeline.facts.code import CodeFacts
 from ultraquiet.pipeline.facts.typed import from_plain
 
 WEIGHED = """

@@ -6,8 +6,9 @@ from typing import Any
 
 from ultraquiet.design.weights.loop_weights import LoopWeights
 from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.code import DeploymentFacts
 from ultraquiet.pipeline.facts.limits import LimitFacts
-from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts
+from ultraquiet.pipeline.facts.loops import DesignFacts, LoopFacts
 from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts

@@ -16,8 +16,9 @@ from ultraquiet.deploy.toolchain.compiler import compiler
 from ultraquiet.pipeline import control, identification, requirements, validation
 from ultraquiet.pipeline import limits as attainable
 from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.code import DeploymentFacts, NoCode
 from ultraquiet.pipeline.facts.limits import LimitFacts
-from ultraquiet.pipeline.facts.loops import DeploymentFacts, DesignFacts, LoopFacts, NoCode, of_the_bench
+from ultraquiet.pipeline.facts.loops import DesignFacts, LoopFacts, of_the_bench
 from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
 from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts

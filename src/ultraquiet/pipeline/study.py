@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, AliasChoices, ConfigDict, Field, PrivateAttr, ValidationError
 
@@ -16,6 +16,7 @@ from ultraquiet.files import reason, refuse_data
 from ultraquiet.identify.polynomial.methods import PolynomialMethod
 from ultraquiet.pipeline.tables.around import check_around
 from ultraquiet.pipeline.tables.blending import BlendingTable
+from ultraquiet.pipeline.tables.code import Deploy
 from ultraquiet.pipeline.tables.files import with_all_records
 from ultraquiet.pipeline.tables.mission import CampaignTable, CommissionTable, PayloadTable
 from ultraquiet.pipeline.tables.numbers import LARGEST, Band, Decibels, FileName, Order, Positive, Seconds, Seed
@@ -152,17 +153,6 @@ class LimitsTable(Strict):
     bands_hz: list[Band] = Field(default=[])
 
 
-class Deploy(Strict):
-    """`[deploy]`: how laws become code.
-
-    `limits`: the largest command, one number or one an actuator, in their unit, where actuators have no limits of their
-    own; when absent there, the largest that the records hold: nothing louder was ever tried.
-    """
-
-    precision: Literal["float32", "float64"] = "float32"
-    limits: Positive | Annotated[list[Positive], Field(min_length=1)] | None = None
-
-
 class Requirements(Strict):
     """`[requirements]`: what the named law must reach on every unit of `[closed_loop]`; what is absent is not asked.
 
@@ -268,14 +258,14 @@ def parse(text: str, name: str = "study") -> Study:
     Raises:
         StudyError: it is not TOML, or holds mistakes; all of them are told, each with its line.
 
-    >>> parse('[study]\ntitle = "short"\nseed = -1\n[deploy]\nprecison = "float64"')
+    >>> parse('[study]\ntitle = "short"\nseed = -1\n[deploy]\nprecison = "float64"')  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ultraquiet.pipeline.study.StudyError: study: 5 mistakes; nothing was started.
       line 1: 'bench' is missing.
       line 1: 'controllers' is missing.
       line 1: 'plant' is missing.
       line 3: study: 'seed' should be greater than or equal to 0, got -1.
-      line 5: deploy: there is no key 'precison' here; did you mean 'precision'? Known are precision, limits.
+      line 5: deploy: there is no key 'precison' here; did you mean 'precision'? Known are precision, ...
     """
     content, places = read_toml(text, name, StudyError)
     if "commands" in content and "study" not in content:

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import field, fields
 
 from ultraquiet._base.provenance import versions
+from ultraquiet.pipeline.facts.code import DeploymentFacts
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
 from ultraquiet.pipeline.facts.loops import (
-    DeploymentFacts,
     DesignFacts,
     DesignSummary,
     LoopMargins,

@@ -1,4 +1,4 @@
-"""What the stages of controllers, loops and code found out, in figures and words: one frozen dataclass a stage.
+"""What the stages of controllers and loops found out, in figures and words: one frozen dataclass a stage.
 
 Frequencies are in Hz, attenuations in dB and positive where it is quieter; `status` is a word and a sentence.
 """
@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from ultraquiet.design.weights.loop_weights import LoopFunction
 from ultraquiet.pipeline.facts.typed import Vector, fact
-from ultraquiet.values.status import CODE_FAULTS, StatusWord
+from ultraquiet.values.status import StatusWord
 
 ONLY = "bench"  # the name of the one unit of a bench that knows no units
 
@@ -176,78 +176,3 @@ class LoopFacts:
     """Stage `loop`: one controller on the bench of every unit."""
 
     units: Mapping[str, StableLoop | UnstableLoop]
-
-
-@fact
-class WordFormatFacts:
-    """The words that the code keeps a quantity in, see `deploy.WordFormat`; `words` say the same to a reader."""
-
-    quantity: Literal["coefficients", "states", "sums", "readings and commands"]
-    bits: int
-    significant: int | None = None
-    fractional: tuple[int, int] | None = None
-    words: str
-
-
-@fact
-class CodeFacts:
-    """Stage `deploy`: see `deploy.Deployment.tables`; None is what could not be measured here."""
-
-    states: int
-    form: str
-    precision: str
-    anti_windup: bool
-    c31_cycles: int
-    c31_kernel_cycles: int
-    c31_output_cycles: int
-    c31_budget: int
-    c31_budget_share: float
-    c31_fits_the_model: bool
-    c31_words: int
-    c31_internal_words: int
-    c31_largest_order: int
-    cortex_m7_instructions: int | None
-    coefficients: int
-    response_error: float | None
-    forms_tried: Mapping[str, float]
-    eigenvector_condition: float | None
-    bit_exact: bool | None
-    anti_windup_because: str
-    flash_bytes: int
-    ram_bytes: int
-    stack_bytes: int | None
-    flash_from: str
-    cortex_m7_output_instructions: int | None = None
-    bit_exact_on: Mapping[str, bool] | None = None
-    latency_us: Mapping[str, float] | None = None
-    measurements: tuple[str, ...] = ()
-    commands: tuple[str, ...] = ()
-    word_formats: tuple[WordFormatFacts, ...] = ()
-    status: str
-    verification: str
-
-    @property
-    def verdict(self) -> str:
-        """What the proof of the code came to."""
-        return self.verification
-
-    @property
-    def failed(self) -> bool:
-        """True where the proof found a fault; what could not be run here is none."""
-        return self.verification.partition(":")[0] in CODE_FAULTS
-
-
-@fact
-class NoCode:
-    """Stage `deploy`, where no code was generated; `status` says why, `failed` whether there should be some."""
-
-    status: str
-    failed: bool = True
-
-    @property
-    def verdict(self) -> str:
-        """Why there is no code."""
-        return self.status
-
-
-DeploymentFacts = CodeFacts | NoCode

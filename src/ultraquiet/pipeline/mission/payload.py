@@ -12,9 +12,10 @@ from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.mission import NoPayload, PayloadCurves, PayloadFacts, PayloadForce, PayloadLoop
+from ultraquiet.pipeline.making.code import written
 from ultraquiet.pipeline.preflight import LoopPlan, as_unit
 from ultraquiet.pipeline.stage import Outcome
-from ultraquiet.pipeline.study import Deploy
+from ultraquiet.pipeline.tables.code import Deploy
 from ultraquiet.pipeline.tables.mission import PayloadTable
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
@@ -76,12 +77,8 @@ def _as_code(
     law: StateSpace, folder: Path, limits: FloatArray, settings: Deploy
 ) -> tuple[StateSpace | Controller, str]:
     """Return a linear law as its compiled code, and in words what runs."""
-    from ultraquiet import deploy
-
     try:
-        return deploy.generate(law, folder / "code", settings.precision, limits_v=limits).instance(), (
-            f"{settings.precision} code"
-        )
+        return written(law, limits, folder / "code", settings).controller, f"{settings.precision} code"
     except UltraquietError:
         return law, "the law itself; no code could be made of it"
 

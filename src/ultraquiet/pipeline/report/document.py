@@ -1,6 +1,6 @@
 """The report of a study: its first page, and its stages as sections."""
 
-from ultraquiet.pipeline.report import claims, limits, loops, mission, models, provenance, records
+from ultraquiet.pipeline.report import claims, code, limits, loops, mission, models, provenance, records
 from ultraquiet.pipeline.report.compare import Finished, compared
 from ultraquiet.pipeline.report.front import front
 from ultraquiet.pipeline.result import StudyResult
@@ -25,7 +25,7 @@ def report(result: StudyResult, other: Finished | None = None) -> Report:
         models.analysis(result),
         limits.limits(result),
         loops.design(result),
-        loops.code(result),
+        code.code(result),
         *([] if bench is None else [loops.closed_loop(result)]),
         *([mission.payload(result)] if result.payload else []),
         *([] if result.commissioning is None else [mission.commissioning(result.commissioning.facts)]),

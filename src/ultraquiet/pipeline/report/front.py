@@ -6,7 +6,8 @@ from itertools import groupby
 import numpy as np
 
 from ultraquiet._base.shown.line import counted, loudness
-from ultraquiet.pipeline.facts.loops import CodeFacts, StableLoop, UnstableLoop
+from ultraquiet.pipeline.facts.code import CodeFacts, WholeNumberFacts
+from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report import laws
 from ultraquiet.pipeline.report.mission import payload_charts
@@ -77,6 +78,8 @@ def _law_in_short(result: StudyResult, name: str) -> str:
     if isinstance(code, CodeFacts):
         words = f"; its code is {code.verification.partition(':')[0]}"
         text += f"{words}, {code.flash_bytes / 1024:.0f} kB of flash, {code.ram_bytes / 1024:.1f} kB of RAM"
+    elif isinstance(code, WholeNumberFacts):
+        text += f"; its code of whole numbers, {code.precision}, is {code.verification.partition(':')[0]}"
     return f"{text}."
 
 

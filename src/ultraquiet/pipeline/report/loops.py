@@ -1,13 +1,12 @@
-"""What the report says of controllers, loops and code."""
+"""What the report says of controllers and loops."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from ultraquiet._base.shown.line import counted, loudness, rounded
-from ultraquiet.deploy.figures import figure_text, figure_words
 from ultraquiet.pipeline.facts.limits import DesignLimit
-from ultraquiet.pipeline.facts.loops import CodeFacts, DesignFacts, NoCode, StableLoop, UnstableLoop, of_the_bench
+from ultraquiet.pipeline.facts.loops import DesignFacts, StableLoop, UnstableLoop, of_the_bench
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.report import laws
 from ultraquiet.pipeline.report.records import noted, span
@@ -21,10 +20,6 @@ from ultraquiet.report import Picture, Section, Table, Verdict
 IDLE = 1e-3
 # A response is drawn at the tone that the law attenuates most, if it attenuates at all.
 DRAWN_ABOVE_DB = 1.0
-
-
-CODE_COLUMNS = ("states", "form", "cortex_m7_instructions", "flash_bytes", "ram_bytes", "bit_exact")
-C31_COLUMNS = ("states", "form", "c31_cycles", "c31_budget", *CODE_COLUMNS[2:])  # of the paper's processor
 
 
 def design(result: StudyResult) -> Section:
@@ -69,7 +64,7 @@ def _in_short(result: StudyResult) -> str:
     return f"{text}{stands}, drawn blue: {name}. {result.designs[name].facts.status}"
 
 
-def _reductions(result: StudyResult) -> list[Table]:
+def reductions(result: StudyResult) -> list[Table]:
     """Return what each reduction left of what its law promised: a line before, a line after."""
     rows: list[tuple[object, ...]] = []
     for name, outcome in result.designs.items():
@@ -290,62 +285,6 @@ def _time_responses(result: StudyResult) -> list[Picture]:
         seen,
         bench.under_tone(name, float(tone), sent, *records, note),
     ]
-
-
-def code(result: StudyResult) -> Section:
-    """The generated code of each controller."""
-    c31 = result.study.paper is not None and result.study.paper.processor == "c31"
-    columns = C31_COLUMNS if c31 else CODE_COLUMNS
-    rows = [(name, *(_of_code(facts, column) for column in columns)) for name, facts in result.deployment.items()]
-    heads = ("controller", *map(figure_words, columns))
-    sentences = [f"{name}: {facts.verdict}" for name, facts in result.deployment.items()]
-    note = "C31 cycles come from a model of the processor: a law fits the model, it has not run on the processor."
-    failed = [name for name, facts in result.deployment.items() if facts.failed]
-    reductions = _reductions(result)
-    beside = "; what a reduction left of each law stands beside it" if reductions else ""
-    text = (
-        f"The proof of the code found a fault in {', '.join(failed)}; see below."
-        if failed
-        else f"The code of every law was compiled and compared with its twin{beside}."
-    )
-    tables = [Table("Generated C99", heads, rows), *_word_lengths(result), *reductions]
-    return Section("Code", [text, note] if c31 else [text], tables, [], sentences)
-
-
-def _word_lengths(result: StudyResult) -> list[Table]:
-    """Return the words that every law's code computes in, and what they cost; nothing where there is no code."""
-    codes = {name: facts for name, facts in result.deployment.items() if isinstance(facts, CodeFacts)}
-    columns = _formats(list(codes.values()))
-    rows: list[tuple[object, ...]] = []
-    for k, (name, facts) in enumerate(codes.items()):
-        held = sum(kept.bits for kept in facts.word_formats if kept.quantity == "coefficients") // 8
-        figures = (facts.coefficients, facts.coefficients * held, figure_text(facts.response_error))
-        rows.append((name, facts.precision, *(words[k] for _, words in columns), *figures))
-    size, error = figure_words("coefficient_bytes"), figure_words("response_error")
-    heads = (
-        "controller",
-        figure_words("precision"),
-        *(what for what, _ in columns),
-        "coefficients, how many",
-        size,
-        error,
-    )
-    caption = "Word lengths of the code; the error is of the loop's sensitivity on the design model, over its size"
-    return [Table(caption, heads, rows)] if columns else []
-
-
-def _formats(codes: Sequence[CodeFacts]) -> list[tuple[str, tuple[str, ...]]]:
-    """Return quantities and their format in each law's code; those that are alike in every code stand together."""
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for quantity in dict.fromkeys(kept.quantity for facts in codes for kept in facts.word_formats):
-        each = ({kept.quantity: kept.words for kept in facts.word_formats} for facts in codes)
-        alike.setdefault(tuple(words.get(quantity, "-") for words in each), []).append(quantity)
-    return [(", ".join(quantities), words) for words, quantities in alike.items()]
-
-
-def _of_code(facts: CodeFacts | NoCode, column: str) -> str:
-    """Return one fact of a law's code as its cell says it."""
-    return figure_text(getattr(facts, column, None))
 
 
 def _number(value: float, digits: int = 4) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 from ultraquiet._base.errors import InputError
 from ultraquiet.design.loop_analysis import analyse_loop
 from ultraquiet.pipeline import control
-from ultraquiet.pipeline.facts.loops import NoCode
+from ultraquiet.pipeline.facts.code import NoCode
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making import code
 from ultraquiet.pipeline.making.designs import design_stage

@@ -9,6 +9,7 @@ from typing import Any
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet._base.registry import lookup, older_names
+from ultraquiet.pipeline.making import code
 from ultraquiet.pipeline.making.designs import takes_several
 from ultraquiet.pipeline.study import Design
 from ultraquiet.workbench.engine.items import item_of
@@ -114,11 +115,15 @@ def _law(variable: str, name: str, recipe: Mapping[str, Any], state: State, fold
 def _code(variable: str, name: str, recipe: Mapping[str, Any], state: State, folder: Path) -> list[str]:
     law = recipe["law"]
     model = state["laws"][law]["model"]
-    precision = tables_of(state).deploy.precision
+    asked = tables_of(state).deploy
     limits: Any = item_of(folder, state, "codes", name).facts.get("limits")
+    call = "generate_fixed" if asked.whole_numbers else "generate"
+    ranges = code.full_ranges(limits, asked) if asked.whole_numbers else {"limits_v": limits}
+    settings = {**ranges, **{key: value for key, value in code.options(asked).items() if key in asked.model_fields_set}}
+    words = "".join(f", {key}={value!r}" for key, value in settings.items())
     return [
-        f"{variable} = uq.deploy.generate({_variable('laws', law)}, {f'code/{law}'!r}, {precision!r}, "
-        f"limits_v={limits!r}, plant={_variable('models', model)})"
+        f"{variable} = uq.deploy.{call}({_variable('laws', law)}, {f'code/{law}'!r}, {asked.precision!r}"
+        f"{words}, plant={_variable('models', model)})"
     ]
 
 

@@ -13,6 +13,7 @@ from ultraquiet.workbench.web.controls import button, chip, choice, field, headi
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View
 
+PRECISIONS = ("float32", "float64", "q31", "q15")
 SHOWN = (
     "states",
     "form",
@@ -22,6 +23,9 @@ SHOWN = (
     "cortex_m7_instructions",
     "bit_exact",
     "response_error",
+    "state_bound",
+    "noise_v",
+    "multiply_adds",
 )
 
 
@@ -45,27 +49,34 @@ class _Deploy:
         heading("Deploy")
         self.law = choice("the law", list(state["laws"]), "deploy-law", state["law"], lambda _: None)
         precision = table_.get("precision", "float32")
-        self.precision = choice("precision", ("float32", "float64"), "precision", precision, lambda _: None)
+        self.precision = choice("precision", PRECISIONS, "precision", precision, lambda _: None)
         self.limits = field("largest command", "limits", str(table_.get("limits", "")), "the actuators' own")
         words("In the actuators' unit; without limits of their own, the largest that the records hold.", "caption")
+        self.range = field("largest reading", "range", str(table_.get("range", "")), "the sensors' own")
+        words("For whole numbers, q31 and q15, in the sensors' unit.", "caption")
         button("Generate and prove", self._deploy, "deploy", main=True)
 
     def _deploy(self) -> None:
         if self.law.value is None:
             say("deploy: there is no law yet; design one first.")
             return
-        values: dict[str, Any] = {"precision": self.precision.value}
+        # What a study file says of the code beside these stays.
+        kept = self.view.session.state["tables"].get("deploy", {})
+        values: dict[str, Any] = {key: value for key, value in kept.items() if key not in ("limits", "range")}
+        values["precision"] = self.precision.value
         try:
-            if self.limits.value:
-                values["limits"] = float(self.limits.value)
+            values |= {key: float(size.value) for key, size in self._sizes().items() if size.value}
         except ValueError:
-            say("deploy: write the largest command as a number.")
+            say("deploy: write the largest command and the largest reading as numbers.")
             return
         if values != {"precision": "float32"} or "deploy" in self.view.session.state["tables"]:
             doing(self.view, {"op": "table", "table": "deploy", "values": values})
         if doing(self.view, {"op": "deploy", "law": self.law.value}):
             making(self.view, "codes", self.law.value)
             self.view.set(codes=self.law.value)
+
+    def _sizes(self) -> dict[str, ui.input]:
+        return {"limits": self.limits, "range": self.range}
 
     def _show(self) -> None:
         laws = list(self.view.session.state["laws"])
@@ -86,7 +97,7 @@ class _Deploy:
                 ui.label(f"{item.name} as C99").classes("uq-title-line")
                 chip(facts["status"], f"proof-{item.name}")
             words(facts["status"].partition(": ")[2], "caption")
-            rows = said({key: facts["code"].get(key) for key in SHOWN})
+            rows = said({key: facts["code"][key] for key in SHOWN if key in facts["code"]})
             rows.append(("commands end at", ", ".join(f"{low:.4g} to {high:.4g}" for low, high in facts["limits"][:6])))
             table(("figure", "value"), rows, f"figures-{item.name}")
             button("Download (zip)", lambda: _download(item), f"download-{item.name}")
