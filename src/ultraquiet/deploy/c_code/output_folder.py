@@ -98,12 +98,21 @@ def _swap(work: Path, folder: Path) -> None:
         return
     # Two renames: the old folder leaves whole, and comes back if the new one cannot take its place.
     old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.old.", dir=folder.parent))
-    os.rename(folder, old / "code")
     try:
-        os.rename(work, folder)
-    except OSError:
-        os.rename(old / "code", folder)
-        raise
+        os.rename(folder, old / "code")  # refused to an ordinary user where the folder itself is read-only
+        try:
+            os.rename(work, folder)
+        except OSError:
+            os.rename(old / "code", folder)
+            raise
     finally:
         if folder.exists():
-            shutil.rmtree(old, ignore_errors=True)
+            _remove(old)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder whose place is taken, read-only folders inside it too."""
+    for place, _, _ in os.walk(folder):
+        with suppress(OSError):  # somebody else's: it stays
+            os.chmod(place, 0o700)
+    shutil.rmtree(folder, ignore_errors=True)
