@@ -78,6 +78,21 @@ def test_the_same_seed_gives_the_same_law_and_other_units_the_same_loop(found):
     assert other.details["attenuation_db"] == pytest.approx(found.details["attenuation_db"], abs=0.05)
 
 
+def test_a_repeated_law_begins_as_the_scalar_one_that_it_repeats():
+    """A law that was designed before, one on every channel, is taken to begin with as it is: in place, for instance."""
+    one = resonant()
+    plant = StateSpace(*(np.kron(np.eye(2), M) for M in (one.A, one.B, one.C, one.D)), one.rate_hz)
+    how = {"band_hz": (30.0, 55.0), "states": 4, "draws": 0, "structure": "repeated"}
+    before = PeakBounded(steps=6, **how).design(plant).controller
+    n = before.states // 2
+    scalar = StateSpace(before.A[:n, :n], before.B[:n, :1], before.C[:1, :n], before.D[:1, :1], before.rate_hz)
+    both = [PeakBounded(steps=3, start=start, **how).design(plant).controller for start in (before, scalar)]
+    np.testing.assert_array_equal(both[0].A, both[1].A)
+    uneven = StateSpace(before.A, before.B * [1.0, 1.1], before.C, before.D, before.rate_hz)
+    with pytest.raises(InputError, match="which does not fit"):
+        PeakBounded(steps=3, start=uneven, **how).design(plant)
+
+
 @pytest.mark.parametrize("shape", [(4, 3), (2, 3), pytest.param((3, 5), marks=pytest.mark.slow)])
 def test_any_shape_gives_a_stable_law_within_its_bounds(seed, shape):
     plant = ordinary(np.random.default_rng(seed), shape, modes=3)

@@ -22,7 +22,7 @@ from ultraquiet.design.peak_bounded.demands import Demands, table
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db
 from ultraquiet.design.peak_bounded.roof import roof
-from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts, unasked_starts
+from ultraquiet.design.peak_bounded.start import Places, begun, hardly, of_one_channel, starts, unasked_starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
 from ultraquiet.design.peak_bounded.washout import behind, heard_through, require_room
 from ultraquiet.design.result import DesignResult, refused
@@ -74,7 +74,8 @@ class PeakBounded(StatedRobustness):
         mode_spread: by what share frequencies of modes may be off.
         draws: plants drawn within that spread round each one given, on which all bounds are to hold too; 0 for none.
             Those that decide join the search; the others are looked at.
-        start: a design, its table with a `method`, or a law, to begin with; a scalar one for the scalar structures.
+        start: a design, its table with a `method`, or a law, to begin with; a scalar one for the scalar structures, or
+            one that repeats it on every channel.
             `BandAttenuation` of each of the first three plants when absent, `Lqg` and `MixedSensitivity` where no band
             is given either, for what all channels share where the structure is scalar.
         steps: of the search on the plants given, and half as many whenever plants drawn join it, at most.
@@ -248,6 +249,8 @@ class PeakBounded(StatedRobustness):
             name, start = type(start).__name__, start.design(common_mode(plant) if scalar else plant).controller
             if start is None:
                 raise InputError(f"{WHO}: the design to begin with, {name}, gives no law.")
+        if scalar:
+            start = of_one_channel(start)
         if scalar and start.D.shape == (1, 1):
             return [StateSpace(start.A, start.B, start.C / units.control, start.D / units.control, start.rate_hz)]
         return [units.taken(start)]
