@@ -54,9 +54,11 @@ var Uq = (() => {
     });
   }
   const aligned = (c) => c.kind === "line" || c.kind === "step";
+  /* Curves in the order of their painting: the chosen ones come last, so that none that is like them lies over them. */
+  const painted = (curves) => [...curves.filter((c) => c.colour !== "chosen"), ...curves.filter((c) => c.colour === "chosen")];
 
   function table(curves, home) {
-    const along = curves.filter(aligned);
+    const along = painted(curves).filter(aligned);
     if (!along.length) return [home, home.map(() => null)];
     const columns = (c) => [c.y, ...(c.low ? [c.low, c.high] : [])];
     if (along.every((c) => c.x === along[0].x)) return [along[0].x, ...along.flatMap(columns)];
@@ -288,7 +290,7 @@ var Uq = (() => {
     const px = (v) => u.valToPos(v, "x", true), py = (v) => u.valToPos(v, "y", true);
     ctx.save();
     ctx.beginPath(); ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height); ctx.clip();
-    for (const c of one.curves) {
+    for (const c of painted(one.curves)) {
       if (aligned(c) || one.hidden.has(c.name)) continue;
       const width = (one.hovered === c.name ? HOVER : LINE) * ratio;
       ctx.strokeStyle = ctx.fillStyle = colour(c.colour, one.root);
@@ -395,7 +397,7 @@ var Uq = (() => {
   const wide = (words) => 18 + Math.ceil(Math.max(14, ...words.map(long)));
   function seriesOf(one) {
     const series = [{}], bands = [];
-    for (const c of one.curves.filter(aligned)) {
+    for (const c of painted(one.curves).filter(aligned)) {
       const stroke = () => colour(c.colour, one.root);
       c.at = [series.length];
       const paths = c.kind === "step" ? uPlot.paths.stepped({ align: 1 }) : undefined;
@@ -880,7 +882,7 @@ var Uq = (() => {
       yt.forEach((v, j) => { out.push(`<path d="M${left} ${py(v).toFixed(1)}h${w}" stroke="${paint("grid")}"/>`); if (!p.bare.y) text(left - 6, py(v) + 4, yw[j], "end"); });
       if (!p.bare.x) text(left + w / 2, top + h + 12 + (stand ? stand.size : NUMBERS), p.panel.x.label, "middle");
       if (!p.bare.y) text(x0 + 12, top + h / 2, p.panel.y.label, "middle", ` transform="rotate(-90 ${x0 + 12} ${top + h / 2})"`);
-      for (const c of p.curves) {
+      for (const c of painted(p.curves)) {
         if (p.hidden.has(c.name)) continue;
         const stroke = `stroke="${paint(c.colour)}" stroke-width="${LINE}" fill="none" stroke-dasharray="${DASHES[c.dash || "-"].join(" ")}" clip-path="url(#c${k})"`;
         const line = (ys) => { let d = "", on = false; for (let j = 0; j < c.x.length; j++) { if (ys[j] == null) { on = false; continue; } d += (on ? "L" : "M") + px(c.x[j]).toFixed(1) + " " + py(ys[j]).toFixed(1); on = true; } return d; };

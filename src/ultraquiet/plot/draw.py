@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
+CHOSEN, ABOVE = 0, 2.5  # of the palette the chosen law's colour, and how high it lies: over all others, which lie at 2
 PNG_DPI, STILL_DPI = 150, 120
 CROWDED = 12  # panels, beyond which each shows less
 MOST_ROWS = 3  # of a name below an axis
@@ -253,7 +254,8 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
         axes.pcolormesh(c.x, c.y, c.values, vmin=c.ends[0], vmax=c.ends[1], cmap="viridis", shading="nearest")
     for line in panel.lines:
         colour = PALETTE[line.shade % len(PALETTE)]
-        axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None)
+        above = ABOVE if line.shade == CHOSEN else None
+        axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None, zorder=above)
     for fill in panel.fills:
         colour = PALETTE[fill.shade % len(PALETTE)]
         axes.fill_between(
