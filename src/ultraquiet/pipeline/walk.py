@@ -93,7 +93,7 @@ def walk(
         UltraquietError: a stage refuses; those before it are kept and reused.
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
-    other = None if compare is None else finished(compare)
+    other = None if compare is None else finished(compare, folder)
     with prepared(settings, folder, beside, say, record_again) as stages:
         result = stages.run()
         summary = summarise(result)

@@ -14,7 +14,9 @@ from ultraquiet._base.shown.line import counted
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.loops import StableLoop
 from ultraquiet.pipeline.report import laws
+from ultraquiet.pipeline.report.naming import NamedStudy, told_apart
 from ultraquiet.pipeline.result import StudyResult
+from ultraquiet.pipeline.study import BenchTable
 from ultraquiet.plot.pages.loops import LoopCurve, measured_loops, worst_direction_db
 from ultraquiet.report import Picture, Section, Table
 from ultraquiet.values import FrequencyResponse
@@ -29,49 +31,58 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Finished:
-    """What a finished study left, as plain JSON: its summary and its settings."""
+    """What a finished study left, as plain JSON: its summary and its settings; what tells it from another."""
 
-    folder: Path
     summary: Mapping[str, Any]
     settings: Mapping[str, Any]
+    named: NamedStudy
+    beside: Path  # folder of the study that it is set beside
 
-    @property
-    def title(self) -> str:
-        """Its title and where it stands."""
-        return f"{self.summary.get('title', 'a study')} ({self.folder.name})"
+    def names(self, result: StudyResult) -> tuple[str, str]:
+        """Return what the study of a result is called beside it, and what it is called itself."""
+        own = NamedStudy(result.study.study.title, _bench(result.study.bench), self.beside)
+        return told_apart(own, self.named)
 
 
-def finished(folder: Path) -> Finished:
-    """Read what a study left.
+def finished(folder: Path, beside: Path) -> Finished:
+    """Read what a study left, to set it beside the one in the folder `beside`.
 
     Raises:
         InputError: the folder holds no finished study.
     """
     try:
-        read = [json.loads((folder / name).read_text(encoding="utf-8")) for name in ("summary.json", "study.json")]
-    except (OSError, ValueError) as error:
+        summary, settings = (
+            json.loads((folder / name).read_text(encoding="utf-8")) for name in ("summary.json", "study.json")
+        )
+        table = settings.get("bench")
+        bench = None if table is None else BenchTable.model_validate(table)
+        named = NamedStudy(str(summary.get("title", "")), _bench(bench), folder)
+    except (OSError, ValueError, AttributeError) as error:
         raise InputError(
             f"report: '{folder}' holds no finished study to compare with ({type(error).__name__}); run it first."
         ) from error
-    if not all(isinstance(content, dict) for content in read):
-        raise InputError(f"report: '{folder}' holds no finished study to compare with; run it first.")
-    return Finished(folder, *read)
+    return Finished(summary, settings, named, beside)
+
+
+def _bench(table: BenchTable | None) -> str:
+    return "no bench" if table is None else table.title
 
 
 def compared(result: StudyResult, other: Finished) -> Section:
     """Return both studies' figures, loops and settings side by side."""
+    here, there = other.names(result)
     rows = list(_figures(result, other))
     changed = list(_changed(_flat(json.loads(result.study.model_dump_json())), _flat(other.settings)))
     better = sum(1 for row in rows if str(row[-1]).startswith("better"))
     worse = sum(1 for row in rows if str(row[-1]).startswith("worse"))
     found = f"{counted(better, 'is', 'are')} better here, {worse} worse"
     both = f"of {counted(len(rows), 'figure')} that both have, {found}"
-    text = f"Beside {other.title}: {both if rows else 'no law of both ran on one unit'}; "
+    text = f"{here}, the study of this report, beside {there}: {both if rows else 'no law of both ran on one unit'}; "
     text += f"{counted(len(changed), 'setting differs', 'settings differ') if changed else 'no setting differs'}."
-    heads = ("law", "unit", "figure", "here", "there", "difference")
+    heads = ("law", "unit", "figure", here, there, "difference")
     tables = [Table("What both reached on the bench", heads, rows)] if rows else []
     if changed:
-        tables.append(Table("Settings that differ", ("setting", "here", "there"), changed, folded=True))
+        tables.append(Table("Settings that differ", ("setting", here, there), changed, folded=True))
     return Section("Compared", [text], tables, _loops(result, other))
 
 
@@ -102,12 +113,13 @@ def _difference(by: float, more: bool) -> str:
 def _loops(result: StudyResult, other: Finished) -> list[Picture]:
     """Return the chosen law of both studies, as measured, in one picture."""
     name, theirs = laws.chosen(result), _chosen(other)
+    here, there = other.names(result)
     curves: list[LoopCurve] = []
     for unit in result.plan.units:
         mine = result.sensitivity(name, unit) if name in result.loops else None
-        path = other.folder / "loops" / f"{stored.sensitivity(theirs, unit)}.h5"
+        path = other.named.folder / "loops" / f"{stored.sensitivity(theirs, unit)}.h5"
         beyond = files.load(path) if path.exists() else None
-        for S, label, colour in ((mine, f"here: {name}", "chosen"), (beyond, f"there: {theirs}", "law-1")):
+        for S, label, colour in ((mine, f"{here}: {name}", "chosen"), (beyond, f"{there}: {theirs}", "law-1")):
             if isinstance(S, FrequencyResponse):
                 dash = "-" if unit == result.plan.units[0] else "--"
                 curves.append(LoopCurve(f"{label}, {unit}", S.f_hz, worst_direction_db(S.values), colour, dash))
