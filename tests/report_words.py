@@ -2,6 +2,8 @@
 
 import re
 
+from ultraquiet.values import StatusWord
+
 # Words of the packaged study; what else a report says must come from the bench it is about. A number is foreign as a
 # whole, not as the end of another: 164.5 Hz is none of the three tones.
 FOREIGN = re.compile(
@@ -16,6 +18,12 @@ def visible(page):
     text = re.sub(r"<(style|script)\b.*?</\1>", " ", page, flags=re.DOTALL)
     text = re.sub(r"<(path|use|g|clipPath|defs|svg|figure)\b[^>]*>", " ", text)
     return re.sub(r"<[^>]+>", " ", text)
+
+
+def small_openings(page):
+    """Verdicts that begin a sentence in lower case; after a colon, as "quiet: ok: ...", they go on with one."""
+    words = "|".join(map(re.escape, StatusWord))
+    return re.findall(rf"[.!?]\s+(?:{words}): [A-Z].{{20}}|<p>(?:{words}): [A-Z].{{20}}", page)
 
 
 def foreign_words(page):

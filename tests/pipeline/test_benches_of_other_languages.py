@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fmu_archive import compiled, pack
-from report_words import foreign_words, visible
+from report_words import foreign_words, small_openings, visible
 
 PLANT = Path(__file__).parents[2] / "docs" / "examples" / "plant.c"
 LIST = """
@@ -78,4 +78,5 @@ def test_a_bench_of_another_language_walks_the_whole_study(bench, rate_hz, tmp_p
     assert summary["deployment"]["quiet"]["bit_exact"] is True
     page = (tmp_path / "out" / "report.html").read_text()
     assert not foreign_words(page)
+    assert not small_openings(page)
     assert all(name in visible(page) for name in ("push 1", "speed 2", "(m/s)/N", f"{rate_hz} Hz"))

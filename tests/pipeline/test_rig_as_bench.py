@@ -7,7 +7,7 @@ import pytest
 from rig_study import LIST, RIG, STUDY
 
 import ultraquiet as uq
-from report_words import foreign_words, visible
+from report_words import foreign_words, small_openings, visible
 from ultraquiet.pipeline import load_study
 from ultraquiet.pipeline.preflight import check
 from ultraquiet.pipeline.study import StudyError
@@ -57,4 +57,5 @@ def test_two_callbacks_and_what_they_left_walk_the_whole_study(rig, run):
     for folder in ("out", "again"):
         page = (rig / folder / "report.html").read_text()
         assert not foreign_words(page)
+        assert not small_openings(page)
         assert all(name in visible(page) for name in ("left force", "right mass", "(m/s)/N"))

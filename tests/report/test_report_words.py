@@ -3,7 +3,7 @@
 import pytest
 
 from raw_words import raw_words
-from report_words import foreign_words
+from report_words import foreign_words, small_openings
 
 
 @pytest.mark.parametrize(
@@ -34,3 +34,9 @@ def test_a_word_of_the_program_is_found(said):
 )  # fmt: skip
 def test_a_reader_s_word_is_none(said):
     assert not raw_words(said)
+
+
+def test_a_verdict_that_begins_a_sentence_is_found_where_it_is_written_small():
+    assert small_openings("<p>2 laws stand side by side. ok: The loop is stable, it amplifies by 3 dB.</p>")
+    assert small_openings("<p>not robust: The loop is stable, not for every plant.</p>")
+    assert not small_openings("<p>2 laws. Ok: The loop is stable at once. quiet: ok: The loop is stable at once.</p>")

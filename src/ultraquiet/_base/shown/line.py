@@ -91,6 +91,15 @@ def loudness(reduction_db: float, digits: int = 1) -> str:
     return f"{'quieter' if reduction_db > 0 else 'louder'} by {size} dB"
 
 
+def opening(said: str) -> str:
+    """Return words as they begin a sentence; a name that begins one is never passed here: it is written as it is.
+
+    >>> opening("ok: The loop is stable."), opening("not white"), opening("")
+    ('Ok: The loop is stable.', 'Not white', '')
+    """
+    return f"{said[:1].upper()}{said[1:]}"
+
+
 def word(shown: object) -> str:
     """Return the word of an object's status, empty where it carries none."""
     return str(getattr(getattr(shown, "status", None), "word", ""))

@@ -5,7 +5,7 @@ from itertools import groupby
 
 import numpy as np
 
-from ultraquiet._base.shown.line import counted, loudness
+from ultraquiet._base.shown.line import counted, loudness, opening
 from ultraquiet.pipeline.facts.code import CodeFacts, WholeNumberFacts
 from ultraquiet.pipeline.facts.loops import StableLoop, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
@@ -56,7 +56,7 @@ def _headline(result: StudyResult, name: str) -> str:
     if failed:
         unit, loop = next(iter(failed.items()))
         said = loop.on(name, unit)
-        return said if said.startswith(name) else said[0].upper() + said[1:]
+        return said if said.startswith(name) else opening(said)
     worst = min(_band_db(loop) for loop in loops.values() if isinstance(loop, StableLoop))
     asked = result.requirements
     low, high = result.plan.band_hz if asked is None or asked.law != name else asked.band_hz

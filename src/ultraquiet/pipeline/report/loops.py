@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ultraquiet._base.shown.line import counted, loudness, rounded
+from ultraquiet._base.shown.line import counted, loudness, opening, rounded
 from ultraquiet.pipeline.facts.limits import DesignLimit
 from ultraquiet.pipeline.facts.loops import DesignFacts, StableLoop, UnstableLoop, of_the_bench
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
@@ -61,7 +61,7 @@ def _in_short(result: StudyResult) -> str:
     text = f"{found} of {counted(len(result.designs), 'design')} found a law. " if found < len(result.designs) else ""
     only = len(result.designs) == 1
     stands = "The study has one law" if only else f"{counted(len(result.designs), 'law')} stand side by side"
-    return f"{text}{stands}, drawn blue: {name}. {result.designs[name].facts.status}"
+    return f"{text}{stands}, drawn blue: {name}. {opening(result.designs[name].facts.status)}"
 
 
 def reductions(result: StudyResult) -> list[Table]:
@@ -126,7 +126,7 @@ def _remarks(facts: DesignFacts) -> list[str]:
         least = facts.recovery.least_relative_error
         remarks.append(f"Recovery at the {facts.recovery.at}: |L - L target| is at best {least:.2g} |L target|.")
     if facts.reduction is not None:
-        remarks.append(f"From {counted(facts.reduction.from_states, 'state')}. {facts.reduction.status}")
+        remarks.append(f"From {counted(facts.reduction.from_states, 'state')}. {opening(facts.reduction.status)}")
     return remarks
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.shown.line import counted, loudness, rounded
+from ultraquiet._base.shown.line import counted, loudness, opening, rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
     CampaignCurves,
@@ -151,7 +151,7 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     text = [
         f"{facts.law} on {counted(facts.benches, 'bench', 'benches')} drawn from the seed {facts.first_seed} on; "
         f"figures are of {on}.",
-        facts.status,
+        opening(facts.status),
         "Rank correlation says what goes together; it proves no cause.",
     ]
     spread = ("0%", "5%", "50%", "95%", "100%")

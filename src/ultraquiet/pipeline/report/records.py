@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet import spectra
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.shown.line import counted
+from ultraquiet._base.shown.line import counted, opening
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, frequency_axis
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.identification import group, grouped
@@ -164,7 +164,8 @@ def response(result: StudyResult) -> Section:
     unit = study.gain_unit(wires(result)).removeprefix("dB").removeprefix(" re ")
     gains = f", in {unit}" if unit else ""
     text = f"From {actuators} to {sensors}{gains}. The plant that designs use is the whole matrix at once "
-    text += f"({result.study.plant.method}, {counted(result.plant.facts.states, 'state')}). {result.plant.facts.status}"
+    text += f"({result.study.plant.method}, {counted(result.plant.facts.states, 'state')}). "
+    text += opening(result.plant.facts.status)
     if measured is None:
         text += " It was fitted to a record, so there is no response beside it that owes nothing to a model."
     return Section("Response", [text], [], [transfer_grid(f[lines], picked, models, wires(result))])

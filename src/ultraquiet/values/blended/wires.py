@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import opening
 from ultraquiet.values.channel import Channel
 
 
@@ -36,7 +37,7 @@ def modes_of(
             blend = f"{prefix} '{name}' is blended from {' and '.join(units)}"
             if not isinstance(mode, Channel):
                 raise InputError(f"Blending: {blend}; say its unit, Channel('{name}', UNIT), if the matrix converts.")
-            mixed.append(f"{blend[0].upper()}{blend[1:]}; its matrix must hold the conversion to {mode.unit}.")
+            mixed.append(f"{opening(blend)}; its matrix must hold the conversion to {mode.unit}.")
         out.append(mode if isinstance(mode, Channel) else Channel(name, units[0]))
     names = [c.name for c in out]
     twice = [name for name in names if names.count(name) > 1]

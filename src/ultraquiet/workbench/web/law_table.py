@@ -4,7 +4,7 @@ from typing import Any
 
 from nicegui import ui
 
-from ultraquiet._base.shown.line import loudness, rounded
+from ultraquiet._base.shown.line import loudness, opening, rounded
 from ultraquiet.design.robustness import DISK_MARGIN
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.figures.loops import SensitivityDemand
@@ -152,7 +152,7 @@ def _headline(item: Item | None, view: View) -> None:
             text = f"{item.name}: {facts['status'].partition(':')[0]}"
         else:
             said = loudness(quiet)
-            text = f"{said[0].upper()}{said[1:]} in the worst direction, {low:.3g}{UNBROKEN}{high:.3g} Hz"
+            text = f"{opening(said)} in the worst direction, {low:.3g}{UNBROKEN}{high:.3g} Hz"
         ui.label(text).classes("uq-title-line").props('data-testid="headline"')
         asked = judged(facts, view.session.state["tables"].get("requirements", {}))
         chip(loop_status(facts, asked or None), "verdict")
