@@ -86,7 +86,6 @@ def brag(result, law, n):
     [(keep_first, "hardly matters"), (turn_sign, "hardly matters"), (brag, "promised an error")],
 )
 def test_a_careless_reduction_is_caught(spoil, complaint, seed):
-    @registry.register("reduce", "careless-for-test")
     @dataclass(frozen=True)
     class Careless(Balanced):
         """Balanced reduction, spoilt."""
@@ -94,15 +93,14 @@ def test_a_careless_reduction_is_caught(spoil, complaint, seed):
         def reduce(self, controller, plant=None, weights=None):
             return spoil(super().reduce(controller, plant, weights), controller, self.states)
 
-    try:
-        with pytest.raises(AssertionError, match=complaint):
-            check("reduce", "careless-for-test", seed)
-    finally:
-        registry._table["reduce"].pop("careless-for-test")
+    with (
+        registry.registered("reduce", "careless-for-test", Careless),
+        pytest.raises(AssertionError, match=complaint),
+    ):
+        check("reduce", "careless-for-test", seed)
 
 
 def test_a_new_method_appears_by_registering():
-    @registry.register("signals", "silence-for-test")
     @dataclass(frozen=True)
     class Silence:
         """Nothing at all."""
@@ -110,9 +108,17 @@ def test_a_new_method_appears_by_registering():
         def generate(self, samples, rate_hz, seed=0):
             raise NotImplementedError
 
-    try:
+    with registry.registered("signals", "silence-for-test", Silence):
         assert registry.lookup("signals", "silence-for-test") is Silence
         with pytest.raises(UnknownMethodError, match="taken"):
             registry.register("signals", "silence-for-test")(type("Other", (), {"generate": None}))
-    finally:
-        registry._table["signals"].pop("silence-for-test")
+    assert "silence-for-test" not in registry.methods("signals")
+
+
+def test_no_test_leaves_a_method_of_its_own():
+    """What a file of tests registers as it is imported would be among the methods of all others."""
+    tests = Path(__file__).parents[1]
+    for family in registry.FAMILIES:
+        for name, method in registry.methods(family).items():
+            file = getattr(sys.modules[method.__module__], "__file__", None)
+            assert file is None or not Path(file).is_relative_to(tests), f"{family} {name}"

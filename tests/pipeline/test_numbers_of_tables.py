@@ -6,7 +6,7 @@ from typing import get_args
 import numpy as np
 import pytest
 from pydantic import BaseModel
-from small_study import LIST, STUDY
+from small_study import LIST, STUDY, known
 
 import ultraquiet as uq
 from ultraquiet._base.errors import UltraquietError
@@ -139,7 +139,8 @@ def test_a_blending_that_is_no_matrix_is_refused_before_anything_runs(rows, smal
 @pytest.fixture
 def small(tmp_path):
     (tmp_path / "list.toml").write_text(LIST)
-    return tmp_path
+    with known():
+        yield tmp_path
 
 
 @pytest.mark.parametrize(

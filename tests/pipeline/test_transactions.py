@@ -254,7 +254,7 @@ def test_what_a_disk_refuses_is_one_sentence_wherever_it_does(tmp_path):
 def test_a_second_run_beside_a_first_is_refused_and_nothing_is_touched(run, tmp_path):
     study = small_study.written(tmp_path)
     (tmp_path / "out").mkdir()
-    with locked(tmp_path / "out", print):
+    with small_study.known(), locked(tmp_path / "out", print):
         before = names(tmp_path)
         for words in (("run", study, "--out", "out"), ("demo", "--out", "out", "--record-again")):
             code, _, err = run(*words)

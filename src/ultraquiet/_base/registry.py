@@ -7,7 +7,8 @@ A setting that went by another name answers to it: as an argument, in tables and
 True
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import wraps
 from importlib import import_module, metadata
@@ -45,6 +46,24 @@ def register(family: str, name: str) -> Callable[[Method], Method]:
         return method
 
     return enter
+
+
+@contextmanager
+def registered(family: str, name: str, method: type[Any]) -> Iterator[None]:
+    """Have a method registered within a block and no longer: the table is one for all that runs in a process.
+
+    >>> from ultraquiet._base.registry import methods, registered
+    >>> with registered("reduce", "none-at-all", type("Whole", (), {"reduce": None})):
+    ...     print("none-at-all" in methods("reduce"))
+    True
+    >>> "none-at-all" in methods("reduce")
+    False
+    """
+    register(family, name)(method)
+    try:
+        yield
+    finally:
+        del _table[family][name]
 
 
 def methods(family: str) -> Mapping[str, type[Any]]:
