@@ -45,7 +45,7 @@ def test_weights_stand_over_the_loops_of_laws_that_have_them(made):
     print(said)
     assert "shaped is nearest in " in said
     assert "fewer is nearest in " in said
-    assert "calm" not in said
+    assert "Of calm nothing is drawn: an LQG cost is a mean square over all frequencies" in said
 
 
 def test_the_caption_is_true_of_the_weights_that_the_study_left(made):

@@ -35,6 +35,15 @@ def test_the_caption_says_where_a_loop_is_nearest_and_which_lies_above():
     assert both.endswith(EXCEEDED)
 
 
+def test_the_caption_says_which_laws_have_no_weight_and_why():
+    under = WeightedFunction("shaped", np.ones(41), np.full(41, 2.0))
+    methods = {"calm": "lqg", "slow": "skyhook", "still": "lqg", "late": "peak-bounded"}
+    said = weighted_loops("w", F_HZ, {"S": [under]}, {"shaped": "law-1"}, {}, (5.0, 20.0), methods).caption
+    assert "Of calm and still nothing is drawn: an LQG cost is a mean square over all frequencies" in said
+    assert "Nothing in the design of slow and late weighs S, T or KS." in said
+    assert "nothing is drawn" not in drawn(under).caption
+
+
 def test_a_weight_far_above_takes_no_room_and_one_without_end_is_not_drawn():
     values = np.geomspace(0.1, 2.0, 41)
     far = drawn(WeightedFunction("calm", values, np.full(41, 1e8)), member="KS").panels[0]

@@ -20,6 +20,7 @@ from ultraquiet.design.hinf import coprime_stabilisation as coprime
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
+from ultraquiet.design.weights import shaped_loop
 from ultraquiet.design.weights.filters import band_pass, high_pass, peak, rational
 from ultraquiet.design.weights.weight import Weight, weight
 from ultraquiet.linalg.balance import modal
@@ -113,8 +114,9 @@ class LoopShaping(StatedRobustness):
         `gamma` is the norm with the coprime factor M, `achieved` that of [I; Ks] (I - Gs Ks)^-1 [I, Gs], which is the
         same number by another way. `details` holds `gamma_min` and `gamma_min_mapped`, the same through the bilinear
         map; `epsilon`, the stability margin reached; `f_hz`, `wanted` and `loop`, the singular values of Gs and Gs Ks
-        over frequency; `weights`; `shaped`, Gs; `stabiliser`, Ks; `observer`, its gains F and H. By default
-        it says besides which band, units and height the plant gave (`from_plant`).
+        over frequency; `weights`; `loop_weights`, what the norm leaves to S, T and KS (`weights.shaped_loop`);
+        `shaped`, Gs; `factor`, M^-1; `stabiliser`, Ks; `observer`, its gains F and H. By default it says besides which
+        band, units and height the plant gave (`from_plant`).
         """
         if self._measured_by_the_plant():
             aligned = from_plant(plant, self, self._attempt, self.band_hz)
@@ -144,7 +146,8 @@ class LoopShaping(StatedRobustness):
             "pre": series(weights["pre"], gain(np.diag(even.inputs), rate)),
             "post": series(gain(np.diag(even.outputs), rate), weights["post"]),
         }
-        return replace(found, details={**found.details, "weights": units})
+        bounds = shaped_loop.on_loop(units["pre"], units["post"], found.details["factor"])
+        return replace(found, details={**found.details, "weights": units, "loop_weights": bounds})
 
     def _found(self, plant: StateSpace) -> DesignResult:
         """Return the controller and what the equations say of it, its loop not yet judged, or a refusal."""
@@ -160,7 +163,7 @@ class LoopShaping(StatedRobustness):
             return refused(
                 f"{WHO}: the shaped plant W2 G W1 ({counted(shaped.states, 'state')}) cannot be stabilised: {error}"
             )
-        level = self.margin * stabiliser.gamma_min
+        level, factor = self.margin * stabiliser.gamma_min, _factor(shaped, stabiliser)
         if not achieved <= level * (1 + AGREEMENT):
             return refused(
                 f"{WHO}: the loop reaches {achieved:.6g} where {level:.6g} was designed for; scale the plant."
@@ -171,6 +174,8 @@ class LoopShaping(StatedRobustness):
             "level": level,
             "epsilon": 1 / achieved,
             "weights": weights,
+            "loop_weights": shaped_loop.on_loop(weights["pre"], weights["post"], factor),
+            "factor": factor,
             "shaped": shaped,
             "stabiliser": law,
             "observer": {"F": stabiliser.feedback, "H": stabiliser.injection},
@@ -282,6 +287,12 @@ def _coprime(shaped: StateSpace, stabiliser: coprime.Stabiliser) -> StateSpace:
     D = np.vstack([seen, np.hstack([np.zeros((nu, ny)), np.eye(nu)]), seen])
     B = np.hstack([-stabiliser.injection @ stabiliser.innovation, shaped.B])
     return StateSpace(shaped.A, B, C, D, shaped.rate_hz)
+
+
+def _factor(shaped: StateSpace, stabiliser: coprime.Stabiliser) -> StateSpace:
+    """Return M^-1 of Gs = M^-1 N, from the filter equation."""
+    B, D = -stabiliser.injection @ stabiliser.innovation, stabiliser.innovation
+    return StateSpace(shaped.A, B, shaped.C, D, shaped.rate_hz)
 
 
 def _shapes(shaped: StateSpace, law: StateSpace) -> dict[str, FloatArray]:

@@ -13,6 +13,7 @@ from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak
 from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
+from ultraquiet.design.mu import performance_weights
 from ultraquiet.design.mu.scalings import Scaling, constant, fitted, fitted_of_every_order, scaled
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
@@ -126,8 +127,8 @@ class MuSynthesis(StatedRobustness):
         `gamma` is the norm that the K-step of this controller claims for the scaled loop, `achieved` that norm computed
         again. `details` holds `mu`, the peak of the upper bound after each iteration; `mu_peak` and `mu_peak_hz`, those
         of the finished loop; `robust_stability`, the peak for the uncertainty alone; `f_hz`, `mu_upper` and `mu_lower`
-        over frequency; `scaling_orders`; and the `weights`. A loop that is not stable for every plant of the family has
-        the status `not robust`.
+        over frequency; `scaling_orders`; the `weights`, and `loop_weights`, which of them stand on S, T and KS. A loop
+        that is not stable for every plant of the family has the status `not robust`.
         """
         if self._measured_by_the_plant():
             result = from_plant(plant, self, self._attempt, self.band_hz, first=ABSOLUTE["height"])
@@ -154,7 +155,8 @@ class MuSynthesis(StatedRobustness):
             return found
         weights = found.details["weights"]
         units = {**weights, **even.weights(weights["performance"], weights["control"])}
-        return replace(found, details={**found.details, "weights": units})
+        bounds = performance_weights.in_units(found.details["loop_weights"], even)
+        return replace(found, details={**found.details, "weights": units, "loop_weights": bounds})
 
     def _found(self, plant: StateSpace) -> DesignResult:
         """Return the controller of least mu, its loop not yet judged, or a refusal."""
@@ -172,7 +174,8 @@ class MuSynthesis(StatedRobustness):
         if not steps:
             return refused(f"{WHO}: the first H-infinity step failed: {reason}")
         best = min(steps, key=lambda s: s.peak[0])
-        return _told(P, blocks, f, best, steps, {"weights": weights, "stopped": reason})
+        bounds = performance_weights.on_loop(weights, plant.D.shape)
+        return _told(P, blocks, f, best, steps, {"weights": weights, "loop_weights": bounds, "stopped": reason})
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
         """Return the weights in full size at the plant's rate, those left out missing."""

@@ -14,10 +14,10 @@ LoopFunction = Literal["S", "T", "KS"]
 
 @dataclass(frozen=True, eq=False)
 class LoopWeights(Shown):
-    """Weights W with ||W M|| <= cost for M = S, T and KS, at the plant's output; None where the cost bounds none.
+    """Weights W, ||W M|| or ||M W|| <= cost for M = S, T and KS, at the plant's output; None where nothing bounds M.
 
     S = (I - G K)^-1, T = S - I, KS = K S, each in the plant's own units. Every W is of one channel, which stands for a
-    copy on each, or takes all outputs of its function.
+    copy on each, takes all outputs of its function, or stands on all its inputs: what it leaves is the same.
     """
 
     S: StateSpace | None = None
@@ -50,6 +50,8 @@ def _inverse(W: StateSpace, f_hz: FloatArray) -> FloatArray:
     """Return 1 / sigma_min(W) `(nf,)` over all of its inputs."""
     if W.D.shape[0] < W.D.shape[1]:
         return np.full(f_hz.size, np.inf)
-    least = np.linalg.svd(np.moveaxis(W.frequency_response(f_hz), 2, 0), compute_uv=False)[:, -1]
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = np.moveaxis(W.frequency_response(f_hz), 2, 0)
+        values[~np.isfinite(values).all(axis=(1, 2))] = 0.0  # on a pole, as an integrator has one at 0 Hz: left open
+        least = np.linalg.svd(values, compute_uv=False)[:, -1]
         return np.asarray(1.0 / least, dtype=np.float64)

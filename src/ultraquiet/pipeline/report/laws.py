@@ -108,10 +108,12 @@ def _largest(G: ComplexArray, K: ComplexArray, shown: Iterable[LoopFunction]) ->
 def weight_charts(result: StudyResult) -> list[Chart]:
     """Return S, T and KS of every law whose cost weighs them, under what that leaves; nothing where none does."""
     f, G, laws = _responses(result)
+    left_open: dict[str, str] = {}
     members: dict[LoopFunction, list[WeightedFunction]] = {member: [] for member in FUNCTIONS}
     for name, K in laws.items():
         weights, facts = result.loop_weights(name), result.designs[name].facts
         if weights is None:
+            left_open[name] = facts.method
             continue
         left = weights.left(f, facts.achieved if np.isfinite(facts.achieved) else facts.gamma)
         for member, values in _largest(G, K, facts.weights_on).items():
@@ -120,7 +122,7 @@ def weight_charts(result: StudyResult) -> list[Chart]:
     if not seen:
         return []
     units = {"KS": unit_of_control(result)}
-    return [weighted_loops("weights", f, seen, colours(result), units, asked(result).band_hz)]
+    return [weighted_loops("weights", f, seen, colours(result), units, asked(result).band_hz, left_open)]
 
 
 def is_tall(result: StudyResult) -> bool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -11,6 +12,10 @@ from ultraquiet.chart import Chart, ChartPanel, Curve, Region, decibel_axis, fre
 DEEPEST_DB = 100.0  # below the largest of a panel: what is smaller is not drawn
 ROOM_DB = 30.0  # above the loops, in which a weight that is far from them is still drawn
 ABOVE_DB = 0.05  # that a loop may lie above its weight by rounding alone
+MEAN_SQUARES = ("lqg",)  # methods whose cost is an H2 norm
+MEAN_SQUARE = (
+    "an LQG cost is a mean square over all frequencies, whatever it weighs them by, and bounds S, T and KS at none."
+)
 EXCEEDED = (
     "A law lies above where it was reduced after its design, or designed for one channel and put on all: its cost is "
     "that of what it was designed for."
@@ -38,10 +43,12 @@ def weighted_loops(
     colours: Mapping[str, str],
     units: Mapping[str, str],
     band_hz: tuple[float, float],
+    open_laws: Mapping[str, str] = MappingProxyType({}),
 ) -> Chart:
     """Largest singular values of S, T and KS of every law that weighs them, under what its cost leaves; by member.
 
-    `units` of a member follow "dB re"; `colours` are those of the laws.
+    `units` of a member follow "dB re"; `colours` are those of the laws; `open_laws` are those that are not drawn, for
+    their cost leaves everything open, and their methods.
     """
     band = Region("", band_hz, colour="muted")
     panels: list[ChartPanel] = []
@@ -52,8 +59,9 @@ def weighted_loops(
         panels.append(ChartPanel(frequency_axis(), axis, curves, "", [band], height=220))
     caption = (
         "Solid: largest singular values on the design model, every law as it runs. Dashed: the most that the law's "
-        "cost leaves to it, cost over weight; no loop of that cost lies above. " + " ".join(_told(f_hz, members))
+        "cost leaves to it, cost over weight; no loop of that cost lies above. "
     )
+    caption += " ".join([*_told(f_hz, members), *_left_open(open_laws)])
     return Chart(stem, "Weights, and the loops they made", caption, panels)
 
 
@@ -88,6 +96,22 @@ def _told(f_hz: FloatArray, members: Mapping[str, Sequence[WeightedFunction]]) -
         f"{law} is nearest in {member}, {_apart(over)} at {f:.4g} Hz." for law, (over, member, f) in nearest.items()
     ]
     return [*told, EXCEEDED] if any(over > ABOVE_DB for over, _, _ in nearest.values()) else told
+
+
+def _left_open(laws: Mapping[str, str]) -> list[str]:
+    """Say why laws have no weight here.
+
+    >>> _left_open({"calm": "lqg", "slow": "peak-bounded"})[1]
+    'Nothing in the design of slow weighs S, T or KS.'
+    """
+    squares = [law for law, method in laws.items() if method in MEAN_SQUARES]
+    others = [law for law in laws if law not in squares]
+    told = [f"Of {_listed(squares)} nothing is drawn: {MEAN_SQUARE}"] if squares else []
+    return [*told, f"Nothing in the design of {_listed(others)} weighs S, T or KS."] if others else told
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([*([", ".join(names[:-1])] if names[1:] else []), names[-1]])
 
 
 def _apart(over_db: float) -> str:
