@@ -7,7 +7,7 @@ A setting that went by another name answers to it: as an argument, in tables and
 True
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from functools import wraps
@@ -49,7 +49,7 @@ def register(family: str, name: str) -> Callable[[Method], Method]:
 
 
 @contextmanager
-def registered(family: str, name: str, method: type[Any]) -> Iterator[None]:
+def registered(family: str, name: str, method: type[Any]) -> Generator[None]:
     """Have a method registered within a block and no longer: the table is one for all that runs in a process.
 
     >>> from ultraquiet._base.registry import methods, registered
