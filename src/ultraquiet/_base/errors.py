@@ -55,6 +55,11 @@ class InterlockError(BenchError):
         """Whether it was the clock and not a level: frames that came too late, or a run that took too long."""
         return self.interlock in ("frame", "late frames", "duration")
 
+    @property
+    def of_level(self) -> bool:
+        """Whether it was how much was sent or read, which a weaker run would not have been."""
+        return self.interlock in ("amplitude", "slew", "reading", "rms")
+
     def __reduce__(self) -> tuple[type["InterlockError"], tuple[str, str, int, float]]:
         return InterlockError, (str(self), self.interlock, self.sample, self.value)
 

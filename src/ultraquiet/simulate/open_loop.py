@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.errors import InterlockError
 from ultraquiet.bench import Bench
 from ultraquiet.experiments import real_time
 from ultraquiet.simulate.kick import ranges
@@ -43,6 +44,8 @@ LOUD = 1e3
 LEVELLINGS, LEVELLED = 4, 3.0
 # Runs that meet limits are made again, so much lower, so many times.
 LOWER, LOWERED = 0.7, 4
+# Likewise where an interlock ended one; a loop that trips it however weak the sweep is runs away.
+WEAKER, WEAKENED = 0.5, 5
 # Points of the grid to either side that a level heeds: a resonance just passed still rings; the most it is raised by.
 REACH, RAISED_BY = 2, 30.0
 
@@ -231,15 +234,31 @@ class OpenBand:
     def _levelled(
         self, law: StateSpace | Controller | None, shape: ComplexArray, level: FloatArray, times: int, silence: int
     ) -> tuple[FloatArray, Record, FloatArray, FloatArray, int]:
+        tripped = 0
         while True:
             d = self.sweep.signal(self.grid_hz, shape, level)
-            record = disturb(self.bench, np.pad(d, ((0, 0), (0, silence))), law)
+            beyond = self._beyond(d)
+            d, level = d / beyond, level / beyond
+            try:
+                record = disturb(self.bench, np.pad(d, ((0, 0), (0, silence))), law)
+            except InterlockError as error:
+                # what other benches cut off ends the run of one that is guarded: it rests, and the next is weaker
+                tripped += 1
+                if not error.of_level or tripped > WEAKENED:
+                    raise
+                level = WEAKER * level
+                continue
             change = self._change(d, record, law is not None)
             clipped = int(sum(at_limits(*x).sum() for x in _channels(record)))
             times -= 1
             if not times or (not clipped and np.median(np.abs(np.log(change))) < np.log(LEVELLED)):
                 return d, record, level, level * change, clipped
             level = level * change
+
+    def _beyond(self, d: FloatArray) -> float:
+        """Return how many times the ranges of the actuators a signal needs, one where it fits: a guard refuses it."""
+        own = ranges(self.bench.actuators)
+        return float(np.max(np.abs(d).max(axis=1)[own > 0] / own[own > 0], initial=1.0))
 
     def _heard(self, y: FloatArray, quiet: Quiet | None) -> tuple[ComplexArray, FloatArray, FloatArray]:
         """Return spectra `(ny, lines)` of what came back, what is not known of them, and the power of rounding."""
