@@ -242,11 +242,12 @@ class OpenBand:
             try:
                 record = disturb(self.bench, np.pad(d, ((0, 0), (0, silence))), law)
             except InterlockError as error:
-                # what other benches cut off ends the run of one that is guarded: it rests, and the next is weaker
+                # what other benches cut off ends the run of one that is guarded: the next is weaker, and begins at rest
                 tripped += 1
                 if not error.of_level or tripped > WEAKENED:
                     raise
                 level = WEAKER * level
+                self.quiet(None)
                 continue
             change = self._change(d, record, law is not None)
             clipped = int(sum(at_limits(*x).sum() for x in _channels(record)))
