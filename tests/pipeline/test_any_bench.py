@@ -240,6 +240,11 @@ WRONG = {
         'method = "subspace"',
         "leave 'period_samples' away",
     ),
+    "a period too long for its records": (
+        "\nperiod_samples = 1000",
+        "\nperiod_samples = 2000",
+        "'sines' is 3000 samples long; a response takes three periods, one to settle",
+    ),
     "a tone too fast": ("[11.0]", "[260.0]", "half the bench's rate"),
     "files and a list": ("[experiment]", '[records]\nfiles = ["run.csv"]\n[experiment]', "leave one"),
 }

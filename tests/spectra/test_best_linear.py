@@ -120,7 +120,7 @@ def test_refusals(rng):
     with refused:
         uq.spectra.best_linear(uq.Record(noise, noise, RATE_HZ), 700)
     u = uq.signals.Multisine(period_samples=700).generate(7000, RATE_HZ, 1)
-    with pytest.raises(uq.errors.InputError, match="1 whole periods of 700 samples; two are needed"):
+    with pytest.raises(uq.errors.InputError, match="1 whole period of 700 samples after 1 to settle; two are needed"):
         uq.spectra.best_linear(uq.Record(u[:1400], u[:1400], RATE_HZ), 700)
     with pytest.raises(uq.errors.InputError, match="no input moves"):
         uq.spectra.best_linear(uq.Record(np.ones(7000), u, RATE_HZ), 700)

@@ -22,6 +22,7 @@ from ultraquiet.simulate.payload.wires import place_of
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import usual_level
 
+FEWEST_PERIODS = 3  # of a record that a response is made of
 SHORTEST_S, PERIODS = 2.0, 20.0  # of tones: this long, and this many periods of the lowest
 HEARD = 0.4  # of a sensor's range: tones that nobody gave an amplitude stay below, before a law is closed
 MOST_SAMPLES = 1e8  # of all channels of one run; 0.8 GB
@@ -227,11 +228,18 @@ def _lengths(study: Study, wired: Any, mistakes: Mistakes) -> None:
 
 
 def _period(study: Study, plan: ExperimentList, mistakes: Mistakes) -> None:
-    """Note a period of the plant's records that is not the one of the signals they answer."""
+    """Note a period that is not the one of the signals which the plant's records answer, or too long for them."""
     asked = study.plant.period_samples
     for measurement in plan.measurements:
         if asked is None or not {measurement.name, measurement.group} & set(study.plant.records):
             continue
+        if measurement.samples < FEWEST_PERIODS * asked:
+            fault = (
+                f"{asked}, yet '{measurement.group}' is {measurement.samples} samples long; a response takes three "
+                f"periods, one to settle and two to tell noise from it: {FEWEST_PERIODS * asked} samples."
+            )
+            mistakes.add(("plant", "period_samples"), f"plant.period_samples: {fault}")
+            return
         for drive in measurement.drives:
             sent = getattr(drive.signal, "period_samples", None)
             if isinstance(sent, int) and sent > 0 and asked % sent:

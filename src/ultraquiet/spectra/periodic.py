@@ -7,6 +7,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.line import counted
 from ultraquiet.values import FrequencyResponse, Record
 
 # A line counts as excited when it stands this far above the median line of the input's spectrum, or above this share
@@ -81,8 +82,9 @@ def steady_periods(who: str, name: str, record: Record, period: int, settle: int
     periods = record.samples // period - whole(who, "settle_periods", settle, 0)
     if periods < 2:
         raise InputError(
-            f"{who}: {name} leaves {periods} whole periods of {period} samples; "
-            f"two are needed to tell noise from response."
+            f"{who}: {name}, {record.samples} samples, leaves {counted(max(periods, 0), 'whole period')} of {period} "
+            f"samples after {settle} to settle; two are needed to tell noise from response, {(2 + settle) * period} "
+            "samples in all."
         )
     steady = slice(settle * period, (settle + periods) * period)
     U = np.fft.rfft(record.inputs[:, steady].reshape(-1, periods, period), axis=2)
