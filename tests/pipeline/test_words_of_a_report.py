@@ -51,5 +51,5 @@ def test_of_a_bad_fit_it_is_said_how_much_of_it_is_none_of_the_bands(tone_hz, ou
         simulated=lambda name: simulated,
     )
     (text,) = _doubted(result)
-    assert f"'step' look bad, a constant would have 0 %: poor -100 % ({outside}% of its error); in brackets" in text
+    assert f"'step' look bad, a constant would have 0 %: poor -100 % ({outside} % of its error); in brackets" in text
     assert "good" not in text

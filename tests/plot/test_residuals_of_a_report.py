@@ -12,7 +12,7 @@ def test_the_caption_names_the_sensor_that_leaves_the_band_most(rng):
         "preferred", "noise", ("left", "right"), np.vstack([white, coloured]), band, np.array([0.4, 0.0])
     )
     share = np.mean(coloured > band)
-    assert f"right does most often, at {share:.0%} of the lags" in chart.caption
+    assert f"right does most often, at {100 * share:.0f} % of the lags" in chart.caption
     assert [panel.title for panel in chart.panels] == ["left", "right"]
     for panel, drawn in zip(chart.panels, (white, coloured), strict=True):
         np.testing.assert_array_equal(panel.curves[0].y, drawn)

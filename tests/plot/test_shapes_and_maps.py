@@ -8,7 +8,7 @@ from ultraquiet.bench import Hexapod
 from ultraquiet.chart import HeatMap, Packing
 from ultraquiet.plot import figure_of
 from ultraquiet.plot.page import still_of
-from ultraquiet.plot.pages.modes import mode_shapes, strongest_modes
+from ultraquiet.plot.pages.modes import SeenMode, _mostly, mode_shapes, strongest_modes
 from ultraquiet.plot.pages.waterfall import density_in_time, waterfall
 from ultraquiet.spectra import psd
 from ultraquiet.values import Channel, Record, StateSpace
@@ -111,3 +111,18 @@ def test_a_waterfall_adds_up_to_the_power_and_is_quieter_where_the_law_is(scale,
 def test_a_map_of_other_size_is_refused():
     with pytest.raises(InputError, match="x 2 times y 3"):
         Packing()._shown(HeatMap("z", [1.0, 2.0], [1.0, 2.0, 3.0], np.zeros(5), (0.0, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        ((1.0, 0.9, -0.1), "left and right together"),
+        ((1.0, -0.9, 0.1), "left against right"),
+        ((0.8, -0.9, 1.0), "rear and left against right"),
+        ((0.1, -1.0, 0.1), "right"),
+    ],
+)
+def test_of_a_mode_it_is_said_what_moves_with_what(shape, said):
+    sensors = [Channel(name, "m/s") for name in ("left", "right", "rear")]
+    plant = StateSpace([[0.5]], [[1.0]], np.ones((3, 1)), np.zeros((3, 1)), RATE, sensors=sensors)
+    assert _mostly(plant, SeenMode(5.0, 0.01, 1.0, np.array(shape, dtype=complex))) == said

@@ -91,7 +91,7 @@ def _wires(plant: StateSpace, side: str) -> tuple[tuple[Channel, ...], str]:
 
 def stated(margins: Mapping[str, EndMargins]) -> str:
     """Return the disk margins of both ends in words."""
-    sizes = [f"{margins[side].disk_all:.2g} at the plant's {side}" for side in ENDS]
+    sizes = [f"{margins[side].disk_all:.2f} at the plant's {side}" for side in ENDS]
     return f"disk margins, all channels at once, are {' and '.join(sizes)}"
 
 

@@ -79,6 +79,15 @@ def rounded(value: float, digits: int = 1) -> str:
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
+def in_percent(share: float, digits: int = 0) -> str:
+    """Return a share as a sentence writes it.
+
+    >>> in_percent(0.104), in_percent(0.001, 1)
+    ('10 %', '0.1 %')
+    """
+    return f"{100 * share:.{digits}f} %"
+
+
 def loudness(reduction_db: float, digits: int = 1) -> str:
     """Return by how much something got quieter or louder: a sentence knows no attenuation below zero.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ultraquiet import simulate
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.shown.line import counted, loudness
+from ultraquiet._base.shown.line import counted, in_percent, loudness
 from ultraquiet.files import write_bytes
 from ultraquiet.identify import Rational
 from ultraquiet.pipeline.facts.mission import CampaignCurves, CampaignFacts, WorstCase
@@ -147,7 +147,7 @@ def _status(rows: Sequence[Row], share: float, interval: tuple[float, float]) ->
     word = "ok" if share == 1.0 else "unstable"
     drawn = counted(len(rows), "drawn bench", "drawn benches")
     return (
-        f"{word}: The loop is stable on {stable} of {drawn} (95 % sure of {interval[0]:.1%}); "
+        f"{word}: The loop is stable on {stable} of {drawn} (95 % sure of {in_percent(interval[0], 1)}); "
         f"95 % of them get the worst direction {_at_least(depth['5%'])} and peak at no more than {peak['95%']:.1f} dB."
     )
 

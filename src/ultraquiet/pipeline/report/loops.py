@@ -163,11 +163,12 @@ def _on_the_bench(result: StudyResult) -> list[str]:
     if stable:
         db, name, unit = max(stable)
         low, high = result.plan.band_hz
-        size = "quietest" if db > 0 else "least loud"
+        reached = f"over {low:.4g}-{high:.4g} Hz with {name} on {of_the_bench(unit)}"
+        most = f"is {'quietest' if db > 0 else 'least loud'} {reached}: {loudness(db)}"
         text.append(
-            "Every law was run on the bench as it stands in its code. The worst direction, the largest singular value "
-            f"of the sensitivity that was measured, is {size} over {low:.4g}-{high:.4g} Hz with {name} on "
-            f"{of_the_bench(unit)}: {loudness(db)}."
+            f"{'The law' if len(result.loops) == 1 else 'Every law'} was run on the bench as it stands in its code. "
+            "The worst direction, the largest singular value of the sensitivity that was measured, "
+            f"{most if len(stable) > 1 else f'is {loudness(db)} {reached}'}."
         )
     return text
 

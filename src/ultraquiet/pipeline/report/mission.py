@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.shown.line import counted, loudness, opening, rounded
+from ultraquiet._base.shown.line import counted, in_percent, loudness, opening, rounded
 from ultraquiet.chart import Chart
 from ultraquiet.pipeline.facts.mission import (
     CampaignCurves,
@@ -159,7 +159,7 @@ def campaign(facts: CampaignFacts, curves: CampaignCurves) -> Section:
     for unit, figures in facts.by_unit.items():
         for figure, label in labels.items():
             values = (figures[figure][share] for share in spread)
-            rows.append([unit, f"{figures['stable_share']['share']:.1%}", label, *(f"{v:.1f}" for v in values)])
+            rows.append([unit, in_percent(figures["stable_share"]["share"], 1), label, *(f"{v:.1f}" for v in values)])
     columns = ("unit", "stable", "figure, dB", "least", "5 %", "median", "95 %", "most")
     tables = [Table("Drawn benches", columns, rows), _worst(facts)]
     figures = {labels[name]: dict(getattr(curves, name)) for name in labels}
@@ -190,7 +190,7 @@ def commissioning(facts: CommissioningFacts) -> Section:
     rows = [
         (
             unit,
-            f"{step.gain:.0%}",
+            in_percent(step.gain),
             ", ".join(f"{end} {alpha:.2f} at {step.disk_hz[end]:.3g} Hz" for end, alpha in step.disk.items()),
             ", ".join(f"{end} {db:.1f}" for end, db in step.peak_db.items()),
             "-" if step.reduction_db is None else f"{step.reduction_db:.1f}",

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ultraquiet._base.errors import UltraquietError
-from ultraquiet._base.shown.line import counted
+from ultraquiet._base.shown.line import counted, in_percent
 from ultraquiet.identify.successive_orders import frequency_and_damping, poles_by_order
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.models import (
@@ -195,6 +195,10 @@ def _of_residuals(p: ResidualFacts) -> str:
     )
 
 
+def _of_its_error(share: float | None) -> str:
+    return "" if share is None else f" ({in_percent(share)} of its error)"
+
+
 def _doubted(result: StudyResult) -> list[str]:
     """Say of every record which models simulate it badly, and how much of what they miss is none of the band's."""
     low, high = result.plan.band_hz
@@ -202,10 +206,7 @@ def _doubted(result: StudyResult) -> list[str]:
     for name, fit in result.validation.facts.records.items():
         bad = sorted((each, model) for model, each in fit.fit_percent.items() if each < FIT_DOUBTED)
         shares = {model: _error_outside(result, name, fit, model) for _, model in bad}
-        each = [
-            f"{model} {percent:.0f} %" + ("" if shares[model] is None else f" ({shares[model]:.0%} of its error)")
-            for percent, model in bad
-        ]
+        each = [f"{model} {fitted:.0f} %{_of_its_error(shares[model])}" for fitted, model in bad]
         outside = f"; in brackets what lies outside {low:.4g}-{high:.4g} Hz" if any(shares.values()) else ""
         if each:
             said.append(f"Fits of '{name}' look bad, a constant would have 0 %: {', '.join(each)}{outside}.")
@@ -322,10 +323,12 @@ def _about_symmetry(facts: AnalysisFacts) -> list[str]:
     """Say what a square plant's symmetries and diagonal are worth."""
     if facts.reciprocity_error is None or facts.dominance_db is None:
         return []
-    threefold = facts.threefold_error
-    turned = "" if threefold is None else f", from itself turned by 120 degrees by {np.median(threefold):.1%}"
+    off, turned = in_percent(float(np.median(facts.reciprocity_error)), 1), ""
+    if facts.threefold_error is not None:
+        by = in_percent(float(np.median(facts.threefold_error)), 1)
+        turned = f", from itself turned by 120 degrees by {by}"
     return [
-        f"G differs from its transpose by {np.median(facts.reciprocity_error):.1%} (median over frequency){turned}; "
+        f"G differs from its transpose by {off} (median over frequency){turned}; "
         f"the weakest diagonal gain stands {np.median(facts.dominance_db):.0f} dB above the rest of its column."
     ]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ultraquiet import spectra
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.shown.line import counted, opening
+from ultraquiet._base.shown.line import counted, in_percent, opening
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, frequency_axis
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.identification import group, grouped
@@ -68,9 +68,9 @@ def _levels_in_words(result: StudyResult) -> str:
     if not clipped:
         return text + "No sensor stood at its limits."
     name = max(clipped, key=lambda n: clipped[n] / result.records[n].outputs.size)
-    share = clipped[name] / result.records[name].outputs.size
+    share = in_percent(clipped[name] / result.records[name].outputs.size, 1)
     return (
-        f"{text}In {len(clipped)} of them a sensor stood at its limits, most in '{name}' with {share:.1%} of all "
+        f"{text}In {len(clipped)} of them a sensor stood at its limits, most in '{name}' with {share} of all "
         "readings: what is clipped answers no linear model, and fits of such records are to be read with that in mind."
     )
 
@@ -112,7 +112,7 @@ def _levels(result: StudyResult) -> Table:
 
 def _share(size: float, low: float, high: float) -> str:
     limit = max(abs(low), abs(high))
-    return f"{size / limit:.0%}" if np.isfinite(limit) and limit > 0 else "-"
+    return in_percent(size / limit) if np.isfinite(limit) and limit > 0 else "-"
 
 
 def _coherence(result: StudyResult) -> Chart | None:

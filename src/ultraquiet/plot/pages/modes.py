@@ -76,7 +76,7 @@ def mode_shapes(plant: StateSpace, limits_hz: tuple[float, float], sketch: Sketc
         moves = drawn.moves @ mode.shape
         moves = moves / max(float(np.abs(moves).max()), np.finfo(float).tiny)
         shapes.append(MovingShape(f"{mode.f_hz:.4g} Hz, damping {100 * mode.zeta:.2g} %", moves.real, moves.imag))
-    told = [f"{mode.f_hz:.4g} Hz mostly {_mostly(plant, mode)}" for mode in modes]
+    told = [f"{mode.f_hz:.4g} Hz, mostly {_mostly(plant, mode)}" for mode in modes]
     stands = "on the bench's sketch" if known else _in_a_row(len(plant.sensors))
     alike = "slowed and enlarged" + " alike" * (len(modes) > 1)
     caption = (
@@ -96,9 +96,11 @@ def _in_a_row(count: int) -> str:
 
 
 def _mostly(plant: StateSpace, mode: SeenMode) -> str:
-    """Say which readings move most, and whether together."""
+    """Say which readings move most, those that move together before those that move against them."""
     size = np.abs(mode.shape)
     loud = [k for k in np.argsort(-size, kind="stable")[:3] if size[k] > 0.5 * size.max()]
-    signs = {bool(np.real(mode.shape[k]) > 0) for k in loud}
-    together = "" if len(loud) == 1 else " alike" if len(signs) == 1 else " against each other"
-    return ", ".join(plant.sensors[k].name for k in loud) + together
+    up = [bool(np.real(mode.shape[k]) > 0) for k in loud]
+    named = [(plant.sensors[k].name, side == up[0]) for k, side in zip(loud, up, strict=True)]
+    with_it, against = ([name for name, same in named if same is wanted] for wanted in (True, False))
+    together = " together" if not against and len(with_it) > 1 else ""
+    return " against ".join(" and ".join(side) for side in (with_it, against) if side) + together

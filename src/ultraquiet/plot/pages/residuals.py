@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.shown.line import chance
+from ultraquiet._base.shown.line import chance, in_percent
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark
 
 COLUMNS = 3
@@ -37,7 +37,7 @@ def residual_chart(
     worst = int(np.argmax(beyond))
     caption = (
         f"Correlation of the one-step error of the {model} model with its own past, '{record}'. White noise leaves the "
-        f"dashed band at one lag of twenty; {sensors[worst]} does most often, at {beyond[worst]:.0%} of the lags "
-        f"(p {chance(float(whiteness_p[worst]))})."
+        f"dashed band at one lag of twenty; {sensors[worst]} does most often, at {in_percent(beyond[worst])} of the "
+        f"lags (p {chance(float(whiteness_p[worst]))})."
     )
     return Chart("residuals", "Residuals", caption, panels, min(COLUMNS, len(panels)))
