@@ -8,7 +8,7 @@ import pytest
 from ultraquiet.pipeline.facts.models import RecordFit, ResidualFacts
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report.front import _verdict
-from ultraquiet.pipeline.report.models import _doubted, _of_residuals
+from ultraquiet.pipeline.report.models import _about_zeros, _doubted, _of_residuals
 from ultraquiet.values import Channel, Record
 
 RATE_HZ, BAND_HZ = 100.0, (5.0, 20.0)
@@ -53,3 +53,18 @@ def test_of_a_bad_fit_it_is_said_how_much_of_it_is_none_of_the_bands(tone_hz, ou
     (text,) = _doubted(result)
     assert f"'step' look bad, a constant would have 0 %: poor -100 % ({outside} % of its error); in brackets" in text
     assert "good" not in text
+
+
+@pytest.mark.parametrize(
+    ("at", "said"),
+    [
+        ([(3.0, False)], "1 transmission zero (conjugates counted once): outside the unit circle none up to Nyquist."),
+        (
+            [(0.0, False), (3.0, True), (60.0, True)],
+            "circle at 3 Hz up to Nyquist, 1 at 0 Hz, 1 real one beyond Nyquist, as sampling makes them.",
+        ),
+    ],
+)
+def test_of_zeros_only_those_are_counted_that_there_are(at, said):
+    zeros = [SimpleNamespace(frequency_hz=f, outside=outside) for f, outside in at]
+    assert _about_zeros(zeros, 50.0).endswith(said)

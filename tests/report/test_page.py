@@ -127,6 +127,9 @@ def test_words_stand_at_the_left_numbers_at_the_right_and_a_long_caption_wraps()
     assert kinds == ["word", "word", "", "word", ""]
     assert text.count('<caption class="long">') == 1
     assert '<span class="held">10-100 Hz</span>' in text
+    front = Front("Quieter by 20.1 dB in every direction, 10-100 Hz", figures=[figure("hero")])
+    head = render(Report("t", "l", [], [], front))
+    assert '<span class="held">20.1 dB</span> in every direction, <span class="held">10-100 Hz</span>' in head
     assert Page(text).sections[0].tables[0].heads == list(heads)
 
 

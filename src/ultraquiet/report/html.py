@@ -77,7 +77,7 @@ def _are_numbers(cells: list[str]) -> bool:
 
 
 def _held(head: str) -> "markupsafe.Markup":
-    """Return the head of a column, whose numbers stay beside their units when it wraps.
+    """Return the head of a column or of the page, whose numbers stay beside their units when it wraps.
 
     >>> str(_held("rms <10-100 Hz> of it"))
     'rms &lt;<span class="held">10-100 Hz</span>&gt; of it'

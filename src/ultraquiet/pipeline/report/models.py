@@ -304,10 +304,12 @@ def _about_zeros(zeros: Sequence[Root], nyquist: float) -> str:
     dc_hz = AT_DC * nyquist
     at_dc = sum(z.frequency_hz < dc_hz for z in zeros)
     beyond = sum(z.outside and z.frequency_hz > nyquist for z in zeros)
+    outside = _frequencies(zeros, dc_hz, nyquist)
+    said = [f"outside the unit circle {'none' if outside == 'none' else f'at {outside} Hz'} up to Nyquist"]
+    said += [f"{at_dc} at 0 Hz"] if at_dc else []
+    said += [f"{counted(beyond, 'real one')} beyond Nyquist, as sampling makes them"] if beyond else []
     return (
-        f"The design plant has {counted(len(zeros), 'transmission zero')} (conjugates counted once): {at_dc} at 0 Hz, "
-        f"outside the unit circle between {dc_hz:.2g} Hz and Nyquist: {_frequencies(zeros, dc_hz, nyquist)}, and "
-        f"{counted(beyond, 'real one')} beyond Nyquist, as sampling makes them."
+        f"The design plant has {counted(len(zeros), 'transmission zero')} (conjugates counted once): {', '.join(said)}."
     )
 
 
