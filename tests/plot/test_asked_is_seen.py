@@ -27,3 +27,8 @@ def test_the_region_that_is_asked_for_is_within_the_axes(level_db):
 def test_without_a_requirement_the_axes_fit_the_curves():
     measured = measured_loops("bench", [LoopCurve("law", F_HZ, np.zeros(50), "law-1")], RequiredOfLoop((5.0, 50.0)))
     assert measured.panels[0].y.range is None
+
+
+def test_a_picture_of_the_bench_says_over_which_frequencies_it_was_heard():
+    heard = measured_loops("bench", [LoopCurve("law", F_HZ, np.zeros(50), "law-1")], ASKED)
+    assert f"on the bench from {F_HZ[0]:.3g} to {F_HZ[-1]:.4g} Hz, where it was heard" in heard.caption

@@ -11,6 +11,7 @@ import numpy as np
 LONGEST = 160  # characters; a line of a terminal and a half
 WORDS = 48  # characters of one text within it
 LEAST_CHANCE = 1e-12  # a p-value below it has no digit that says anything
+AT_REST_HZ = 1e-9  # no bench swings as slowly
 MOST_ENTRIES = 8  # of a sequence or an array
 
 
@@ -77,6 +78,15 @@ def rounded(value: float, digits: int = 1) -> str:
     ('0.0', '2.35')
     """
     return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def hertz(f_hz: float) -> str:
+    """Return a frequency as a sentence says it: what a search leaves beside zero is zero.
+
+    >>> hertz(8.158e-14), hertz(31.5712)
+    ('0 Hz', '31.57 Hz')
+    """
+    return f"{f_hz if f_hz > AT_REST_HZ else 0.0:.4g} Hz"
 
 
 def in_percent(share: float, digits: int = 0) -> str:

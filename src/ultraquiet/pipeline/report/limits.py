@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ultraquiet._base.shown.line import rounded
+from ultraquiet._base.shown.line import opening, rounded
 from ultraquiet.pipeline.facts.limits import BandLimit, DesignLimit, NoDistance, RefusedBand
 from ultraquiet.pipeline.report.laws import unit_of_control
 from ultraquiet.pipeline.result import StudyResult
@@ -54,7 +54,8 @@ def _figures(limit: DesignLimit | NoDistance) -> list[str]:
 def _of_band(limit: BandLimit | RefusedBand, unit: str) -> str:
     low, high = limit.band_hz
     if isinstance(limit, RefusedBand) or not np.isfinite(limit.bound_db):
-        return f"{low:.4g}-{high:.4g} Hz: {limit.status}"
+        band = f"{low:.4g}-{high:.4g} Hz"
+        return opening(limit.status) if band in limit.status else f"{band}: {limit.status}"
     return (
         f"{low:.4g}-{high:.4g} Hz at a peak of {limit.peak_db:g} dB and |K S| up to {limit.control_gain:.4g}{unit}: "
         f"{limit.attenuation_db:.1f} dB can be reached, {limit.bound_db:.1f} dB cannot be exceeded."

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ultraquiet._base.shown.line import counted, loudness, opening, rounded
+from ultraquiet._base.shown.line import counted, hertz, loudness, opening, rounded
 from ultraquiet.pipeline.facts.limits import DesignLimit
 from ultraquiet.pipeline.facts.loops import DesignFacts, StableLoop, UnstableLoop, of_the_bench
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
@@ -101,7 +101,7 @@ def margins_table(result: StudyResult) -> Table:
             said = "none upsets it"
             if least is not None:
                 amount = f"{least.amount:+.3g} dB" if least.kind == "gain" else f"{least.amount:.3g} degrees"
-                said = f"{amount} of {least.channel}, at {least.f_hz:.4g} Hz"
+                said = f"{amount} of {least.channel}, at {hertz(least.f_hz)}"
             together = "-" if at.disk_all is None else _number(at.disk_all, 2)
             worst = (min(at.gain_up_db.min(), at.gain_down_db.min()), at.phase_deg.min(), at.disk.min())
             rows.append((name, side, *(_number(float(w), 3) for w in worst), together, said))

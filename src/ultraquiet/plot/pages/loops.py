@@ -73,8 +73,11 @@ def measured_loops(stem: str, curves: Sequence[LoopCurve], asked: RequiredOfLoop
     panel = ChartPanel(frequency_axis(), axis, lines, regions=asked.regions, marks=asked.marks, height=340)
     chief = [c for c in curves if c.colour == "chosen"] if len(curves) > MOST_TOLD else []
     told = [sentence for c in chief or curves if (sentence := _of_loop(c, asked.band_hz))]
+    ends = [end for c in curves if c.f_hz.size for end in (float(c.f_hz[0]), float(c.f_hz[-1]))]
+    where = f" from {min(ends):.3g} to {max(ends):.4g} Hz, where it was heard" if ends else ""
     caption = (
-        "Largest singular value of the sensitivity, measured on the bench; below zero every direction is quieter. "
+        f"Largest singular value of the sensitivity, measured on the bench{where}; below zero every direction is "
+        "quieter. "
         f"{'; '.join(told)}."
     )
     return Chart(stem, "Worst direction, measured on the bench", caption, [panel])
