@@ -235,8 +235,8 @@ def _period(study: Study, plan: ExperimentList, mistakes: Mistakes) -> None:
             continue
         if measurement.samples < FEWEST_PERIODS * asked:
             fault = (
-                f"{asked}, yet '{measurement.group}' is {measurement.samples} samples long; a response takes three "
-                f"periods, one to settle and two to tell noise from it: {FEWEST_PERIODS * asked} samples."
+                f"{asked}, yet '{measurement.group}' is {counted(measurement.samples, 'sample')} long; a response "
+                f"takes three periods, one to settle and two to tell noise from it: {FEWEST_PERIODS * asked} samples."
             )
             mistakes.add(("plant", "period_samples"), f"plant.period_samples: {fault}")
             return
