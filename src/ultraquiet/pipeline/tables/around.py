@@ -9,7 +9,7 @@ from ultraquiet._base.registry import lookup
 from ultraquiet._base.tables import Method
 
 
-class Controller(Protocol):
+class PutRound(Protocol):
     """`[controllers.NAME]`."""
 
     @property
@@ -23,7 +23,7 @@ class Controller(Protocol):
         ...
 
 
-Controllers = Mapping[str, Controller]
+Controllers = Mapping[str, PutRound]
 
 
 def inside(controllers: Controllers, name: str) -> list[str]:
