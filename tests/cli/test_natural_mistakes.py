@@ -250,7 +250,7 @@ STUDIES = {
     "a list that is not there": ('list = "suite"', 'list = "my.toml"', ("my.toml",)),
     "a period that is no number": ("period_samples = 7000", 'period_samples = "7k"', ("period_samples", "integer")),
     "a period that the list contradicts": ("period_samples = 7000", "period_samples = 6900", ("6900", "7000")),
-    "a level beyond the actuators": ("amplitude = 10.0 ", "amplitude = 500.0 ", ("amplitude", "500", "ask less")),
+    "a level beyond the actuators": ("amplitude = 1.0 ", "amplitude = 500.0 ", ("amplitude", "500", "ask less")),
     "a number where a list belongs": (TONES, f"{UNITS}tones_hz = 5.0", ("tones_hz", "list in brackets", "[5.0]")),
     "a decimal comma": ("band_hz = [10.0, 100.0]", "band_hz = [10,0, 100,0]", ("band_hz", "at most 2")),
     "a design misspelt": ('method = "lqg"', 'method = "lgq"', ("lgq", "lqg")),

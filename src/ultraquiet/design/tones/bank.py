@@ -147,17 +147,16 @@ def _resonator(w: float, g: Inverse, rate_hz: float, speed: float, rho: float) -
 def _heard_through(resonator: StateSpace, w: float, roll_off: float) -> StateSpace:
     """Return a resonator behind F = (1 - p) / (z - p), p = e^(-roll_off w), its drive turned such that F is one at w.
 
-    The drive of a resonator is complex, (B_re + j B_im) y, and so is what turns it.
+    By partial fractions, so that no state drives another, with L the resonator's pole:
+
+        (e^jw - p) / ((z - L) (z - p)) = (e^jw - p) / (L - p) (1 / (z - L) - 1 / (z - p)).
     """
     n, ny = resonator.states, resonator.B.shape[1]
-    p = np.exp(-roll_off * w)
-    turned = (resonator.B[: n // 2] + 1j * resonator.B[n // 2 :]) * (np.exp(1j * w) - p) / (1 - p)
+    p, pole = np.exp(-roll_off * w), resonator.A[0, 0] + 1j * resonator.A[n // 2, 0]
+    turned = (resonator.B[: n // 2] + 1j * resonator.B[n // 2 :]) * (np.exp(1j * w) - p) / (pole - p)
     drive = np.vstack([turned.real, turned.imag])
-    A = np.block([[resonator.A, drive], [np.zeros((ny, n)), p * np.eye(ny)]])
-    B, C = (
-        np.vstack([np.zeros((n, ny)), (1 - p) * np.eye(ny)]),
-        np.hstack([resonator.C, np.zeros((len(resonator.C), ny))]),
-    )
+    A = np.block([[resonator.A, np.zeros((n, ny))], [np.zeros((ny, n)), p * np.eye(ny)]])
+    B, C = np.vstack([drive, np.eye(ny)]), np.hstack([resonator.C, -resonator.C @ drive])
     return StateSpace(A, B, C, resonator.D, resonator.rate_hz)
 
 
