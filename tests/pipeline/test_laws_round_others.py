@@ -14,6 +14,13 @@ from ultraquiet.pipeline.preflight import LoopPlan
 from ultraquiet.pipeline.study import Design, StudyError, parse
 from ultraquiet.testing.problems import damped_plant
 
+
+@pytest.fixture(autouse=True)
+def known():
+    with small_study.known():
+        yield
+
+
 PLAN = LoopPlan(("bench",), (), 1.0, 2.0, (10.0, 60.0))
 HUM = """
 [controllers.hum]
