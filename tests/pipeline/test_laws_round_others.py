@@ -15,7 +15,7 @@ from ultraquiet.pipeline.study import Design, StudyError, parse
 from ultraquiet.testing.problems import damped_plant
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def known():
     with small_study.known():
         yield
@@ -33,6 +33,7 @@ settling_s = 1.0
 ROUND_CALM = Design.model_validate({"around": "calm", "design": {"method": "resonators", "tones_hz": [40.0]}})
 
 
+@pytest.mark.usefixtures("known")
 @pytest.mark.parametrize(
     ("before", "after", "words"),
     [
@@ -51,6 +52,7 @@ def test_what_cannot_be_put_round_another_is_refused_with_its_line(before, after
     assert text.splitlines()[line - 1].startswith("around")
 
 
+@pytest.mark.usefixtures("known")
 def test_laws_come_after_those_inside_them_whatever_their_order_and_whatever_is_asked():
     second = HUM.replace("controllers.hum", "controllers.more").replace('"calm"', '"hum"')
     for asked in ("", '\n[requirements]\nlaw = "more"\ndisk_margin = 0.1\n'):
