@@ -12,10 +12,10 @@ from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.reduce._abstract import METHODS, joined, project, split
 from ultraquiet.reduce.certificate import loop_norm
 from ultraquiet.reduce.grid import grid_of
-from ultraquiet.reduce.stepwise import in_steps, inside, loop_gramians, mean_block, repeated
+from ultraquiet.reduce.stepwise import in_steps, loop_gramians, mean_block
 from ultraquiet.reduce.tuning import Descent, LawSizes, matrices, packed
 from ultraquiet.reduce.weighting import output_gramian
-from ultraquiet.values.interconnect import lft
+from ultraquiet.values.interconnect import lft, of_one_channel, repeated
 from ultraquiet.values.state_space import StateSpace
 
 # Exponents of the smooth peak, one descent after the other: the first sees the whole band, the last the peak alone.
@@ -51,19 +51,18 @@ class Candidates:
     def __init__(self, P: StateSpace, K: StateSpace, method: str, norm: str) -> None:
         self.P, self._K, self._norm = P, K, norm
         loop = lft(P, K)
-        poles = loop.poles()
         self._discrete = P.rate_hz is not None
         # a direct term that was not there makes a continuous mean square infinite
         truncation_only = norm == "mean-square" and not self._discrete
         self._ways = ("truncation",) if truncation_only else tuple(dict.fromkeys((method, "truncation")))
-        if not inside(poles, self._discrete):
+        if not loop.is_stable():
             raise InputError("ClosedLoopWeighted: the loop with the full controller is unstable; nothing can be kept.")
         self.before = loop_norm(loop, norm)
         if not np.isfinite(self.before):
             raise InputError("ClosedLoopWeighted: the mean square of this loop is infinite; take norm='peak'.")
-        self._law, self._copies = _scalar_law(K)
+        self._law, self._copies = of_one_channel(K)
         self._sources = self._gramians(loop)
-        self._grid = grid_of(P, K, poles)
+        self._grid = grid_of(P, K, loop.poles())
         self._full = self._grid.norm(self._grid.K, norm)
 
     @property
@@ -119,7 +118,7 @@ class Candidates:
         self, descent: Descent, shape: LawSizes, start: ReducedLaw, steps: int
     ) -> tuple[ReducedLaw, FloatArray] | None:
         """Move towards the full controller, then down on the loop's norm; None where the loop stays unstable."""
-        one = _scalar_law(start.system)[0] if self._copies > 1 else start.system
+        one = of_one_channel(start.system)[0] if self._copies > 1 else start.system
         x = packed((one.A, one.B, one.C, one.D), shape, self._discrete) if one.states == shape.states else None
         if x is None:
             return None
@@ -156,10 +155,10 @@ class Candidates:
         """Judge a controller on the grid, and by the poles of its loop."""
         small = repeated(StateSpace(*M, rate_hz=self._K.rate_hz), self._copies)
         try:
-            poles = lft(self.P, small).poles()
+            kept = lft(self.P, small).is_stable()
         except InputError:
-            return ReducedLaw(small, hankel, np.inf, way)
-        if not inside(poles, self._discrete):
+            kept = False
+        if not kept:
             return ReducedLaw(small, hankel, np.inf, way)
         seen = np.moveaxis(residues(small.A, small.B, small.C, small.D).at(self._grid.points), 2, 0)
         cost = self._grid.norm(seen, self._norm) / self._full if self._full else 1.0
@@ -192,18 +191,3 @@ def _influence(P: StateSpace, K: StateSpace) -> Matrices:
     B2, D12 = P.B[:, m:], P.D[:, m:]
     felt = lft(StateSpace(P.A, np.hstack([B2, B2]), P.C, np.hstack([D12, D12]), P.rate_hz), K)
     return felt.A, felt.B, felt.C, felt.D
-
-
-def _scalar_law(K: StateSpace) -> tuple[StateSpace, int]:
-    """Return the scalar law k and the number of copies when K = diag(k, ..., k) state by state, else K and one.
-
-    A law repeated on every channel is reduced once, so that its copies stay equal.
-    """
-    n = K.D.shape[0]
-    if n < 2 or K.D.shape != (n, n) or K.states % n:
-        return K, 1
-    m = K.states // n
-    first = StateSpace(K.A[:m, :m], K.B[:m, :1], K.C[:1, :m], K.D[:1, :1], K.rate_hz)
-    copies = repeated(first, n)
-    same = all(np.array_equal(getattr(K, key), getattr(copies, key)) for key in "ABCD")
-    return (first, n) if same else (K, 1)

@@ -8,9 +8,8 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.linalg import balance
-from ultraquiet.linalg.ordered import Array
 from ultraquiet.reduce._abstract import METHODS, project
-from ultraquiet.values.interconnect import append, lft
+from ultraquiet.values.interconnect import lft, repeated
 from ultraquiet.values.state_space import StateSpace
 
 STEPS = 30  # a law goes down by so small a part of its states at a time: the loop changes little under each
@@ -58,7 +57,7 @@ def _one_step(
         try:
             M, hankel = project((law.A, law.B, law.C, law.D), Pc, Qo, law.states - size, P.rate_hz is not None, method)
             smaller = StateSpace(*M, rate_hz=P.rate_hz)
-            if inside(lft(P, repeated(smaller, copies)).poles(), P.rate_hz is not None):
+            if lft(P, repeated(smaller, copies)).is_stable():
                 return smaller, hankel
         except (np.linalg.LinAlgError, InputError, NumericalError):
             continue
@@ -83,13 +82,3 @@ def mean_block(gramian: FloatArray, copies: int) -> FloatArray:
     """Return the mean of a Gramian's diagonal blocks: what the copies' states have in common."""
     m = gramian.shape[0] // copies
     return np.mean([gramian[k * m : (k + 1) * m, k * m : (k + 1) * m] for k in range(copies)], axis=0)
-
-
-def repeated(k: StateSpace, copies: int) -> StateSpace:
-    """Return diag(k, ..., k)."""
-    return k if copies == 1 else append(*[k] * copies)
-
-
-def inside(poles: Array, discrete: bool) -> bool:
-    """Return whether all poles are strictly stable."""
-    return bool(np.all(np.abs(poles) < 1) if discrete else np.all(poles.real < 0))

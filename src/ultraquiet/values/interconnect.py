@@ -57,6 +57,26 @@ def append(*systems: StateSpace) -> StateSpace:
     return StateSpace(A, B, C, D, systems[0].rate_hz)
 
 
+def repeated(one: StateSpace, copies: int) -> StateSpace:
+    """Return diag(one, ..., one), which does not couple its channels."""
+    return one if copies == 1 else append(*[one] * copies)
+
+
+def of_one_channel(system: StateSpace) -> tuple[StateSpace, int]:
+    """Return k and the number of copies where a system is diag(k, ..., k), state by state, else the system and one.
+
+    Equal to the last digit, as designs make it: a system that is so but for round-off is one of many channels.
+    """
+    n = system.D.shape[0]
+    if system.D.shape != (n, n) or n < 2 or system.states % n:
+        return system, 1
+    m = system.states // n
+    first = StateSpace(system.A[:m, :m], system.B[:m, :1], system.C[:1, :m], system.D[:1, :1], system.rate_hz)
+    copies = repeated(first, n)
+    same = all(np.array_equal(getattr(system, key), getattr(copies, key)) for key in "ABCD")
+    return (first, n) if same else (system, 1)
+
+
 def feedback(plant: StateSpace, controller: StateSpace) -> StateSpace:
     """Return (I - G K)^-1 G, from a disturbance at the plant's input to its output, with u = K y and no minus sign.
 

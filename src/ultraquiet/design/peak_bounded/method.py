@@ -22,7 +22,7 @@ from ultraquiet.design.peak_bounded.demands import Demands, table
 from ultraquiet.design.peak_bounded.loops.scenarios import perturbed
 from ultraquiet.design.peak_bounded.outcome import SearchFigures, among, figures, rms_reduction_db
 from ultraquiet.design.peak_bounded.roof import roof
-from ultraquiet.design.peak_bounded.start import Places, begun, hardly, of_one_channel, starts, unasked_starts
+from ultraquiet.design.peak_bounded.start import Places, begun, hardly, starts, unasked_starts
 from ultraquiet.design.peak_bounded.units import SearchUnits, units_of
 from ultraquiet.design.peak_bounded.washout import behind, heard_through, require_room
 from ultraquiet.design.result import DesignResult, refused
@@ -30,6 +30,7 @@ from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.structure_words import DECENTRALISED, FULL, REPEATED, SYMMETRIC, structure_word
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.response import principal_gains
+from ultraquiet.values.interconnect import of_one_channel
 from ultraquiet.values.state_space import StateSpace
 
 WHO = "PeakBounded"
@@ -250,7 +251,7 @@ class PeakBounded(StatedRobustness):
             if start is None:
                 raise InputError(f"{WHO}: the design to begin with, {name}, gives no law.")
         if scalar:
-            start = of_one_channel(start)
+            start, _ = of_one_channel(start)
         if scalar and start.D.shape == (1, 1):
             return [StateSpace(start.A, start.B, start.C / units.control, start.D / units.control, start.rate_hz)]
         return [units.taken(start)]

@@ -161,21 +161,6 @@ def _made(law: Callable[[], StateSpace | None]) -> StateSpace | None:
     return found if found is not None and found.is_stable() else None
 
 
-def of_one_channel(law: StateSpace) -> StateSpace:
-    """Return the scalar law that another one repeats on every channel, states of a channel together; else that other.
-
-    A = I x A1, B = I x B1, C = I x C1, D = I x D1, Kronecker products, as a repeated law comes from its design.
-    """
-    n, nu = law.D.shape[0], law.D.shape[1]
-    if n != nu or n < 2 or law.states % n:
-        return law
-    m, one = law.states // n, np.eye(n)
-    parts = law.A[:m, :m], law.B[:m, :1], law.C[:1, :m], law.D[:1, :1]
-    whole = law.A, law.B, law.C, law.D
-    alike = all(np.array_equal(np.kron(one, part), every) for part, every in zip(parts, whole, strict=True))
-    return StateSpace(*parts, law.rate_hz) if alike else law
-
-
 def hardly(plant: StateSpace, band_hz: tuple[float, float], states: int, scalar: bool) -> StateSpace:
     """Return a law that hardly acts: sections over the band, each turning one direction of the plant back a little.
 
