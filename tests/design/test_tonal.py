@@ -13,7 +13,7 @@ from ultraquiet.design import AdaptiveFeedforward, FilteredXLms, Resonators, You
 from ultraquiet.linalg.discretize import zero_order_hold
 from ultraquiet.testing.problems import damped_plant
 from ultraquiet.values import Channel, StateSpace
-from ultraquiet.values.interconnect import append, feedback, series
+from ultraquiet.values.interconnect import append, feedback, gain, series
 
 EVERYWHERE = np.geomspace(1, 1749, 3000)
 
@@ -105,6 +105,14 @@ def test_the_whole_loop_keeps_below_its_peak(seed, method):
     below = method(loop_peak_db=own - 0.1, **how).design(plant)
     assert below.controller is None
     assert "already; 'loop_peak_db' must be above that" in str(below.status)
+
+
+def test_a_law_without_states_that_is_too_loud_by_itself_is_said_to_be():
+    """S of K0 = -5 round 0.1 / (z - 0.9) peaks at 1 / (1 - 5 / 19), 2.7 dB, at half the rate."""
+    lag = StateSpace([[0.9]], [[0.1]], [[1.0]], [[0.0]], 1000.0)
+    result = Resonators(tones_hz=(30.0,), around=gain([[-5.0]], 1000.0), loop_peak_db=1.0).design(lag)
+    assert result.controller is None
+    assert "without a bank the loop amplifies by 2.65 dB" in str(result.status)
 
 
 def faint_and_loud(ny, nu, unit, rng):

@@ -112,15 +112,16 @@ class AdaptiveFeedforward(StatedRobustness):
         refusal = too_loud(who, inner, most)
         if refusal:
             return refused(refusal)
-        slowed = self._slowed(inner, tones, most)
+        times, shape = settlings(who, self.settling_s, tones.size), BankShape(self.depth_db)
+        slowed = self._slowed(inner, tones, times, most)
         if slowed is None:
             return refused(f"{who}: no bank keeps below {most} of amplification over the whole span.")
         inverses = [inverse(who, inner.seen, f, self.weakest) for f in tones]
         limit = limits_of(who, self.limit, plant.actuators)
-        speeds = SETTLED / (settlings(who, self.settling_s, tones.size) * slowed * rate)
-        bank = resonators(tones, inverses, rate, speeds, BankShape(self.depth_db))
+        speeds = SETTLED / (times * slowed * rate)
+        bank = resonators(tones, inverses, rate, speeds, shape)
         details: dict[str, Any] = {
-            **facts(inner, bank, tones, inverses, BankShape(self.depth_db)),
+            **facts(inner, bank, tones, inverses, shape),
             "slowed": dict(zip(tones.tolist(), slowed.tolist(), strict=True)),
             "span_hz": {f: tuple(e) for f, e in zip(tones.tolist(), edges.tolist(), strict=True)},
         }
@@ -145,13 +146,13 @@ class AdaptiveFeedforward(StatedRobustness):
                 )
         return edges
 
-    def _slowed(self, inner: Inner, tones_hz: FloatArray, most: Amplification) -> FloatArray | None:
-        """Return how much slower than asked each tone must be over the whole span."""
-        slowed, times = np.ones(tones_hz.size), settlings("AdaptiveFeedforward", self.settling_s, tones_hz.size)
+    def _slowed(self, inner: Inner, tones_hz: FloatArray, times: FloatArray, most: Amplification) -> FloatArray | None:
+        """Return how much slower than the times asked for each tone must be over the whole span."""
+        slowed, shape = np.ones(tones_hz.size), BankShape(self.depth_db)
         for share in np.linspace(1 - self.span, 1 + self.span, STATIONS if self.span else 1):
             moved = tones_hz * share
             inverses = [inverse("AdaptiveFeedforward", inner.seen, f, self.weakest) for f in moved]
-            bank, slowed = quiet_bank(inner, moved, inverses, times, BankShape(self.depth_db), most, slowed)
+            bank, slowed = quiet_bank(inner, moved, inverses, times, shape, most, slowed)
             if bank is None:
                 return None
         return slowed

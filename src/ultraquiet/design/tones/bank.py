@@ -49,7 +49,7 @@ class Amplification:
 
 def too_loud(who: str, inner: Inner, most: Amplification) -> str:
     """Return why no bank can keep to what the whole loop may amplify: without it, it does already; else nothing."""
-    if most.loop_db is None or not inner.first.states:
+    if most.loop_db is None:
         return ""
     peak, at_hz = peak_sensitivity(inner.plant, inner.first)
     if peak < most.loop_db:
