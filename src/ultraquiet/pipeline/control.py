@@ -38,8 +38,6 @@ from ultraquiet.pipeline.study import Band, Deploy, Design, Study
 from ultraquiet.values import Channel, Record, StateSpace, StatusWord
 from ultraquiet.values.controller import Controller
 
-NO_LAW = "'{0}', round which it is to be put, has no law."  # of a design
-
 
 def designed(
     name: str,
@@ -57,7 +55,10 @@ def designed(
     """
     with task(f"design {name}", 1 + (settings.reduce is not None)) as progress:
         method = method_of(settings, around)
-        result = refused(NO_LAW.format(settings.around)) if method is None else _by(method, plant, others or {})
+        if method is None:
+            result = refused(f"'{settings.around}', round which it is to be put, has no law.")
+        else:
+            result = method.design(for_method(method, plant, others or {}))
         progress.advance(note=str(result.status))
         law = result.controller
         if method is None or law is None:
@@ -178,10 +179,6 @@ def method_of(settings: Design, around: StateSpace | None) -> Any:
     if settings.around is None:
         return settings.design.make("design")
     return None if around is None else settings.design.make("design", around=around)
-
-
-def _by(method: Any, plant: StateSpace, others: Mapping[str, StateSpace]) -> DesignResult:
-    return method.design(for_method(method, plant, others))  # type: ignore[no-any-return]
 
 
 def adapting(plant: StateSpace, settings: Design, around: StateSpace | None = None) -> Controller | None:

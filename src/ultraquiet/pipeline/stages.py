@@ -51,6 +51,7 @@ WORKER = "ultraquiet.pipeline.making.worker"
 FAR = 2  # so many designs are worth a process of their own
 _OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
 Say = Callable[[str], object]
+Adapting = Callable[[], Controller | None]  # makes what runs where a law adapts
 
 
 @dataclass(frozen=True)
@@ -195,13 +196,14 @@ class Stages:
         if name not in design.values:
             return _Controller(design)
         law: StateSpace = design.values[name]
-        loop = None if opened is None else self._close(name, law, plant, opened, design.facts.adaptive)
+        adapting = None
+        if design.facts.adaptive:
+            around = self._around(name, plant, plan)
+            adapting = partial(control.adapting, plant, self.study.controllers[name], around)
+        loop = None if opened is None else self._close(name, law, adapting, plant, opened)
         code = self._deploy(name, law, plant, plan, design.facts.adaptive)
         if payloads is None or loop is None:
             return _Controller(design, law, loop, code)
-        around = self._around(name, plant, plan) if design.facts.adaptive else None
-        settings = self.study.controllers[name]
-        adapting = partial(control.adapting, plant, settings, around) if design.facts.adaptive else None
         return _Controller(design, law, loop, code, self._listen(name, law, adapting, payloads, loop.facts))
 
     def _payloads(self, plan: LoopPlan) -> OpenPayloads | None:
@@ -214,7 +216,7 @@ class Stages:
         self,
         name: str,
         law: StateSpace,
-        adapting: Callable[[], Controller | None] | None,
+        adapting: Adapting | None,
         payloads: OpenPayloads,
         loop: LoopFacts,
     ) -> Outcome[PayloadFacts]:
@@ -335,18 +337,23 @@ class Stages:
         return None if inner is None else self._made(inner, plant, plan).values.get(inner)
 
     def _close(
-        self, name: str, law: StateSpace, plant: StateSpace, opened: control.OpenLoops, adaptive: bool
+        self,
+        name: str,
+        law: StateSpace,
+        adapting: Adapting | None,
+        plant: StateSpace,
+        opened: control.OpenLoops,
     ) -> Outcome[LoopFacts]:
         """Close its loop on the bench; a law that adapts is no value that could be kept, and is designed again."""
-        plan, design = opened.plan, self.study.controllers[name]
+        plan = opened.plan
         required_hz = self._required_hz(name, plan)
-        around = self._around(name, plant, plan) if adaptive else None
-        key = [law.hash, self.bench_key, plan, *([plant.hash, key_of(design.design)] if adaptive else [])]
+        key = [law.hash, self.bench_key, plan]
+        key += [] if adapting is None else [plant.hash, key_of(self.study.controllers[name].design)]
         key += [] if required_hz is None else [required_hz]
 
         def compute() -> Outcome[LoopFacts]:
-            acting = control.adapting(plant, design, around) if adaptive else None
-            return control.closed(name, acting or law, opened, required_hz)
+            acting = law if adapting is None else adapting() or law
+            return control.closed(name, acting, opened, required_hz)
 
         outcome = self.cache.stage(f"loop-{name}", "loops", key, compute, LoopFacts)
         for unit, loop in outcome.facts.units.items():

@@ -2,18 +2,19 @@
 
 import io
 import zipfile
-from typing import Any
+from typing import Any, get_args
 
 from nicegui import ui
 
 from ultraquiet.deploy.figures import said
+from ultraquiet.pipeline.tables.code import Deploy
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.making.work import CODE
 from ultraquiet.workbench.web.controls import button, chip, choice, field, heading, table, words
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View
 
-PRECISIONS = ("float32", "float64", "q31", "q15")
+PRECISIONS = get_args(Deploy.model_fields["precision"].annotation)
 SHOWN = (
     "states",
     "form",
