@@ -5,7 +5,6 @@ counts is the worst channel over the second half. After a jump an adaptive layer
 counts the second from 0.5 s after the jump on. ULTRAQUIET_DEMO names the folder of a study walked before.
 """
 
-import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 import ultraquiet as uq
-from benchmarks.quiet_law import BAND_HZ, FOLDER, LAW, UNITS, plants
+from benchmarks.law_levels import law as quiet_law
+from benchmarks.quiet_law import BAND_HZ, UNITS, plants
 from ultraquiet.design import AdaptiveFeedforward, Resonators
-from ultraquiet.pipeline.study import packaged_study
 
 TONES_HZ, VOLTS, SECONDS = (5.0, 25.0, 100.0), 10.0, 20.0
 EACH_DB, TOGETHER_DB, QUIET_DB, PEAK_DB = 40.0, 38.0, 20.0, 6.5
@@ -30,15 +29,10 @@ Row = tuple[str, str, str, bool]
 
 def laws(seed: int) -> tuple[uq.StateSpace, uq.StateSpace, uq.StateSpace]:
     """Return the model of the ground unit, the quiet law, and the law for tones round it."""
-    models = plants(seed)
-    if FOLDER in os.environ:
-        quiet = uq.files.load(Path(os.environ[FOLDER]) / "controllers" / f"{LAW}.h5")
-    else:
-        quiet = packaged_study("suite").controllers[LAW].design.make("design").design(models).controller
-    law = Resonators(**BANK, around=quiet).design(models[0]).controller
-    assert quiet is not None
+    model, quiet = plants(seed)[0], quiet_law(seed)
+    law = Resonators(**BANK, around=quiet).design(model).controller
     assert law is not None
-    return models[0], quiet, law
+    return model, quiet, law
 
 
 def measure() -> Iterator[Row]:
