@@ -10,41 +10,35 @@ from typing import Any
 
 from ultraquiet._base.beside import Said, beside
 from ultraquiet._base.errors import InputError
-from ultraquiet._base.shown.line import counted
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
-from ultraquiet.pipeline import control, identification, requirements, validation
+from ultraquiet.pipeline import control, requirements
 from ultraquiet.pipeline import limits as attainable
 from ultraquiet.pipeline.facts import stored
 from ultraquiet.pipeline.facts.code import DeploymentFacts, NoCode
 from ultraquiet.pipeline.facts.limits import LimitFacts
 from ultraquiet.pipeline.facts.loops import DesignFacts, LoopFacts, of_the_bench
 from ultraquiet.pipeline.facts.mission import CampaignFacts, CommissioningFacts, PayloadFacts
-from ultraquiet.pipeline.facts.models import AnalysisFacts, IdentificationFacts, PlantFacts, ValidationFacts
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import to_plain
-from ultraquiet.pipeline.identification import further, of_unit
 from ultraquiet.pipeline.making.code import deployed
 from ultraquiet.pipeline.making.designs import (
     by_need,
     design_key,
     design_stage,
-    identify_key,
-    identify_stage,
     key_of,
-    plant_key,
-    takes_several,
 )
+from ultraquiet.pipeline.making.models import Models
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
-from ultraquiet.pipeline.preflight import LoopPlan, as_unit, loop_plan
+from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Band, Study
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
-from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.controller import Controller
 
 WORKER = "ultraquiet.pipeline.making.worker"
@@ -69,11 +63,17 @@ class Stages:
     bench_key: Any = None
     turns: dict[str, Lock] = field(default_factory=dict)  # whose design is being made, or read
 
+    @cached_property
+    def _models(self) -> Models:
+        return Models(self.study, self.cache, self.bench, self.records, self.say, self.bench_key)
+
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
-        with self._beside("compare structures and orders", "identify", several and not self._is_identified()) as models:
-            plant = self._plant()
+        with self._beside(
+            "compare structures and orders", "identify", several and not self._models.are_identified()
+        ) as models:
+            plant = self._models.plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:
                 control.require_bench(self.bench, system)
@@ -83,12 +83,12 @@ class Stages:
             opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
             payloads = self._payloads(plan)
             far = several and sum(not self._is_designed(name, system, plan) for name in first) >= FAR
-            words = json.dumps(to_plain(plan)), *self._further
+            words = json.dumps(to_plain(plan)), *self._models.further
             with self._beside("design controllers", "design", far, *words) as designs:
                 one = partial(self._controller, plant=system, plan=plan, opened=opened, payloads=payloads, said=designs)
                 jobs: dict[str, Callable[[], Any]] = {_OPEN: opened.apart} if far and opened is not None else {}
                 jobs |= {name: partial(one, name) for name in first}
-                jobs[_MODELS] = partial(self._models, system, plan, models)
+                jobs[_MODELS] = partial(self._models.judged, system, plan, models)
                 # what waits for another process takes no processor's time
                 workers = len(jobs) if far else None if several else 1
                 done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
@@ -130,7 +130,7 @@ class Stages:
         """
         if self.bench is None:
             raise InputError("campaign: the study has no bench that could be drawn.")
-        system: StateSpace = self._plant().values[stored.PLANT]
+        system: StateSpace = self._models.plant().values[stored.PLANT]
         control.require_bench(self.bench, system)
         plan, name = loop_plan(self.study.closed_loop, self.bench, system), law_of(self.study, table)
         design = self._design(name, system, plan)
@@ -165,21 +165,6 @@ class Stages:
         outcome = conducted(campaign, name, table, self.cache.folder, How(resume=None))
         self.say(f"campaign: {outcome[0].status}")
         return outcome
-
-    def _models(
-        self, plant: StateSpace, plan: LoopPlan, models: Said
-    ) -> tuple[Outcome[Any], Outcome[Any], Outcome[Any]]:
-        """Identify channel by channel, and see what all models are worth."""
-        models.wait()
-        identified = identify_stage(self.cache, self.study, self.records)
-        best = identified.facts.preferred
-        if best is None:
-            self.say("not ranked: no records drive one actuator after the other")
-        else:
-            self.say(f"identified: held-out records prefer {best.structure} of order {best.order}")
-        validated, analysed = self._validate(identified, plant, plan), self._analyse(identified, plant)
-        self.say("validated and analysed")
-        return identified, validated, analysed
 
     def _controller(
         self,
@@ -259,64 +244,11 @@ class Stages:
         units, heard = None if loop is None else loop.facts.units, payload.get(asked.law)
         return requirements.judge(asked, band_hz, units, disk, None if heard is None else heard.facts.units)
 
-    @cached_property
-    def _record_hashes(self) -> dict[str, str]:
-        return {name: record.hash for name, record in self.records.items()}
-
-    def _is_identified(self) -> bool:
-        return self.cache.holds("identify", identify_key(self._record_hashes, self.study))
-
-    def _plant(self) -> Outcome[PlantFacts]:
-        settings = self.study.plant
-        compute = partial(identification.plant, self.records, settings)
-        key = plant_key(self._record_hashes, settings)
-        outcome = self.cache.stage("plant", "models", key, compute, PlantFacts)
-        self.say(f"plant for design: {counted(outcome.facts.states, 'state')}, {outcome.facts.status}")
-        return outcome
-
-    @cached_property
-    def _further(self) -> dict[str, StateSpace]:
-        """Models of the bench's further units, where a design holds on several."""
-        settings, found = self.study.plant, {}
-        if self.bench is None or not any(map(takes_several, self.study.controllers.values())):
-            return found
-        for unit in settings.units:
-            compute = partial(further, as_unit(self.bench, unit), unit, self.records, settings)
-            key = [*plant_key(self._record_hashes, settings), self.bench_key, unit]
-            outcome = self.cache.stage(f"plant-{unit}", "models", key, compute, PlantFacts)
-            self.say(f"plant for design, {unit}: {counted(outcome.facts.states, 'state')}, {outcome.facts.status}")
-            found[unit] = outcome.values[of_unit(unit)]
-        return found
-
-    def _models_key(self, plant: StateSpace) -> list[Any]:
-        return [self._record_hashes, self.study.identify, self.bench_key, plant.hash]
-
-    def _validate(
-        self, identified: Outcome[IdentificationFacts], plant: StateSpace, plan: LoopPlan
-    ) -> Outcome[ValidationFacts]:
-        models = {k: v for k, v in identified.values.items() if isinstance(v, PolynomialMatrix)}
-        paper, held_out = self.study.paper, identification.sweep_groups(self.records, self.study.identify)[1]
-        shown = tuple(paper.simulated) if paper else validation.worth_showing(self.records, held_out)
-        beside_hz = self.study.validate_models.band_hz or plan.band_hz
-        judge = validation.JudgedBy(held_out, shown, (paper and paper.band_hz) or plan.band_hz, beside_hz)
-        compute = partial(validation.validated, self.records, models, plant, self.bench, judge)
-        key = [*self._models_key(plant), judge]
-        return self.cache.stage("validate", "models", key, compute, ValidationFacts)
-
-    def _analyse(self, identified: Outcome[IdentificationFacts], plant: StateSpace) -> Outcome[AnalysisFacts]:
-        asked = self.study.paper
-        paper = None if asked is None else identified.values.get(stored.paper(asked.records[0]))
-        rate_hz = next(iter(self.records.values())).rate_hz
-        f_hz = validation.shown_hz(rate_hz, max(record.duration_s for record in self.records.values()))
-        compute = partial(validation.analysed, plant, paper, f_hz)
-        key = [*self._models_key(plant), self.study.paper]
-        return self.cache.stage("analyse", "models", key, compute, AnalysisFacts)
-
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]
         if settings.around is not None and not self._is_designed(settings.around, plant, plan):
             return False
-        key = design_key(plant, settings, plan, self._further, self._around(name, plant, plan))
+        key = design_key(plant, settings, plan, self._models.further, self._around(name, plant, plan))
         return self.cache.holds(f"design-{name}", key)
 
     def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
@@ -329,7 +261,9 @@ class Stages:
         """Return the stage of one controller; whoever comes second to it waits, and reads it."""
         around = self._around(name, plant, plan)
         with self.turns.setdefault(name, Lock()):
-            return design_stage(self.cache, name, self.study.controllers[name], plant, plan, self._further, around)
+            return design_stage(
+                self.cache, name, self.study.controllers[name], plant, plan, self._models.further, around
+            )
 
     def _around(self, name: str, plant: StateSpace, plan: LoopPlan) -> StateSpace | None:
         """Return the law round which a controller is put; None where it stands alone, or where that has no law."""
