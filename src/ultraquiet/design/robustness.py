@@ -41,6 +41,11 @@ def weaker_end(margins: Mapping[str, EndMargins]) -> str:
     return min(ENDS, key=lambda side: margins[side].disk_all)
 
 
+def keeps(margins: Mapping[str, EndMargins], asked: float) -> bool:
+    """Return whether both ends keep the disk margin asked for; NaN, which no comparison admits, is no margin."""
+    return margins[weaker_end(margins)].disk_all >= asked
+
+
 def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float) -> str:
     """Return one sentence on the end that keeps less than asked, and on the channel whose change upsets the loop."""
     side = weaker_end(margins)
@@ -65,8 +70,7 @@ def kept(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float, als
         asked: the disk margin.
         also: words on a loop that is ok, before its margins.
     """
-    # NaN, which no comparison admits, is no margin
-    if margins[weaker_end(margins)].disk_all >= asked:
+    if keeps(margins, asked):
         return Status(StatusWord.OK, f"The loop is stable; {also}{stated(margins)}.")
     return Status(StatusWord.FRAGILE, fragility(plant, margins, asked))
 

@@ -9,7 +9,7 @@ from ultraquiet._base.shown.line import counted
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
-from ultraquiet.design.robustness import StatedRobustness, both_ends, fragility, stated, weaker_end
+from ultraquiet.design.robustness import StatedRobustness, both_ends, fragility, keeps, stated
 from ultraquiet.design.worst_direction import design_band, worst_direction
 from ultraquiet.values.interconnect import feedback
 from ultraquiet.values.state_space import StateSpace
@@ -67,8 +67,7 @@ def _verdict(
 ) -> Status:
     own = "stable" if controller.is_stable() else UNSTABLE_LAW
     law = f"the controller has {counted(controller.states, 'state')} and is {own}."
-    # NaN, which no comparison admits, is no margin
-    if margins[weaker_end(margins)].disk_all >= asked:
+    if keeps(margins, asked):
         return Status(StatusWord.OK, f"The loop is stable; {peak}; {stated(margins)}; {law}")
     return Status(StatusWord.FRAGILE, f"{fragility(plant, margins, asked)} The loop {peak[3:]}; {law}")
 

@@ -12,7 +12,7 @@ from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.peak_bounded.demands import Demands
 from ultraquiet.design.peak_bounded.units import SearchUnits
 from ultraquiet.design.result import LITTLE_DB, STABLE_WORDS, DesignResult
-from ultraquiet.design.robustness import both_ends, fragility, weaker_end
+from ultraquiet.design.robustness import both_ends, fragility, keeps
 from ultraquiet.values.interconnect import feedback, sensitivity, series
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
@@ -101,7 +101,7 @@ def among(
             said = f"The loop with plant {k} of {len(plants)} is unstable; the controller must not be used."
             return replace(result, status=Status(StatusWord.UNSTABLE, said))
         margins = both_ends(plant, law)
-        if result.status.ok and not margins[weaker_end(margins)].disk_all >= asked:
+        if result.status.ok and not keeps(margins, asked):
             said = f"Plant {k} of {len(plants)}: {fragility(plant, margins, asked)}"
             result = replace(result, status=Status(StatusWord.FRAGILE, said))
     over = max(each.excess_db for each in found.plants)
