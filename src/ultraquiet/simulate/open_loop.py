@@ -1,5 +1,6 @@
 """What a bench does without a law, measured once for all laws: its directions, its noise, and how loud it may be."""
 
+from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -316,18 +317,19 @@ class OpenLoop:
         fast = SweepClock(round(seconds * rate / FASTER), rate, between / OVERLAP, high, FINER_FAST)
         return OpenBand(self.bench, slow).as_fine_as_it_rings(), OpenBand(self.bench, fast).as_fine_as_it_rings()
 
-    def below(self, band: OpenBand) -> OpenBand | None:
-        """The next band below, a run as long for few frequencies: for loops that amplify most under the lowest line.
+    def downwards(self) -> Iterator[OpenBand]:
+        """Bands below, one after the other, runs as long for few frequencies: for loops that amplify most down there.
 
-        None where a run is too short for it.
+        Each is measured when it is come to, which few loops ask for; they end where a run is too short.
         """
-        sweep = band.sweep
-        if BELOW * sweep.low_hz * self.bands[0].sweep.samples < FEWEST_PERIODS * sweep.rate_hz:
-            return None
-        if sweep.low_hz not in self._below:
-            clock = replace(self.bands[0].sweep, low_hz=BELOW * sweep.low_hz, high_hz=OVERLAP * sweep.low_hz)
-            self._below[sweep.low_hz] = OpenBand(self.bench, clock).as_fine_as_it_rings()
-        return self._below[sweep.low_hz]
+        band = self.bands[0]
+        while BELOW * band.sweep.low_hz * self.bands[0].sweep.samples >= FEWEST_PERIODS * band.sweep.rate_hz:
+            low_hz = band.sweep.low_hz
+            if low_hz not in self._below:
+                clock = replace(self.bands[0].sweep, low_hz=BELOW * low_hz, high_hz=OVERLAP * low_hz)
+                self._below[low_hz] = OpenBand(self.bench, clock).as_fine_as_it_rings()
+            band = self._below[low_hz]
+            yield band
 
     @cached_property
     def _below(self) -> dict[float, OpenBand]:

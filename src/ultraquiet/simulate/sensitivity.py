@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,21 +76,21 @@ class MeasuredSensitivity:
     @property
     def hidden(self) -> np.ndarray:
         """Whether noise hides the worst direction of a line, `(nf,)`: what is counted there is a bound."""
-        return self.deviation > RESOLVED * self._size()
+        return self.deviation > RESOLVED * self._size
 
     @property
     def lines_missing(self) -> int:
         """Lines asked for that were not measured: none, ever; those that noise hides are counted at its bound."""
-        return int(np.count_nonzero(~np.isfinite(self._size())))
+        return int(np.count_nonzero(~np.isfinite(self._size)))
 
     def worst_direction_db(self) -> FloatArray:
         """Reduction in dB of the worst direction at each line, `(nf,)`; negative where it is amplified."""
-        return -20 * np.log10(self._size())
+        return -20 * np.log10(self._size)
 
     @property
     def bound_db(self) -> FloatArray:
         """Reduction in dB that is certain at each line, `(nf,)`: less than was read by what noise leaves open."""
-        return -20 * np.log10(self._size() + DEVIATIONS * self.deviation)
+        return -20 * np.log10(self._size + DEVIATIONS * self.deviation)
 
     def counted_db(self) -> FloatArray:
         """Return what counts of each line, `(nf,)`: the worst direction where it was resolved, elsewhere the bound."""
@@ -136,6 +137,7 @@ class MeasuredSensitivity:
         outside = self.unheard if low_hz < f[0] or high_hz > f[-1] else ""
         return " ".join(filter(None, (said, self.below if low_hz < f[0] else "", outside)))
 
+    @cached_property
     def _size(self) -> FloatArray:
         return _largest(self.S.values)
 
@@ -187,10 +189,9 @@ def measure_sensitivity(
         for pair, lines in zip(pairs, asked, strict=True):
             parts.append(pair.at(lines))
             progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
-        below = opened.below(opened.bands[0]) if f_hz is None else None
-        while below is not None and parts[0].f_hz.size and _may_peak_below(*_all_lines(parts)):
+        lower = iter(()) if f_hz is not None else opened.downwards()
+        while parts[0].f_hz.size and _may_peak_below(*_all_lines(parts)) and (below := next(lower, None)):
             parts.insert(0, _Pair(below, controller).at(None, most_hidden=0.0))
-            below = opened.below(below)
     found = _joined(opened, parts)
     if f_hz is not None:
         return found
