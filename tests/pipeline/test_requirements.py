@@ -1,5 +1,6 @@
 """What a study asks of its law: judged for that law alone, on every unit, each miss said, with exit code 1."""
 
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -15,7 +16,7 @@ from ultraquiet.pipeline.facts.loops import StableLoop, ToneFacts, UnstableLoop
 from ultraquiet.pipeline.facts.requirements import RequirementsFacts
 from ultraquiet.pipeline.facts.typed import finite, from_plain, schema_of, to_plain
 from ultraquiet.pipeline.report.loops import _requirements
-from ultraquiet.pipeline.requirements import in_short, judge, margins_of
+from ultraquiet.pipeline.requirements import in_short, judge, margins_of, unheard_peaks
 from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.study import Requirements, StudyError, parse
 from ultraquiet.pipeline.summary import Summary
@@ -107,6 +108,26 @@ def test_a_band_of_its_own_is_judged_by_its_own_figure():
     units = {"ground": loop(attenuation_db=30.0, required_band_db=14.0)}
     (sentence,) = judge(asked, (5.0, 100.0), units, {}).missed
     assert "over 5-100 Hz on ground is 14 dB" in sentence
+
+
+def test_a_peak_where_the_bench_is_not_heard_counts_by_the_design_model():
+    asked = Requirements(law="quiet", peak_db=6.0)
+    above, below = {"ground": (8.2, 111.0)}, {"ground": (3.0, 111.0)}
+    judged = judge(asked, BAND_HZ, {"ground": loop(peak_db=5.5)}, {}, None, above)
+    (sentence,) = judged.missed
+    assert "is 8.2 dB by the design model, at 111 Hz, where the bench is not heard; 5.5 dB elsewhere" in sentence
+    assert judged.judged[0].figure == 8.2
+    assert judge(asked, BAND_HZ, {"ground": loop(peak_db=5.5)}, {}, None, below).judged[0].figure == 5.5
+
+
+def test_a_peak_above_what_was_heard_is_found():
+    plant = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], 100.0)
+    law = StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.6]], 100.0)
+    whole, at_hz = uq.analyse.peak_sensitivity(plant, law)
+    heard = [dataclasses.replace(loop(), heard_hz=band) for band in ((1.0, at_hz / 3), (1.0, 49.99), None)]
+    assert unheard_peaks(plant, law, {"low": heard[0]})["low"] == pytest.approx((whole, at_hz), rel=1e-2)
+    assert unheard_peaks(plant, law, {"all": heard[1]})["all"][0] < 0
+    assert unheard_peaks(plant, law, {"old": heard[2], "gone": UnstableLoop(status="unstable: So.")}) == {}
 
 
 def test_margins_are_those_of_the_whole_plant():

@@ -273,6 +273,7 @@ def _measured(
         lines=matrix.f_hz.size,
         lines_missing=matrix.lines_missing,
         lines_hidden=matrix.unresolved(),
+        heard_hz=(float(matrix.f_hz[0]), float(matrix.f_hz[-1])),
         tones={} if tones is None else {f"{f:g}": _tone(k, f, tones, matrix) for k, f in enumerate(settings.tones_hz)},
         broadband_5_100_db=_broadband(matrix, (5.0, 100.0)),
         broadband_10_60_db=_broadband(matrix, (10.0, 60.0)),

@@ -1,6 +1,7 @@
 """Are a study's requirements met? Judged from facts, for the law they name, on every unit."""
 
 from collections.abc import Iterator, Mapping
+from math import inf
 
 from ultraquiet import analyse
 from ultraquiet._base.errors import InputError
@@ -12,7 +13,10 @@ from ultraquiet.pipeline.facts.requirements import RequirementFacts, Requirement
 from ultraquiet.pipeline.study import Band, Requirements
 from ultraquiet.values import StateSpace
 
+Peak = tuple[float, float]  # in dB, and where, in Hz
 Units = Mapping[str, StableLoop | UnstableLoop]
+# How far below what was heard, and how near to half the rate above it, the design model is asked.
+DEEPEST, NEAREST = 1e-3, 0.999
 # Each requirement with its unit and whether more of it is better.
 MEASURED = {"attenuation_db": (" dB", True), "peak_db": (" dB", False), "tones_db": (" dB", True)}
 PAYLOAD = "payload_db"
@@ -39,6 +43,7 @@ def judge(
     units: Units | None,
     disk: Mapping[str, float],
     payload: Mapping[str, PayloadLoop | NoPayload] | None = None,
+    silent: Mapping[str, Peak] | None = None,
 ) -> RequirementsFacts:
     """Return every requirement with its figure and its verdict.
 
@@ -48,10 +53,12 @@ def judge(
         units: how the law's loop did on the bench of each unit; None where there is no law of that name, or no loop.
         disk: disk margins of the design model's loop by end, all channels at once.
         payload: what the law does for the payload of each unit; None where it was not listened to.
+        silent: peaks by unit that the design model has where the bench is not heard (`unheard_peaks`); one that is
+            above what was heard is what counts of `peak_db`.
 
     What was not measured, because a loop is unstable or was never closed, is missed.
     """
-    judged = [*_measured(asked, band_hz, units), *_of_payload(asked, band_hz, payload)]
+    judged = [*_measured(asked, band_hz, units, silent or {}), *_of_payload(asked, band_hz, payload)]
     if asked.disk_margin is not None:
         for end in ENDS:
             judged.append(_one("disk_margin", end, asked.disk_margin, disk.get(end), band_hz))
@@ -76,7 +83,26 @@ def margins_of(plant: StateSpace, law: StateSpace) -> dict[str, float]:
         return {}
 
 
-def _measured(asked: Requirements, band_hz: Band, units: Units | None) -> Iterator[RequirementFacts]:
+def unheard_peaks(plant: StateSpace, law: StateSpace, units: Units) -> dict[str, Peak]:
+    """Return the largest amplification in dB that the design model has where a unit was not heard, and its Hz.
+
+    None of a unit that was heard over the whole range, or whose loop is unstable on the bench.
+    """
+    found: dict[str, Peak] = {}
+    for unit, loop in units.items():
+        if not isinstance(loop, StableLoop) or loop.heard_hz is None:
+            continue
+        low, high = loop.heard_hz
+        top = inf if plant.rate_hz is None else plant.rate_hz / 2
+        bands = [(low * DEEPEST, low), (high, NEAREST * top)]
+        peaks = [analyse.band_attenuation(plant, law, band) for band in bands if band[0] < band[1] < inf]
+        found |= {unit: max((-quieter, at) for quieter, at in peaks)} if peaks else {}
+    return found
+
+
+def _measured(
+    asked: Requirements, band_hz: Band, units: Units | None, silent: Mapping[str, Peak]
+) -> Iterator[RequirementFacts]:
     for name in MEASURED:
         limit = getattr(asked, name)
         if limit is None:
@@ -85,7 +111,9 @@ def _measured(asked: Requirements, band_hz: Band, units: Units | None) -> Iterat
             yield _one(name, "any unit", limit, None, band_hz)
         for unit, loop in (units or {}).items():
             stable = isinstance(loop, StableLoop)
-            yield _one(name, unit, limit, _figure(name, loop) if stable else None, band_hz, loop.status)
+            figure = _figure(name, loop) if stable else None
+            beyond = silent.get(unit) if name == "peak_db" and figure is not None else None
+            yield _one(name, unit, limit, figure, band_hz, loop.status, beyond)
 
 
 def _of_payload(
@@ -117,14 +145,26 @@ def _figure(name: str, loop: StableLoop) -> float:
 
 
 def _one(
-    name: str, where: str, asked: float, figure: float | None, band_hz: Band, status: str = "no loop was closed"
+    name: str,
+    where: str,
+    asked: float,
+    figure: float | None,
+    band_hz: Band,
+    status: str = "no loop was closed",
+    beyond: Peak | None = None,
 ) -> RequirementFacts:
     unit, more = MEASURED.get(name, (" dB" if name == PAYLOAD else "", True))
+    source = ""
+    if figure is not None and beyond is not None and beyond[0] > figure:
+        source = (
+            f" by the design model, at {beyond[1]:.4g} Hz, where the bench is not heard; {figure:.4g}{unit} elsewhere"
+        )
+        figure = beyond[0]
     # NaN, which no comparison admits, meets nothing
     met = figure is not None and (figure >= asked if more else figure <= asked)
     what = SAYS[name].format(low=band_hz[0], high=band_hz[1], where=where)
     at = "" if name == "disk_margin" else f" on {where}"
-    found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}"
+    found = f"not measured ({status})" if figure is None else f"{figure:.4g}{unit}{source}"
     if figure is not None and more and unit and figure < 0:
         found = f"none, {loudness(figure)}"
     bound = "at least" if more else "at most"

@@ -242,7 +242,8 @@ class Stages:
         disk = requirements.margins_of(plant, law) if law is not None and asked.disk_margin is not None else {}
         band_hz = asked.band_hz or plan.band_hz
         units, heard = None if loop is None else loop.facts.units, payload.get(asked.law)
-        return requirements.judge(asked, band_hz, units, disk, None if heard is None else heard.facts.units)
+        silent = {} if law is None or asked.peak_db is None else requirements.unheard_peaks(plant, law, units or {})
+        return requirements.judge(asked, band_hz, units, disk, None if heard is None else heard.facts.units, silent)
 
     def _is_designed(self, name: str, plant: StateSpace, plan: LoopPlan) -> bool:
         settings = self.study.controllers[name]

@@ -124,6 +124,7 @@ class StableLoop:
     Of `lines` of the sensitivity `lines_missing` were not measured; `lines_hidden` says which count at noise's bound.
     `broadband_db` is of the RMS of the worst sensor over `band_hz`, those with frequencies over theirs where it has
     lines; `required_band_db` is the worst direction over the band of the requirements, where that is another one.
+    `heard_hz` are the lowest and the highest line.
     """
 
     stable: Literal[True] = True
@@ -142,6 +143,7 @@ class StableLoop:
     lines: int | None = None
     lines_missing: int = 0
     lines_hidden: str | None = None
+    heard_hz: tuple[float, float] | None = None
 
 
 def of_the_bench(unit: str) -> str:
