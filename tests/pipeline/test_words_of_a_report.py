@@ -4,11 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from ultraquiet.pipeline.facts.models import RecordFit, ResidualFacts
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report.front import _verdict
 from ultraquiet.pipeline.report.models import _about_zeros, _doubted, _of_residuals
+from ultraquiet.pipeline.report.records import _coherence
 from ultraquiet.values import Channel, Record
 
 RATE_HZ, BAND_HZ = 100.0, (5.0, 20.0)
@@ -68,3 +70,18 @@ def test_of_a_bad_fit_it_is_said_how_much_of_it_is_none_of_the_bands(tone_hz, ou
 def test_of_zeros_only_those_are_counted_that_there_are(at, said):
     zeros = [SimpleNamespace(frequency_hz=f, outside=outside) for f, outside in at]
     assert _about_zeros(zeros, 50.0).endswith(said)
+
+
+def test_a_coherence_that_a_sharp_mode_lowers_is_not_said_to_be_noise(rng):
+    pole = 0.9995 * np.exp(2j * np.pi * 10.0 / RATE_HZ)
+    u = rng.standard_normal(6000)
+    y = lfilter([0.0, 1.0], np.poly([pole, pole.conj()]).real, u)
+    result = SimpleNamespace(
+        study=SimpleNamespace(identify=SimpleNamespace(records="quiet")),
+        records={"quiet": Record(u[None], y[None], RATE_HZ)},
+        plan=SimpleNamespace(band_hz=BAND_HZ),
+        analysis=SimpleNamespace(facts=SimpleNamespace(f_hz=np.array([0.1, 49.0]))),
+    )
+    caption = _coherence(result).caption
+    print(caption)
+    assert "noise, or leaks from modes narrower than the resolution" in caption

@@ -139,11 +139,13 @@ def _coherence(result: StudyResult) -> Chart | None:
         for c in curves
         if (at := (np.asarray(c.x) >= low) & (np.asarray(c.x) <= high)).any()
     )
+    # A line between sharp modes is as incoherent by what leaks from them as by noise; the share cannot tell which.
+    low_share = "most of the reading there is noise, or leaks from modes narrower than the resolution"
     caption = (
         f"Share of each reading's power that the command explains, '{names[0]}', "
         f"{spectra.coherence(members[0]).estimator}. "
         f"From {low:.4g} to {high:.4g} Hz the least is {least[0]:.2f}, {least[1]}: "
-        f"{'every response there can be trusted' if least[0] >= TRUSTED else 'a response there is mostly noise'}."
+        f"{'every response there can be trusted' if least[0] >= TRUSTED else low_share}."
     )
     marks = [Mark(f"trusted above {TRUSTED:g}", y=TRUSTED)]
     panel = ChartPanel(frequency_axis(), Axis("coherence (1)", range=(0.0, 1.02)), curves, "", (), marks, height=200)
