@@ -1,5 +1,6 @@
 """One verdict on a model beside a record: what its comparison and its residual tests come to."""
 
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.linalg import portmanteau
 from ultraquiet.validate.compare import Comparison
 from ultraquiet.validate.predict import Model
@@ -40,7 +41,7 @@ def verdict(model: Model, comparison: Comparison, residuals: ResidualTest | None
         "not white": portmanteau.sidak(residuals.whiteness_p),
         "not free of an input's past": portmanteau.sidak(residuals.correlation_p.ravel()),
     }
-    faults = [f"{what} (p = {p:.1e})" for what, p in p_values.items() if not p >= SIGNIFICANCE / len(p_values)]
+    faults = [f"{what} ({p_in_words(p)})" for what, p in p_values.items() if not p >= SIGNIFICANCE / len(p_values)]
     if faults:
         return Status(StatusWord.NOT_WHITE, f"The residual is {' and '.join(faults)}: the model leaves it unexplained.")
     least = min(p_values.values())

@@ -56,10 +56,10 @@ def several_of(number: int, what: str, several: str = "") -> str:
 def chance(p: float) -> str:
     """Return a p-value as a sentence says it.
 
-    >>> chance(0.0312), chance(6.2e-309)
-    ('0.031', 'below 1e-12')
+    >>> chance(0.0312), chance(6.2e-309), chance(float("nan"))
+    ('0.031', 'below 1e-12', 'nan')
     """
-    return f"{p:.2g}" if p > LEAST_CHANCE else f"below {LEAST_CHANCE:g}"
+    return f"below {LEAST_CHANCE:g}" if p <= LEAST_CHANCE else f"{p:.2g}"
 
 
 def p_in_words(p: float) -> str:
@@ -68,7 +68,7 @@ def p_in_words(p: float) -> str:
     >>> p_in_words(0.0312), p_in_words(0.0)
     ('p = 0.031', 'p below 1e-12')
     """
-    return f"p = {chance(p)}" if p > LEAST_CHANCE else f"p {chance(p)}"
+    return f"p {chance(p)}" if p <= LEAST_CHANCE else f"p = {chance(p)}"
 
 
 def rounded(value: float, digits: int = 1) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.provenance import Provenance, versions
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.linalg import portmanteau
@@ -113,7 +114,7 @@ def _verdict(status: Status, p: float) -> Status:
     if status.ok and p < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_WHITE,
-            f"The simulated error still holds something of the inputs (p = {p:.1e}): the structure leaves part of the "
-            f"record unexplained. {status.sentence}",
+            f"The simulated error still holds something of the inputs ({p_in_words(p)}): the structure leaves part of "
+            f"the record unexplained. {status.sentence}",
         )
     return status

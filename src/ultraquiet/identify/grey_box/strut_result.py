@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.grey_box.least_squares import Combination, Identifiability, Minimum
 from ultraquiet.identify.result import SIGNIFICANCE
 from ultraquiet.values import StateSpace, Status, StatusWord
@@ -85,8 +86,8 @@ def verdict(
     if noise_known and p_value < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_WHITE,
-            f"The response is missed by {100 * error:.2g} % (RMS), more than its noise (p = {p_value:.1e}): eq. (10) "
-            f"leaves part of it unexplained; deviations are widened by what is left.{aside}",
+            f"The response is missed by {100 * error:.2g} % (RMS), more than its noise ({p_in_words(p_value)}): eq. "
+            f"(10) leaves part of it unexplained; deviations are widened by what is left.{aside}",
         )
     if not noise_known and error > POOR:
         return Status(

@@ -9,6 +9,7 @@ import numpy as np
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.grey_box.data import smoothed
 from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.identify.result import SIGNIFICANCE, worst
@@ -176,8 +177,8 @@ def _verdict(p_value: float, share: FloatArray) -> Status:
     if p_value < SIGNIFICANCE:
         return Status(
             StatusWord.NOT_SYMMETRIC,
-            f"The struts are not alike (p = {p_value:.1e}): what a threefold symmetry forbids is {size:.2g} % of the "
-            f"response (median line); identify all 36 functions.",
+            f"The struts are not alike ({p_in_words(p_value)}): what a threefold symmetry forbids is {size:.2g} % of "
+            f"the response (median line); identify all 36 functions.",
         )
     evidence = (
         "its noise is not known, so this is not tested"

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.shown.line import p_in_words
 from ultraquiet.identify.prediction_error import in_memory
 from ultraquiet.identify.prediction_error.in_memory import InMemory
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, start_table, starting_tables
@@ -246,7 +247,7 @@ def verdict(state: int, iterations: int, evidence: tuple[float, float]) -> Statu
         what = "is not white" if white < free else "still holds something of the input"
         return Status(
             StatusWord.NOT_WHITE,
-            f"The residual {what} (p = {min(evidence):.1e}): the structure or the order leaves part of the record "
+            f"The residual {what} ({p_in_words(min(evidence))}): the structure or the order leaves part of the record "
             f"unexplained, or the search found a poor minimum.",
         )
     return Status(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.shown.line import counted
+from ultraquiet._base.shown.line import counted, p_in_words
 from ultraquiet.linalg import prediction, score
 from ultraquiet.validate.advice import model as advice_model
 from ultraquiet.validate.advice.model import ALARM, Case, Said
@@ -138,7 +138,7 @@ def _delay_too_long(case: Case) -> Said:
                 "delay",
                 actuator.name,
                 f"Output '{case.sensor}' moves {counted(first, 'sample')} after the input, but the model waits "
-                f"{model_delay} (p = {p:.1e}); set delay={first}.",
+                f"{model_delay} ({p_in_words(p)}); set delay={first}.",
             )
 
 
@@ -149,7 +149,7 @@ def _feedback(case: Case) -> Said:
             yield (
                 "feedback",
                 actuator.name,
-                f"The input follows earlier disturbances of '{case.sensor}' (p = {p:.1e}): the record was made in "
+                f"The input follows earlier disturbances of '{case.sensor}' ({p_in_words(p)}): the record was made in "
                 f"closed loop. Keep a noise model (Box-Jenkins, ARMAX, a predictor subspace), never output error, and "
                 f"excite from outside the loop.",
             )
@@ -171,7 +171,7 @@ def _trend(case: Case) -> Said:
     p = float(fdtrc(1, 2 * SLOW_LINES, slope**2 * float(ramp @ ramp) / float(np.mean(lines))))
     slow_s = max(advice_model.slow_decays_s(m), default=0.0)
     if p < ALARM or slow_s > case.record.duration_s:
-        how = f"p = {p:.1e}" if p < ALARM else f"the model took a real pole of {slow_s:.2g} s to follow it"
+        how = p_in_words(p) if p < ALARM else f"the model took a real pole of {slow_s:.2g} s to follow it"
         yield (
             "trend",
             case.sensor,
@@ -192,7 +192,7 @@ def _stationarity(case: Case) -> Said:
             "stationarity",
             case.sensor,
             f"The disturbance changes its level during the record, from {min(levels):+.1f} to {max(levels):+.1f} dB "
-            f"about its median (p = {p:.1e}); find what came on or off, or identify the quiet part (record.part).",
+            f"about its median ({p_in_words(p)}); find what came on or off, or identify the quiet part (record.part).",
         )
 
 
@@ -204,8 +204,8 @@ def _order_too_low(case: Case) -> Said:
         yield (
             "order too low",
             case.sensor,
-            f"The residual still follows {what} (p = {min(white, free):.1e}); raise the order, take a structure with a "
-            f"noise model of its own (Box-Jenkins), or try other starts (horizons).",
+            f"The residual still follows {what} ({p_in_words(min(white, free))}); raise the order, take a structure "
+            f"with a noise model of its own (Box-Jenkins), or try other starts (horizons).",
         )
 
 
