@@ -190,6 +190,8 @@ def test_order_auto_finds_the_order_of_the_truth(run, tmp_path, rng, method):
     assert code in (0, 1), err
     assert 2 <= said["order"] <= 3
     assert min(said["held_out_fit_percent"].values()) > 90
+    told = run("identify", "two.h5", *(word for word in words if word != "--json"), "--force")[1]
+    assert f"{method} of order {said['order']} from" in told
 
 
 def test_a_clock_is_not_contradicted(run, tmp_path, rng):

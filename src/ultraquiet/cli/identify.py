@@ -74,13 +74,14 @@ def identify(
         unseen_percent = validate.compare(result.model, data.part(cut)).fit_percent
     files.save(result.model, target, overwrite=force)
     of_all = f" of {data.samples}" if held_out_share else ""
-    title = f"{method} from {cut}{of_all} samples at {data.rate_hz:g} Hz"
+    chosen = found_order(settings, result)
+    sized = "" if chosen is None else f" of order {chosen}"
+    title = f"{method}{sized} from {cut}{of_all} samples at {data.rate_hz:g} Hz"
     grid = TextTable(("output", "fit, seen", "fit, held out", "loss"), title)
     for channel, seen, unseen, loss in zip(data.sensors, result.fit_percent, unseen_percent, result.loss, strict=True):
         held_out = f"{unseen:.2f} %" if held_out_share else "-"
         grid.add(channel.name, f"{seen:.2f} %", held_out, f"{loss:.4g} {squared(channel.unit)}".strip())
     show.table(grid)
-    chosen = found_order(settings, result)
     show.say(result.status, f"model: {target}")
     names = [channel.name for channel in data.sensors]
     show.result(
