@@ -138,7 +138,7 @@ def test_bad_settings_are_refused(tmp_path):
         ({"anti_windup": "maybe"}, "anti_windup"),
         ({"anti_windup": "auto", "disturbance_v": np.zeros((2, 10))}, "must have 1 channels"),
         ({"excitation_v": np.nan}, "excitation_v"),
-        ({"excitation_v": [[1.0, 2.0]]}, "must hold 0 V"),
+        ({"excitation_v": [[1.0, 2.0]]}, "must hold 0,"),
         ({"overrun_limit": 0}, "overrun_limit"),
     ):
         with pytest.raises(InputError, match=words):

@@ -26,12 +26,14 @@ def requested_limits(text: str | None, law: "StateSpace") -> FloatArray | None:
     try:
         pairs = [[float(end) for end in word.split(":")] for word in words]
         ranges = np.array([pair if len(pair) == 2 else [-pair[0], *pair] for pair in pairs], dtype=float)
-        if ranges.shape[1] != 2 or len(ranges) not in (1, len(law.sensors)):
+        no_size = any(len(pair) == 1 and not pair[0] > 0 for pair in pairs)
+        if no_size or ranges.shape[1] != 2 or len(ranges) not in (1, len(law.sensors)):
             raise ValueError
     except (ValueError, IndexError):
         names = ", ".join(wire.name for wire in law.sensors)
         raise InputError(
-            f"deploy: --limits takes one size for all, or a size or LOW:HIGH for each of {names}; got '{text}'."
+            f"deploy: --limits takes one size above zero for all, or such a size or LOW:HIGH for each of {names}; "
+            f"got '{text}'."
         ) from None
     return actuator_limits(np.broadcast_to(ranges, (len(law.sensors), 2)), len(law.sensors), "--limits")
 

@@ -165,18 +165,20 @@ def actuator_limits(limits_v: ArrayLike, outputs: int, what: str = "limits_v") -
     try:
         values = np.asarray(limits_v, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(f"deploy: '{what}' must be numbers in volts, got {limits_v!r} ({error}).") from None
+        raise InputError(
+            f"deploy: '{what}' must be numbers in the unit of the commands, got {limits_v!r} ({error})."
+        ) from None
     if values.ndim < 2:
         size = real_array("deploy", what, np.broadcast_to(values, (outputs,)) if values.size == 1 else values, 1)
         values = np.stack([-size, size], axis=1)
     limits = real_array("deploy", what, values, 2)
     if limits.shape != (outputs, 2):
         raise InputError(f"deploy: '{what}' must be one number, ({outputs},) or ({outputs}, 2), got {limits.shape}.")
-    require_zero(limits, f"'{what}'", "0 V" if what.endswith("_v") else "0")
+    require_zero(limits, f"'{what}'")
     return limits
 
 
-def require_zero(limits: FloatArray, where: str, zero: str = "0") -> None:
+def require_zero(limits: FloatArray, where: str) -> None:
     """Refuse ranges, `(nu, 2)`, that are empty or do not hold zero.
 
     Raises:
@@ -184,7 +186,7 @@ def require_zero(limits: FloatArray, where: str, zero: str = "0") -> None:
     """
     if np.any(limits[:, 0] > 0) or np.any(limits[:, 1] < 0) or np.any(limits[:, 0] >= limits[:, 1]):
         raise InputError(
-            f"deploy: each actuator's range in {where} must hold {zero}, where the ramp ends, got {limits.tolist()}."
+            f"deploy: each actuator's range in {where} must hold 0, where the ramp ends, got {limits.tolist()}."
         )
 
 
