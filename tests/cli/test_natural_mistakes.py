@@ -1,5 +1,7 @@
 """Natural mistakes at the command line and in study files: named, with what would do, and nothing is touched."""
 
+import json
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -443,6 +445,39 @@ def test_an_error_of_a_bench_while_it_runs_is_told_with_its_line(run, tmp_path, 
     assert code == 2
     assert "'my.py' raised TypeError in line 7" in err
     assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("at", "said"), [("making", "raised SystemExit in line"), ("a sample", "bench: 'my.py' raised")]
+)
+def test_a_bench_that_exits_is_refused_and_does_not_end_the_command_by_itself(run, tmp_path, monkeypatch, at, said):
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
+    write_study_of_a_bench(tmp_path)
+    text = (tmp_path / "my.py").read_text()
+    first = re.search(r"def make.*\n" if at == "making" else r"def step.*\n", text)
+    indent = re.match(r" *", text[first.end() :])[0]
+    (tmp_path / "my.py").write_text(f"{text[: first.end()]}{indent}raise SystemExit(3)\n{text[first.end() :]}")
+    code, _, err = run("run", "study.toml")
+    print(err)
+    assert code == 2
+    assert said in err
+
+
+def test_what_a_bench_prints_does_not_join_the_json(run, tmp_path, monkeypatch):
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
+    write_study_of_a_bench(tmp_path)
+    text = (tmp_path / "my.py").read_text()
+    (tmp_path / "my.py").write_text(f'{text}\nprint("card found")\n')
+    law = uq.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-0.01]], 1000.0)
+    uq.files.save(law, tmp_path / "law.h5")
+    words = ("simulate", "law.h5", "--bench", "study.toml", "--tones", "20")
+    code, out, err = run(*words, "--json")
+    print(err)
+    assert json.loads(out)
+    assert code == 0
+    assert "card found" in err
+    assert run(*words, "--quiet")[1] == ""
+    assert "card found" in run(*words)[1]
 
 
 def test_there_are_sixty_and_more():

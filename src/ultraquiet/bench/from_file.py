@@ -54,7 +54,7 @@ def from_file(reference: str, beside: Path, settings: Mapping[str, Any], seed: i
         bench = make(**given)
     except UltraquietError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"bench '{reference}': {of_a_bench(error) or error}") from error
     if bench is None:
         raise InputError(f"bench '{reference}': it returned nothing; end it with 'return' and the bench.")
@@ -99,7 +99,7 @@ def _module(path: Path, reference: str) -> ModuleType:
     sys.path.insert(0, here)  # what stands beside the file can be imported by it
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         said = of_a_bench(error) or f"'{path.name}' raised {type(error).__name__}: {error}"
         raise InputError(f"bench '{reference}': {said}") from error
     finally:

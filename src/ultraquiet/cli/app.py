@@ -90,16 +90,14 @@ def main() -> None:
     except MemoryError as error:
         print(f"ultraquiet: this asks for more memory than there is; ask for less ({error}).", file=sys.stderr)
         sys.exit(ExitCode.REFUSED)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         from ultraquiet.bench.from_file import of_a_bench
 
         said = of_a_bench(error)
-        if not said:
-            raise
-        _tell(f"bench: {said}")
-        sys.exit(ExitCode.REFUSED)
-    except SystemExit as stop:
-        if stop.code == ExitCode.INTERRUPTED:  # what typer makes of Ctrl-C, without a word
+        if said:
+            _tell(f"bench: {said}")
+            sys.exit(ExitCode.REFUSED)
+        if isinstance(error, SystemExit) and error.code == ExitCode.INTERRUPTED:  # typer's of Ctrl-C, without a word
             print(STOPPED, file=sys.stderr)
         raise
     except KeyboardInterrupt as stop:

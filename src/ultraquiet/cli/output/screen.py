@@ -7,11 +7,11 @@ import os
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from contextvars import ContextVar
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, TextIO
 from unicodedata import category
 
 import numpy as np
@@ -62,16 +62,17 @@ def harmless(text: str) -> str:
 
 def _write(text: str) -> None:
     """Write what the terminal's characters allow; a square or a degree it does not know becomes a question mark."""
-    text = harmless(text)
+    text, out = harmless(text), _out.get() or sys.stdout
     try:
-        sys.stdout.write(text)
+        out.write(text)
     except UnicodeEncodeError:
-        known = sys.stdout.encoding or "ascii"
-        sys.stdout.write(text.encode(known, "replace").decode(known))
+        known = out.encoding or "ascii"
+        out.write(text.encode(known, "replace").decode(known))
 
 
 PLAIN = Screen()
 _screen: ContextVar[Screen] = ContextVar("screen", default=PLAIN)
+_out: ContextVar[TextIO | None] = ContextVar("out", default=None)  # where results go while others' prints go aside
 
 
 def screen() -> Screen:
@@ -81,12 +82,14 @@ def screen() -> Screen:
 
 @contextmanager
 def showing(on: Screen) -> Iterator[None]:
-    """Let everything inside the block print on this screen."""
-    before = _screen.set(on)
+    """Let everything inside the block print on this screen; what a bench's own code prints never joins the JSON."""
+    before, out = _screen.set(on), _out.set(sys.stdout)
     try:
-        yield
+        with redirect_stdout(sys.stderr if on.silent else sys.stdout):
+            yield
     finally:
         _screen.reset(before)
+        _out.reset(out)
 
 
 def plain(value: Any) -> Any:
