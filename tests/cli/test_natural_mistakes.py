@@ -409,6 +409,7 @@ BENCHES = {
     "a return forgotten": ("my.py", "return uq", "uq", ("returned nothing", "'return'")),
     "a name misspelt": ("my.py", "Wrapped(step,", "Wrapped(stepp,", ("my.py", "line 10", "stepp")),
     "limits the wrong way round": ("my.py", "-5.0, 5.0", "5.0, -5.0", ("'coil'", "must be below")),
+    "two sensors of one name": ("my.py", '["gap"]', '["gap", "gap"]', ("line 3", "two sensors", "'gap'", "of its own")),
     "a rate below zero": ("my.py", "1000.0", "-1000.0", ("rate_hz", "above zero")),
     "one bracket for two": ("list.toml", "[[commands]]", "[commands]", ("line 1", "two brackets", "[[commands]]")),
     "a signal in a word": ("list.toml", '{ method = "noise" }', '"noise"', ("line 5", '{ method = "noise" }')),

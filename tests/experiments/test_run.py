@@ -199,6 +199,15 @@ def test_resume_refuses_records_of_another_list(bench, tmp_path):
     assert len(bench.calls) == 4
 
 
+def test_resume_says_what_to_do_with_a_damaged_record(bench, tmp_path):
+    run(LIST, tmp_path, bench)
+    with (tmp_path / "tone.h5").open("ab") as file:
+        file.write(b"z")
+    with pytest.raises(StorageError, match=r"experiment: .*tone\.h5' was cut short, .*; move it away or choose"):
+        run(LIST, tmp_path, bench, resume=True)
+    assert len(bench.calls) == 4
+
+
 def test_what_was_begun_is_not_repeated_unasked(bench, tmp_path):
     def broken(*args, **kwargs):
         raise RuntimeError("cable")

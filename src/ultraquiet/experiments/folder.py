@@ -58,12 +58,16 @@ def refuse_repetition(
 
 
 def _same(measurement: Measurement, path: Path) -> Record:
-    record = load_value(path)
+    remedy = "move it away or choose another folder"
+    try:
+        record = load_value(path)
+    except StorageError as error:
+        raise StorageError(f"experiment: {str(error).removeprefix('archive: ').rstrip('.')}; {remedy}.") from error
     measurement_hash = record.provenance.settings.get("measurement_hash") if isinstance(record, Record) else None
     if not isinstance(record, Record) or measurement_hash != measurement.hash:
         raise InputError(
             f"experiment: '{path}' was not made by '{measurement.name}' as the list has it now (line "
-            f"{measurement.line}); move it away or choose another folder."
+            f"{measurement.line}); {remedy}."
         )
     return record
 

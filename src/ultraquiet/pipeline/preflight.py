@@ -203,7 +203,12 @@ def _frequencies(study: Study) -> Iterator[tuple[Place, Sequence[float]]]:
 
 
 def _channels(study: Study, wired: Any, mistakes: Mistakes) -> None:
-    """Note what is said of channels that there are not."""
+    """Note channels of one name, and what is said of channels that there are not."""
+    for what, wires in (("actuators", wired.actuators), ("sensors", wired.sensors)):
+        names = [c.name for c in wires]
+        twice = next((name for name in names if names.count(name) > 1), None)
+        if twice is not None:  # tables, figures and summary tell channels apart by name alone
+            mistakes.add(("bench",), f"bench: two {what} are called '{twice}'; give each a name of its own.")
     nu, ny = len(wired.actuators), len(wired.sensors)
     limits = study.deploy.limits
     if isinstance(limits, list) and len(limits) not in (1, nu):
