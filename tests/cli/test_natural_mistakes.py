@@ -221,7 +221,7 @@ COMMANDS = {
     "design plant.h5 --set disk_margin=0.2 --set disk-margin=0.3": ("disk_margin", "twice", "leave one"),
     "design plant.h5 --method filtered-x": ("'input 1'", "'limit'", "the largest command"),
     "design plant.h5 --method filtered-x --set limit=-1": ("'limit'", "above zero"),
-    "design wide-plant.h5 --method decoupled": ("3 outputs and 2 inputs", "square"),
+    "design wide-plant.h5 --method decoupled": ("3 outputs and 2 inputs", "square", "blend", "'lqg'"),
     "report study.toml": ("study.toml", "is a file", "the folder"),
     "serve record.h5 --no-open": ("record.h5", "is a file", "the folder of a study"),
     "serve --port 99999": ("port", "65535"),

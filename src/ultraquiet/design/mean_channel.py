@@ -1,4 +1,4 @@
-"""The one scalar function that a law repeated on every channel is designed for."""
+"""Laws that pair every channel with one of its own: a square plant, and the one function that stands for all."""
 
 import numpy as np
 
@@ -8,6 +8,20 @@ from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
 
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the function
+
+
+def require_square(who: str, plant: StateSpace) -> None:
+    """Refuse a plant without as many outputs as inputs.
+
+    Raises:
+        InputError: with what would do.
+    """
+    ny, nu = plant.D.shape
+    if ny != nu:
+        raise InputError(
+            f"{who}: the plant must be square, got {ny} outputs and {nu} inputs; pick or blend as many of both, or "
+            f"take a method for any shape: 'mixed-sensitivity', 'lqg'."
+        )
 
 
 def mean_channel(plant: StateSpace) -> StateSpace:
@@ -23,9 +37,8 @@ def mean_channel(plant: StateSpace) -> StateSpace:
     Raises:
         InputError: the plant has not as many outputs as inputs.
     """
+    require_square("mean_channel", plant)
     n = plant.D.shape[0]
-    if n != plant.D.shape[1]:
-        raise InputError(f"mean_channel: a square plant is needed, got {n} x {plant.D.shape[1]}.")
     if not plant.is_stable():
         v = np.ones((n, 1)) / np.sqrt(n)
         return StateSpace(plant.A, plant.B @ v, v.T @ plant.C, v.T @ plant.D @ v, rate_hz=plant.rate_hz)

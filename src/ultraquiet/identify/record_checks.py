@@ -51,7 +51,8 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
             if np.ptp(signal) == 0.0:
                 raise InputError(
                     f"{who}: {kind} '{wire.name}' is constant at {wire.in_unit(signal[0])}, which no model can be "
-                    f"drawn from; excite it, or leave the channel out with record.pick (--inputs, --outputs)."
+                    f"drawn from; excite it, mend it, or leave the channel out: record.pick, --inputs and --outputs, "
+                    f"or in a study the bench's channels or [blending]."
                 )
     _refuse_copies(who, record)
     _refuse_broken_sensors(who, record)

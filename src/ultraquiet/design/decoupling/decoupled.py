@@ -13,6 +13,7 @@ from ultraquiet._base.registry import lookup, register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.plant_scale import EvenPlant, even_plant
 from ultraquiet.design.hinf.band_attenuation import worst_attenuation_db
+from ultraquiet.design.mean_channel import require_square
 from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import WIDEST, StatedRobustness
 from ultraquiet.design.structure_words import FULL, REPEATED
@@ -83,9 +84,7 @@ class Decoupled(StatedRobustness):
         Raises:
             InputError: a plant that is not square or does not answer, a band above Nyquist, a matrix that does not fit.
         """
-        ny, nu = plant.D.shape
-        if ny != nu:
-            raise InputError(f"Decoupled: the plant must be square, got {ny} outputs and {nu} inputs.")
+        require_square("Decoupled", plant)
         even = even_plant(plant, self.band_hz or self._settings().get("band_hz"), "Decoupled")
         G = np.moveaxis(plant.frequency_response(np.geomspace(*even.band_hz, POINTS)), 2, 0)
         if not np.all(np.any(G, axis=(1, 2))):

@@ -13,6 +13,7 @@ from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.fixed_structure.problem import Requirement
 from ultraquiet.design.hinf.band_attenuation import BandAttenuation, worst_attenuation_db
+from ultraquiet.design.mean_channel import require_square
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values.generalised import output_shaping
 from ultraquiet.values.interconnect import feedback, gain, lft, sensitivity
@@ -103,9 +104,7 @@ class Specification:
         Raises:
             InputError: the sentence.
         """
-        ny, nu = plant.D.shape
-        if ny != nu:
-            raise InputError(f"{who}: the plant must be square, got {ny} outputs and {nu} inputs.")
+        require_square(who, plant)
         asked = [*(self.band_hz or ()), *self.tones_hz, *([] if self.roll_off_hz is None else [self.roll_off_hz])]
         if plant.rate_hz is not None and max(asked, default=0.0) >= plant.rate_hz / 2:
             raise InputError(

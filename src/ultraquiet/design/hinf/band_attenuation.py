@@ -15,7 +15,7 @@ from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
-from ultraquiet.design.mean_channel import mean_channel
+from ultraquiet.design.mean_channel import mean_channel, require_square
 from ultraquiet.design.result import STABLE_WORDS, DesignResult
 from ultraquiet.design.robust_stability import stands, tallest
 from ultraquiet.design.robustness import StatedRobustness
@@ -133,10 +133,9 @@ class BandAttenuation(StatedRobustness):
         """
         if self._measured_by_the_plant():
             return from_plant(plant, self, self._attempt, self.band_hz, sketch=self._sketch)
-        ny, nu = plant.D.shape
-        if ny != nu:
-            raise InputError(f"BandAttenuation: the plant must be square, got {ny} outputs and {nu} inputs.")
-        bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, ny, plant.rate_hz)
+        require_square("BandAttenuation", plant)
+        n = plant.D.shape[0]
+        bound = None if self.uncertainty is None else weight(WHO, "uncertainty", self.uncertainty, n, plant.rate_hz)
         part = plant if self.structure == FULL else mean_channel(plant)
         settled = self.settled(plant)  # for the whole plant, also where a part of it is designed for
         if self.peak_db is not None:
