@@ -13,7 +13,7 @@ from ultraquiet.values import Channel, Record, StateSpace
 from ultraquiet.values.channel import at_limits, stands_at_limits
 from ultraquiet.values.controller import Controller
 
-USED_RANGE = 0.3  # share of every channel's range that a burst may use
+USED_RANGE, AT_MOST = 0.3, 0.5  # shares of every channel's range that a burst uses, and may use
 # A burst begins with this share of the actuators' ranges; its colour evens out what the loop makes of it, so far.
 BEGIN, LEAST_COLOUR = 1e-3, 1e-3
 # Where the limits leave it open, a burst is loud enough when readings reach so many times their noise.
@@ -165,8 +165,16 @@ def _after(run: Record, samples: int) -> FloatArray:
     return np.vstack([run.outputs, run.inputs])[:, samples:]
 
 
-def loudest(bench: Bench, law: StateSpace | Controller, length: int, samples: int, seed: int = 0) -> Burst:
-    """Return a burst that fills a share of the ranges of readings, commands and actuators, in every octave alike.
+@dataclass(frozen=True, eq=False)
+class Bursts:
+    """The loudest bursts that a loop is given: equal at every hertz, and evened out by what the loop makes of that."""
+
+    white: Burst
+    coloured: Burst
+
+
+def loudest(bench: Bench, law: StateSpace | Controller, length: int, samples: int, seed: int = 0) -> Bursts:
+    """Return bursts that fill a share of the ranges of readings, commands and actuators; one in every octave alike.
 
     Begins at a thousandth of the actuators' ranges (one where nothing limits them), is coloured by what the loop made
     of it, and rises; the loop is taken to answer in proportion. Where neither end is limited, it rises until the
@@ -175,9 +183,23 @@ def loudest(bench: Bench, law: StateSpace | Controller, length: int, samples: in
     limits = ranges(bench.actuators)
     finite = np.isfinite(limits)
     level = np.where(finite, limits, limits[finite].min()) * BEGIN if finite.any() else np.ones(len(limits))
-    burst = _raised(bench, law, Burst(level, length, samples, bench.rate_hz, seed=seed))
+    white = _raised(bench, law, Burst(level, length, samples, bench.rate_hz, seed=seed))
+    found = kicked(bench, law, white)
+    return Bursts(white, _raised(bench, law, _coloured(white, found, bench)))
+
+
+def louder(bench: Bench, law: StateSpace | Controller, burst: Burst) -> tuple[Burst, FreeResponse]:
+    """Return a burst and its response, or the next louder ones as long as commands leave their limits again.
+
+    Each is twice the one before, up to half of the ranges where the loop answers in proportion: then one more at most.
+    """
     found = kicked(bench, law, burst)
-    return _raised(bench, law, _coloured(burst, found, bench))
+    for _ in range(RAISES):
+        if found.limited > 0 or _rise(bench, found, burst.levels) * AT_MOST < 2 * USED_RANGE:
+            break
+        burst = replace(burst, levels=2 * burst.levels)
+        found = kicked(bench, law, burst)
+    return burst, found
 
 
 def with_tones(bench: Bench, law: StateSpace | Controller, burst: Burst, modes_hz: tuple[float, ...]) -> Burst:

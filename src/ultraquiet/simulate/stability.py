@@ -10,6 +10,7 @@ from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
 from ultraquiet.simulate.growth.outside import hums_at_rest, hums_of
 from ultraquiet.simulate.growth.repeated import repeated
+from ultraquiet.simulate.growth.sticking import sticking
 from ultraquiet.simulate.growth.verdict import (
     CLIPPED_SHARE,
     LIMITED_SHARE,
@@ -83,7 +84,8 @@ def check_stability(
     Two runs with opposite bursts give the free response and, apart from it, the noise. Modes still visible in the
     second half of the record are fitted, y_t = sum c_i exp((a_i + 2 pi i f_i) t). The loop is
 
-    * unstable when one a_i exceeds zero by four standard deviations, or commands stay at their limits;
+    * unstable when one a_i exceeds zero by four standard deviations, or commands stay at their limits; also where that
+      is so after a loud burst and not, in proportion, after a weaker one, as where something sticks (`sticking.py`);
     * ok when everything was followed down to the noise, decaying: from a third of the channels' ranges, and where that
       takes longer than the record, again from near the noise;
     * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does.
@@ -114,7 +116,11 @@ def check_stability(
     disturb(bench, np.zeros((len(bench.actuators), 2)), controller)  # a law that does not fit is refused, not judged
     beside = (None, None) if model is None else _with_model(model, controller)
     try:
-        seen = _watched(bench, controller, longest, seed)
+        first = min(FIRST_SAMPLES, longest)
+        bursts = loudest(bench, controller, _burst_length(first), first, seed)
+        seen = _watched(bench, controller, longest, bursts.coloured)
+        if seen.word is StatusWord.OK:
+            seen = sticking(bench, controller, bursts, seen) or seen
     except UltraquietError as error:
         if isinstance(error, InterlockError) and error.of_time:
             raise  # a machine that came too late says nothing of the law
@@ -136,10 +142,9 @@ def _longest(rate_hz: float, duration_s: float | None) -> int:
     return samples
 
 
-def _watched(bench: Bench, law: StateSpace | Controller, longest: int, seed: int) -> Seen:
+def _watched(bench: Bench, law: StateSpace | Controller, longest: int, burst: Burst) -> Seen:
     """Watch ever longer until the record tells, or there is no longer one; there, several times."""
-    samples = first = min(FIRST_SAMPLES, longest)
-    burst = loudest(bench, law, _burst_length(first), first, seed)
+    samples = first = burst.samples
     tones = _slow_poles_hz(law, first, bench.rate_hz)
     before: Seen | None = None
     while True:
