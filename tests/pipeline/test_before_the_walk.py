@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ultraquiet as uq
@@ -177,3 +178,36 @@ def test_a_bench_that_is_called_a_unit_is_its_own_and_no_other():
     assert preflight.as_unit(bench, "left") is bench
     with pytest.raises(InputError, match="none is 'right'"):
         preflight.as_unit(bench, "right")
+
+
+DESIGNS = {
+    'method = "decoupled"': True,
+    'method = "band-attenuation"': False,
+    'method = "band-attenuation"\npeak_db = 6.0': True,
+    'method = "fixed-structure"': False,
+    'method = "fixed-structure"\nstructure = "repeated"': True,
+    'method = "lead-lag"': True,
+    'method = "peak-bounded"\nstructure = "decentralised"': True,
+    'method = "lqg"': False,
+}
+
+
+@pytest.mark.parametrize("table", DESIGNS)
+def test_a_design_for_square_plants_is_refused_before_another_is_measured(table):
+    """Each as its `design` refuses it, of one record and three outputs."""
+    given = '[study]\ntitle = "wide"\nseed = 1\n[records]\nfiles = ["a.csv"]\n[plant]\nmethod = "subspace"\n'
+    text = f'{given}records = ["a"]\n[controllers.one.design]\n{table}\n'
+    study = parse(text)
+    wide = uq.Record(np.zeros((3, 10)), np.zeros((2, 10)), 500.0)
+    if not DESIGNS[table]:
+        preflight.check(study, None, ["a"], seen=wide)
+        return
+    with pytest.raises(StudyError) as refused:
+        preflight.check(study, None, ["a"], seen=wide)
+    print(refused.value)
+    (line, sentence), *_ = refused.value.mistakes
+    assert line == text[: text.index(table)].count("\n") + 1
+    assert "takes a square plant, here are" in sentence
+    plant = uq.StateSpace([[0.5]], np.ones((1, 2)), np.ones((3, 1)), np.zeros((3, 2)), 500.0)
+    with pytest.raises(InputError, match=r"square|as many outputs as inputs"):
+        study.controllers["one"].design.make("design").design(plant)

@@ -7,6 +7,7 @@ from ultraquiet.linalg import balance
 from ultraquiet.linalg.ordered import Matrices
 from ultraquiet.values.state_space import StateSpace
 
+WOULD_DO = "pick or blend as many of both, or take a method for any shape: 'mixed-sensitivity', 'lqg'."
 NEGLIGIBLE = 1e-6  # Hankel values below this share of the largest leave the function
 
 
@@ -18,10 +19,7 @@ def require_square(who: str, plant: StateSpace) -> None:
     """
     ny, nu = plant.D.shape
     if ny != nu:
-        raise InputError(
-            f"{who}: the plant must be square, got {ny} outputs and {nu} inputs; pick or blend as many of both, or "
-            f"take a method for any shape: 'mixed-sensitivity', 'lqg'."
-        )
+        raise InputError(f"{who}: the plant must be square, got {ny} outputs and {nu} inputs; {WOULD_DO}")
 
 
 def mean_channel(plant: StateSpace) -> StateSpace:

@@ -14,6 +14,7 @@ from ultraquiet._base.registry import lookup
 from ultraquiet._base.shown.line import counted, several_of
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.bench.inner import Around
+from ultraquiet.design.mean_channel import WOULD_DO
 from ultraquiet.experiments import ExperimentList
 from ultraquiet.pipeline.facts.loops import ONLY
 from ultraquiet.pipeline.identification import grouped, one_record_of, recorded
@@ -57,6 +58,7 @@ def check(
         _below_nyquist(study, wired.rate_hz, "the records'" if bench is None else "the bench's", mistakes)
         _channels(study, wired, mistakes)
         _lengths(study, wired, mistakes)
+        _shapes(study, wired, mistakes)
     if plan is not None:
         _period(study, plan, mistakes)
     mistakes.refuse(StudyError, "study")
@@ -219,6 +221,17 @@ def _channels(study: Study, wired: Any, mistakes: Mistakes) -> None:
         wires = f"{counted(nu, 'actuator')} and {counted(ny, 'sensor')}, counted from one."
         fault = f"there is no channel {study.paper.channel}: {wires}"
         mistakes.add(("paper", "channel"), f"paper.channel: {fault}")
+
+
+def _shapes(study: Study, wired: Any, mistakes: Mistakes) -> None:
+    """Note designs that take square plants alone where there are not as many sensors as actuators."""
+    ny, nu = len(wired.sensors), len(wired.actuators)
+    for name, table in study.controllers.items() if ny != nu else ():
+        kind = lookup("design", table.design.method)
+        if table.around is None and hasattr(kind, "square_plants") and table.design.make("design").square_plants:
+            fault = f"so set, '{table.design.method}' takes a square plant, here are {ny} sensors and {nu} actuators; "
+            fault += WOULD_DO
+            mistakes.add(("controllers", name, "design", "method"), f"controllers.{name}.design: {fault}")
 
 
 def _lengths(study: Study, wired: Any, mistakes: Mistakes) -> None:

@@ -72,6 +72,11 @@ class Decoupled(StatedRobustness):
             rising_band("Decoupled", self.band_hz)
         between("Decoupled", "tolerance", self.tolerance, 0.0, 1.0)
 
+    @property
+    def square_plants(self) -> bool:
+        """Whether `design` takes square plants alone."""
+        return True
+
     @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:

@@ -51,6 +51,11 @@ class ClassicalMethod(StatedRobustness):
         if isinstance(self.gain, list):
             object.__setattr__(self, "gain", tuple(self.gain))
 
+    @property
+    def square_plants(self) -> bool:
+        """Whether `design` takes square plants alone."""
+        return True
+
     def sections(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
         """Return kind, values and which of them are frequencies in Hz, of the method's own sections."""
         raise NotImplementedError

@@ -80,6 +80,11 @@ class FixedStructure(StatedRobustness):
         whole(who, "starts", self.starts, 1)
         object.__setattr__(self, "specification", specified(self.specification))
 
+    @property
+    def square_plants(self) -> bool:
+        """Whether `design` takes square plants alone, as for a specification or a law of scalar ones."""
+        return isinstance(self.specification, Specification) or self.structure in (REPEATED, DECENTRALISED)
+
     @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:

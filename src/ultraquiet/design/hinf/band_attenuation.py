@@ -117,6 +117,11 @@ class BandAttenuation(StatedRobustness):
             if getattr(self, name) is not None:
                 positive(WHO, name, getattr(self, name))
 
+    @property
+    def square_plants(self) -> bool:
+        """Whether `design` takes square plants alone, as with numbers of one's own."""
+        return not self._measured_by_the_plant()
+
     @takes_systems
     @single_threaded
     def design(self, plant: StateSpace) -> DesignResult:
@@ -131,7 +136,7 @@ class BandAttenuation(StatedRobustness):
         Raises:
             InputError: the plant is not square.
         """
-        if self._measured_by_the_plant():
+        if not self.square_plants:
             return from_plant(plant, self, self._attempt, self.band_hz, sketch=self._sketch)
         require_square("BandAttenuation", plant)
         n = plant.D.shape[0]

@@ -134,6 +134,11 @@ class PeakBounded(StatedRobustness):
         whole(WHO, "steps", self.steps, 1)
         table(WHO, "peak_db", self.peak_db, logarithmic=False)
 
+    @property
+    def square_plants(self) -> bool:
+        """Whether `design` takes square plants alone, as for a law of scalar ones."""
+        return self.structure not in (None, FULL)
+
     @single_threaded
     def design(self, plant: Plants) -> DesignResult:
         """Return the law u = K y; margins, poles and peak are those with the first plant, the verdict is on all.

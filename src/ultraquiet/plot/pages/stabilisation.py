@@ -49,7 +49,7 @@ def stabilisation(
     if gain is not None:
         f_hz, size, unit = gain
         line = Curve("largest singular value", f_hz, 20 * np.log10(np.maximum(size, np.finfo(float).tiny)), "open")
-        panels.append(ChartPanel(x, decibel_axis("gain", unit), [line], height=140))
+        panels.append(ChartPanel(x, decibel_axis("gain", unit), [line], height=190))
     return Chart("stabilisation", "Stabilisation diagram", _told(roots, limits_hz), panels)
 
 
