@@ -211,3 +211,20 @@ def test_a_design_for_square_plants_is_refused_before_another_is_measured(table)
     plant = uq.StateSpace([[0.5]], np.ones((1, 2)), np.ones((3, 1)), np.zeros((3, 2)), 500.0)
     with pytest.raises(InputError, match=r"square|as many outputs as inputs"):
         study.controllers["one"].design.make("design").design(plant)
+
+
+def test_a_blending_that_does_not_fit_is_refused_with_its_line_and_in_the_words_of_its_table(tmp_path):
+    uq.files.save(uq.Record(np.ones((2, 50)), np.ones((2, 50)), 500.0), tmp_path / "a.h5")
+    text = (
+        '[study]\ntitle = "b"\nseed = 1\n[records]\nfiles = ["a.h5"]\n[plant]\nmethod = "subspace"\nrecords = ["a"]\n'
+    )
+    text += '[controllers.one.design]\nmethod = "lqg"\n'
+    text += "[blending]\nsensors = [[1.0, 2.0, 3.0]]\n"
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(StudyError) as refused:
+        walk(pipeline.load_study(tmp_path / "study.toml"), tmp_path / "out", tmp_path, say=lambda _: None)
+    ((line, sentence),) = refused.value.mistakes
+    print(sentence)
+    assert line == text.count("\n")
+    assert "blending: 'sensors' must be (modes, sensors), (1, 2) here, got (1, 3)" in sentence
+    assert not (tmp_path / "out").exists()

@@ -170,7 +170,7 @@ def test_mistakes_are_named(recorded, tmp_path):
         ({"control_rate_hz": 3000.0}, "no whole fraction of the bench's 8000 Hz; the nearest are 4000"),
         ({"latency_samples": 5}, "'latency' must be between 1 and 4"),
         ({"sensors": [[1.0], [1.0, 2.0]]}, "rows must be of one length, got rows of 1, 2"),
-        ({"sensors": [[1.0, 2.0]]}, r"'sensor_matrix' must be \(modes, sensors\), \(1, 20\) here, got \(1, 2\)"),
+        ({"sensors": [[1.0, 2.0]]}, r"blending: 'sensors' must be \(modes, sensors\), \(1, 20\) here, got \(1, 2\)"),
         ({"names": ["x"]}, "1 names were given for 6 sensor modes"),
         ({"sensors": "none.csv"}, "none.csv' cannot be read"),
         ({"sensors": "words.csv"}, "no table of numbers"),

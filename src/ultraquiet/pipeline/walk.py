@@ -150,10 +150,9 @@ def prepared(
     read = {} if settings.records is None else _read(settings.records, beside)
     bench, blending = own, None
     seen = next(iter(read.values()), own)
-    if settings.blending is not None:  # matrices that do not fit are refused here, also those of files
-        blending = with_matrices(settings.blending, beside)
+    if settings.blending is not None:
         player = Replay(tuple(read.values())) if own is None else own
-        whole, seen = blended(player, blending), in_modes(player, blending)
+        blending, whole, seen = _fitting(settings, settings.blending, player, beside)
         bench = None if own is None else whole
     describe = partial(identity, own, bench_table(settings), beside)
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
@@ -189,6 +188,25 @@ def prepared(
             settings = complete
             _write_study(settings, folder, beside)  # for whoever designs beside, and for the report
         yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key_of(settings, bench_key))
+
+
+def _fitting(
+    settings: study.Study, table: BlendingTable, player: Any, beside: Path | None
+) -> tuple[BlendingTable, Any, Any]:
+    """Return the table with its matrices, the bench that is recorded and the one in modes.
+
+    Raises:
+        StudyError: matrices that do not fit, also those of files, with the line of theirs.
+    """
+    try:
+        blending = with_matrices(table, beside)
+        return blending, blended(player, blending), in_modes(player, blending)
+    except InputError as error:
+        mistakes, said = settings.mistakes(), str(error)
+        key = next((name for name in ("sensors", "actuators") if f"'{name}'" in said), None)
+        mistakes.add(("blending", *([] if key is None else [key])), said)
+        mistakes.refuse(study.StudyError, "study")
+        raise
 
 
 def _in_modes(

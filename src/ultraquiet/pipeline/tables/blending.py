@@ -161,7 +161,13 @@ def _blending(bench: Bench, table: BlendingTable, beside: Path | None) -> Blendi
         _modes(Ts, bench.sensors, table.names, table.unit, "sensor mode"),
         _modes(Ta.T, bench.actuators, table.actuator_names, table.actuator_unit, "actuator mode"),
     )
-    return Blending(Ts, Ta, bench.sensors, bench.actuators, *given)
+    try:
+        return Blending(Ts, Ta, bench.sensors, bench.actuators, *given)
+    except InputError as error:  # in the words of the table
+        said = str(error).removeprefix("Blending: ")
+        raise InputError(
+            f"blending: {said.replace('sensor_matrix', 'sensors').replace('actuator_matrix', 'actuators')}"
+        ) from None
 
 
 def _modes(
