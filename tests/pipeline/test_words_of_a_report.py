@@ -1,15 +1,16 @@
 """Sentences of a report that weigh its numbers: what looks bad is said, and said of what it is."""
 
+from dataclasses import fields
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from ultraquiet.pipeline.facts.models import RecordFit, ResidualFacts
+from ultraquiet.pipeline.facts.models import PreferredModels, RankedModel, RecordFit, ResidualFacts
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
 from ultraquiet.pipeline.report.front import _verdict
-from ultraquiet.pipeline.report.models import _about_zeros, _doubted, _of_residuals
+from ultraquiet.pipeline.report.models import _about_zeros, _doubted, _of_residuals, _simulating_better
 from ultraquiet.pipeline.report.records import _coherence
 from ultraquiet.values import Channel, Record
 
@@ -85,3 +86,17 @@ def test_a_coherence_that_a_sharp_mode_lowers_is_not_said_to_be_noise(rng):
     caption = _coherence(result).caption
     print(caption)
     assert "noise, or leaks from modes narrower than the resolution" in caption
+
+
+@pytest.mark.parametrize(("fit", "said"), [(-4.0, True), (93.0, False)])
+def test_a_model_preferred_one_step_ahead_that_simulates_badly_is_said_to(fit, said):
+    blank = dict.fromkeys((f.name for f in fields(RankedModel)), 0.0)
+    rows = [("arx", 4, fit), ("box-jenkins", 6, 96.0)]
+    table = [
+        RankedModel(**blank | {"structure": name, "order": order, "median_fit_percent": percent})
+        for name, order, percent in rows
+    ]
+    best = PreferredModels(structure="arx", order=4, by_channel=(("arx 4",),), verdicts={"ok": 1})
+    sentences = _simulating_better(best, table)
+    assert bool(sentences) is said
+    assert not said or "by arx 4 to -4.0 % and by box-jenkins 6 to 96.0 %" in sentences[0]
