@@ -84,8 +84,8 @@ def _simulating_better(best: PreferredModels, table: Sequence[RankedModel]) -> l
         return []
     fits = [f"{row.structure} {row.order} to {row.median_fit_percent:.1f} %" for row in (taken, other)]
     return [
-        "Loss is of one step ahead, where the last reading tells most. Simulated from the inputs alone, as a response or "
-        f"a design needs it, held-out records are met in the median by {fits[0]} and by {fits[1]}."
+        "Loss is of one step ahead, where the last reading tells most. Simulated from the inputs alone, as a response "
+        f"or a design needs it, held-out records are met in the median by {fits[0]} and by {fits[1]}."
     ]
 
 
