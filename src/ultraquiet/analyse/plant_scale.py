@@ -18,12 +18,12 @@ WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
 ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
 LINES = 200  # over a given band, besides those of the poles
 FEW = 16  # lines on which a channel that answers is heard
-SWEEPS = 60  # of rows and columns in turn; a matrix of positive powers converges geometrically
+SWEEPS = 60  # of rows and columns in turn; what is not zero in a matrix converges geometrically
 
 
 @dataclass(frozen=True, eq=False)
 class EvenPlant:
-    """A plant in units of its own: Ge = diag(outputs) G diag(inputs), every row and column of mean square one.
+    """A plant in units of its own: Ge = diag(outputs) G diag(inputs), rows and columns of mean square one.
 
     Attributes:
         plant: Ge.
@@ -92,8 +92,9 @@ def even_plant(plant: StateSpace, band_hz: tuple[float, float] | None = None, wh
     """Return a plant with its channels evened out over its own band.
 
     The band reaches from the first to the last frequency at which the largest singular value of Ge is within 20 dB of
-    its maximum, at 0.4 of the rate at most; there the mean square of every row and of every column of Ge is one. Both
-    are sought in turn. Other units of an input, an output or a state give the same Ge and the same band.
+    its maximum, at 0.4 of the rate at most; there the mean square of every row and of every column of Ge is one,
+    what is zero throughout left out. Both are sought in turn. Other units of an input, an output or a state give the
+    same Ge and the same band.
 
     Args:
         plant: G, continuous or discrete. A channel without any response keeps its unit.
@@ -157,11 +158,16 @@ def _peaks(power: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _sinkhorn(mean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return scales at which the means of all rows and columns of a matrix of powers are one."""
+    """Return scales at which the mean of the powers that are not zero is one in every row and column.
+
+    Zeros counted, there need be no such scales: the rows of a plant with a dead sensor, or with two sensors on one axis
+    and one on another, ask for another sum than its columns, and every sweep would carry the scales further away.
+    """
     rows, columns = np.ones(mean.shape[0]), np.ones(mean.shape[1])
+    across, along = (np.maximum(np.count_nonzero(mean, axis=axis), 1) for axis in (1, 0))
     for _ in range(SWEEPS):
-        rows = _inverse_root((mean * columns**2).mean(axis=1))
-        columns = _inverse_root((mean * (rows**2)[:, None]).mean(axis=0))
+        rows = _inverse_root((mean * columns**2).sum(axis=1) / across)
+        columns = _inverse_root((mean * (rows**2)[:, None]).sum(axis=0) / along)
     return rows, columns
 
 
