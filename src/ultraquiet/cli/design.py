@@ -45,6 +45,8 @@ def design(
     if law is None:
         error = InputError if result.status.word is StatusWord.REFUSED else NumericalError
         raise error(f"design: {result.status.sentence}")
+    if result.status.word is StatusWord.UNSTABLE:
+        raise NumericalError(f"design: {result.status.sentence} Nothing was written.")
     files.save(law, target, overwrite=force)
     worst = worst_direction(system, law, design_band(settings, result.details))
     show = screen()

@@ -76,7 +76,10 @@ def kept(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float, als
 
 
 def described(plant: StateSpace, margins: Mapping[str, Any]) -> list[str]:
-    """Return one line an end on its disk margin and on the least change of one channel that upsets the loop."""
+    """Return one line an end on its disk margin and on the least change of one channel that upsets the loop.
+
+    An unstable loop keeps none, and there is nothing left to upset.
+    """
     lines: list[str] = []
     for side in ENDS:
         found = margins.get(side)
@@ -84,6 +87,9 @@ def described(plant: StateSpace, margins: Mapping[str, Any]) -> list[str]:
             continue
         wires, kind = _wires(plant, side)
         change = found.least_change
+        if not found.disk_all and change is None:
+            lines.append(f"margin at the plant's {side}: none, the loop is unstable")
+            continue
         alone = "no change of one channel upsets it" if change is None else _told(change, kind, wires)
         lines.append(f"margin at the plant's {side}: disk {found.disk_all:.3g}, all {kind}s at once; {alone}")
     return lines
