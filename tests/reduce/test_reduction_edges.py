@@ -267,3 +267,18 @@ def test_hankel_norm_keeps_every_state_that_it_is_asked_to_keep():
         assert result.controller.states == 3
         np.testing.assert_array_equal(result.controller.A, G.A)
     assert HankelNorm(states=2).reduce(G).controller.states == 2
+
+
+@pytest.mark.parametrize(("rate_hz", "norm"), [(None, "peak"), (1000.0, "peak"), (1000.0, "mean-square")])
+def test_a_plant_that_integrates_has_no_response_at_rest_and_its_law_is_reduced(rate_hz, norm):
+    """The grid of the loop had a line at rest, where nothing was a number, and the search ended with a LinAlgError."""
+    plant = StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]])
+    law = StateSpace(np.diag([-50.0, -3000.0]), [[1.0], [1.0]], [[-50.0, -30.0]], [[0.0]])
+    if rate_hz is not None:
+        plant = StateSpace([[1.0]], [[1e-3]], [[1.0]], [[0.0]], rate_hz)
+        law = StateSpace(np.diag([0.95, 0.05]), [[1.0], [1.0]], [[-0.05, -0.01]], [[0.0]], rate_hz)
+    result = ClosedLoopWeighted(1, steps=10, norm=norm).reduce(law, plant)
+    assert result.status.word in ("ok", "loss"), result.status
+    assert result.controller is not None
+    assert result.controller.states == 1
+    assert feedback(plant, result.controller).is_stable()

@@ -12,6 +12,7 @@ from ultraquiet.values.state_space import StateSpace
 POINTS_LOG, POINTS_EVEN = 250, 200
 LOWEST = 1e-4  # radians per sample, or this share of the slowest pole in continuous time
 HIGHEST = 1e2  # times the fastest pole, continuous time
+ON = 1e-8  # radians per sample, or this share of the slowest pole: nearer to a pole of plant or law nothing is seen
 SHARP, RESONANCES = 0.02, 150  # loop poles nearer the border of stability than this, relatively, get a point each
 
 
@@ -54,10 +55,11 @@ class Grid(NamedTuple):
 
 
 def grid_of(P: StateSpace, K: StateSpace, poles: Array) -> Grid:
-    """Return the responses on a grid that knows the loop's resonances, its poles."""
+    """Return the responses on a grid that knows the loop's resonances, its poles, and leaves out those of P and K."""
     discrete = P.rate_hz is not None
     if discrete:
-        size, angle = np.abs(np.abs(poles) - 1), np.abs(np.angle(poles))
+        moduli = np.abs(poles)
+        size, angle = np.abs(moduli - 1), np.abs(np.angle(poles))
         w = np.concatenate([np.geomspace(LOWEST, np.pi, POINTS_LOG), np.linspace(0, np.pi, POINTS_EVEN)])
     else:
         moduli = np.abs(poles)[np.abs(poles) > 0] if np.any(poles) else np.ones(1)
@@ -66,6 +68,11 @@ def grid_of(P: StateSpace, K: StateSpace, poles: Array) -> Grid:
     sharp = angle[size < SHARP]
     w = np.unique(np.concatenate([w, sharp[:: 1 + sharp.size // RESONANCES]]))
     points = np.exp(1j * w) if discrete else 1j * w
+    # an integrator has no response at rest
+    away = ON if discrete else ON * float(moduli.min())
+    alone = np.concatenate([P.poles(), K.poles()])
+    seen_at = np.abs(points[:, None] - alone).min(axis=1, initial=np.inf) > away
+    w, points = w[seen_at], points[seen_at]
     R, seen = (np.moveaxis(response.frequency_response(s.A, s.B, s.C, s.D, points), 2, 0) for s in (P, K))
     nu, ny = K.D.shape
     p, m = P.D.shape[0] - ny, P.D.shape[1] - nu
