@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
 from ultraquiet.simulate.growth.outside import hums_at_rest, hums_of
+from ultraquiet.simulate.growth.ramps import ramping
 from ultraquiet.simulate.growth.repeated import repeated
 from ultraquiet.simulate.growth.sticking import sticking
 from ultraquiet.simulate.growth.verdict import (
@@ -88,7 +89,8 @@ def check_stability(
       is so after a loud burst and not, in proportion, after a weaker one, as where something sticks (`sticking.py`);
     * ok when everything was followed down to the noise, decaying: from a third of the channels' ranges, and where that
       takes longer than the record, again from near the noise;
-    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does.
+    * not known when a mode neither grows nor decays beyond doubt in the longest record, as a limit cycle does, or a
+      command still ramps under a law that integrates (`ramps.py`).
 
     Offsets count for nothing. A tone that the bench holds without the law as well, mains or a drift, is none of the
     loop's where a burst at its frequency stands well above it and dies (`growth/outside.py`).
@@ -120,7 +122,7 @@ def check_stability(
         bursts = loudest(bench, controller, _burst_length(first), first, seed)
         seen = _watched(bench, controller, longest, bursts.coloured)
         if seen.word is StatusWord.OK:
-            seen = sticking(bench, controller, bursts, seen) or seen
+            seen = sticking(bench, controller, bursts, seen) or ramping(bench, _linear(controller), seen) or seen
     except UltraquietError as error:
         if isinstance(error, InterlockError) and error.of_time:
             raise  # a machine that came too late says nothing of the law
