@@ -109,8 +109,8 @@ def test_a_summary_of_the_version_before_meets_the_schema_and_a_wrong_one_does_n
 
 def test_what_is_no_finite_number_is_null_in_a_summary_and_allowed_by_its_schema():
     measured = dict.fromkeys((f.name for f in fields(StableLoop)), np.nan)
-    known = {"stable": True, "status": "ok", "tones": {}, "band_hz": (10.0, np.inf)}
-    loop = StableLoop(**measured | known | {"lines": 3, "lines_missing": 0, "lines_hidden": None, "heard_hz": (np.nan, 3.0)})
+    known = {"stable": True, "status": "ok", "tones": {}, "band_hz": (10.0, np.inf), "heard_hz": (np.nan, 3.0)}
+    loop = StableLoop(**measured | known | {"lines": 3, "lines_missing": 0, "lines_hidden": None})
     plain = finite(to_plain(loop))
     assert plain["band_hz"] == [10.0, None]
     assert plain["peak_amplification_db"] is None
