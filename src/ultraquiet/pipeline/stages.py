@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -28,52 +28,36 @@ from ultraquiet.pipeline.making.designs import (
     design_stage,
     key_of,
 )
-from ultraquiet.pipeline.making.models import Models
+from ultraquiet.pipeline.making.models import ModelStages
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
 from ultraquiet.pipeline.preflight import LoopPlan, loop_plan
 from ultraquiet.pipeline.result import StudyResult
-from ultraquiet.pipeline.stage import Cache, Outcome
-from ultraquiet.pipeline.study import Band, Study
+from ultraquiet.pipeline.stage import Outcome
+from ultraquiet.pipeline.study import Band
 from ultraquiet.pipeline.tables.mission import CampaignTable
 from ultraquiet.simulate import Campaign
-from ultraquiet.values import Record, StateSpace
+from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
 WORKER = "ultraquiet.pipeline.making.worker"
 FAR = 2  # so many designs are worth a process of their own
 _OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
-Say = Callable[[str], object]
 Adapting = Callable[[], Controller | None]  # makes what runs where a law adapts
 
 
 @dataclass(frozen=True)
-class Stages:
-    """A study, the bench it is made on and its records; `say` is told one line per finished stage.
+class Stages(ModelStages):
+    """All stages of a study after its records: its models, and what is designed on them, closed and made into code."""
 
-    `bench_key` is what defines the bench (`store.identity`), for the stages that measure on it.
-    """
-
-    study: Study
-    cache: Cache
-    bench: Any
-    records: Mapping[str, Record]
-    say: Say
-    bench_key: Any = None
     turns: dict[str, Lock] = field(default_factory=dict)  # whose design is being made, or read
-
-    @cached_property
-    def _models(self) -> Models:
-        return Models(self.study, self.cache, self.bench, self.records, self.say, self.bench_key)
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
-        with self._beside(
-            "compare structures and orders", "identify", several and not self._models.are_identified()
-        ) as models:
-            plant = self._models.plant()
+        with self._beside("compare structures and orders", "identify", several and not self.are_identified()) as models:
+            plant = self.plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:
                 control.require_bench(self.bench, system)
@@ -83,12 +67,12 @@ class Stages:
             opened = None if self.bench is None else control.OpenLoops(self.bench, plan)
             payloads = self._payloads(plan)
             far = several and sum(not self._is_designed(name, system, plan) for name in first) >= FAR
-            words = json.dumps(to_plain(plan)), *self._models.further
+            words = json.dumps(to_plain(plan)), *self.further
             with self._beside("design controllers", "design", far, *words) as designs:
                 one = partial(self._controller, plant=system, plan=plan, opened=opened, payloads=payloads, said=designs)
                 jobs: dict[str, Callable[[], Any]] = {_OPEN: opened.apart} if far and opened is not None else {}
                 jobs |= {name: partial(one, name) for name in first}
-                jobs[_MODELS] = partial(self._models.judged, system, plan, models)
+                jobs[_MODELS] = partial(self.judged, system, plan, models)
                 # what waits for another process takes no processor's time
                 workers = len(jobs) if far else None if several else 1
                 done = in_threads("study", lambda job: jobs[job](), list(jobs), workers, bars=True)
@@ -130,7 +114,7 @@ class Stages:
         """
         if self.bench is None:
             raise InputError("campaign: the study has no bench that could be drawn.")
-        system: StateSpace = self._models.plant().values[stored.PLANT]
+        system: StateSpace = self.plant().values[stored.PLANT]
         control.require_bench(self.bench, system)
         plan, name = loop_plan(self.study.closed_loop, self.bench, system), law_of(self.study, table)
         design = self._design(name, system, plan)
@@ -249,7 +233,7 @@ class Stages:
         settings = self.study.controllers[name]
         if settings.around is not None and not self._is_designed(settings.around, plant, plan):
             return False
-        key = design_key(plant, settings, plan, self._models.further, self._around(name, plant, plan))
+        key = design_key(plant, settings, plan, self.further, self._around(name, plant, plan))
         return self.cache.holds(f"design-{name}", key)
 
     def _design(self, name: str, plant: StateSpace, plan: LoopPlan) -> Outcome[DesignFacts]:
@@ -262,9 +246,7 @@ class Stages:
         """Return the stage of one controller; whoever comes second to it waits, and reads it."""
         around = self._around(name, plant, plan)
         with self.turns.setdefault(name, Lock()):
-            return design_stage(
-                self.cache, name, self.study.controllers[name], plant, plan, self._models.further, around
-            )
+            return design_stage(self.cache, name, self.study.controllers[name], plant, plan, self.further, around)
 
     def _around(self, name: str, plant: StateSpace, plan: LoopPlan) -> StateSpace | None:
         """Return the law round which a controller is put; None where it stands alone, or where that has no law."""

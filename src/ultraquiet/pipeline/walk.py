@@ -21,11 +21,12 @@ from ultraquiet.identify.record_checks import in_and_out
 from ultraquiet.pipeline import control, preflight, study
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.facts.typed import to_plain
+from ultraquiet.pipeline.making.models import Say
 from ultraquiet.pipeline.mission.campaign import How
 from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
 from ultraquiet.pipeline.stage import Cache
-from ultraquiet.pipeline.stages import Say, Stages
+from ultraquiet.pipeline.stages import Stages
 from ultraquiet.pipeline.store.copies import Copies
 from ultraquiet.pipeline.store.identity import identity
 from ultraquiet.pipeline.store.lock import locked

@@ -17,20 +17,23 @@ from ultraquiet.pipeline.stage import Cache, Outcome
 from ultraquiet.pipeline.study import Study
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
 
+Say = Callable[[str], object]
+
 
 @dataclass(frozen=True)
-class Models:
-    """The models of a study: what is designed on, and what channels identified one by one are worth.
+class ModelStages:
+    """A study, the bench it is made on and its records: the models that are designed on, and what all are worth.
 
-    `bench_key` is what defines the bench (`store.identity`), for the stages that measure on it.
+    `say` is told one line per finished stage. `bench_key` is what defines the bench (`store.identity`), for the stages
+    that measure on it.
     """
 
     study: Study
     cache: Cache
     bench: Any
     records: Mapping[str, Record]
-    say: Callable[[str], object]
-    bench_key: Any
+    say: Say
+    bench_key: Any = None
 
     @cached_property
     def _record_hashes(self) -> dict[str, str]:
