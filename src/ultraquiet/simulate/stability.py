@@ -8,6 +8,7 @@ from ultraquiet._base.constraints import FloatArray, positive
 from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
 from ultraquiet.bench import Bench
 from ultraquiet.simulate.free_response import VISIBLE, Mode, ringing
+from ultraquiet.simulate.growth.lowered import within_limits
 from ultraquiet.simulate.growth.outside import hums_at_rest, hums_of
 from ultraquiet.simulate.growth.ramps import ramping
 from ultraquiet.simulate.growth.repeated import repeated
@@ -38,9 +39,6 @@ BURSTS, SHORTEST_BURST = 16, 4096
 ABOVE_NOISE, QUIETEST = 100.0, 1e-3
 # Noise that a stable loop heaps up grows as the root of the samples: so many times that within few is growth.
 HEAPED = 10.0
-# A burst after which commands stay at their limits is lowered to this share, so many times, before the loop is blamed:
-# little by little, for a burst far below what the limits allow leaves a slow mode among the noise.
-LOWERED_TO, LOWERED = 0.3, 6
 # The law's own poles that decay by less than this within a record are given a tone each in the next burst.
 SLOW = 10.0
 
@@ -155,7 +153,7 @@ def _watched(bench: Bench, law: StateSpace | Controller, longest: int, burst: Bu
         found = kicked(bench, law, burst)
         if found.limited > LIMITED_SHARE and before is not None and before.word is StatusWord.UNSTABLE:
             return before  # it was seen to grow, and now it grew as far as the limits
-        burst, found = _within_limits(bench, law, burst, found)
+        burst, found = within_limits(bench, law, burst, found)
         if found.limited > LIMITED_SHARE:
             held = hums_at_rest(bench, found.response.shape[1])
             burst = replace(burst, hums_hz=(*burst.hums_hz, *held))
@@ -197,18 +195,6 @@ def _told_from_outside(
         known = (*burst.hums_hz, *(f for f in hums if not seen.record.hums_at(f)))
         burst = replace(burst, hums_hz=known, outside_hz=(*burst.outside_hz, *outside))
         found = kicked(bench, law, burst)
-
-
-def _within_limits(
-    bench: Bench, law: StateSpace | Controller, burst: Burst, found: FreeResponse
-) -> tuple[Burst, FreeResponse]:
-    """Lower a burst until what it leaves is no longer clipped: a loop that is stable may stay at limits after one."""
-    for _ in range(LOWERED):
-        if found.limited <= CLIPPED_SHARE:
-            break
-        burst = replace(burst, levels=LOWERED_TO * burst.levels)
-        found = kicked(bench, law, burst)
-    return burst, found
 
 
 def _at_limits(
@@ -280,7 +266,7 @@ def _assured(bench: Bench, law: StateSpace | Controller, burst: Burst, seen: See
         return seen
     tones = tones_alone(bench, law, burst, apart(seen.hidden_hz, bench.rate_hz / burst.length))
     other = replace(tones, samples=seen.record.response.shape[1])
-    again = judged(bench, _within_limits(bench, law, other, kicked(bench, law, other))[1])
+    again = judged(bench, within_limits(bench, law, other, kicked(bench, law, other))[1])
     return seen if again.word is StatusWord.OK or again.record.limited > LIMITED_SHARE else again
 
 
@@ -290,7 +276,7 @@ def _heard(bench: Bench, law: StateSpace | Controller, burst: Burst, found: Free
     if seen.word is StatusWord.OK and seen.modes:
         share = max(QUIETEST, min(1.0, ABOVE_NOISE / max(mode.seen for mode in seen.modes)))
         quiet = replace(burst, levels=share * burst.levels, modes_hz=tuple(mode.f_hz for mode in seen.modes))
-        softly = judged(bench, _within_limits(bench, law, quiet, kicked(bench, law, quiet))[1])
+        softly = judged(bench, within_limits(bench, law, quiet, kicked(bench, law, quiet))[1])
         return softly if softly.word is not StatusWord.OK else seen
     return seen
 

@@ -11,16 +11,15 @@ import numpy as np
 
 from ultraquiet._base.errors import InterlockError
 from ultraquiet.bench import Bench
+from ultraquiet.simulate.growth.lowered import within_limits
 from ultraquiet.simulate.growth.verdict import CLIPPED_SHARE, Seen, judged
 from ultraquiet.simulate.kick import Burst, Bursts, FreeResponse, kicked, louder, ranges
 from ultraquiet.values import Record, StateSpace, StatusWord
 from ultraquiet.values.channel import stands_at_limits
 from ultraquiet.values.controller import Controller
 
-# A burst is weakened to this share, so many times, until it dies; then both may differ by less than the third, after so
-# many in between. Out of proportion is so many times more.
-LOWERED_TO, LOWERED, NEAR, BETWEEN = 0.3, 6, 1.3, 6
-OUT_OF_PROPORTION = 3.0
+# Both bursts differ by less than this in the end, after so many in between; out of proportion is so many times more.
+NEAR, BETWEEN, OUT_OF_PROPORTION = 1.3, 6, 3.0
 JUST_BEFORE = 16  # samples before a command first stands at its limit
 _Heard = tuple[Burst, FreeResponse]
 
@@ -49,8 +48,8 @@ def sticking(bench: Bench, law: StateSpace | Controller, bursts: Bursts, seen: S
 
 def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: Seen) -> Seen | None:
     """Return growth of what stays at its limits out of proportion to a burst a little weaker, which dies."""
-    weak = _lowered(bench, law, loud)
-    if weak is None:
+    weak = within_limits(bench, law, *loud)
+    if weak[1].limited > CLIPPED_SHARE:
         return None
     for _ in range(BETWEEN):
         if _ratio(loud, weak) < NEAR:
@@ -69,16 +68,6 @@ def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: S
         f"{_size(bench, weak[0])}, after which it dies: something sticks, and the loop grows where that gives way."
     )
     return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence)
-
-
-def _lowered(bench: Bench, law: StateSpace | Controller, loud: _Heard) -> _Heard | None:
-    burst = loud[0]
-    for _ in range(LOWERED):
-        burst = replace(burst, levels=LOWERED_TO * burst.levels)
-        found = kicked(bench, law, burst)
-        if found.limited <= CLIPPED_SHARE:
-            return burst, found
-    return None
 
 
 def _ratio(loud: _Heard, weak: _Heard) -> float:
