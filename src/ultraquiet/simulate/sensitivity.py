@@ -189,8 +189,10 @@ def measure_sensitivity(
         for pair, lines in zip(pairs, asked, strict=True):
             parts.append(pair.at(lines))
             progress.advance(note=f"to {pair.band.sweep.high_hz:.3g} Hz")
-        lower = iter(()) if f_hz is not None else opened.downwards()
-        while parts[0].f_hz.size and _may_peak_below(*_all_lines(parts)) and (below := next(lower, None)):
+        lower = opened.downwards()
+        while f_hz is None and parts[0].f_hz.size and _may_peak_below(*_all_lines(parts)):
+            if (below := next(lower, None)) is None:
+                break
             parts.insert(0, _Pair(below, controller).at(None, most_hidden=0.0))
     found = _joined(opened, parts)
     if f_hz is not None:
