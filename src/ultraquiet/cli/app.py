@@ -91,9 +91,9 @@ def main() -> None:
         print(f"ultraquiet: this asks for more memory than there is; ask for less ({error}).", file=sys.stderr)
         sys.exit(ExitCode.REFUSED)
     except (Exception, SystemExit) as error:
-        from ultraquiet.bench.from_file import of_a_bench
-
-        said = of_a_bench(error)
+        # no bench of one's own was made where nobody imported what makes them
+        maker = sys.modules.get("ultraquiet.bench.from_file")
+        said = maker and maker.of_a_bench(error)
         if said:
             _tell(f"bench: {said}")
             sys.exit(ExitCode.REFUSED)
