@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -60,6 +60,8 @@ class Decoupled(StatedRobustness):
     doi:10.1016/S0005-1098(96)00194-2 (when they are optimal).
     """
 
+    square_plants: ClassVar[bool] = True  # `design` takes no others
+
     transform: str | tuple[tuple[float, ...], ...] = "data"
     method: str = "band-attenuation"
     settings: Mapping[str, Any] = field(default_factory=dict)
@@ -71,11 +73,6 @@ class Decoupled(StatedRobustness):
         if self.band_hz is not None:
             rising_band("Decoupled", self.band_hz)
         between("Decoupled", "tolerance", self.tolerance, 0.0, 1.0)
-
-    @property
-    def square_plants(self) -> bool:
-        """Whether `design` takes square plants alone."""
-        return True
 
     @takes_systems
     @single_threaded

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -34,6 +34,8 @@ ALLOWED = 0.98  # of what is hard
 class ClassicalMethod(StatedRobustness):
     """Settings that all methods of classical sections share, and their verb."""
 
+    square_plants: ClassVar[bool] = True  # `design` takes no others
+
     gain: float | tuple[float, ...] | None = None
     high_pass_hz: float | None = None
     low_pass_hz: float | None = None
@@ -50,11 +52,6 @@ class ClassicalMethod(StatedRobustness):
         object.__setattr__(self, "specification", specified(self.specification))
         if isinstance(self.gain, list):
             object.__setattr__(self, "gain", tuple(self.gain))
-
-    @property
-    def square_plants(self) -> bool:
-        """Whether `design` takes square plants alone."""
-        return True
 
     def sections(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
         """Return kind, values and which of them are frequencies in Hz, of the method's own sections."""
