@@ -7,8 +7,13 @@ import pytest
 
 from ultraquiet.analyse import hinf_norm
 from ultraquiet.design import output_shaping, synthesize_hinf
+from ultraquiet.design.hinf import riccati
 from ultraquiet.design.hinf.mixed_sensitivity import MixedSensitivity
+from ultraquiet.design.hinf.problem.hidden import without_hidden
+from ultraquiet.design.hinf.problem.units import even_problem
+from ultraquiet.design.hinf.problem.verified import Verifier
 from ultraquiet.design.hinf.verification import verify_level
+from ultraquiet.linalg.equations import continuous_riccati
 from ultraquiet.values import StateSpace
 from ultraquiet.values.interconnect import gain, lft
 
@@ -59,6 +64,19 @@ def test_all_units_of_a_problem_give_one_answer(name):
         )
         print(f"{name}, units of 1e+-{decades}: {other.achieved / plain.achieved - 1:.1e}")
         assert other.achieved == pytest.approx(plain.achieved, rel=1e-6)
+
+
+def test_an_equation_without_a_cost_is_solved_at_every_level():
+    """Its Hamiltonian falls apart and what balances it has no end: scales of 2^28 left no digit of Y at most levels."""
+    P, ny, nu = compleib("ac14")
+    problem = even_problem(P, ny, nu)
+    route = Verifier(P, problem, without_hidden(problem.plant)[0], ny, nu)
+    for level in (100.0001, 100.001, 100.004, 100.05, 101.0, 105.0, 110.0, 150.0, 200.0, 400.0):
+        A, G, Q = riccati.equation(route.plant, level * problem.level, "Y")
+        assert not np.any(Q)
+        found = continuous_riccati(A, G, Q)
+        print(f"level {level}: residual {found.residual:.1e}, margin {found.margin:.2e}")
+        assert found.accepted
 
 
 def test_a_level_too_high_is_not_agreed_with():

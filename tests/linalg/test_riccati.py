@@ -64,6 +64,29 @@ def test_zero_cost_gives_zero_solution(rng):
     assert not np.any(equations.continuous_riccati(A, np.eye(6), np.zeros((6, 6))).X)
 
 
+@pytest.mark.parametrize("mixed", [True, False])
+@pytest.mark.parametrize("unstable", [1, 2, 3])
+def test_without_a_cost_the_unstable_modes_are_turned_over_and_all_others_stay(rng, unstable, mixed):
+    """Slow stable modes, one thrice over, beside fast ones."""
+    there = np.array([0.08, 0.3, 1.7])[:unstable]
+    poles = np.concatenate([there, [-8e-4, -8e-4, -8e-4, -1e-3, -4e-3], -np.geomspace(0.02, 80.0, 22)])
+    n = len(poles)
+    T = np.linalg.qr(rng.standard_normal((n, n)))[0] * 10 ** rng.uniform(-1, 1, n) if mixed else np.eye(n)
+    A = T @ np.diag(poles) @ np.linalg.inv(T)
+    B = rng.standard_normal((n, 3)) * 10 ** rng.uniform(-3, 1, (n, 1))
+    solved = equations.continuous_riccati(A, B @ B.T, np.zeros((n, n)))
+    # In modal coordinates X is P^-1 on the unstable modes, P of the Cauchy form of a diagonal Lyapunov equation.
+    V = np.linalg.inv(T).T[:, :unstable]
+    P = (V.T @ B @ B.T @ V) / (there[:, None] + there[None, :])
+    X = V @ np.linalg.solve(P, V.T)
+    error = np.linalg.norm(solved.X - X) / np.linalg.norm(X)
+    closed = np.sort(np.linalg.eigvals(A - B @ B.T @ solved.X).real)
+    print(f"{unstable} unstable: off by {error:.1e}, margin {solved.margin:.2e}")
+    assert error < 1e-9
+    assert closed == pytest.approx(np.sort(-np.abs(poles)), rel=1e-2, abs=1e-5)
+    assert closed.max() < 0
+
+
 @pytest.mark.parametrize("scale", [1.0, 1e6, 1e-6])
 def test_units_do_not_matter(rng, scale):
     A = lightly_damped(rng, 8)

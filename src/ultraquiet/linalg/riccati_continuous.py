@@ -22,6 +22,9 @@ from ultraquiet.linalg.riccati import (
 
 DEFECTS = 3  # equations of the defect solved in turn
 AXIS = 1e-9  # an eigenvalue with a real part below this share of its modulus lies on the axis
+# Scales that differ by more than this are those of a Hamiltonian that falls apart, as where Q is zero: what balances it
+# has no end there, and the stable subspace loses X. The coordinates as they were given are tried then.
+FAR = 2.0**16
 UNSPLIT = np.full((1, 1), np.nan)  # what the Schur rung returns for a spectrum that cannot be split
 
 
@@ -46,12 +49,15 @@ def continuous_riccati(A: Array, G: Array, Q: Array) -> Riccati:
         # X = 0: the Y equation of every mixed-sensitivity problem with a stable plant, which SciPy refuses
         return Riccati(np.zeros((n, n)), 0.0, -float(np.linalg.eigvals(A).real.max()), 0.0)
     r = cost_unit(G, Q)
-    d = symplectic_scale(A, G * r, Q / r)
-    back = r / np.outer(d, d)
-    best = _ladder(A * d / d[:, None], G * back, Q / back)
-    if best is None or not best.accepted:
-        raise refusal("continuous", n, best)
-    return best._replace(X=best.X * back)
+    scale = symplectic_scale(A, G * r, Q / r)
+    best = None
+    for d in (scale, np.ones(n))[: 1 + (scale.max() > FAR * scale.min())]:
+        back = r / np.outer(d, d)
+        found = _ladder(A * d / d[:, None], G * back, Q / back)
+        best = best if found is None else better(best, found._replace(X=found.X * back))
+        if best is not None and best.accepted:
+            return best
+    raise refusal("continuous", n, best)
 
 
 def _ladder(A: Array, G: Array, Q: Array) -> Riccati | None:
