@@ -60,3 +60,33 @@ def test_so_does_paper():
     below = pixels[pixels.shape[0] // 3 :]  # the legend shows both
     assert count(below, CHOSEN) > 50
     assert count(below, OTHER) == 0
+
+
+def measured_beside_a_twin():
+    curves = [Curve("measured", X, X**2), Curve("model", X, X**2, "chosen")]
+    return Chart("c", "C", "", [ChartPanel(Axis("x"), Axis("y"), curves)])
+
+
+@pytest.mark.web
+@pytest.mark.slow
+def test_what_was_measured_is_seen_below_a_model_that_is_like_it(browser):
+    packing, chart = Packing(), measured_beside_a_twin()
+    page = browser.new_page()
+    page.set_content(f"<style>{style()}</style><div id=place></div>")
+    page.add_script_tag(content=script())
+    found = page.evaluate(DRAWN, json.dumps({**packing.spec(chart), "data": packing.data}))
+    page.close()
+    dark = np.asarray(found["pixels"]).reshape(-1, 4)
+    assert int(((dark[:, :3].max(axis=1) < 60) & (dark[:, 3] > 200)).sum()) > 50
+    assert count(found["pixels"], CHOSEN) > 50
+
+
+def test_and_on_paper():
+    import matplotlib.image
+
+    pixels = 255 * matplotlib.image.imread(io.BytesIO(draw_png(figure_of(measured_beside_a_twin()))))
+    below = pixels[pixels.shape[0] // 3 :]
+    alone = Chart("c", "C", "", [ChartPanel(Axis("x"), Axis("y"), [Curve("model", X, X**2, "chosen")])])
+    plain = 255 * matplotlib.image.imread(io.BytesIO(draw_png(figure_of(alone))))[pixels.shape[0] // 3 :]
+    assert count(below, CHOSEN) > 50
+    assert count(below, (0, 0, 0)) > count(plain, (0, 0, 0)) + 200

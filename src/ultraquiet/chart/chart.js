@@ -9,7 +9,7 @@
 var Uq = (() => {
   "use strict";
   const shared = {}, drawn = new Set();
-  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, FINE = 50, NUMBERS = 24, NARROW = 130;
+  const AXIS = 12, SMALL = 11, LINE = 1.5, HOVER = 2.5, UNDER = 3.5, MARGIN = 0.05, TALLEST = 560, PADDED = 18, FINE = 50, NUMBERS = 24, NARROW = 130;
   const STEPS = {
     dB: [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 3, 6, 10, 20, 40, 60, 100, 200, 500, 1000],
     int: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000],
@@ -51,11 +51,14 @@ var Uq = (() => {
       }
       const kind = c.kind || "line";
       return { ...c, x: aligned({ kind }) ? x : fit(x, xlog), y, low, high, kind };
-    });
+    }).map((c, k, all) => ({ ...c, line: under(c, all) ? UNDER : LINE }));
   }
+  /* What was measured lies as a broader line below what is compared with it, so that it is seen where both are alike. */
+  const under = (c, all) => c.colour === "measured" && c.kind === "line" && (c.dash || "-") === "-" && all.some((d) => d.kind === "line" && d.colour !== "measured");
   const aligned = (c) => c.kind === "line" || c.kind === "step";
-  /* Curves in the order of their painting: the chosen ones come last, so that none that is like them lies over them. */
-  const painted = (curves) => [...curves.filter((c) => c.colour !== "chosen"), ...curves.filter((c) => c.colour === "chosen")];
+  /* Curves in the order of their painting: the broad ones first, the chosen ones last, so that none that is like them lies over them. */
+  const turn = (c) => (c.line === UNDER ? 0 : c.colour === "chosen" ? 2 : 1);
+  const painted = (curves) => [...curves].sort((a, b) => turn(a) - turn(b));
 
   function table(curves, home) {
     const along = painted(curves).filter(aligned);
@@ -292,7 +295,7 @@ var Uq = (() => {
     ctx.beginPath(); ctx.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height); ctx.clip();
     for (const c of painted(one.curves)) {
       if (aligned(c) || one.hidden.has(c.name)) continue;
-      const width = (one.hovered === c.name ? HOVER : LINE) * ratio;
+      const width = (one.hovered === c.name ? HOVER : c.line) * ratio;
       ctx.strokeStyle = ctx.fillStyle = colour(c.colour, one.root);
       ctx.lineWidth = width;
       ctx.setLineDash(DASHES[c.dash || "-"].map((d) => d * ratio));
@@ -401,7 +404,7 @@ var Uq = (() => {
       const stroke = () => colour(c.colour, one.root);
       c.at = [series.length];
       const paths = c.kind === "step" ? uPlot.paths.stepped({ align: 1 }) : undefined;
-      series.push({ stroke, width: LINE, dash: DASHES[c.dash || "-"], points: { show: !!c.symbol, size: 6 }, paths, spanGaps: false });
+      series.push({ stroke, width: c.line, dash: DASHES[c.dash || "-"], points: { show: !!c.symbol, size: 6 }, paths, spanGaps: false });
       if (!c.low) continue;
       c.at.push(series.length, series.length + 1);
       for (let k = 0; k < 2; k++) series.push({ width: 0, points: { show: false } });
@@ -533,7 +536,7 @@ var Uq = (() => {
     highlight(name) {
       this.hovered = name;
       if (!this.plot) return;
-      for (const c of this.curves) for (const k of (c.at || []).slice(0, 1)) this.plot.series[k].width = c.name === name ? HOVER : LINE;
+      for (const c of this.curves) for (const k of (c.at || []).slice(0, 1)) this.plot.series[k].width = c.name === name ? Math.max(c.line, HOVER) : c.line;
       this.plot.redraw(false);
     }
     /* The value of every curve at a place of the plot, by name. */
@@ -884,7 +887,7 @@ var Uq = (() => {
       if (!p.bare.y) text(x0 + 12, top + h / 2, p.panel.y.label, "middle", ` transform="rotate(-90 ${x0 + 12} ${top + h / 2})"`);
       for (const c of painted(p.curves)) {
         if (p.hidden.has(c.name)) continue;
-        const stroke = `stroke="${paint(c.colour)}" stroke-width="${LINE}" fill="none" stroke-dasharray="${DASHES[c.dash || "-"].join(" ")}" clip-path="url(#c${k})"`;
+        const stroke = `stroke="${paint(c.colour)}" stroke-width="${c.line}" fill="none" stroke-dasharray="${DASHES[c.dash || "-"].join(" ")}" clip-path="url(#c${k})"`;
         const line = (ys) => { let d = "", on = false; for (let j = 0; j < c.x.length; j++) { if (ys[j] == null) { on = false; continue; } d += (on ? "L" : "M") + px(c.x[j]).toFixed(1) + " " + py(ys[j]).toFixed(1); on = true; } return d; };
         if (aligned(c) || c.kind === "path") out.push(`<path d="${line(c.y)}" ${stroke}/>`);
         if (c.low) out.push(`<path d="${line(c.low)}" ${stroke} opacity=".4"/><path d="${line(c.high)}" ${stroke} opacity=".4"/>`);

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 # Okabe & Ito (2008), told apart by colour-blind readers as well.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 CHOSEN, ABOVE = 0, 2.5  # of the palette the chosen law's colour, and how high it lies: over all others, which lie at 2
+# What was measured lies broad and below what is compared with it, so that it is seen where both are alike.
+MEASURED, BELOW, BROAD_PT = 6, 1.9, 2.6
 PNG_DPI, STILL_DPI = 150, 120
 CROWDED = 12  # panels, beyond which each shows less
 MOST_ROWS = 3  # of a name below an axis
@@ -241,6 +243,15 @@ def _titled(axes: "Axes", title: str, before_in: float = 0.0) -> None:
     axes.set_title(text, loc="left", fontsize=size, linespacing=1.0, x=-before_in / across)
 
 
+def _draw_lines(axes: "Axes", panel: Panel) -> None:
+    for line in panel.lines:
+        colour = PALETTE[line.shade % len(PALETTE)]
+        above, width = (ABOVE if line.shade == CHOSEN else None), None
+        if line.shade == MEASURED and line.style == "-" and any(other.shade != MEASURED for other in panel.lines):
+            above, width = BELOW, BROAD_PT
+        axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None, zorder=above, linewidth=width)
+
+
 def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
     """Draw one panel on matplotlib axes."""
     from matplotlib.ticker import LogFormatter, StrMethodFormatter
@@ -252,10 +263,7 @@ def panel_on(axes: "Axes", panel: Panel, named: bool = True) -> None:
     if panel.coloured is not None:
         c = panel.coloured
         axes.pcolormesh(c.x, c.y, c.values, vmin=c.ends[0], vmax=c.ends[1], cmap="viridis", shading="nearest")
-    for line in panel.lines:
-        colour = PALETTE[line.shade % len(PALETTE)]
-        above = ABOVE if line.shade == CHOSEN else None
-        axes.plot(line.x, line.y, line.style, color=colour, label=line.label or None, zorder=above)
+    _draw_lines(axes, panel)
     for fill in panel.fills:
         colour = PALETTE[fill.shade % len(PALETTE)]
         axes.fill_between(
