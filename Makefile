@@ -1,5 +1,6 @@
 # make demo          set everything up, then run the embedded SUITE study
 # make test          set everything up, then pass the tests: fixed seeds, two workers, the same cases every time
+# make test-demo    what the embedded study leaves and reaches, walked once in its quick form
 # make test-long     every test, slow campaigns and documentation examples too, and what they print
 # make test-fresh    the tests that draw, on DRAWS fresh seeds; every failure with the seed that repeats it
 # make test-kernels  the numerical rooms under each of OpenBLAS's kernel families that this processor can run
@@ -22,13 +23,16 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONPYCACHEPREFIX := $(abspath $(VENV))/bytecode
 KERNELS := $(shell grep -rlE "njit|^@compiled" src --include=*.py)
 
-.PHONY: demo test test-long test-fresh test-kernels docs test-docs test-web lint bench format lock clean
+.PHONY: demo test test-demo test-long test-fresh test-kernels docs test-docs test-web lint bench format lock clean
 
 demo: $(VENV)/run.stamp
 	$(BIN)/ultraquiet demo --out $(OUT) $(ARGS)
 
 test: $(VENV)/kernels.stamp
-	$(BIN)/python -m pytest -m "not slow" $(SIDE_BY_SIDE) $(ARGS)
+	$(BIN)/python -m pytest -m "not slow and not demo" $(SIDE_BY_SIDE) $(ARGS)
+
+test-demo: $(VENV)/kernels.stamp
+	$(BIN)/python -m pytest -m "demo and not slow" $(SIDE_BY_SIDE) $(ARGS)
 
 test-long: $(VENV)/full.stamp
 	$(BIN)/python -m pytest -rP $(SIDE_BY_SIDE) $(ARGS)

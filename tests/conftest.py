@@ -112,6 +112,8 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if draws(item)]
     leave_cases_for_the_long_run(items)
     for item in items:
+        if "demo" in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.demo)
         item.user_properties.append(("nodeid", item.nodeid))
         if mark := item.get_closest_marker("draws"):
             item.user_properties.append(("false_alarm", mark.kwargs["false_alarm"]))
