@@ -9,6 +9,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import counted, in_percent, opening
 from ultraquiet.chart import Axis, Chart, ChartPanel, Curve, Mark, frequency_axis
 from ultraquiet.pipeline.facts import stored
+from ultraquiet.pipeline.facts.models import ResponsePlant
 from ultraquiet.pipeline.identification import group, grouped
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.pipeline.tables.paper import Shown
@@ -166,11 +167,22 @@ def response(result: StudyResult) -> Section:
     unit = study.gain_unit(wires(result)).removeprefix("dB").removeprefix(" re ")
     gains = f", in {unit}" if unit else ""
     text = f"From {actuators} to {sensors}{gains}. The plant that designs use is the whole matrix at once "
-    text += f"({result.study.plant.method}, {counted(result.plant.facts.states, 'state')}). "
+    text += f"({_order(result)}). "
     text += opening(result.plant.facts.status)
     if measured is None:
         text += " It was fitted to a record, so there is no response beside it that owes nothing to a model."
     return Section("Response", [text], [], [transfer_grid(f[lines], picked, models, wires(result))])
+
+
+def _order(result: StudyResult) -> str:
+    """Return by which method the plant came and how many states it has, where these are more than its poles with both.
+
+    Poles that several channels share need as many states as their residues have directions, and a delay has its own.
+    """
+    method, plant = result.study.plant.method, result.plant.facts
+    if isinstance(plant, ResponsePlant) and plant.order != plant.states:
+        return f"{method} of order {plant.order}, realised with {counted(plant.states, 'state')}"
+    return f"{method}, {counted(plant.states, 'state')}"
 
 
 def _at(measured: FrequencyResponse, lines: Sequence[int] | np.ndarray) -> FrequencyResponse:
