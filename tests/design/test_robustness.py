@@ -8,10 +8,11 @@ from ordinary_plants import ordinary
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import methods
-from ultraquiet.analyse import disk_margin, disk_ranges
+from ultraquiet.analyse import disk_margin, disk_ranges, peak_sensitivity
 from ultraquiet.design import BandAttenuation, Lqg, MixedSensitivity
 from ultraquiet.design.loop_analysis import analyse_loop
-from ultraquiet.values import StateSpace
+from ultraquiet.testing import problems
+from ultraquiet.values import Channel, StateSpace
 
 RATE = 2000.0
 RESONANT = StateSpace(
@@ -125,3 +126,16 @@ def test_a_plant_without_damping_has_directions_at_its_own_frequency_too():
     found = analyse_loop(plant, law, (0.01, 1.0))
     assert found.status.ok
     assert "The actuators reach" not in found.status.sentence
+
+
+def test_the_peak_of_s_is_one_number_whatever_units_the_actuators_have():
+    """Sensors of one unit are compared in it: a coil in amperes beside a stack in volts changes none of their gains."""
+    plant = problems.damped_plant(seed=3)
+    units = [Channel("coil", "A"), Channel("stack", "V")]
+    mixed = StateSpace(plant.A, plant.B * [1.0, 7.0], plant.C, plant.D, plant.rate_hz, units, plant.sensors)
+    law = Lqg().design(mixed).controller
+    peak_db, f_hz = peak_sensitivity(mixed, law)
+    found = analyse_loop(mixed, law)
+    assert found.even
+    assert np.isclose(found.peaks["S"].gain_db, peak_db, atol=1e-3)
+    assert np.isclose(found.peaks["S"].f_hz, f_hz, rtol=1e-2)

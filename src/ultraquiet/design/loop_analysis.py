@@ -82,8 +82,9 @@ def analyse_loop(
 ) -> LoopAnalysis:
     """Return stability, margins at both ends, peaks of S, T and KS, and the attenuation of the worst direction.
 
-    S = (I - G K)^-1, T = S - I, KS = K S, with u = K y. Where the sensors, or the actuators, are of several units, S,
-    T and KS are those of the plant in units of its own (`even_plant`): a change of a channel's unit changes nothing.
+    S = (I - G K)^-1, T = S - I, KS = K S, with u = K y. An end whose channels are of several units is taken in units of
+    the plant's own (`even_plant`): a change of a channel's unit changes nothing. Sensors of one unit stay in it, so S
+    and T are those of `peak_sensitivity` whatever the actuators' units are.
 
     Args:
         plant: G, `(ny, nu)`.

@@ -22,7 +22,10 @@ LITTLE_DB = 0.05  # what a reader sees as none
 
 @dataclass(frozen=True, eq=False)
 class Scales:
-    """What one unit of each channel is multiplied by before gains in several directions are compared."""
+    """What one unit of each channel is multiplied by before gains in several directions are compared.
+
+    `even` where an end has channels of several units.
+    """
 
     inputs: FloatArray
     outputs: FloatArray
@@ -89,12 +92,14 @@ class WorstDirection:
 
 def scales_of(plant: StateSpace, inputs: FloatArray, outputs: FloatArray) -> Scales:
     """Return one scale for all channels of an end where they share a unit, else the plant's own."""
-    mixed = any(len({c.unit for c in wires}) > 1 for wires in (plant.actuators, plant.sensors))
-    if mixed:
-        return Scales(inputs, outputs, True)
+    ends = (plant.actuators, inputs), (plant.sensors, outputs)
+    mixed = [len({c.unit for c in wires}) > 1 for wires, _ in ends]
     # powers of two cost no digit, and units decades away from one would
-    common = [np.full(s.shape, np.exp2(np.round(np.median(np.log2(s))))) for s in (inputs, outputs)]
-    return Scales(common[0], common[1], False)
+    u, y = (
+        own if several else np.full(own.shape, np.exp2(np.round(np.median(np.log2(own)))))
+        for several, (_, own) in zip(mixed, ends, strict=True)
+    )
+    return Scales(u, y, any(mixed))
 
 
 def worst_direction(

@@ -12,6 +12,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.plant_scale import even_plant
+from ultraquiet.design.worst_direction import scales_of
 from ultraquiet.linalg.response import principal_gains
 from ultraquiet.values import StateSpace
 from ultraquiet.values.channel import ratio
@@ -73,7 +74,7 @@ def grid_hz(plant: StateSpace, points: int = POINTS) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Responses:
-    """Responses of a plant `(ny, nu, nf)` and a law `(nu, ny, nf)`, in the plant's own scales where units are mixed."""
+    """Responses of a plant `(ny, nu, nf)` and a law `(nu, ny, nf)`, an end of mixed units in the plant's own scales."""
 
     f_hz: FloatArray
     G: ComplexArray
@@ -88,7 +89,8 @@ def responses(plant: StateSpace, law: StateSpace) -> Responses:
     if all(len({c.unit for c in wires}) == 1 for wires in (plant.actuators, plant.sensors)):
         return Responses(f, G, K, ratio(plant.actuators[0].unit, plant.sensors[0].unit))
     own = even_plant(plant, who="workbench")
-    y, u = own.outputs[:, None, None], own.inputs[:, None, None]
+    scales = scales_of(plant, own.inputs, own.outputs)
+    y, u = scales.outputs[:, None, None], scales.inputs[:, None, None]
     return Responses(f, G * y * u.transpose(1, 0, 2), K / y.transpose(1, 0, 2) / u, "")
 
 
