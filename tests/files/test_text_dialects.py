@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ultraquiet._base.errors import InputError
-from ultraquiet.files import read_record
+from ultraquiet.files import read_record, survey
 
 NAMES = ["time [s]", "left coil [A]", "right coil [A]", "nose [mm/s]"]
 WIRES = {"inputs": ["left coil", "right coil"], "outputs": ["nose"]}
@@ -125,6 +125,17 @@ def test_the_clock_is_no_signal_and_goes_by_its_name_in_other_languages(tmp_path
     (tmp_path / "run.csv").write_text(text(table, names=["Uhr [s]", *NAMES[1:]]))
     with pytest.raises(InputError, match=r"--rate .* or name 'Uhr', which rises evenly, 'time' if it is the clock"):
         read_record(tmp_path / "run.csv", **WIRES)
+
+
+def test_units_behind_a_slash_are_units_and_a_ratio_is_a_name(tmp_path, table):
+    """So ISO 80000 heads the columns of a table."""
+    names = ["t / s", "left coil / A", "right coil / mA", "nose / mm/s"]
+    (tmp_path / "run.csv").write_text(text(table, names=names))
+    record = read_record(tmp_path / "run.csv", inputs=["left coil", "right coil"], outputs=["nose"])
+    assert record.rate_hz == 500.0
+    assert [c.unit for c in (*record.actuators, *record.sensors)] == ["A", "mA", "mm/s"]
+    (tmp_path / "run.csv").write_text(text(table, names=[*names[:3], "nose / tail"]))
+    assert survey(tmp_path / "run.csv").channels[-1].name == "nose / tail"
 
 
 def test_a_remark_behind_numbers_is_none_of_them(tmp_path, table):

@@ -12,7 +12,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.files.formats import format_of
 from ultraquiet.files.read import read_table
 from ultraquiet.files.sizes import sized
-from ultraquiet.files.table import Column, FileTable
+from ultraquiet.files.table import TIME_UNITS_S, Column, FileTable, clock_hz
 
 FLAT_TOP = 3  # equal samples in a row, at the highest or lowest value, that count as clipped where no limits are known
 
@@ -35,7 +35,11 @@ class Look:
 
 @dataclass(frozen=True)
 class Survey:
-    """What a file holds; `notes` are sentences on what would stand in the way of reading it as a record."""
+    """What a file holds; `notes` are sentences on what would stand in the way of reading it as a record.
+
+    Where the file states no rate and a column rises evenly, `clock` is the name of that column and `clock_hz` the rate
+    that it shows if it counts seconds, or what its unit says.
+    """
 
     path: str
     format: str
@@ -44,6 +48,8 @@ class Survey:
     duration_s: float | None
     channels: tuple[Look, ...]
     notes: tuple[str, ...]
+    clock: str = ""
+    clock_hz: float | None = None
 
     @property
     def size(self) -> str:
@@ -69,6 +75,12 @@ def survey(path: str | os.PathLike[str], rate_hz: float | None = None, *, keep_c
     ...     result = survey(path)
     >>> result.rate_hz, result.duration_s, [(c.name, c.unit, c.rms, c.missing) for c in result.channels]
     (2.0, 1.5, [('force', 'N', 1.0, 0), ('speed', 'm/s', 1.4142135623730951, 1)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "run.csv"
+    ...     size = path.write_text("Uhr,force [N],speed [m/s]\n0,1,0\n0.5,-1,2\n1,1,1\n")
+    ...     result = survey(path)
+    >>> result.rate_hz, result.clock, result.clock_hz
+    (None, 'Uhr', 2.0)
     """
     table = read_table(path)
     notes: list[str] = []
@@ -88,7 +100,17 @@ def survey(path: str | os.PathLike[str], rate_hz: float | None = None, *, keep_c
     duration_s = max(lengths) / rate if rate and lengths else None
     size = Path(path).stat().st_size
     form = format_of("survey", Path(path)).name
-    return Survey(str(path), form, size, rate, duration_s, _with_rate(table, looks, rate), tuple(notes))
+    looked = _with_rate(table, looks, rate)
+    return Survey(str(path), form, size, rate, duration_s, looked, tuple(notes), *_unnamed_clock(table, rate))
+
+
+def _unnamed_clock(table: FileTable, rate_hz: float | None) -> tuple[str, float | None]:
+    """Return the name of the column that is likely the clock of a file without a rate, and the rate it shows."""
+    column = table.unnamed_clock if rate_hz is None else None
+    if column is None:
+        return "", None
+    unit = column.unit if column.unit.lower() in TIME_UNITS_S else "s"
+    return column.name, clock_hz(table.path, replace(column, unit=unit))
 
 
 def _noted(notes: list[str], ask: Callable[[], float]) -> float | None:

@@ -21,6 +21,10 @@ SPEAKING = {  # names that say themselves what a column is
 TIME_UNITS_S = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6}
 CLOCKS_AGREE = 1e-3  # two rates nearer than this share are one clock: crystals differ by less, rounded steps too
 JITTER = 0.5  # in samples: a stamp further from an even clock than this belongs to its neighbour
+# Behind a slash, as ISO 80000 heads a column, only what is surely a unit: `force / displacement` is a name.
+UNIT = re.compile(
+    r"[numkMGµμ]?(?:V|A|N|Nm|N m|g|s|m|Pa|T|W|Hz|rad|deg|bar|(?:m|rad|deg|V)/s(?:\^?2|²)?)|min|h|%|°|°C|K|dB|rpm|1"
+)
 MOST_COLUMNS = 10_000  # the largest arrays of sensors have hundreds
 MOST_DIGITS = 17  # that a float64 needs in decimal
 
@@ -66,6 +70,13 @@ class FileTable:
         """All columns but time."""
         return tuple(c for c in self.columns if c is not self.time)
 
+    @property
+    def unnamed_clock(self) -> Column | None:
+        """The first column that rises evenly, where none is named time: a clock under a name of its own, or a ramp."""
+        if self.time is not None:
+            return None
+        return next((c for c in self.columns if not c.role and is_ramp(c.values)), None)
+
     def describe(self) -> str:
         """Return what the file holds, for a message: variables with their sizes."""
         sizes: dict[str, list[int]] = {}
@@ -92,8 +103,8 @@ class FileTable:
             if self.scalars.get(name):
                 return rate_of_step(self.scalars[name])
         if self.time is None:
-            even = next((c.name for c in self.columns if not c.role and is_ramp(c.values)), None)
-            clock = "" if even is None else f", or name '{even}', which rises evenly, 'time' if it is the clock"
+            even = self.unnamed_clock
+            clock = "" if even is None else f", or name '{even.name}', which rises evenly, 'time' if it is the clock"
             raise InputError(
                 f"read_record: '{self.path}' states no sampling rate; give it with --rate (rate_hz=){clock}."
             )
@@ -189,9 +200,14 @@ def split_unit(header: str) -> tuple[str, str]:
 
     >>> split_unit("strut 1 [V]"), split_unit("load (rad/s)"), split_unit("y")
     (('strut 1', 'V'), ('load', 'rad/s'), ('y', ''))
+    >>> split_unit("t / s"), split_unit("v / mm/s"), split_unit("force / displacement")
+    (('t', 's'), ('v', 'mm/s'), ('force / displacement', ''))
     """
     match = re.fullmatch(r"(.*\S)\s*[\[(]([^\[\]()]*)[\])]", header.strip())
-    return (match[1], match[2].strip()) if match else (header.strip(), "")
+    if match is None:
+        name, _, unit = header.strip().partition(" / ")
+        return (name.strip(), unit.strip()) if UNIT.fullmatch(unit.strip()) else (header.strip(), "")
+    return match[1], match[2].strip()
 
 
 def from_arrays(path: str, arrays: Mapping[str, Any], texts: Mapping[str, Sequence[str]] | None = None) -> FileTable:

@@ -21,7 +21,8 @@ def _look_over(folder: Path, state: Mapping[str, Any], file: str, rate_hz: float
         for c in found.channels
     ]
     head = {"file": file, "format": found.format, "size": found.size, "rate_hz": found.rate_hz}
-    return {**head, "duration_s": found.duration_s, "notes": list(found.notes), "channels": channels}
+    clock = {"clock": found.clock, "clock_hz": found.clock_hz}
+    return {**head, **clock, "duration_s": found.duration_s, "notes": list(found.notes), "channels": channels}
 
 
 TASKS: dict[str, Callable[..., Any]] = {

@@ -1,5 +1,6 @@
 """Records: drop a file, say which column is what, cut, detrend and split, and see what the data are worth."""
 
+import re
 from typing import Any
 
 from nicegui import events, ui
@@ -16,14 +17,26 @@ ROLES = ("input", "output", "leave out")
 SUFFIXES = "CSV, text, MAT, HDF5, UFF, TDMS, WAV, Parquet, NPZ"
 TRAIN_SHARE = 0.6
 MOST_BYTES = 4 << 30
+NO_RATE = "states no sampling rate"
+RATE_ASKED = re.compile(r"give (?:it with )?--rate \(rate_hz=\)")
+COLUMNS = {
+    "column": "",
+    "what it is": "input: a command that was sent; output: a reading",
+    "name": "",
+    "unit": "",
+    "low limit": "the least command that the amplifier takes, or reading that the converter gives, in the unit",
+    "high limit": "the largest command that the amplifier takes, or reading that the converter gives, in the unit",
+    "rms": "of the file's numbers",
+    "clipped": "samples in flat tops, at the highest or the lowest value",
+}
+LIMITS = "Limits are in the channel's unit; left empty they are unknown, and the code keeps to what the record holds."
 NO_RECORD = "records: there is no record yet; drop a file first, or click one on the board."
 
 
 def build(view: View, columns: Columns) -> None:
     """Build the page."""
     with columns.main:
-        _Drop(view)
-        shown = _Shown(view)
+        shown = _Shown(view, _Drop(view))
     with columns.side:
         shown.settings()
 
@@ -33,6 +46,7 @@ class _Drop:
 
     def __init__(self, view: View) -> None:
         self.view, self.file, self.rows = view, "", []
+        self.offered = False  # whether a file waits for its columns to be told apart
         self._looker = Looker(view)
         self._upload = upload = ui.upload(
             on_upload=self._dropped, auto_upload=True, label=f"Drop a file here, or +  ({SUFFIXES})"
@@ -68,28 +82,36 @@ class _Drop:
 
     def _offer(self, found: dict[str, Any], _: Any) -> None:
         self._place.clear()
+        self.offered = True
+        self.view.refresh()
         with self._place:
             length = "" if found["duration_s"] is None else f", {found['duration_s']:.4g} s"
             heading(f"{found['file'].rpartition('/')[2]}: {found['format']}, {found['size']}{length}")
-            for note in found["notes"]:
+            for note in notes_of(found):
                 words(note, "doubt")
-            self._columns(found["channels"])
+            self._columns(found["channels"], found["clock"])
             with ui.element("div").classes("uq-row"):
-                rate = "" if found["rate_hz"] is None else f"{found['rate_hz']:.10g}"
-                self.rate = field("rate (Hz)", "rate", rate, "samples per second", "140px")
-                self.name = field("name of the record", "record-name", proposed_name(self.file), width="200px")
+                rate_hz = found["rate_hz"] or found["clock_hz"]
+                rate = "" if rate_hz is None else f"{rate_hz:.10g}"
+                self.rate = field("rate (Hz)", "rate", rate, "samples per second", "170px")
+                self.name = field("name of the record", "record-name", proposed_name(self.file), width="260px")
                 button("Make the record", self._make, "make-record", main=True)
 
-    def _columns(self, channels: list[dict[str, Any]]) -> None:
+    def _columns(self, channels: list[dict[str, Any]], clock: str) -> None:
         self.rows = []
+        signals = [channel for channel in channels if channel["name"] != clock]
         with ui.element("div").classes("uq-table-box"), ui.element("table").classes("uq-table uq-channels"):
             with ui.element("tr"):
-                for title in ("column", "what it is", "name", "unit", "low limit", "high limit", "rms", "clipped"):
+                for title, meaning in COLUMNS.items():
                     with ui.element("th"):
-                        ui.label(title)
+                        made = ui.label(title)
+                    if meaning:
+                        made.tooltip(meaning)
             for k, channel in enumerate(channels):
+                role = ROLES[-1] if channel["name"] == clock else _role(signals.index(channel), channel, signals)
                 with ui.element("tr"):
-                    self.rows.append(self._column(k, channel, _role(k, channel, channels)))
+                    self.rows.append(self._column(k, channel, role))
+        words(LIMITS, "caption")
 
     def _column(self, k: int, channel: dict[str, Any], role: str) -> dict[str, Any]:
         made: dict[str, Any] = {"column": channel["name"]}
@@ -98,10 +120,10 @@ class _Drop:
         with ui.element("td").style("min-width: 120px"):
             made["role"] = choice("", ROLES, f"role-{k}", role, lambda _: None)
         for key, value, width in (
-            ("name", channel["name"], 124),
-            ("unit", channel["unit"], 70),
-            ("low", "", 74),
-            ("high", "", 74),
+            ("name", channel["name"], 150),
+            ("unit", channel["unit"], 64),
+            ("low", "", 68),
+            ("high", "", 68),
         ):
             with ui.element("td"):
                 made[key] = field("", f"{key}-{k}", value, width=f"{width}px")
@@ -130,8 +152,24 @@ class _Drop:
             return
         if doing(self.view, step):
             making(self.view, "data", name)
+            self.offered = False
             self.view.set(data=name)
             self._place.clear()
+
+
+def notes_of(found: dict[str, Any]) -> list[str]:
+    """Return what stands in the way of a file, as the page says it, which asks for a rate in a field.
+
+    >>> notes_of({"notes": ["'a.csv' states no sampling rate; give it with --rate (rate_hz=)."], "clock": ""})
+    ["'a.csv' states no sampling rate; write the rate below."]
+    >>> notes_of({"notes": [], "clock": "Uhr", "clock_hz": 2000.0, "file": "imports/a.csv"})[0][:51]
+    "'Uhr' rises evenly and is taken for a clock: 2000 H"
+    """
+    if found["clock"]:
+        kept = [note for note in found["notes"] if NO_RATE not in note]
+        taken = f"'{found['clock']}' rises evenly and is taken for a clock: {found['clock_hz']:.10g} Hz"
+        return [*kept, f"{taken} if it counts seconds. Where it does not, mend the rate below."]
+    return [RATE_ASKED.sub("write the rate below", note) for note in found["notes"]]
 
 
 def _role(k: int, channel: dict[str, Any], channels: list[dict[str, Any]]) -> str:
@@ -156,8 +194,8 @@ def _channel(row: dict[str, Any]) -> dict[str, Any]:
 class _Shown:
     """The record that is shown, and what can be done to it."""
 
-    def __init__(self, view: View) -> None:
-        self.view = view
+    def __init__(self, view: View, drop: _Drop) -> None:
+        self.view, self._drop = view, drop
         self._looker = Looker(view)
         self._drawn: Any = None
         self._facts: dict[str, Any] = {}
@@ -200,7 +238,7 @@ class _Shown:
 
     def _refresh(self) -> None:
         name = self.name
-        self._begin.set_visibility(name is None)
+        self._begin.set_visibility(name is None and not self._drop.offered)
         if name is None:
             return
         item = self.view.session.item("data", name)
