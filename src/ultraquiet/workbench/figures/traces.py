@@ -88,6 +88,12 @@ def overlay(
     return Chart("simulated", title, caption, panels, columns=1 if len(panels) < 3 else 2)
 
 
+LEFT = (
+    "Of what was read less what was simulated: disturbances stay in it, so bars with itself may stand beyond the "
+    "dashed bounds of a good model; bars with the inputs that do are what the model left."
+)
+
+
 def correlations(title: str, auto: FloatArray, cross: FloatArray, bound: float, names: Sequence[str]) -> Chart:
     """Return what is left after a model, by lag, with its 99 % bounds: correlation with its past and with the inputs.
 
@@ -103,4 +109,4 @@ def correlations(title: str, auto: FloatArray, cross: FloatArray, bound: float, 
             curve = Curve(word, lags[first:], rows[k, first:], "measured", kind="stems")
             axes = Axis("lag (samples)"), Axis("correlation (1)")
             panels.append(ChartPanel(*axes, [curve], title=f"residual of {name} {word}", marks=marks, height=150))
-    return Chart("residuals", title, "Bars beyond the dashed bounds are what the model left.", panels, columns=2)
+    return Chart("residuals", title, LEFT, panels, columns=2)

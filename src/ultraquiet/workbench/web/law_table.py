@@ -72,13 +72,22 @@ class LawTable:
             _headline(next((item for item in laws if item.name == chosen), None), self.view)
         with self._place:
             if not laws:
-                words("No law yet: choose a method at the right and press Design.", "caption")
+                words(_none_yet(self.view), "caption").props('data-testid="no-law"')
                 return
             heading("Laws; a click chooses the study's")
             names = [item.name for item in laws]
             rows = [_row(item, self.view) for item in laws]
             strong = names.index(chosen) if chosen in names else None
             table(COLUMNS, rows, "laws", lambda k: doing(self.view, {"op": "choose", "law": names[k]}), strong)
+
+
+def _none_yet(view: View) -> str:
+    """Return what to do, or to wait for, where no law is made."""
+    if asked := list(view.session.state["laws"]):
+        return f"{', '.join(asked[:3])}: not made yet; what is at work stands above the log."
+    if not view.session.state["models"]:
+        return "No model yet: identify one first. Laws are designed for a model."
+    return "No law yet: choose a method at the right and press Design."
 
 
 def asked_of(view: View) -> SensitivityDemand:

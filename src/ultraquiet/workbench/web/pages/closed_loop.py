@@ -17,6 +17,8 @@ from ultraquiet.workbench.web.controls import button, choice, field, heading, ta
 from ultraquiet.workbench.web.shell import Columns, doing, say
 from ultraquiet.workbench.web.view import View
 
+NO_LAW = "No law yet: design one first. What it does to disturbances is drawn here."
+
 
 def build(view: View, columns: Columns) -> None:
     """Build the page."""
@@ -73,6 +75,11 @@ class _ClosedLoop:
             self.law.set_options(laws, value=self.law.value if self.law.value in laws else session.state["law"])
         name = self.law.value
         if name is None or not session.item("laws", name).ready:
+            self._place.clear()
+            with self._place:
+                words(
+                    NO_LAW if name is None else f"{name} is not made yet; what it does is drawn here then.", "caption"
+                )
             return
         item = session.item("laws", name)
         asked = (item.key, self.view.scale, name in self._measured)

@@ -2,8 +2,10 @@
 
 import io
 import zipfile
+from collections.abc import Sequence
 from typing import Any, get_args
 
+import numpy as np
 from nicegui import ui
 
 from ultraquiet.deploy.figures import said
@@ -14,6 +16,11 @@ from ultraquiet.workbench.web.controls import button, chip, choice, field, headi
 from ultraquiet.workbench.web.shell import Columns, doing, making, say
 from ultraquiet.workbench.web.view import View
 
+FIXED = ("q31", "q15")
+NOT_MADE = (
+    "The code of {} is not made with these settings: press Generate and prove. Where that was refused, "
+    "the log below says why."
+)
 PRECISIONS = get_args(Deploy.model_fields["precision"].annotation)
 SHOWN = (
     "states",
@@ -50,16 +57,20 @@ class _Deploy:
         heading("Deploy")
         self.law = choice("the law", list(state["laws"]), "deploy-law", state["law"], lambda _: None)
         precision = table_.get("precision", "float32")
-        self.precision = choice("precision", PRECISIONS, "precision", precision, lambda _: None)
+        self.precision = choice("number format", PRECISIONS, "precision", precision, lambda _: None)
         self.limits = field("largest command", "limits", str(table_.get("limits", "")), "the actuators' own")
         words("In the actuators' unit; without limits of their own, the largest that the records hold.", "caption")
         self.range = field("largest reading", "range", str(table_.get("range", "")), "the sensors' own")
-        words("For whole numbers, q31 and q15, in the sensors' unit.", "caption")
+        words("In the sensors' unit, for whole numbers: q31 of 32 bits, q15 of 16.", "caption")
         button("Generate and prove", self._deploy, "deploy", main=True)
 
     def _deploy(self) -> None:
         if self.law.value is None:
             say("deploy: there is no law yet; design one first.")
+            return
+        if self.precision.value in FIXED and not self.range.value and (bare := self._without_limits()):
+            names, have = (", ".join(bare[:3]) + (" ..." if len(bare) > 3 else ""), "have" if bare[1:] else "has")
+            say(f"deploy: whole numbers need the largest reading, and {names} {have} no limits; write it in its field.")
             return
         # What a study file says of the code beside these stays.
         kept = self.view.session.state["tables"].get("deploy", {})
@@ -76,6 +87,14 @@ class _Deploy:
             making(self.view, "codes", self.law.value)
             self.view.set(codes=self.law.value)
 
+    def _without_limits(self) -> list[str]:
+        """Return the sensors of the law's model of which nobody has said how far they go."""
+        session = self.view.session
+        item = session.item("models", session.state["laws"][self.law.value]["model"])
+        if not item.ready:
+            return []
+        return [c.name for c in item.value().sensors if not np.isfinite([c.low, c.high]).all()]
+
     def _sizes(self) -> dict[str, ui.input]:
         return {"limits": self.limits, "range": self.range}
 
@@ -85,11 +104,22 @@ class _Deploy:
             self.law.set_options(laws, value=self.view.session.state["law"])
         self._place.clear()
         with self._place:
-            items = [item for item in self.view.session.items("codes") if item.ready]
+            items = self.view.session.items("codes")
             if not items:
-                words("No code yet: choose a law at the right and press Generate.", "caption")
+                todo = "choose a law at the right and press Generate and prove." if laws else "design a law first."
+                words(f"No code yet: {todo}", "caption")
             for item in items:
-                self._code(item)
+                if item.ready:
+                    self._code(item)
+                else:
+                    words(NOT_MADE.format(item.name), "doubt").props(f'data-testid="not-made-{item.name}"')
+
+    def _ends(self, item: Item) -> list[str]:
+        session = self.view.session
+        law = session.state["laws"].get(item.name)
+        model = {} if law is None else session.item("models", law["model"]).facts
+        limits = item.facts["limits"]
+        return ends_of(limits, model.get("actuators") or [(f"command {k + 1}", "") for k in range(len(limits))])
 
     def _code(self, item: Item) -> None:
         facts = item.facts
@@ -99,7 +129,7 @@ class _Deploy:
                 chip(facts["status"], f"proof-{item.name}")
             words(facts["status"].partition(": ")[2], "caption")
             rows = said({key: facts["code"][key] for key in SHOWN if key in facts["code"]})
-            rows.append(("commands end at", ", ".join(f"{low:.4g} to {high:.4g}" for low, high in facts["limits"][:6])))
+            rows += [("commands end at", each) for each in self._ends(item)]
             table(("figure", "value"), rows, f"figures-{item.name}")
             button("Download (zip)", lambda: _download(item), f"download-{item.name}")
             heading("Files")
@@ -108,6 +138,18 @@ class _Deploy:
                     name = path.relative_to(self.view.session.folder)
                     ui.link(str(path.relative_to(item.folder / CODE)), f"/study/{name}").classes("uq-words caption")
                     ui.element("br")
+
+
+def ends_of(limits: Sequence[tuple[float, float]], actuators: Sequence[tuple[str, str]]) -> list[str]:
+    """Return where the commands of each actuator end, in its unit, those that end alike together.
+
+    >>> ends_of([(-2.0, 2.0), (-2.0, 2.0), (-100.0, 100.0)], [("left", "A"), ("right", "A"), ("stack", "V")])
+    ['-2 to 2 A: left, right', '-100 to 100 V: stack']
+    """
+    groups: dict[str, list[str]] = {}
+    for (low, high), (name, unit) in zip(limits, actuators, strict=True):
+        groups.setdefault(f"{low:.4g} to {high:.4g} {unit}".strip(), []).append(name)
+    return [f"{span}: {', '.join(names[:6])}{' ...' if names[6:] else ''}" for span, names in groups.items()]
 
 
 def _download(item: Item) -> None:

@@ -27,6 +27,8 @@ WHOLE = ("arx", "armax", "output-error", "box-jenkins", "subspace", "predictor-s
 TRIED = list(range(1, 11))
 POINTS = 400
 HALVES = "grid-template-columns: minmax(0, 1fr) minmax(0, 1fr)"
+NO_MODEL = "No model yet: choose a method at the right and press Identify, or try some orders first."
+NO_RECORD = "No record yet: drop a file on Records, or let the bench measure. Models are made of records."
 LEAST = -20.0  # a fit far below zero says no more than one at zero, and would hide the others
 
 
@@ -278,10 +280,7 @@ class _Identify:
         strong = names.index(chosen) if chosen in names else None
         with self._candidates:
             if not rows:
-                words(
-                    "No model yet: choose a method at the right and press Identify, or try some orders first.",
-                    "caption",
-                )
+                words(NO_MODEL if session.state["data"] else NO_RECORD, "caption")
                 return
             heading("Candidates; a click chooses the study's model")
             columns = ("model", "method", "from", "states", "fit %", "white p", "status")

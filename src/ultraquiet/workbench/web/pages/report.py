@@ -49,7 +49,7 @@ class _Report:
         with self._place:
             summary = folder / "summary.json"
             if not summary.exists():
-                words("The study has not run yet.", "caption")
+                words("The study has not run yet: press Run the whole study; its report opens from here.", "caption")
                 self._boards()
                 return
             try:
