@@ -200,6 +200,45 @@ def finished(tmp_path_factory):
     return finished_study(tmp_path_factory.mktemp("six") / "six", 6, 6)
 
 
+def test_whole_numbers_ask_for_the_largest_reading_and_others_do_not(tmp_path):
+    """What is missing is said before anything is made; what one format needs does not stand in the way of another."""
+    study = finished_study(tmp_path / "one", 1, 1)
+    with served(study) as made, browser(made) as seen:
+        seen.go("deploy")
+        figures = seen.find("figures-quiet").inner_text()
+        assert re.search(r"commands end at\s+-\S+ to \S+ N \(force 1\)", figures), figures
+        seen.choose("precision", "q31")
+        seen.click("deploy")
+        seen.page.wait_for_selector("text=speed 1 has no limits; write it in its field")
+        seen.fill("range", "5")
+        seen.choose("precision", "float64")
+        seen.click("deploy")
+        assert not seen.page.is_visible("[data-testid='range']")
+        said = seen.page.get_by_test_id("figures-quiet").filter(has_text=re.compile("float64"))
+        said.wait_for()
+        assert seen.errors == []
+
+
+def test_a_file_without_a_clock_and_pages_without_anything_say_what_to_do(tmp_path, seed):
+    path = csv_of(tmp_path / "run.csv", seed)
+    path.write_text(path.read_text().replace("time [s]", "Uhr", 1))
+    with served(tmp_path / "study") as made, browser(made) as seen:
+        for page, first in (
+            ("identify", "drop a file"),
+            ("design", "identify one"),
+            ("closed-loop", "design one"),
+            ("deploy", "design a law"),
+            ("report", "press Run"),
+        ):
+            seen.go(page)
+            seen.page.wait_for_selector(f"text={first}")
+        recorded(seen, path, {}, "run")
+        assert seen.page.is_hidden("[data-testid='begin']")
+    (step,) = Session(tmp_path / "study").steps
+    assert step["rate_hz"] == 200.0
+    assert [c["column"] for c in (*step["inputs"], *step["outputs"])] == ["force 1", "speed 1"]
+
+
 TIMED = """async (mark) => {
   const host = document.querySelector(`[data-testid='${mark}']`), times = [];
   const drawn = () => new Promise((done) => host.addEventListener("uq-drawn", done, { once: true }));

@@ -16,6 +16,7 @@ from ultraquiet.signals import Signal
 
 UNITS = {"hz": "Hz", "v": "V", "s": "s", "db": "dB", "deg": "deg", "percent": "%", "samples": "samples"}
 LEVEL = "unit"
+AUTOMATIC = "automatic"  # what a method finds out by itself
 SIMPLE = (bool, int, float, str)
 # What no text field can hold: systems, records, tables of a method's own.
 CLOSED = ("StateSpace", "Record", "Callable", "Specification", "Channel", "_Line", "_Unpacked")
@@ -140,10 +141,10 @@ def _written(kind: Any) -> str:
 
 def _shown(field: "Field[Any]") -> str:
     if field.default is MISSING:
-        return "" if field.default_factory is MISSING else "from the data"
+        return "" if field.default_factory is MISSING else AUTOMATIC
     value = field.default
     if value is None:
-        return "from the data"
+        return AUTOMATIC
     if isinstance(value, tuple):
         return ", ".join(map(str, value))
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from ultraquiet._base.shown.line import loudness, opening, rounded
@@ -151,6 +152,22 @@ def _row(item: Item, view: View) -> tuple[str | Doubted, ...]:
     )
 
 
+def _own_band(item: Item) -> list[str]:
+    """Return what a design says of the readings over the band that it was made for, and where that is not the judged.
+
+    The worst direction of a plant of sharp modes hardly gets quieter where all that is read does.
+    """
+    details = item.facts["design"].get("details", {})
+    fallen, band = details.get("attenuation_rms_db"), details.get("band_hz")
+    if fallen is None or not band or item.recipe.get("reduce") is not None:
+        return []
+    own = f"{band[0]:.4g}{UNBROKEN}{band[1]:.4g} Hz"
+    said = [f"What white disturbances at the inputs leave in all readings, {own}, is {loudness(fallen)} in rms."]
+    if not np.allclose(band, item.facts["band_hz"], rtol=0.01):
+        said.append(f"The law is made for {own}; to judge it over that band, name it in Requirements.")
+    return said
+
+
 def _headline(item: Item | None, view: View) -> None:
     if item is None:
         return
@@ -165,7 +182,7 @@ def _headline(item: Item | None, view: View) -> None:
         ui.label(text).classes("uq-title-line").props('data-testid="headline"')
         asked = judged(facts, view.session.state["tables"].get("requirements", {}))
         chip(loop_status(facts, asked or None), "verdict")
-    words(f"{item.name}: {facts['status'].partition(': ')[2]}", "caption")
+    words(" ".join([f"{item.name}: {facts['status'].partition(': ')[2]}", *_own_band(item)]), "caption")
     if isinstance(loop_status(facts), Doubted):
         words(
             f"What it does to each output by itself stands on Closed loop. For less in the worst direction too, try a "

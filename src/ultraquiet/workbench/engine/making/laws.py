@@ -17,6 +17,11 @@ from ultraquiet.pipeline.study import Design
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.workbench.engine.making.made import Made, Tables
 
+FORM = {  # settings of the code as Python or the command line names them, and as the form does
+    "input_v (--range)": "'largest reading'",
+    "output_v": "'largest command'",
+    "precision='float32'": "the number format float32",
+}
 BY_CHANNEL = ("disk", "gain_up_db", "gain_down_db", "phase_deg", "delay_s")
 
 
@@ -87,8 +92,19 @@ def deployed(
     tones = plan_of(plant, tables).tones_hz
     facts = code.deployed(name, law, plant, limits, folder, tables.deploy, tones).facts
     if isinstance(facts, NoCode):
-        raise InputError(f"deploy: {facts.status}")
+        raise InputError(f"deploy: {in_the_form(facts.status)}")
     return Made({"code": to_plain(facts), "status": facts.verdict, "limits": limits.tolist()})
+
+
+def in_the_form(sentence: str) -> str:
+    """Return a refusal of code with the settings that it names as the form on Deploy calls them.
+
+    >>> in_the_form("refused: fixed_law: too much for a word of 16 bits; take q31 or a larger output_v.")
+    "refused: fixed_law: too much for a word of 16 bits; take q31 or a larger 'largest command'."
+    """
+    for name, said in FORM.items():
+        sentence = sentence.replace(name, said)
+    return sentence
 
 
 def _floats(values: Any) -> list[float]:

@@ -57,12 +57,19 @@ class _Deploy:
         heading("Deploy")
         self.law = choice("the law", list(state["laws"]), "deploy-law", state["law"], lambda _: None)
         precision = table_.get("precision", "float32")
-        self.precision = choice("number format", PRECISIONS, "precision", precision, lambda _: None)
+        self.precision = choice("number format", PRECISIONS, "precision", precision, self._of_format)
         self.limits = field("largest command", "limits", str(table_.get("limits", "")), "the actuators' own")
         words("In the actuators' unit; without limits of their own, the largest that the records hold.", "caption")
         self.range = field("largest reading", "range", str(table_.get("range", "")), "the sensors' own")
-        words("In the sensors' unit, for whole numbers: q31 of 32 bits, q15 of 16.", "caption")
+        words("In the sensors' unit, for whole numbers: q31 of 32 bits, q15 of 16.", "caption").bind_visibility_from(
+            self.range
+        )
+        self._of_format(precision)
         button("Generate and prove", self._deploy, "deploy", main=True)
+
+    def _of_format(self, precision: str) -> None:
+        """Ask for the largest reading where the format is of whole numbers; others take any."""
+        self.range.set_visibility(precision in FIXED)
 
     def _deploy(self) -> None:
         if self.law.value is None:
@@ -81,8 +88,9 @@ class _Deploy:
         except ValueError:
             say("deploy: write the largest command and the largest reading as numbers.")
             return
-        if values != {"precision": "float32"} or "deploy" in self.view.session.state["tables"]:
-            doing(self.view, {"op": "table", "table": "deploy", "values": values})
+        differs = values != {"precision": "float32"} or "deploy" in self.view.session.state["tables"]
+        if differs and not doing(self.view, {"op": "table", "table": "deploy", "values": values}):
+            return
         if doing(self.view, {"op": "deploy", "law": self.law.value}):
             making(self.view, "codes", self.law.value)
             self.view.set(codes=self.law.value)
@@ -96,7 +104,7 @@ class _Deploy:
         return [c.name for c in item.value().sensors if not np.isfinite([c.low, c.high]).all()]
 
     def _sizes(self) -> dict[str, ui.input]:
-        return {"limits": self.limits, "range": self.range}
+        return {"limits": self.limits} | ({"range": self.range} if self.precision.value in FIXED else {})
 
     def _show(self) -> None:
         laws = list(self.view.session.state["laws"])
@@ -144,12 +152,12 @@ def ends_of(limits: Sequence[tuple[float, float]], actuators: Sequence[tuple[str
     """Return where the commands of each actuator end, in its unit, those that end alike together.
 
     >>> ends_of([(-2.0, 2.0), (-2.0, 2.0), (-100.0, 100.0)], [("left", "A"), ("right", "A"), ("stack", "V")])
-    ['-2 to 2 A: left, right', '-100 to 100 V: stack']
+    ['-2 to 2 A (left, right)', '-100 to 100 V (stack)']
     """
     groups: dict[str, list[str]] = {}
     for (low, high), (name, unit) in zip(limits, actuators, strict=True):
         groups.setdefault(f"{low:.4g} to {high:.4g} {unit}".strip(), []).append(name)
-    return [f"{span}: {', '.join(names[:6])}{' ...' if names[6:] else ''}" for span, names in groups.items()]
+    return [f"{span} ({', '.join(names[:6])}{' ...' if names[6:] else ''})" for span, names in groups.items()]
 
 
 def _download(item: Item) -> None:

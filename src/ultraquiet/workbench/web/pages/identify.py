@@ -283,7 +283,7 @@ class _Identify:
                 words(NO_MODEL if session.state["data"] else NO_RECORD, "caption")
                 return
             heading("Candidates; a click chooses the study's model")
-            columns = ("model", "method", "from", "states", "fit %", "white p", "status")
+            columns = ("model", "method", "from", "states", "fit %", "whiteness p", "status")
             table(columns, rows, "candidates", lambda k: doing(self.view, {"op": "choose", "model": names[k]}), strong)
 
 

@@ -1,6 +1,7 @@
 """Records: drop a file, say which column is what, cut, detrend and split, and see what the data are worth."""
 
 import re
+from collections.abc import Callable
 from typing import Any
 
 from nicegui import events, ui
@@ -47,6 +48,7 @@ class _Drop:
     def __init__(self, view: View) -> None:
         self.view, self.file, self.rows = view, "", []
         self.offered = False  # whether a file waits for its columns to be told apart
+        self.told: Callable[[], object] = lambda: None  # is called when one does
         self._looker = Looker(view)
         self._upload = upload = ui.upload(
             on_upload=self._dropped, auto_upload=True, label=f"Drop a file here, or +  ({SUFFIXES})"
@@ -83,7 +85,7 @@ class _Drop:
     def _offer(self, found: dict[str, Any], _: Any) -> None:
         self._place.clear()
         self.offered = True
-        self.view.refresh()
+        self.told()
         with self._place:
             length = "" if found["duration_s"] is None else f", {found['duration_s']:.4g} s"
             heading(f"{found['file'].rpartition('/')[2]}: {found['format']}, {found['size']}{length}")
@@ -207,6 +209,7 @@ class _Shown:
             ui.link("No file at hand? Measure on a bench, or open the demo's study", view.link("Bench")).props(
                 'data-testid="to-bench"'
             )
+        drop.told = self._refresh
         view.watch(self._refresh)
 
     def settings(self) -> None:
