@@ -138,6 +138,15 @@ def test_units_behind_a_slash_are_units_and_a_ratio_is_a_name(tmp_path, table):
     assert survey(tmp_path / "run.csv").channels[-1].name == "nose / tail"
 
 
+def test_a_column_that_drifts_is_no_clock_and_stops_no_look_at_the_file(tmp_path, rng):
+    steps = 1e-3 * np.where(np.arange(4000) < 2000, 1.0, 1.0008)
+    rows = np.column_stack([np.cumsum(steps), rng.standard_normal((4000, 3))])
+    (tmp_path / "run.csv").write_text(text(rows, names=["Uhr", *NAMES[1:]]))
+    found = survey(tmp_path / "run.csv")
+    assert (found.rate_hz, found.clock, found.clock_hz) == (None, "", None)
+    assert len(found.channels) == 4
+
+
 def test_a_remark_behind_numbers_is_none_of_them(tmp_path, table):
     lines = text(table).splitlines()
     lines[1] += " # touched by hand"

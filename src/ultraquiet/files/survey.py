@@ -110,7 +110,10 @@ def _unnamed_clock(table: FileTable, rate_hz: float | None) -> tuple[str, float 
     if column is None:
         return "", None
     unit = column.unit if column.unit.lower() in TIME_UNITS_S else "s"
-    return column.name, clock_hz(table.path, replace(column, unit=unit))
+    try:
+        return column.name, clock_hz(table.path, replace(column, unit=unit))
+    except InputError:  # it drifts too far to be one
+        return "", None
 
 
 def _noted(notes: list[str], ask: Callable[[], float]) -> float | None:
