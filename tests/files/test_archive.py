@@ -27,7 +27,7 @@ from ultraquiet.values import (
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 rates = st.floats(min_value=1e-6, max_value=1e9)
-names = st.text(st.characters(), max_size=8)
+names = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)  # no file holds half a pair of UTF-16
 
 
 def arrays(*shape, elements=finite):
