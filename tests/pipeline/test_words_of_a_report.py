@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from ultraquiet.pipeline.facts.models import PreferredModels, RankedModel, RecordFit, ResidualFacts
 from ultraquiet.pipeline.facts.requirements import RequirementFacts, RequirementsFacts
-from ultraquiet.pipeline.report.front import _verdict
+from ultraquiet.pipeline.report.front import _law_in_short, _verdict
 from ultraquiet.pipeline.report.models import _about_zeros, _doubted, _of_residuals, _simulating_better
 from ultraquiet.pipeline.report.records import _coherence
 from ultraquiet.values import Channel, Record
@@ -27,6 +27,15 @@ def test_the_first_page_counts_the_lines_of_its_table(on_flight, said):
     verdict = _verdict(RequirementsFacts(law="quiet", band_hz=BAND_HZ, judged=every))
     assert verdict.aside == said
     assert verdict.word == ("ok" if on_flight else "not ok")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"), [("lqg", "lqg: one law, 4 states."), ("quiet", "quiet: one law, lqg, 4 states.")]
+)
+def test_the_first_page_names_a_method_once(name, said):
+    facts = SimpleNamespace(method="lqg", states=4)
+    result = SimpleNamespace(designs={name: SimpleNamespace(facts=facts)}, deployment={}, loops={})
+    assert _law_in_short(result, name) == said
 
 
 @pytest.mark.parametrize(

@@ -74,7 +74,8 @@ def _law_in_short(result: StudyResult, name: str) -> str:
     """Say what the law is and what its code came to."""
     facts, code = result.designs[name].facts, result.deployment.get(name)
     on = f" on {' and '.join(_units(result))}" if len(_units(result)) > 1 else ""
-    text = f"{name}: one law{on}, {facts.method}, {counted(facts.states, 'state')}"
+    method = "" if facts.method == name else f", {facts.method}"  # a law that nobody named has its method's name
+    text = f"{name}: one law{on}{method}, {counted(facts.states, 'state')}"
     if isinstance(code, CodeFacts):
         words = f"; its code is {code.verification.partition(':')[0]}"
         text += f"{words}, {code.flash_bytes / 1024:.0f} kB of flash, {code.ram_bytes / 1024:.1f} kB of RAM"
