@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet._base.shown.line import loudness
+from ultraquiet._base.shown.line import counted, loudness
 from ultraquiet.limits import certificate, grid, half_plane
 from ultraquiet.limits._limit import Limit, refused
 from ultraquiet.limits.basis import OrthonormalBasis, chain
@@ -27,6 +27,7 @@ NEGLIGIBLE = 1e-3  # share of a demand by which it may be exceeded between point
 EXCEEDED = 0.01  # from here on a law does not keep the demand, and is no proof of what can be had
 GRIDS = 3  # made after the first where a law exceeds a demand between the points
 INFEASIBLE = ("PrimalInfeasible", "AlmostPrimalInfeasible")
+NAMED = 3  # demands that a sentence names; the others it counts
 NO_LEVEL = 1e-9  # 180 dB: nothing is left to attenuate
 
 Stretches = tuple[tuple[float, float], ...]
@@ -189,11 +190,12 @@ class LimitSearch:
         low, high = self.band_hz
         bound = f"none exceeds {bound_db:.1f} dB" if np.isfinite(bound_db) else "no bound was certified"
         used = [f"{name} over {_words(spans)}" for name, spans in binding.items() if name != IN_BAND and spans]
+        more = f" and {counted(len(used) - NAMED, 'other demand')}" if len(used) > NAMED else ""
         kept = "every demand holds" if over < NEGLIGIBLE else f"demands are exceeded by up to {100 * over:.2g} %"
         less = f" ({half_db:.1f} dB with half of them)" if np.isfinite(half_db) else ""
         return (
             f"{_reached(attenuation_db, f'{low:.4g}-{high:.4g} Hz')}, {bound}; used up: "
-            f"{', '.join(used) or 'nothing'}; {kept} on a grid four times as fine; {solution.found} "
+            f"{', '.join(used[:NAMED]) or 'nothing'}{more}; {kept} on a grid four times as fine; {solution.found} "
             f"after {solution.rounds} grids among controllers of {self.basis.size} functions{less}."
         )
 
@@ -256,4 +258,12 @@ def _reached(attenuation_db: float, band: str) -> str:
 
 
 def _words(spans: Stretches) -> str:
-    return " and ".join(f"{low:.4g}-{high:.4g} Hz" if high > low else f"{low:.4g} Hz" for low, high in spans[:4])
+    """Name the widest stretch and count the others, which is all that a reader takes in.
+
+    >>> _words(((2.74, 4.87), (103.0, 760.0), (903.0, 969.0))), _words(((5.0, 5.0),))
+    ('103-760 Hz and 2 narrower stretches', '5 Hz')
+    """
+    low, high = max(spans, key=lambda span: span[1] - span[0])
+    widest = f"{low:.4g}-{high:.4g} Hz" if high > low else f"{low:.4g} Hz"
+    others = len(spans) - 1
+    return f"{widest} and {counted(others, 'narrower stretch', 'narrower stretches')}" if others else widest
