@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import signal
 import time
 
@@ -53,6 +54,13 @@ def test_how_many_states_a_method_makes_is_asked_for_at_once(family, method):
 def test_no_two_fields_of_a_form_have_one_name(family, method):
     labels = ["method", *(one.label for one in settings_of(family, method))]
     assert len(set(labels)) == len(labels)
+
+
+@pytest.mark.parametrize(("family", "method"), METHODS, ids=lambda word: word)
+def test_what_a_form_says_of_its_fields_is_no_word_of_the_program(family, method):
+    """Nobody can write None into a field, nor look up what stands between accents in Python."""
+    for one in settings_of(family, method):
+        assert not re.search(r"\bNone\b|`", one.meaning), one.meaning
 
 
 def test_a_form_says_what_it_means_and_what_it_takes():

@@ -67,7 +67,7 @@ class PeakBounded(StatedRobustness):
             inverting the weakest direction in the band takes.
         complementary_db: shape for T = G K S, in dB; none when absent.
         washout_hz: corner of a first-order high-pass that every reading passes first, below the band: an offset of a
-            reading then moves no command, however large K S is near 0 Hz. None when absent.
+            reading then moves no command, however large K S is near 0 Hz. No such filter when absent.
         tones_hz, tone_db: where S is to be lower still, by resonators inside the law, and how low, in dB.
         tone_zeta: damping of the resonators.
         gain_spread: by what share a channel may be off, in gain or in phase: what tolerances of sensors, actuators,

@@ -20,6 +20,9 @@ AUTOMATIC = "automatic"  # what a method finds out by itself
 SIMPLE = (bool, int, float, str)
 # What no text field can hold: systems, records, tables of a method's own.
 CLOSED = ("StateSpace", "Record", "Callable", "Specification", "Channel", "_Line", "_Unpacked")
+FAMILIES = ("signals", "identify", "design", "reduce")
+CODE = re.compile(r"`([^`]*)`")
+REFERENCE = re.compile(r" \(`[a-z_.]+`\)|[,;] see `\w+`")  # to the library's own pages, which a form's reader has not
 ENTRY = re.compile(r"^ {4}([a-z_0-9, ]+): (.*)$")
 NUMBER = r"(\d+\.?\d*(?:e[-+]?\d+)?)"
 RANGE = re.compile(rf"{NUMBER}\s*(?:[\s;\u2010-\u2015-]|to|\.\.)\s*{NUMBER}(?:\s*Hz)?", re.IGNORECASE)
@@ -63,7 +66,40 @@ def said(name: str) -> str:
 def in_words(text: str, kind: type[Any]) -> str:
     """Return a docstring's text with the names of a method's settings as its form says them."""
     names = {each.name for each in fields(kind) if "_" in each.name}
-    return re.sub(r"`?\b([a-z]+(?:_[a-z0-9]+)+)\b`?", lambda m: said(m[1]) if m[1] in names else m[0], text)
+    bare = CODE.sub(lambda m: f"'{_method_of(m[1])}'", REFERENCE.sub("", text))
+    return re.sub(r"'?\b([a-z]+(?:_[a-z0-9]+)+)\b'?", lambda m: said(m[1]) if m[1] in names else m[0], bare)
+
+
+def left_empty(text: str, empty_is_none: bool) -> str:
+    """Return a meaning with what None stands for said as a field shows it, or left away where no field can hold it.
+
+    >>> left_empty("block rows. None tries several.", True), left_empty("corner; None for a constant.", True)
+    ('block rows. Left empty, it tries several.', 'corner; left empty for a constant.')
+    >>> left_empty('states; "auto" or None takes the best. More.', True)
+    'states; left empty, it takes the best. More.'
+    >>> left_empty('states; "auto" or None takes the best.', False), left_empty("delay. None tries 1 to 4.", False)
+    ('states; "auto" takes the best.', 'delay.')
+    """
+    if not empty_is_none:
+        return re.sub(r"[.;] None [^.;]*(?=[.;])", "", text.replace('"auto" or None', '"auto"'))
+    text = text.replace('"auto" or None', "None").replace("when None", "when left empty")
+
+    def word(found: "re.Match[str]") -> str:
+        start = "Left" if found[1] in ("", ". ") else "left"
+        return f"{found[1]}{start} empty{found[2] if found[2] in (':', ' for') else f',{found[2]}'}"
+
+    text = re.sub(r"(^|[.;] )None(:| for\b| never)", word, text)
+    return re.sub(r"(^|[.;] )None (?!when)", lambda m: f"{m[1]}{'left' if m[1] == '; ' else 'Left'} empty, it ", text)
+
+
+def _method_of(name: str) -> str:
+    """Return what a form calls a class of the library: its method's name, where it is one.
+
+    >>> _method_of("LeadLag"), _method_of("budget")
+    ('lead-lag', 'budget')
+    """
+    every = (each for family in FAMILIES for each in methods(family).items())
+    return next((method for method, kind in every if kind.__name__ == name), name)
 
 
 def offered(family: str) -> dict[str, str]:
@@ -173,20 +209,21 @@ def _allowed(kind: type[Any], field: "Field[Any]") -> tuple[str, tuple[str, ...]
 def _meanings(kind: type[Any]) -> dict[str, str]:
     """Return what the docstrings of a class and those it is made from say of each setting."""
     told: dict[str, str] = {}
+    names: list[str]
     for each in reversed(kind.__mro__):
-        name, inside = "", False
+        names, inside = [], False
         for line in (inspect.cleandoc(each.__doc__ or "")).split("\n"):
             if line in ("Args:", "Attributes:"):
                 inside = True
             elif inside and (found := ENTRY.match(line)):
-                for name in found[1].split(","):
-                    told[name.strip()] = found[2]
-                name = found[1].split(",")[0].strip()
-            elif inside and line.startswith("        ") and name:
-                told[name] += " " + line.strip()
+                names = [name.strip() for name in found[1].split(",")]
+                told |= dict.fromkeys(names, found[2])
+            elif inside and line.startswith("        "):
+                told |= {name: f"{told[name]} {line.strip()}" for name in names}
             elif inside and line.strip() and not line.startswith(" "):
                 inside = False
-    return {name: in_words(text, kind) for name, text in told.items()}
+    given = {each.name: each.default for each in fields(kind)}
+    return {name: left_empty(in_words(text, kind), given.get(name) is None) for name, text in told.items()}
 
 
 def _value(text: Any) -> Any:

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from nicegui import ui
 
@@ -20,6 +20,20 @@ def mark_of(text: str) -> str:
     'try-orders-1-8'
     """
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")
+
+
+def say(sentence: str, kind: Literal["negative", "warning", "info"] = "negative") -> None:
+    """Say a sentence on the page, long enough to be read, and below the boards, where nothing stands to be pressed."""
+    patience_ms = max(12_000, 120 * len(sentence))
+    ui.notify(sentence, type=kind, multi_line=True, timeout=patience_ms, close_button="ok", position="bottom-left")
+
+
+def explained(control: Any, text: str, beside: bool = False) -> None:
+    """Say on hovering what a control is; `beside` it, at its left, where others stand above and below."""
+    with control:
+        told = ui.tooltip(text)
+    if beside:
+        told.props('anchor="center left" self="center right"')
 
 
 def button(label: str, act: Callable[[], object], mark: str = "", main: bool = False, tip: str = "") -> ui.button:

@@ -9,8 +9,8 @@ from ultraquiet._base.shown.line import loudness, opening, rounded
 from ultraquiet.design.robustness import DISK_MARGIN
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.figures.loops import SensitivityDemand
-from ultraquiet.workbench.web.controls import Doubted, button, chip, field, heading, loop_status, table, words
-from ultraquiet.workbench.web.shell import doing, making, say
+from ultraquiet.workbench.web.controls import Doubted, button, chip, field, heading, loop_status, say, table, words
+from ultraquiet.workbench.web.shell import doing, making
 from ultraquiet.workbench.web.view import View
 
 ASKED = {"attenuation_db": "quieter by (dB)", "peak_db": "peak at most (dB)", "disk_margin": "disk margin at least"}

@@ -6,7 +6,7 @@ from typing import Any
 from nicegui import ui
 
 from ultraquiet.workbench.engine.forms import Setting, entered, offered, settings_of
-from ultraquiet.workbench.web.controls import choice
+from ultraquiet.workbench.web.controls import choice, explained, say
 
 FEW = 6
 CHOSEN = {"bench": "bench", "signals": "signal"}  # as it is called where there is more than one form; else the method
@@ -59,7 +59,7 @@ class MethodForm:
             if hasattr(control, "error"):
                 control.error = faults.get(name)
         if "" in faults:
-            ui.notify(faults[""], type="negative", multi_line=True)
+            say(faults[""])
         return None if faults else made
 
     def names(self) -> list[str]:
@@ -111,7 +111,7 @@ class MethodForm:
             made.props(f'dense outlined stack-label hide-bottom-space debounce="300" data-testid="{mark}"')
         told = [setting.meaning, f"Range: {setting.allowed}." if setting.allowed else ""]
         told.append(f"Default: {setting.default}." if setting.default else "")
-        made.tooltip(" ".join(filter(None, told)))
+        explained(made, " ".join(filter(None, told)), beside=True)
         self._fields[setting.name] = (setting, made)
 
     def _say(self, *_: Any) -> None:

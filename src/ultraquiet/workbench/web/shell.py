@@ -3,7 +3,7 @@
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from nicegui import ui
 
@@ -13,7 +13,7 @@ from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.steps import BOARDS
 from ultraquiet.workbench.engine.written.script import lines_of
 from ultraquiet.workbench.jobs.lane import WorkItem
-from ultraquiet.workbench.web.controls import button, chip, heading, loop_status
+from ultraquiet.workbench.web.controls import button, chip, heading, loop_status, say
 from ultraquiet.workbench.web.view import View
 
 PAGES = (
@@ -74,11 +74,6 @@ def doing(view: View, step: dict[str, Any]) -> bool:
     return True
 
 
-def say(sentence: str, kind: Literal["negative", "warning", "info"] = "negative") -> None:
-    """Say a sentence on the page, long enough to be read."""
-    ui.notify(sentence, type=kind, multi_line=True, timeout=12000, close_button="ok", position="top")
-
-
 def making(view: View, board: str, name: str, then: Callable[[WorkItem], object] | None = None) -> WorkItem:
     """Make an item in the process beside."""
     return view.jobs.make(board, name, then)
@@ -129,6 +124,8 @@ def _header(view: View) -> None:
         at_work = [job for job in view.jobs.looked if not job.over]
         now = next((job for job in at_work if job.status == "running"), at_work[-1] if at_work else None)
         busy.text = "" if now is None else f"computing: {now.title} …"
+        busy.props["title"] = busy.text  # whole where it is cut
+        busy.update()
 
     view.watch(looking, often=True)
 

@@ -16,6 +16,7 @@ from ultraquiet.workbench.figures.scale import Scale
 from ultraquiet.workbench.jobs.board import Jobs
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.jobs.looks import seen
+from ultraquiet.workbench.web.controls import say
 from ultraquiet.workbench.web.frames import FrameStore
 from ultraquiet.workbench.web.place import ServedStudy
 
@@ -170,7 +171,7 @@ class Looker:
         self._view = view
         self._job: WorkItem | None = None
         self._then: Then | None = None
-        self._failed: Callable[[str], object] = lambda sentence: ui.notify(sentence, type="negative", multi_line=True)
+        self._failed: Callable[[str], object] = say
         self._timer = ui.timer(0.05, self._poll, active=False)
 
     def failed(self, told: Callable[[str], object]) -> None:

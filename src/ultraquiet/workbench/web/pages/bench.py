@@ -13,9 +13,9 @@ from ultraquiet.values.sketch import Sketch
 from ultraquiet.workbench.figures.traces import envelope
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, heading, table, words
+from ultraquiet.workbench.web.controls import button, choice, heading, say, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
-from ultraquiet.workbench.web.shell import Columns, doing, say
+from ultraquiet.workbench.web.shell import Columns, doing
 from ultraquiet.workbench.web.view import Looker, View
 
 SHOWN_S = 4.0

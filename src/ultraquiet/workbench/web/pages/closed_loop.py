@@ -13,8 +13,8 @@ from ultraquiet.workbench.engine.live import grid_hz, responses
 from ultraquiet.workbench.figures.scale import Scale
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, table, words
-from ultraquiet.workbench.web.shell import Columns, doing, say
+from ultraquiet.workbench.web.controls import button, choice, field, heading, say, table, words
+from ultraquiet.workbench.web.shell import Columns, doing
 from ultraquiet.workbench.web.view import View
 
 NO_LAW = "No law yet: design one first. What it does to disturbances is drawn here."

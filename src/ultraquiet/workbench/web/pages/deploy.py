@@ -12,8 +12,8 @@ from ultraquiet.deploy.figures import said
 from ultraquiet.pipeline.tables.code import Deploy
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.making.work import CODE
-from ultraquiet.workbench.web.controls import button, chip, choice, field, heading, table, words
-from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.controls import button, chip, choice, field, heading, say, table, words
+from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import View
 
 FIXED = ("q31", "q15")

@@ -10,9 +10,9 @@ from ultraquiet.workbench.figures.scale import Scale
 from ultraquiet.workbench.figures.traces import envelope
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, field, heading, words
+from ultraquiet.workbench.web.controls import button, field, heading, say, words
 from ultraquiet.workbench.web.method_form import MethodForm
-from ultraquiet.workbench.web.shell import Columns, doing, say
+from ultraquiet.workbench.web.shell import Columns, doing
 from ultraquiet.workbench.web.view import View
 
 USUAL_HZ = 1000.0  # round; the bench has its own

@@ -17,10 +17,10 @@ from ultraquiet.workbench.engine.forms import settings_of
 from ultraquiet.workbench.figures.responses import Modelled, SeenResponse, pole_map, response_grid
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, field, heading, table, words
+from ultraquiet.workbench.web.controls import button, field, heading, say, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
 from ultraquiet.workbench.web.pages.spectra import measured_of
-from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import Looker, View
 
 WHOLE = ("arx", "armax", "output-error", "box-jenkins", "subspace", "predictor-subspace", "rational")

@@ -10,8 +10,8 @@ from ultraquiet.values import Channel
 from ultraquiet.workbench.figures.responses import SeenResponse, coherence_grid, response_grid
 from ultraquiet.workbench.figures.scale import Scale
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, words
-from ultraquiet.workbench.web.shell import Columns, say
+from ultraquiet.workbench.web.controls import button, choice, field, heading, say, words
+from ultraquiet.workbench.web.shell import Columns
 from ultraquiet.workbench.web.view import Looker, View
 
 KINDS = ("frequency response", "amplitude density", "cumulative RMS")
