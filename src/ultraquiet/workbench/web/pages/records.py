@@ -8,10 +8,11 @@ from nicegui import events, ui
 
 from ultraquiet._base.errors import UltraquietError
 from ultraquiet.workbench.engine.making.imports import import_step, proposed_name, received
+from ultraquiet.workbench.engine.roles import guessed_roles
 from ultraquiet.workbench.figures.traces import traces
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, table, words
-from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.controls import button, choice, field, heading, say, table, words
+from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import Looker, View
 
 ROLES = ("input", "output", "leave out")
@@ -101,7 +102,9 @@ class _Drop:
 
     def _columns(self, channels: list[dict[str, Any]], clock: str) -> None:
         self.rows = []
-        signals = [channel for channel in channels if channel["name"] != clock]
+        roles, doubt = guessed_roles([channel for channel in channels if channel["name"] != clock])
+        if doubt:
+            words(doubt, "doubt").props('data-testid="unsure"')
         with ui.element("div").classes("uq-table-box"), ui.element("table").classes("uq-table uq-channels"):
             with ui.element("tr"):
                 for title, meaning in COLUMNS.items():
@@ -109,8 +112,9 @@ class _Drop:
                         made = ui.label(title)
                     if meaning:
                         made.tooltip(meaning)
+            guessed = iter(roles)
             for k, channel in enumerate(channels):
-                role = ROLES[-1] if channel["name"] == clock else _role(signals.index(channel), channel, signals)
+                role = ROLES[-1] if channel["name"] == clock else next(guessed)
                 with ui.element("tr"):
                     self.rows.append(self._column(k, channel, role))
         words(LIMITS, "caption")
@@ -172,17 +176,6 @@ def notes_of(found: dict[str, Any]) -> list[str]:
         taken = f"'{found['clock']}' rises evenly and is taken for a clock: {found['clock_hz']:.10g} Hz"
         return [*kept, f"{taken} if it counts seconds. Where it does not, mend the rate below."]
     return [RATE_ASKED.sub("write the rate below", note) for note in found["notes"]]
-
-
-def _role(k: int, channel: dict[str, Any], channels: list[dict[str, Any]]) -> str:
-    if channel["role"] in ROLES:
-        return channel["role"]
-    if any(c["role"] == "input" for c in channels):
-        return "output"
-    # commands come first in most files, and are often the only ones in their unit
-    units = [c["unit"] for c in channels]
-    alike = channel["unit"] == units[0] and units[0] != units[-1]
-    return "input" if k == 0 or alike else "output"
 
 
 def _channel(row: dict[str, Any]) -> dict[str, Any]:
