@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 import tomllib
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ultraquiet.pipeline.study import parse
 from ultraquiet.workbench import Session
 from ultraquiet.workbench.engine.making.imports import import_step, inside, received
 from ultraquiet.workbench.jobs import looks
+from ultraquiet.workbench.web.pages.report import since
 
 IDENTIFY = {"op": "identify", "name": "arx4", "records": ["fit"], "period_samples": None}
 METHOD = {"method": "arx", "order": 4}
@@ -53,6 +55,17 @@ def test_a_changed_input_makes_stale_and_says_what_changed(session):
     assert old.ready
     session.undo()
     assert session.stale("models", "arx4") is None
+
+
+def test_a_summary_is_said_to_be_older_than_what_came_after_it(session):
+    session.do({**IDENTIFY, "method": METHOD})
+    session.make("models", "arx4")
+    written = time.time() + 1
+    assert since(session, written) == ""
+    session.do({"op": "cut", "name": "fit", "of": "run", "start": 0, "stop": 800})
+    assert since(session, written) == "fit is stale, arx4 is stale"
+    session.make("models", "arx4")
+    assert since(session, 0.0) == "run was made since, fit was made since, arx4 was made since"
 
 
 @pytest.mark.parametrize(

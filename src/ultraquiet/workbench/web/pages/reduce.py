@@ -13,10 +13,18 @@ from ultraquiet.values import StateSpace
 from ultraquiet.workbench.engine.live import live_loop, responses
 from ultraquiet.workbench.figures.loops import loop_grid, sizes_of
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, loop_status, table, words
+from ultraquiet.workbench.web.controls import button, choice, field, heading, loop_status, say, table, words
 from ultraquiet.workbench.web.method_form import MethodForm
-from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import View
+
+USUAL = "closed-loop-weighted"
+MEANT = (
+    "States: how many are kept. Without a number the fewest are kept that lose no more than loss (dB), of the peak of "
+    "S, the band and the tones. Loss: by what share the norm of the closed loop may grow instead, a twentieth is 0.05. "
+    "Budget: how many multiply-adds a step of the law may cost."
+)
+MORE = "Allow more loss, or write a number of states."
 
 
 def build(view: View, columns: Columns) -> None:
@@ -31,10 +39,10 @@ class _Reduce:
             heading("Reduce")
             laws = list(view.session.state["laws"])
             self.law = choice("the law", laws, "reduce-law", view.session.state["law"], lambda _: self._refresh())
-            self.form = MethodForm("reduce", "closed-loop-weighted")
+            self.form = MethodForm("reduce", USUAL, lambda _: self._tell())
+            self._meaning = words(MEANT, "caption").props('data-testid="meant"')
             self.name = field("name of the new law", "reduced-name", "", "as the law, -small")
             button("Reduce", self._reduce, "reduce", main=True)
-            words("Without a number of states the fewest are kept that lose no more than is allowed.", "caption")
             words("A click on the chart of states writes the number of states into the form.", "caption")
             ui.link("Deploy", view.link("Deploy")).props('data-testid="to-deploy"')
         with columns.main:
@@ -42,6 +50,9 @@ class _Reduce:
             self.states = ChartElement(view.frames, "hankel-chart", on_point=self._picked)
             self.loops = ChartElement(view.frames, "reduced-chart")
         view.watch(self._refresh)
+
+    def _tell(self) -> None:
+        self._meaning.set_visibility(self.form.method == USUAL)
 
     def _picked(self, at: dict[str, Any]) -> None:
         if at.get("x") is not None and "states" in self.form.names():
@@ -84,15 +95,21 @@ class _Reduce:
             if not ready:
                 words("No law yet: design one first.", "caption")
                 return
-            rows = []
+            rows, whole = [], []
             for item in ready:
                 cut = (item.facts["design"].get("reduction") or {}).get("from_states")
+                if cut == item.facts["states"]:
+                    whole.append(item.name)
                 peak = item.facts["peaks"]["S"][0]
                 size = f"{item.facts['states']}" + (f" of {cut}" if cut else "")
                 shown = "infinite" if peak is None else f"{peak:.1f} dB"
                 disks = [f"{item.facts['margins'][end]['disk_all']:.2f}" for end in ("input", "output")]
                 rows.append((item.name, size, shown, *disks, loop_status(item.facts)))
             table(("law", "states", "peak of S", "disk, input", "disk, output", "loop"), rows, "reduced")
+            if whole:
+                words(f"{', '.join(whole)}: no state is left out, so nothing is gained. {MORE}", "doubt").props(
+                    'data-testid="nothing-gained"'
+                )
 
     def _hankel(self, law: StateSpace) -> None:
         try:
@@ -105,7 +122,7 @@ class _Reduce:
         x = np.arange(1, some.size + 1, dtype=float)
         curve = Curve("Hankel values", x, some / some[0], "chosen", kind="points")
         marks = [Mark("a thousandth", y=1e-3)]
-        axes = Axis("state"), Axis("of the largest (1)", "log")
+        axes = Axis("state", ticks="int"), Axis("of the largest (1)", "log")
         panel = ChartPanel(*axes, [curve], marks=marks, height=220)
         few = int(np.count_nonzero(values > 1e-3 * values[0]))
         kind = "" if values.size == law.states else "stable "

@@ -5,12 +5,16 @@ from typing import Any
 
 from nicegui import ui
 
-from ultraquiet.workbench.engine.items import Item
+from ultraquiet.workbench.engine.items import FACTS, Item
+from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.engine.steps import BOARDS
 from ultraquiet.workbench.jobs.lane import WorkItem
-from ultraquiet.workbench.web.controls import Doubted, button, chip, heading, loop_status, table, words
-from ultraquiet.workbench.web.shell import TITLES, Columns, say
+from ultraquiet.workbench.web.controls import Doubted, button, chip, heading, loop_status, say, table, words
+from ultraquiet.workbench.web.shell import TITLES, Columns
 from ultraquiet.workbench.web.view import View
+
+AGAIN = "Run the whole study again to judge it."
+NAMED = 3  # of the items that changed
 
 
 def build(view: View, columns: Columns) -> None:
@@ -57,6 +61,10 @@ class _Report:
             except (OSError, ValueError) as error:
                 words(f"summary.json cannot be read ({error}); run the study again.", "doubt")
                 return
+            if older := since(self.view.session, summary.stat().st_mtime):
+                words(f"This summary is older than what stands on the boards: {older}. {AGAIN}", "doubt").props(
+                    'data-testid="older"'
+                )
             self._judged(found)
             if (folder / "report.html").exists():
                 ui.link("Open the report", "/study/report.html", new_tab=True).props('data-testid="open-report"')
@@ -95,6 +103,18 @@ class _Report:
         if rows:
             heading("What stands on the boards")
             table(("board", "item", "step", "state"), rows, "everything")
+
+
+def since(session: Session, at: float) -> str:
+    """Return what the boards hold that a summary, written at a time in seconds, knows nothing of; empty for nothing."""
+    said = []
+    for board in BOARDS[:-1]:  # code is no part of what is judged
+        for item in session.items(board):
+            if session.stale(board, item.name) is not None:
+                said.append(f"{item.name} is stale")
+            elif item.ready and (item.folder / FACTS).stat().st_mtime > at:
+                said.append(f"{item.name} was made since")
+    return ", ".join([*said[:NAMED], *([f"{len(said) - NAMED} more"] if len(said) > NAMED else [])])
 
 
 def _state(item: Item) -> str | Doubted:
