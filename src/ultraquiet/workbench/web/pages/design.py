@@ -11,10 +11,10 @@ from ultraquiet.workbench.engine.live import LiveLoop, Notched, Responses, live_
 from ultraquiet.workbench.figures.loops import Sizes, loop_grid, sizes_of
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.chart import ChartElement
-from ultraquiet.workbench.web.controls import button, choice, field, heading, words
+from ultraquiet.workbench.web.controls import button, choice, field, heading, say, words
 from ultraquiet.workbench.web.law_table import LawTable, asked_of, disk_asked
 from ultraquiet.workbench.web.method_form import MethodForm
-from ultraquiet.workbench.web.shell import Columns, doing, making, say
+from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import Looker, View
 
 MOVED = "by hand"
@@ -35,6 +35,7 @@ class _Design:
         self._still: dict[str, tuple[LiveLoop, Sizes]] = {}
         self._names: dict[str, list[str]] = {}
         self._touched = False
+        self._redrawn: tuple[str, str, str] | None = None  # a law that a hand replaces: its name, key and verdict
         self._looker, self._limit_of = Looker(view), ""
         self._asked: WorkItem | None = None
         self._looker.failed(self._tell_limit)
@@ -64,10 +65,19 @@ class _Design:
 
     def _hands(self) -> None:
         heading("By hand")
-        words(
-            "Move a slider: S, T, KS and margins follow at once. Let go of the band and the law is made anew.",
-            "caption",
-        )
+        self._none_yet = words("Once there is a model, a hand can move the band, the gain and a notch here.", "caption")
+        self._none_yet.props('data-testid="no-hands"')
+        with ui.element("div").classes("uq-hands").props('data-testid="hands"') as self._by_hand:
+            words(
+                "Move a slider: S, T, KS and margins follow at once. Let go of the band and the law is made anew.",
+                "caption",
+            )
+            self._put_sliders()
+            words("The gain and the notch show what the law stands; they are not kept.", "caption")
+        self._started = False
+        self._start_sliders()
+
+    def _put_sliders(self) -> None:
         self.sliders = {
             "low": _slider("band from (decades of Hz)", "band-low", -2, 4, 0.01, self._shape, self._let_go),
             "high": _slider("band to (decades of Hz)", "band-high", -2, 4, 0.01, self._shape, self._let_go),
@@ -76,14 +86,19 @@ class _Design:
             "notch": _slider("notch at (decades of Hz)", "notch", -2, 4, 0.01, self._move, None),
             "depth": _slider("depth of the notch (dB)", "depth", 0, 60, 0.5, self._move, None),
         }
-        self._start_sliders()
-        words("The gain and the notch show what the law stands; they are not kept.", "caption")
 
     def _start_sliders(self) -> None:
+        """Put the sliders where the model's own band is, as soon as there is one."""
+        if self._started:
+            return
         name = self.view.session.state["model"]
         item = None if name is None else self.view.session.item("models", name)
-        if item is None or not item.ready:
+        there = item is not None and item.ready
+        self._by_hand.set_visibility(there)
+        self._none_yet.set_visibility(not there)
+        if item is None or not there:
             return
+        self._started = True
         self._band = tuple(self.view.session.state["tables"].get("closed_loop", {}).get("band_hz") or ())
         made = next((law.facts.get("band_hz") for law in self.view.ready("laws")), None)
         low, high = self._band or made or even_plant(item.value(), who="workbench").band_hz
@@ -123,7 +138,33 @@ class _Design:
         self.form.put("band_hz", sorted((10 ** at["low"], 10 ** at["high"])))
         if "height" in self.form.names():
             self.form.put("height", 10 ** (at["height"] / 20))
+        self._note_redrawn(str(self.name.value or self.form.method))
         self._design()
+
+    def _note_redrawn(self, name: str) -> None:
+        """Remember a law that a hand is about to replace, and what its loop was judged."""
+        if name in self.view.session.state["laws"]:
+            item = self.view.session.item("laws", name)
+            if item.ready:
+                self._redrawn = (name, item.key, item.facts["status"].partition(":")[0])
+
+    def _say_redrawn(self) -> None:
+        """Say once that a law was replaced: one that was ok may not be any more."""
+        if self._redrawn is None:
+            return
+        name, key, was = self._redrawn
+        item = self.view.session.item("laws", name) if name in self.view.session.state["laws"] else None
+        if item is None or item.key == key:  # it was taken back before it was made
+            self._redrawn = None
+        elif item.ready:
+            self._redrawn = None
+            now = item.facts["status"].partition(":")[0]
+            turned = "" if now == was else f" and is {now} now, it was {was}"
+            kind = "info" if now in (was, "ok") else "warning"
+            say(
+                f"{name} was made anew with the weight you drew{turned}; undo (Ctrl+Z) brings back the one before.",
+                kind,
+            )
 
     def _shape(self, *_: Any) -> None:
         """Show what a weight with this band would press S under."""
@@ -142,6 +183,8 @@ class _Design:
         inside = [ALONE, *self.view.session.state["laws"]]
         if self.around.options != inside:
             self.around.set_options(inside, value=self.around.value if self.around.value in inside else ALONE)
+        self._start_sliders()
+        self._say_redrawn()
         laws = self.view.ready("laws")
         chosen = self.view.session.state["law"]
         asked = ([item.key for item in laws], chosen, self.view.scale, str(self.view.session.state["tables"]))
