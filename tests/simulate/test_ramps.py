@@ -31,3 +31,10 @@ def test_an_integrator_that_the_loop_feels_is_ok():
     check = uq.simulate.check_stability(one_mode("rate", "mm/s", offset=1e-1, blocks_rest=False), law(1.0, -2e-3), 8.0)
     print(check.status)
     assert check.status.word == "ok"
+
+
+def test_an_integrator_whose_command_stands_still_is_ok():
+    idle = StateSpace([[1.0]], [[1.0]], [[0.0]], [[0.0]], RATE_HZ)
+    check = uq.simulate.check_stability(one_mode("rate", "mm/s", offset=1e-1, blocks_rest=True), idle, 8.0)
+    print(check.status)
+    assert check.status.word == "ok"

@@ -74,6 +74,7 @@ def checked_uncertainty(
     return f, size
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def largest_control(control_gain: float | None, lines: AffineLoops, inside: np.ndarray) -> float:
     """Return the limit on |K S|, a very high one where none is given."""
     if control_gain is not None:

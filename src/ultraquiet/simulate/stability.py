@@ -213,9 +213,7 @@ def _at_limits(
     if growing is not None:
         return replace(seen, word=StatusWord.UNSTABLE, mode=growing, sentence=told(growing))
     alone = kicked(bench, law, replace(burst, levels=0.0 * burst.levels))
-    share = (
-        np.sqrt(np.mean(free.response**2) / max(np.mean(free.noise**2), np.finfo(float).tiny)) if samples else np.inf
-    )
+    share = _share(free) if samples else np.inf
     # a hum heaps up in proportion to time, so that its rise says nothing of the loop
     grown = alone.rise > HEAPED and not found.hums_hz
     by_itself = grown or (alone.limited <= CLIPPED_SHARE and share > VISIBLE)
@@ -337,3 +335,9 @@ def _check(bench: Bench, seen: Seen, beside: tuple[float | None, float | None]) 
 
 def _rms(signal: FloatArray) -> FloatArray:
     return np.sqrt(np.mean(signal**2, axis=1))
+
+
+@np.errstate(over="ignore")  # of a bench without noise
+def _share(free: FreeResponse) -> float:
+    """Return how much larger what a burst leaves is than noise, in rms."""
+    return float(np.sqrt(np.mean(free.response**2) / max(np.mean(free.noise**2), np.finfo(float).tiny)))

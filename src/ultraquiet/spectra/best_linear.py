@@ -233,6 +233,7 @@ def _of_one(
     return np.maximum(scatter - noise, 0.0)
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def _advice(noise: FloatArray, distortion: FloatArray, unexcited: Detection | None, M: int, P: int) -> Status:
     quiet, loud = np.median(noise, axis=2), np.median(np.nan_to_num(distortion), axis=2)
     ratio = float(np.max(loud / np.maximum(quiet, np.finfo(float).tiny)))

@@ -71,7 +71,8 @@ class ResponseBand:
     @property
     def percent(self) -> FloatArray:
         """Standard deviation of the error in per cent of the gain at each line, `(ny, nu, nf)`."""
-        return 100.0 * np.sqrt(self.variance) / np.maximum(np.abs(self.values), np.finfo(float).tiny)
+        with np.errstate(over="ignore"):  # over nothing at all
+            return 100.0 * np.sqrt(self.variance) / np.maximum(np.abs(self.values), np.finfo(float).tiny)
 
     def distance(self, truth: ArrayLike) -> FloatArray:
         """Return the squared distance of another response in standard deviations, chi-squared with 2 degrees if true.

@@ -267,6 +267,7 @@ def _at(who: str, system: Any, f: FloatArray) -> ComplexArray:
     return system.values[:, :, place]
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def _sizes(who: str, errors: ComplexArray, nominal: ComplexArray, kind: str) -> FloatArray:
     """Return the size of each error `(draws, ny, nu, nf)`: `(draws, nf)`, or `(draws, ny, nu, nf)` by entry."""
     if kind == "additive-entry":

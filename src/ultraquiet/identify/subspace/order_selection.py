@@ -60,6 +60,7 @@ class HeldOutError:
         return float(d.std(ddof=1)) / BATCHES**0.5
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def gap(values: FloatArray) -> int:
     """Return the order after which the singular values fall by the largest factor.
 

@@ -116,6 +116,7 @@ def _caption(f_hz: FloatArray, measured: FrequencyResponse | None, models: Seque
     return f"Measured{sure}, and models; {lines} {'; '.join(worst)}.{enlarge}"
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def _share(model: ComplexArray, measured: ComplexArray) -> float:
     return float(np.median(np.abs(model - measured) / np.maximum(np.abs(measured), np.finfo(float).tiny)))
 

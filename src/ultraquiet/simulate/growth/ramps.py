@@ -28,7 +28,8 @@ def ramping(bench: Bench, law: StateSpace | None, seen: Seen) -> Seen | None:
     rest = np.mean([run.inputs[:, -samples:] for run in seen.record.runs], axis=0)  # bursts cancel
     rises = np.diff(rest.reshape(len(rest), BLOCKS, -1).mean(axis=2), axis=1)
     a_second = rises.mean(axis=1) * BLOCKS * bench.rate_hz / samples
-    left_s = (ranges(bench.actuators) - np.abs(rest[:, -1])) / np.maximum(np.abs(a_second), np.finfo(float).tiny)
+    with np.errstate(over="ignore"):  # of a command that stands still
+        left_s = (ranges(bench.actuators) - np.abs(rest[:, -1])) / np.maximum(np.abs(a_second), np.finfo(float).tiny)
     steady = _steady(rises) & (left_s < HORIZON * samples / bench.rate_hz)
     if not steady.any():
         return None

@@ -70,6 +70,7 @@ def _at_limits(bench: Bench, law: StateSpace | Controller, loud: _Heard, seen: S
     return replace(seen, word=StatusWord.UNSTABLE, mode=None, sentence=sentence)
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def _ratio(loud: _Heard, weak: _Heard) -> float:
     return float(np.max(loud[0].levels / np.maximum(weak[0].levels, np.finfo(float).tiny)))
 

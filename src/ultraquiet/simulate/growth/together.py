@@ -125,6 +125,7 @@ def powers(noise: FloatArray) -> FloatArray:
     return np.array([np.mean(part**2, axis=1) for part in parts])
 
 
+@np.errstate(over="ignore")  # over nothing at all
 def rise(powers: FloatArray) -> float:
     """Return the largest ratio of late to early amplitudes."""
     early, late = np.sqrt(powers)

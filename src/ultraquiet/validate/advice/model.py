@@ -69,7 +69,8 @@ def excitation(case: Case) -> Said:
     error = np.zeros(G.shape)
     if case.covariance is not None:
         moved = np.einsum("jpf,pq->jqf", response_gradient(m, f), root(case.covariance))
-        error = np.sqrt(np.sum(np.abs(moved) ** 2, axis=1)) / np.maximum(np.abs(G), np.finfo(float).tiny)
+        with np.errstate(over="ignore"):  # over nothing at all
+            error = np.sqrt(np.sum(np.abs(moved) ** 2, axis=1)) / np.maximum(np.abs(G), np.finfo(float).tiny)
     for j, (x, actuator) in enumerate(zip(record.inputs, record.actuators, strict=True)):
         power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(n)))[1:] ** 2 / (n * 0.375)
         driven = np.abs(G[j]) ** 2 * np.convolve(power, np.ones(SMOOTHED) / SMOOTHED, mode="same")
