@@ -56,7 +56,8 @@ def test_what_a_field_means_lies_beside_it_and_a_refusal_over_nothing_to_press(s
         seen.page.hover("[data-testid='identify-horizon']")
         seen.page.get_by_text("Left empty, it tries several").wait_for()
         seen.page.wait_for_timeout(500)  # it slides into its place
-        assert not seen.page.evaluate(OVER, [".q-tooltip", "[data-testid='identify-horizon']"])
+        for field in ("order", "horizon", "weight"):
+            assert not seen.page.evaluate(OVER, [".q-tooltip", f"[data-testid='identify-{field}']"]), field
         seen.go("closed-loop")
         seen.click("close-loop")
         seen.page.wait_for_selector(".q-notification")

@@ -10,7 +10,7 @@ SAYS = {
     INPUT: {"input", "inputs", "in", "u", "command", "commands", "cmd", "drive", "drives", "driver", "setpoint",
             "excitation", "shaker", "exciter", "hammer", "actuator", "amplifier"},
     OUTPUT: {"output", "outputs", "out", "y", "reading", "readings", "sensor", "accelerometer", "geophone", "gauge",
-             "encoder", "laser", "microphone", "response", "measured"},
+             "encoder", "laser", "pickup", "probe", "microphone", "response", "measured"},
 }  # fmt: skip
 RATHER = {
     INPUT: {"force", "current", "voltage", "torque", "coil", "motor", "piezo", "valve"},

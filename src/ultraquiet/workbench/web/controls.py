@@ -10,6 +10,7 @@ from nicegui import ui
 from ultraquiet._base.shown.line import loudness
 
 WORDS = {"ok": "ok", "fragile": "fragile", "short": "fragile", "not white": "fragile", "poor fit": "fragile"}
+COLUMN_PX = 190  # of a form, where it is widest
 SHAPES = {"ok": "●", "fragile": "▲", "bad": "■", "none": "○"}
 
 
@@ -28,12 +29,11 @@ def say(sentence: str, kind: Literal["negative", "warning", "info"] = "negative"
     ui.notify(sentence, type=kind, multi_line=True, timeout=patience_ms, close_button="ok", position="bottom-left")
 
 
-def explained(control: Any, text: str, beside: bool = False) -> None:
-    """Say on hovering what a control is; `beside` it, at its left, where others stand above and below."""
+def explained(control: Any, text: str, column: int) -> None:
+    """Say on hovering what a control of a form is, at the form's left: above and below stand other fields."""
     with control:
         told = ui.tooltip(text)
-    if beside:
-        told.props('anchor="center left" self="center right"')
+    told.props(f'anchor="center left" self="center right" :offset="[{8 + column * COLUMN_PX}, 0]"')
 
 
 def button(label: str, act: Callable[[], object], mark: str = "", main: bool = False, tip: str = "") -> ui.button:

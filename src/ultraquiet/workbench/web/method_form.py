@@ -84,8 +84,8 @@ class MethodForm:
         first, rest = settings[:FEW], settings[FEW:]
         with self._place:
             with ui.element("div").classes("uq-form"):
-                for setting in first:
-                    self._add(setting, values)
+                for k, setting in enumerate(first):
+                    self._add(setting, values, k % 2)
             if rest:
                 with (
                     ui.expansion(f"{len(rest)} more settings")
@@ -93,10 +93,10 @@ class MethodForm:
                     .classes("w-full"),
                     ui.element("div").classes("uq-form"),
                 ):
-                    for setting in rest:
-                        self._add(setting, values)
+                    for k, setting in enumerate(rest):
+                        self._add(setting, values, k % 2)
 
-    def _add(self, setting: Setting, values: Mapping[str, Any]) -> None:
+    def _add(self, setting: Setting, values: Mapping[str, Any], column: int) -> None:
         mark = f"{self.family}-{'variant' if setting.name == 'method' else setting.name.replace('_', '-')}"
         value = values.get(setting.name)
         if setting.kind == "flag":
@@ -111,7 +111,7 @@ class MethodForm:
             made.props(f'dense outlined stack-label hide-bottom-space debounce="300" data-testid="{mark}"')
         told = [setting.meaning, f"Range: {setting.allowed}." if setting.allowed else ""]
         told.append(f"Default: {setting.default}." if setting.default else "")
-        explained(made, " ".join(filter(None, told)), beside=True)
+        explained(made, " ".join(filter(None, told)), column)
         self._fields[setting.name] = (setting, made)
 
     def _say(self, *_: Any) -> None:
