@@ -24,7 +24,7 @@ MEANT = (
     "S, the band and the tones. Loss: by what share the norm of the closed loop may grow instead, a twentieth is 0.05. "
     "Budget: how many multiply-adds a step of the law may cost."
 )
-MORE = "Allow more loss, or write a number of states."
+MORE = "Allow more loss, or write a smaller number of states."
 
 
 def build(view: View, columns: Columns) -> None:
