@@ -9,7 +9,8 @@ from test_deploy_c31 import bank_in, law_in
 from test_deploy_mutants_c31 import LIMITS
 
 from ultraquiet.deploy import generate
-from ultraquiet.deploy.c31.assembly import c31_code
+from ultraquiet.deploy.c31.assembly import VOLTS_PER_COUNT, c31_code
+from ultraquiet.deploy.c31.edges import edges
 from ultraquiet.deploy.c31.pushes import answers, pushes, reach_words, twin_of
 from ultraquiet.deploy.c31.reach import largest_commands
 from ultraquiet.deploy.c31.vectors import vectors
@@ -38,6 +39,29 @@ def test_every_command_meets_both_limits_and_every_correction_is_seen(rng, case)
         assert twin.u[push.command] > high if push.side > 0 else twin.u[push.command] < low
         seen[:, push.command] |= push.corrected
     assert seen[law.L != 0].all()
+
+
+@pytest.mark.three_draws
+@pytest.mark.parametrize("case", LAWS)
+def test_every_command_comes_back_most_of_them_by_one_count_beyond_its_limit_and_one_within(rng, case):
+    law = LAWS[case](rng)
+    twin, met, made = twin_of(law), 0, pushes(law)
+    for push in made:
+        twin.reset()
+        for counts in push.counts:
+            twin.frame(counts)
+        rows = edges(twin, push)
+        assert push.side * (twin.u[push.command] - twin.limits[push.command, (push.side + 1) // 2]) < 0
+        twin.reset()
+        beyond = []
+        for counts in [*push.counts, *rows]:
+            twin.frame(counts)
+            beyond.append(push.side * (twin.u[push.command] - twin.limits[push.command, (push.side + 1) // 2]))
+        count = 2.5 * np.abs(law.D[push.command]).sum() * VOLTS_PER_COUNT
+        near = [b for b in beyond[len(push.counts) :] if abs(b) <= count]
+        met += bool(near) and min(near) < 0 < max(near)
+    print(f"{case}: {met} of {len(made)} limits met by a count on both sides")
+    assert met >= 0.6 * len(made)
 
 
 def test_a_wrong_sign_of_any_correction_is_noticed(rng):

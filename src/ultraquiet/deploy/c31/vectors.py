@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet.deploy.c31.assembly import table_sum
+from ultraquiet.deploy.c31.edges import edges
 from ultraquiet.deploy.c31.float_format import encode
 from ultraquiet.deploy.c31.pushes import FULL, Push, pushes, twin_of
 from ultraquiet.deploy.law.law import Law
@@ -20,8 +21,8 @@ def vectors(law: Law, driven: list[Push] | None = None) -> str:
     another, however little it would change a command. The frames: `rest`, the codes read and written, and in
     hexadecimal the words of u and x after it. One with `rest` begins with all states at the C31's zero, 0x80000000;
     every other one goes on from the frame before. First each measurement alone, several times, so that each coefficient
-    that it meets is seen, then each command beyond either limit (`pushes`, searched here when `driven` is absent),
-    then noise, from half the converter's range down to 2^-13 of it.
+    that it meets is seen, then each command beyond either limit (`pushes`, searched here when `driven` is absent)
+    and a count from it on both sides, then noise, from half the converter's range down to 2^-13 of it.
     """
     twin = twin_of(law)
     heads = [f"{what}{k}" for what, n in (("adc", law.inputs), ("dac", law.outputs)) for k in range(n)]
@@ -45,7 +46,11 @@ def frames(law: Law, driven: list[Push], seed: int = 0) -> list[tuple[bool, NDAr
             alone = silent.copy()
             alone[j] = int(rng.integers(FULL // 2, FULL)) * (-1) ** k
             made += [(True, alone), *[(False, silent)] * AFTER]
+    twin = twin_of(law)
     for push in driven:
-        made += [(k == 0, row) for k, row in enumerate(push.counts)]
+        twin.reset()
+        for counts in push.counts:
+            twin.frame(counts)
+        made += [(k == 0, row) for k, row in enumerate([*push.counts, *edges(twin, push)])]
     noise = rng.integers(-FULL, FULL, (RUN, law.inputs)) >> (1 + np.arange(RUN) % 13)[:, None]
     return made + [(k == 0, row) for k, row in enumerate(noise)]
