@@ -54,7 +54,7 @@ LAWS = 28
 
 
 def built(folder, name, flags, program):
-    """Return what came of one build: refused, same bits, or what is wrong."""
+    """Return what came of one build: refused, by the self-test where start-up code is at fault, same bits, or wrong."""
     language = ["-x", "c++"] if "++" in name else []
     command = [compiler(name), *flags.split(), "-w", "-DCONTROLLER_MAIN", *language, *SOURCES, "-o", str(program)]
     made = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
@@ -63,7 +63,23 @@ def built(folder, name, flags, program):
         unknown = re.search(r"error: .*(unrecognized|not supported|unknown argument)", made.stderr)
         return "refused" if ours else "unknown flag" if unknown else f"broken: {made.stderr[:300]}"
     told = subprocess.run([program], capture_output=True, text=True, timeout=120, check=False)
+    if "flushes denormal numbers" in told.stdout and of_its_own(command, folder, program) == 0:
+        return "start-up refused"
     return "same bits" if told.returncode == 0 else f"other bits: {told.stdout.strip()}"
+
+
+def of_its_own(command, folder, program):
+    """Return how a program ends whose objects are these and whose start-up code was not chosen by the flags.
+
+    Compilers link what flushes denormal numbers into programs with -Ofast, even where -fno-fast-math follows: the
+    self-test refuses such a program, and no source can see it coming.
+    """
+    *compiling, _, _ = command
+    parts = [part for part in compiling if part not in SOURCES]
+    for k, source in enumerate(SOURCES):
+        subprocess.run([*parts, "-c", source, "-o", f"{program}{k}.o"], cwd=folder, check=True, timeout=120)
+    subprocess.run([command[0], *(f"{program}{k}.o" for k in range(len(SOURCES))), "-o", str(program)], check=True)
+    return subprocess.run([program], capture_output=True, timeout=120, check=False).returncode
 
 
 def builds():
