@@ -119,7 +119,7 @@ def swift() -> None:
             drawn.append(draw(*given))
         return drawn[0]
 
-    def recalled(self, name, room, key, kind, compute, writes=None):
+    def recalled(self, name, room, key, compute, kind=dict, writes=None):
         known = (name, content_hash(key))
 
         def remembered():
@@ -127,7 +127,7 @@ def swift() -> None:
                 outcomes[known] = compute()
             return outcomes[known]
 
-        return stage(self, name, room, key, kind, compute if writes else remembered, writes)
+        return stage(self, name, room, key, compute if writes else remembered, kind, writes)
 
     figures.draw_small_png, Cache.stage = first, recalled
     os.environ["PATH"] = ""
