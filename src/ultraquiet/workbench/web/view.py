@@ -172,7 +172,7 @@ class Looker:
         self._job: WorkItem | None = None
         self._then: Then | None = None
         self._failed: Callable[[str], object] = say
-        self._timer = ui.timer(0.05, self._poll, active=False)
+        self._timer = ui.timer(0.025, self._poll, active=False)  # twice as often as a live bench has frames
 
     def failed(self, told: Callable[[str], object]) -> None:
         """Tell `told` the sentence of a failure, in place of a notice."""

@@ -53,7 +53,7 @@ class _Bench:
         with columns.side:
             self._settings()
         view.watch(self._refresh)
-        ui.timer(0.05, self._draw)
+        ui.timer(0.025, self._draw)  # twice as often as frames come, or now and then two of them would be one
 
     def _settings(self) -> None:
         heading("The bench")
