@@ -30,7 +30,8 @@ def laws() -> dict[str, uq.StateSpace]:
 
 
 def _kept(folder: Path) -> dict[str, uq.StateSpace]:
-    return {path.stem: uq.files.load(path) for path in sorted((folder / "controllers").glob("*.h5"))}
+    paths = sorted((folder / "controllers").glob("*.h5"))
+    return {path.stem: uq.files.load(path) for path in paths if "+" not in path.stem}  # beside a law stand its weights
 
 
 def reduction_db(plant: uq.StateSpace, law: uq.StateSpace, f_hz: np.ndarray) -> np.ndarray:
