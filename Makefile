@@ -1,6 +1,6 @@
 # make demo          set everything up, then run the embedded SUITE study
 # make test          set everything up, then pass the tests: fixed seeds, two workers, the same cases every time
-# make test-demo    what the embedded study leaves and reaches, walked once in its quick form
+# make test-demo     what the embedded study leaves and reaches, walked once in its quick form
 # make test-long     every test, slow campaigns and documentation examples too, and what they print
 # make test-fresh    the tests that draw, on DRAWS fresh seeds; every failure with the seed that repeats it
 # make test-kernels  the numerical rooms under each of OpenBLAS's kernel families that this processor can run

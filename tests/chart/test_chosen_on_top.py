@@ -34,16 +34,21 @@ def count(pixels, colour):
     return int((np.abs(np.asarray(pixels).reshape(-1, 4)[:, :3].astype(int) - colour).max(axis=1) < 8).sum())
 
 
-@pytest.mark.web
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["line", "step", "path", "points", "bars", "stems"])
-def test_of_two_curves_that_are_alike_the_page_shows_the_chosen_one(browser, kind):
-    packing, chart = Packing(), alike(kind)
-    page = browser.new_page()
+def drawn(browser, chart):
+    """What a page shows of a chart and what it saves."""
+    packing, page = Packing(), browser.new_page()
     page.set_content(f"<style>{style()}</style><div id=place></div>")
     page.add_script_tag(content=script())
     found = page.evaluate(DRAWN, json.dumps({**packing.spec(chart), "data": packing.data}))
     page.close()
+    return found
+
+
+@pytest.mark.web
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["line", "step", "path", "points", "bars", "stems"])
+def test_of_two_curves_that_are_alike_the_page_shows_the_chosen_one(browser, kind):
+    found = drawn(browser, alike(kind))
     if kind != "bars":  # those are transparent: both are seen
         assert count(found["pixels"], CHOSEN) > 50
         assert count(found["pixels"], OTHER) == 0
@@ -70,12 +75,7 @@ def measured_beside_a_twin():
 @pytest.mark.web
 @pytest.mark.slow
 def test_what_was_measured_is_seen_below_a_model_that_is_like_it(browser):
-    packing, chart = Packing(), measured_beside_a_twin()
-    page = browser.new_page()
-    page.set_content(f"<style>{style()}</style><div id=place></div>")
-    page.add_script_tag(content=script())
-    found = page.evaluate(DRAWN, json.dumps({**packing.spec(chart), "data": packing.data}))
-    page.close()
+    found = drawn(browser, measured_beside_a_twin())
     dark = np.asarray(found["pixels"]).reshape(-1, 4)
     assert int(((dark[:, :3].max(axis=1) < 60) & (dark[:, 3] > 200)).sum()) > 50
     assert count(found["pixels"], CHOSEN) > 50

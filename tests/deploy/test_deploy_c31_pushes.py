@@ -47,16 +47,12 @@ def test_every_command_comes_back_most_of_them_by_one_count_beyond_its_limit_and
     law = LAWS[case](rng)
     twin, met, made = twin_of(law), 0, pushes(law)
     for push in made:
+        rows, beyond = edges(twin, push), []
         twin.reset()
-        for counts in push.counts:
-            twin.frame(counts)
-        rows = edges(twin, push)
-        assert push.side * (twin.u[push.command] - twin.limits[push.command, (push.side + 1) // 2]) < 0
-        twin.reset()
-        beyond = []
         for counts in [*push.counts, *rows]:
             twin.frame(counts)
             beyond.append(push.side * (twin.u[push.command] - twin.limits[push.command, (push.side + 1) // 2]))
+        assert beyond[-1] < 0
         count = 2.5 * np.abs(law.D[push.command]).sum() * VOLTS_PER_COUNT
         near = [b for b in beyond[len(push.counts) :] if abs(b) <= count]
         met += bool(near) and min(near) < 0 < max(near)

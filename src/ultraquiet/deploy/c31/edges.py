@@ -9,16 +9,19 @@ from ultraquiet.deploy.c31.twin import C31Twin
 
 
 def edges(twin: C31Twin, push: Push) -> list[NDArray[np.int64]]:
-    """Return codes, frame by frame after a push, that bring its command to its limit from beyond and from within.
+    """Play a push from rest and return codes, frame by frame after it, that bring its command back to its limit.
 
-    While commands go to their limits together, what is cut off one and what is asked of the next lie beyond a limit
-    together too, and to compare the wrong one of them would not be noticed. Where measurements within the converter's
-    range do not stop it there it passes the limit as it comes.
+    A count beyond it first, then a count within. While commands go to their limits together, what is cut off one and
+    what is asked of the next lie beyond a limit together too, and to compare the wrong one of them would not be
+    noticed. Where measurements within the converter's range do not stop it there it passes the limit as it comes.
 
     Args:
-        twin: as the push left it; it is played further.
-        push: what drove it there.
+        twin: of the law; it is left where the last of these frames leaves it.
+        push: what drives the command beyond its limit.
     """
+    twin.reset()
+    for counts in push.counts:
+        twin.frame(counts)
     # a law without a direct part answers a frame later
     answered = answers(twin.law, push.command, 2)
     later = int(not np.any(answered[0]))

@@ -48,9 +48,6 @@ def frames(law: Law, driven: list[Push], seed: int = 0) -> list[tuple[bool, NDAr
             made += [(True, alone), *[(False, silent)] * AFTER]
     twin = twin_of(law)
     for push in driven:
-        twin.reset()
-        for counts in push.counts:
-            twin.frame(counts)
         made += [(k == 0, row) for k, row in enumerate([*push.counts, *edges(twin, push)])]
     noise = rng.integers(-FULL, FULL, (RUN, law.inputs)) >> (1 + np.arange(RUN) % 13)[:, None]
     return made + [(k == 0, row) for k, row in enumerate(noise)]

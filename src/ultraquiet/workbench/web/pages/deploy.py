@@ -9,6 +9,7 @@ import numpy as np
 from nicegui import ui
 
 from ultraquiet.deploy.figures import said
+from ultraquiet.deploy.fixed_point.law import WORDS
 from ultraquiet.pipeline.tables.code import Deploy
 from ultraquiet.workbench.engine.items import Item
 from ultraquiet.workbench.engine.making.work import CODE
@@ -16,7 +17,6 @@ from ultraquiet.workbench.web.controls import button, chip, choice, field, headi
 from ultraquiet.workbench.web.shell import Columns, doing, making
 from ultraquiet.workbench.web.view import View
 
-FIXED = ("q31", "q15")
 NOT_MADE = (
     "The code of {} is not made with these settings: press Generate and prove. Where that was refused, "
     "the log below says why."
@@ -69,13 +69,13 @@ class _Deploy:
 
     def _of_format(self, precision: str) -> None:
         """Ask for the largest reading where the format is of whole numbers; others take any."""
-        self.range.set_visibility(precision in FIXED)
+        self.range.set_visibility(precision in WORDS)
 
     def _deploy(self) -> None:
         if self.law.value is None:
             say("deploy: there is no law yet; design one first.")
             return
-        if self.precision.value in FIXED and not self.range.value and (bare := self._without_limits()):
+        if self.precision.value in WORDS and not self.range.value and (bare := self._without_limits()):
             names, have = (", ".join(bare[:3]) + (" ..." if len(bare) > 3 else ""), "have" if bare[1:] else "has")
             say(f"deploy: whole numbers need the largest reading, and {names} {have} no limits; write it in its field.")
             return
@@ -104,7 +104,7 @@ class _Deploy:
         return [c.name for c in item.value().sensors if not np.isfinite([c.low, c.high]).all()]
 
     def _sizes(self) -> dict[str, ui.input]:
-        return {"limits": self.limits} | ({"range": self.range} if self.precision.value in FIXED else {})
+        return {"limits": self.limits} | ({"range": self.range} if self.precision.value in WORDS else {})
 
     def _show(self) -> None:
         laws = list(self.view.session.state["laws"])
