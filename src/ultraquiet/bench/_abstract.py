@@ -1,5 +1,6 @@
 """The one protocol of every bench, and the checks of what is sent to it."""
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -196,11 +197,16 @@ def checked_controller(who: str, controller: Any, rate_hz: float, sensors: int, 
 def commands(who: str, output: Any, actuators: int, sample: int) -> FloatArray:
     """Return one sample of a controller's output as `(nu,)`, or say what is wrong with it."""
     u = np.asarray(output, dtype=np.float64).reshape(-1)
-    if u.size != actuators or not np.isfinite(u).all():
+    if u.size != actuators or not all_finite(u):
         raise InputError(
             f"{who}: at sample {sample} the controller must return {actuators} finite commands, got {output!r}."
         )
     return u
+
+
+def all_finite(sample: FloatArray) -> bool:
+    """Return whether all numbers of one sample are finite: of a few, NumPy's own way takes ten times as long."""
+    return all(map(math.isfinite, sample.tolist()))
 
 
 def limits(channels: tuple[Channel, ...]) -> tuple[FloatArray, FloatArray]:

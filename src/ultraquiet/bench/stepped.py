@@ -13,6 +13,7 @@ from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench._abstract import (
     Block,
+    all_finite,
     block_of,
     checked_controller,
     checked_signals,
@@ -171,13 +172,19 @@ class Loop:
             yield
 
     def _closed(self, law: Controller, requested: FloatArray, y: FloatArray, start: int) -> Iterator[None]:
-        plant, who = self.setup.plant, self.setup.who
-        for j in range(y.shape[1]):
-            k = start + j
-            y[:, j] = plant.step(self.held_command, self.gain[k] * self.d[:, k], k)
-            answer = commands(who, law.step(y[:, j].copy()), len(self.u), k)
-            requested[:, j] = self.gain[k] * (self.u[:, k] + answer)
-            self.held_command = np.minimum(np.maximum(requested[:, j], self.low), self.high)
+        # Everything here is done thousands of times a second: what is known beforehand is formed for the whole block.
+        step, answer, who, nu = self.setup.plant.step, law.step, self.setup.who, len(self.u)
+        low, high = self.low, self.high
+        now = slice(start, start + y.shape[1])
+        gain, u = self.gain[now].tolist(), np.ascontiguousarray(self.u[:, now].T)
+        d = np.ascontiguousarray((self.gain[now] * self.d[:, now]).T)
+        for j, k in enumerate(range(now.start, now.stop)):
+            y[:, j] = step(self.held_command, d[j], k)
+            wish = u[j] + commands(who, answer(y[:, j].copy()), nu, k)
+            if gain[j] != 1.0:
+                wish *= gain[j]
+            requested[:, j] = wish
+            self.held_command = np.minimum(np.maximum(wish, low), high)
             yield
 
     def _block(self, requested: FloatArray, y: FloatArray) -> Block:
@@ -225,7 +232,7 @@ def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
         y = np.asarray(answer, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):
         y = np.empty(0)
-    if y.size != sensors or not np.isfinite(y).all():
+    if y.size != sensors or not all_finite(y):
         raise InputError(
             f"{who}: at sample {k} the plant must return {counted(sensors, 'finite reading')}, got {answer!r}."
         )
