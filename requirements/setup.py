@@ -9,10 +9,12 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 OLDEST = (3, 11)
 UV = "uv>=0.8,<1"
+PROJECT = ("--no-deps", "--no-build-isolation", "--editable", ".")
 PIP_TO_UV = {
     "index-url": "UV_DEFAULT_INDEX",
     "extra-index-url": "UV_INDEX",
@@ -36,7 +38,8 @@ def create(venv: Path) -> None:
         import ensurepip  # noqa: F401  Debian splits it off into python3-venv
     except ImportError:
         sys.exit(f"setup: {sys.executable} has no 'ensurepip'; install it (Debian: apt-get install python3-venv)")
-    run(sys.executable, "-m", "venv", str(venv))
+    # Its pip is most of what an environment takes to make: where this interpreter has one, uv brings it with the rest.
+    run(sys.executable, "-m", "venv", *(["--without-pip"] if find_spec("pip") else []), str(venv))
 
 
 def fetched_uv(python: str) -> str | None:
@@ -48,15 +51,28 @@ def fetched_uv(python: str) -> str | None:
     return str(uv) if uv.exists() else None
 
 
-def pip(python: str) -> list[str]:
-    """Return the words with which pip installs."""
+def has_pip(python: str) -> bool:
+    """Return whether an environment has a pip of its own."""
+    return Path(python).with_name("pip").exists()
+
+
+def bundled_pip() -> str:
+    """Return the version of the pip that this interpreter brings into environments."""
+    import ensurepip
+
+    return ensurepip.version()
+
+
+def pip(python: str, *verb: str) -> list[str]:
+    """Return the words with which pip does something to an environment, its own pip or this interpreter's; installs."""
+    who = [python, "-m", "pip"] if has_pip(python) else [sys.executable, "-m", "pip", "--python", python]
     # half of pip's time goes into byte code, most of it for modules that nothing here imports
-    return [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile"]
+    return [*who, *(verb or ("install", "--quiet", "--disable-pip-version-check", "--no-compile"))]
 
 
 def as_pip(python: str) -> dict[str, str]:
     """Return an environment in which uv looks for packages where pip does."""
-    listed = subprocess.run([python, "-m", "pip", "config", "list"], capture_output=True, text=True, check=False).stdout
+    listed = subprocess.run(pip(python, "config", "list"), capture_output=True, text=True, check=False).stdout
     found = dict(os.environ)
     for line in listed.splitlines():
         key, _, value = line.partition("=")
@@ -78,12 +94,20 @@ def main(venv: Path, lock: Path) -> None:
     else:
         create(venv)
     uv = uv or fetched_uv(python)
+    own = [] if has_pip(python) else [f"pip=={bundled_pip()}"]
     if uv:
-        command = [uv, "pip", "install", "--quiet", "--python", python, "-r", str(lock)]
-        done = subprocess.run(command, env=as_pip(python), stderr=subprocess.DEVNULL, check=False)
-    if not uv or done.returncode:  # a registry that only pip knows how to ask
-        run(*pip(python), "-r", str(lock))
-    run(*pip(python), "--no-deps", "--no-build-isolation", "--editable", ".")
+        with_uv = [uv, "pip", "install", "--quiet", "--python", python]
+        done = subprocess.run(
+            [*with_uv, "-r", str(lock), *own], env=as_pip(python), stderr=subprocess.DEVNULL, check=False
+        )
+        if not done.returncode:
+            run(*with_uv, *PROJECT)
+            return
+    # There is no uv, or the registry is one that only pip knows how to ask.
+    if own:
+        run(python, "-m", "ensurepip", "--default-pip")
+    run(*pip(python), "-r", str(lock))
+    run(*pip(python), *PROJECT)
 
 
 if __name__ == "__main__":

@@ -80,6 +80,29 @@ def test_ticks_never_exceed_the_bar(capsys):
     assert sum(map(int, capsys.readouterr().out.split())) == TICKS
 
 
+READY = """
+import sys
+from ultraquiet._base.beside import end_with_parent
+begun = end_with_parent()
+print("ready", flush=True)
+print("in time" if begun.wait(float(sys.argv[1])) else "on its own", flush=True)
+"""
+
+
+@pytest.mark.parametrize(("told", "word"), [(True, "in time"), (False, "on its own")])
+def test_what_makes_itself_ready_begins_when_it_is_told(tmp_path, monkeypatch, told, word):
+    (tmp_path / "ready_work.py").write_text(READY)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    with beside("work", "ready_work", "60" if told else "0.1") as said:
+        said.wait("ready")
+        assert not said.ended
+        if told:
+            said.begin()
+        said.wait()
+        said.begin()  # of one that has ended it is no error
+        assert word in said._words
+
+
 CHILD = """
 import sys, time
 from ultraquiet._base.beside import end_with_parent

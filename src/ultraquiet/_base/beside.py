@@ -4,8 +4,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Generator
-from contextlib import contextmanager
-from threading import Condition, Thread
+from contextlib import contextmanager, suppress
+from threading import Condition, Event, Thread
 
 from ultraquiet._base.progress import Task, task
 
@@ -41,7 +41,7 @@ def beside(
         yield Said(ended=True)
         return
     with process, task(title, TICKS) as progress:
-        said = Said()
+        said = Said(process=process)
         reader = Thread(target=_follow, args=(process, progress, said, say), daemon=True)
         reader.start()
         try:
@@ -52,12 +52,24 @@ def beside(
 
 
 class Said:
-    """The words that a process has said."""
+    """The words that a process has said, and the one that is said to it."""
 
-    def __init__(self, ended: bool = False) -> None:
+    def __init__(self, ended: bool = False, process: "subprocess.Popen[str] | None" = None) -> None:
         self._words: set[str] = set()
-        self._ended = ended
+        self._ended, self._process = ended, process
         self._changed = Condition()
+
+    @property
+    def ended(self) -> bool:
+        """Whether no more will come."""
+        return self._ended
+
+    def begin(self) -> None:
+        """Tell a process that makes itself ready beforehand that what it works on is there."""
+        if self._process is None or self._process.stdin is None:
+            return
+        with suppress(OSError):  # it is gone: whoever finds nothing made makes it
+            os.write(self._process.stdin.fileno(), b"\n")  # nothing stays behind in a buffer
 
     def wait(self, word: str | None = None) -> None:
         """Wait until the process has said a word, or has ended; without a word, until it has ended."""
@@ -105,22 +117,28 @@ class Ticks:
         """End a task."""
 
 
-def end_with_parent() -> None:
-    """Let this process, run by `beside`, end as soon as the one that began it is gone, killed or not."""
+def end_with_parent() -> Event:
+    """Let this process, run by `beside`, end as soon as the one that began it is gone, killed or not.
+
+    Returns:
+        What is set when that one says `Said.begin`.
+    """
+    begun = Event()
 
     def watch() -> None:
         while os.read(0, 1):  # not through `sys.stdin`, whose lock would hold up the interpreter's own end
-            pass
+            begun.set()
         os._exit(1)
 
     Thread(target=watch, daemon=True).start()
+    return begun
 
 
 def _started(module: str, words: tuple[str, ...], holds: int | None) -> "subprocess.Popen[str] | None":
     command = [sys.executable, "-m", module, *words]
     out, quiet, kept = subprocess.PIPE, subprocess.DEVNULL, () if holds is None else (holds,)
     try:
-        # Nothing is ever written to its input: the input's end tells it that this process is gone.
+        # Its input's end tells it that this process is gone.
         return subprocess.Popen(command, stdin=out, stdout=out, stderr=quiet, text=True, pass_fds=kept)
     except OSError:
         return None

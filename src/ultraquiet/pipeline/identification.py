@@ -2,12 +2,13 @@
 
 import time
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from ultraquiet import identify, spectra
-from ultraquiet._base.errors import InputError
+from ultraquiet._base.errors import InputError, UltraquietError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup
 from ultraquiet.identify.successive_orders import frequency_and_damping
@@ -24,6 +25,8 @@ from ultraquiet.pipeline.facts.models import (
 from ultraquiet.pipeline.stage import Outcome
 from ultraquiet.pipeline.study import IdentifyTable, Paper, Plant
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, Record, StateSpace
+
+READY_SAMPLES = 600
 
 
 def grouped(names: Collection[str]) -> dict[str, list[str]]:
@@ -111,6 +114,15 @@ def identified(
     )
     table = tuple(RankedModel(**row) for row in ranking.table())
     return Outcome(values, IdentificationFacts(table=table, preferred=preferred, paper=fits))
+
+
+def prepare(settings: IdentifyTable) -> None:
+    """Compile, or load, what the sweep of a study will use: it is made once of a few samples, which compile alike."""
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal((1, READY_SAMPLES))
+    record = Record(u, np.roll(u, 1) + 0.1 * rng.standard_normal(u.shape), 1.0)
+    with suppress(UltraquietError):
+        identify.sweep([record], structures=settings.structures, orders=[min(settings.orders)], workers=1)
 
 
 def _paper_fit(result: identify.MatrixResult, seconds: float) -> PaperFit:

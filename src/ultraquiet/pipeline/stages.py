@@ -8,7 +8,7 @@ from functools import partial
 from threading import Lock
 from typing import Any
 
-from ultraquiet._base.beside import Said, beside
+from ultraquiet._base.beside import Said
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import in_threads
 from ultraquiet.deploy.toolchain.compiler import compiler
@@ -29,6 +29,7 @@ from ultraquiet.pipeline.making.designs import (
     key_of,
 )
 from ultraquiet.pipeline.making.models import ModelStages
+from ultraquiet.pipeline.making.processes import working_beside
 from ultraquiet.pipeline.mission.campaign import CampaignOutcome, How, conducted, defined, law_of
 from ultraquiet.pipeline.mission.commission import commissioned
 from ultraquiet.pipeline.mission.payload import OpenPayloads, listened
@@ -41,7 +42,6 @@ from ultraquiet.simulate import Campaign
 from ultraquiet.values import StateSpace
 from ultraquiet.values.controller import Controller
 
-WORKER = "ultraquiet.pipeline.making.worker"
 FAR = 2  # so many designs are worth a process of their own
 _OPEN, _MODELS = "the open loops", "the models"  # what is done beside the controllers, none of which is called so
 Adapting = Callable[[], Controller | None]  # makes what runs where a law adapts
@@ -52,11 +52,15 @@ class Stages(ModelStages):
     """All stages of a study after its records: its models, and what is designed on them, closed and made into code."""
 
     turns: dict[str, Lock] = field(default_factory=dict)  # whose design is being made, or read
+    ahead: Said = field(default_factory=partial(Said, ended=True))  # a process that waits for records to identify
 
     def run(self) -> StudyResult:
         """Go through all stages; where the bench allows it, models and controllers are made beside one another."""
         several = self.bench is None or getattr(self.bench, "side_by_side", False)
-        with self._beside("compare structures and orders", "identify", several and not self.are_identified()) as models:
+        late = several and self.ahead.ended and not self.are_identified()
+        with self._beside("identify", late) as begun_late:
+            models = begun_late if late else self.ahead
+            models.begin()
             plant = self.plant()
             system: StateSpace = plant.values[stored.PLANT]
             if self.bench is not None:
@@ -68,7 +72,7 @@ class Stages(ModelStages):
             payloads = self._payloads(plan)
             far = several and sum(not self._is_designed(name, system, plan) for name in first) >= FAR
             words = json.dumps(to_plain(plan)), *self.further
-            with self._beside("design controllers", "design", far, *words) as designs:
+            with self._beside("design", far, *words) as designs:
                 one = partial(self._controller, plant=system, plan=plan, opened=opened, payloads=payloads, said=designs)
                 jobs: dict[str, Callable[[], Any]] = {_OPEN: opened.apart} if far and opened is not None else {}
                 jobs |= {name: partial(one, name) for name in first}
@@ -301,11 +305,9 @@ class Stages(ModelStages):
         self.say(f"limits: {outcome.facts.bands[-1].status}")
         return outcome
 
-    def _beside(self, title: str, job: str, wanted: bool, *words: str) -> AbstractContextManager[Said]:
+    def _beside(self, job: str, wanted: bool, *words: str) -> AbstractContextManager[Said]:
         """Return a process that leaves stages in this folder while this one goes on."""
-        wanted = wanted and self.study.blending is None
-        folder = str(self.cache.folder)
-        return beside(title, WORKER, job, folder, *words, wanted=wanted, holds=self.cache.lock, say=self.cache.say)
+        return working_beside(self.cache, job, wanted and self.study.blending is None, *words)
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,14 @@
 import json
 import shutil
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ultraquiet import experiments
+from ultraquiet._base.beside import Said
 from ultraquiet._base.errors import InputError, StorageError, UltraquietError
 from ultraquiet._base.registry import lookup
 from ultraquiet._base.shown.line import counted
@@ -22,6 +23,7 @@ from ultraquiet.pipeline import control, preflight, study
 from ultraquiet.pipeline.facts.mission import CampaignFacts
 from ultraquiet.pipeline.facts.typed import to_plain
 from ultraquiet.pipeline.making.models import Say
+from ultraquiet.pipeline.making.processes import working_beside
 from ultraquiet.pipeline.mission.campaign import How
 from ultraquiet.pipeline.report.compare import finished
 from ultraquiet.pipeline.report.document import report
@@ -40,6 +42,7 @@ from ultraquiet.values import Record
 
 PACKAGED_LISTS = ("suite",)
 STUDY_FILE = "study.json"
+LONG_SAMPLES = 100_000  # of a list; while they are measured there is time to make ready what identifies them
 
 
 @single_threaded
@@ -159,9 +162,10 @@ def prepared(
     listed = None if read else experiments.load(_list_of(settings, beside), bench, settings.study.seed)
     names = list(read) if listed is None else [m.name for m in listed.measurements]
     preflight.check(settings, bench, names, listed, seen)
-    with locked(folder, say) as lock, _on_a_disk(folder):
+    with locked(folder, say) as lock, _on_a_disk(folder), ExitStack() as processes:
         sweep(folder)
         _require_space(folder)
+        cache, ahead = Cache(folder, say, lock), Said(ended=True)
         if listed is None:
             copies = Copies(read, folder)
             copies.claim()
@@ -174,6 +178,9 @@ def prepared(
             _write_study(settings, folder, beside)
             for sentence in listed.said:
                 say(sentence)
+            calculated = getattr(bench, "side_by_side", False) and blending is None
+            wanted = calculated and store.missing_samples >= LONG_SAMPLES
+            ahead = processes.enter_context(working_beside(cache, "identify", wanted))
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")
         if blending is not None:
@@ -188,7 +195,8 @@ def prepared(
         if complete is not settings:
             settings = complete
             _write_study(settings, folder, beside)  # for whoever designs beside, and for the report
-        yield Stages(settings, Cache(folder, say, lock), bench, records, say, bench_key_of(settings, bench_key))
+        key = bench_key_of(settings, bench_key)
+        yield Stages(settings, cache, bench, records, say, key, ahead=ahead)
 
 
 def _fitting(

@@ -240,7 +240,8 @@ def _titled(axes: "Axes", title: str, before_in: float = 0.0) -> None:
     assert canvas is not None
     across = axes.get_position().width * canvas.get_size_inches()[0]
     text, size = title_within(title, before_in + across + RIGHT_IN)
-    axes.set_title(text, loc="left", fontsize=size, linespacing=1.0, x=-before_in / across)
+    # Where it stands is said: sought, it is clear of what else is above the axes, for which all of that is measured.
+    axes.set_title(text, loc="left", fontsize=size, linespacing=1.0, x=-before_in / across, y=1.0)
 
 
 def _draw_lines(axes: "Axes", panel: Panel) -> None:

@@ -82,7 +82,7 @@ class Records:
             StorageError: a record is not the one that was measured, and whatever `experiments.run` raises.
         """
         names = [m.name for m in self.listed.measurements]
-        missing = set(names) - set(self._present())
+        missing = self.missing_samples
         how: dict[str, Any] = {"resume": True, "repeat": names, "onlooker": _Told(self.say)}
         records = experiments.run(self.listed, self._place, self.bench, **how)
         measured = {e["name"]: e["record"] for e in journal.entries(self._place) if e["event"] == "finished"}
@@ -98,6 +98,12 @@ class Records:
             # What a bench writes while it runs, a diary named in its command, does not define it.
             self._write({**key, "bench": settled(key["bench"], json.loads(json.dumps(self.describe())))})
         return records
+
+    @property
+    def missing_samples(self) -> int:
+        """How many samples of the list were not measured yet."""
+        present = set(self._present())
+        return sum(m.samples for m in self.listed.measurements if m.name not in present)
 
     @property
     def _place(self) -> Path:
