@@ -44,7 +44,7 @@ class Heard:
 def work(tmp_path, monkeypatch):
     """Leaves the module `some_work` where Python finds it."""
     (tmp_path / "some_work.py").write_text(WORK)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
     return tmp_path / "done"
 
 
@@ -92,7 +92,7 @@ print("in time" if begun.wait(float(sys.argv[1])) else "on its own", flush=True)
 @pytest.mark.parametrize(("told", "word"), [(True, "in time"), (False, "on its own")])
 def test_what_makes_itself_ready_begins_when_it_is_told(tmp_path, monkeypatch, told, word):
     (tmp_path / "ready_work.py").write_text(READY)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
     with beside("work", "ready_work", "60" if told else "0.1") as said:
         said.wait("ready")
         assert not said.ended

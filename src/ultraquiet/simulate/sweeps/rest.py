@@ -1,10 +1,11 @@
 """How a run comes to rest: offsets that stand before it, and what still moves when it ends."""
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frozen
 from ultraquiet.simulate.sweeps.clock import SweepClock
 
 LAST = 8  # the last part of a run, one of so many, shows what still moves
@@ -35,12 +36,12 @@ class Quiet:
         """Samples of the last part of a run."""
         return self.readings.shape[1] // LAST
 
-    @property
+    @cached_property
     def offset(self) -> FloatArray | None:
         """Where the readings rest, `(ny,)`; None where no sensor has an offset."""
         return rest_of(self.readings)
 
-    @property
+    @cached_property
     def alone(self) -> FloatArray:
         """Return the readings without an offset and what a loop makes of it at first."""
         return self._moved(self.readings)
@@ -80,16 +81,35 @@ class Quiet:
         if offset is None:
             return y
         known = np.repeat(offset[:, None], y.shape[1], axis=1)
-        start = startup(self.readings)
+        start = self._startup
         known[:, : start.shape[1]] = start
         return np.asarray(y - known)
+
+    # What a quiet run says is asked for with every other run.
+    @cached_property
+    def _startup(self) -> FloatArray:
+        return startup(self.readings)
+
+    @cached_property
+    def _spread(self) -> FloatArray:
+        """Root mean square of the noise of level and drift of a last part, `(2, ny)`."""
+        own = np.stack([_line(part) for part in np.array_split(self.readings, LAST, axis=1)])  # (parts, 2, ny)
+        return np.asarray(np.sqrt(np.mean((own - own.mean(axis=0)) ** 2, axis=0)))
+
+    @cached_property
+    def _floor(self) -> FloatArray:
+        """Mean power of the noise of a last part, a Hann window before it, `(ny, lines)`."""
+        window = np.hanning(self.part)
+        quiet = self.alone[:, : LAST * self.part].reshape(len(self.alone), LAST, self.part)
+        quiet = (quiet - quiet.mean(axis=2, keepdims=True)) * window
+        noise = np.abs(2 / window.sum() * np.fft.rfft(quiet, axis=2)) ** 2
+        return smoothed(noise.mean(axis=1), BESIDE)
 
     def _end(self, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return level and drift after the end, those that noise does not explain, and the last part without them."""
         last = y[:, -self.part :]
         mean, slope = _line(last)
-        own = np.stack([_line(part) for part in np.array_split(self.readings, LAST, axis=1)])  # (parts, 2, ny)
-        spread = np.sqrt(np.mean((own - own.mean(axis=0)) ** 2, axis=0)) + ROUNDED * np.abs(y).max(axis=1)
+        spread = self._spread + ROUNDED * np.abs(y).max(axis=1)
         slope = np.where(np.abs(slope) > SETTLED * np.maximum(spread[1], spread[0] / self.part), slope, 0.0)
         mean = np.where((np.abs(mean) > SETTLED * spread[0]) | (slope != 0), mean, 0.0)
         t = np.arange(self.part) - (self.part - 1) / 2
@@ -103,10 +123,8 @@ class Quiet:
         scale = 2 / window.sum()
         f = np.fft.rfftfreq(self.part, 1 / self.sweep.rate_hz)
         power = np.abs(scale * np.fft.rfft(rest * window, axis=1)) ** 2
-        quiet = self.alone[:, : LAST * self.part].reshape(len(rest), LAST, self.part)
-        noise = np.abs(scale * np.fft.rfft((quiet - quiet.mean(axis=2, keepdims=True)) * window, axis=2)) ** 2
         left = np.zeros((len(rest), lines.size))
-        for row, (found, floor) in enumerate(zip(power, smoothed(noise.mean(axis=1), BESIDE), strict=True)):
+        for row, (found, floor) in enumerate(zip(power, self._floor, strict=True)):
             ringing = np.flatnonzero(found > np.maximum(RINGS * floor, (ROUNDED * size[row]) ** 2))
             for k in ringing[np.argsort(-found[ringing], kind="stable")][:LOUDEST]:
                 for mirrored in (f[k], -f[k]):
@@ -117,9 +135,14 @@ class Quiet:
 
 def _line(part: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return mean and slope per sample of readings, each `(ny,)`; a window keeps what rings out of both."""
-    window = np.kaiser(part.shape[1], KAISER)
+    window = _kaiser(part.shape[1])
     t = np.arange(part.shape[1]) - (part.shape[1] - 1) / 2
     return part @ window / window.sum(), part @ (window * t) / (window @ t**2)
+
+
+@lru_cache(maxsize=8)
+def _kaiser(samples: int) -> FloatArray:
+    return frozen(np.kaiser(samples, KAISER))
 
 
 def converter_steps(y: FloatArray) -> FloatArray:
