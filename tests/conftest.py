@@ -23,7 +23,6 @@ from hypothesis.internal.conjecture import providers  # noqa: E402
 GATE_SEEDS = (1, 2, 3)
 # Where three draws cost little: all three of the gate's seeds; elsewhere the first, and `make test-fresh` for more.
 THREE_DRAWS = (
-    "tests/analyse/",
     "tests/architecture/",
     "tests/base/",
     "tests/identify/test_kernels_twins.py",

@@ -24,7 +24,6 @@ LAWS = {
 }
 
 
-@pytest.mark.three_draws
 @pytest.mark.parametrize("case", LAWS)
 def test_every_command_meets_both_limits_and_every_correction_is_seen(rng, case):
     law = LAWS[case](rng)
@@ -41,7 +40,6 @@ def test_every_command_meets_both_limits_and_every_correction_is_seen(rng, case)
     assert seen[law.L != 0].all()
 
 
-@pytest.mark.three_draws
 @pytest.mark.parametrize("case", LAWS)
 def test_every_command_comes_back_most_of_them_by_one_count_beyond_its_limit_and_one_within(rng, case):
     law = LAWS[case](rng)

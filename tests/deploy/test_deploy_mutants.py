@@ -164,7 +164,7 @@ def test_self_test_notices_planted_faults(law_of, rng, tmp_path, cc):
     generate(law_of(4, 3, 2), tmp_path / "code", limits_v=2.0, ramp_s=0.004)
     code = (tmp_path / "code" / "controller.c").read_text()
     every = mutants(code)
-    drawn = [every[k] for k in rng.choice(len(every), 40, replace=False)]
+    drawn = [every[k] for k in rng.choice(len(every), 20, replace=False)]
     assert survivors(tmp_path / "code", cc, code, drawn) == []
 
 

@@ -66,7 +66,7 @@ def histogram(losses):
     return "nothing" if not words else ", ".join(words)
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [30, pytest.param(1000, marks=pytest.mark.slow)])
 def test_killed_while_it_streams(count, kill, tmp_path, rng):
     """Twelve channels at 3.5 kHz in real time; the count of samples handed over is told before they are written."""
     paths = [tmp_path / f"{run}.log" for run in range(count)]
@@ -108,7 +108,7 @@ def test_killed_while_it_writes(block, kill, tmp_path, rng):
     assert max(losses) <= block
 
 
-@pytest.mark.parametrize("count", [20, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [10, pytest.param(200, marks=pytest.mark.slow)])
 def test_killed_while_it_finalises(count, kill, tmp_path, rng):
     """At every instant there is the log, or the record, or both; asked again, it ends with the record alone."""
     whole, states = mortal.counter(3, 0, 4096), Counter()

@@ -37,6 +37,7 @@ def whole(tmp_path_factory):
     return folder / "out", Page((folder / "out" / "report.html").read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_a_study_deploys_whole_numbers_and_says_so(whole):
     folder, page = whole
     summary = json.loads((folder / "summary.json").read_text())

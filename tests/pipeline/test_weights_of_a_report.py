@@ -11,6 +11,7 @@ from read_page import Page
 from ultraquiet.pipeline.facts.code import CodeFacts
 from ultraquiet.pipeline.facts.typed import from_plain
 
+pytestmark = pytest.mark.slow  # a study of three laws, walked to its report
 WEIGHED = """
 [controllers.shaped.design]
 method = "mixed-sensitivity"

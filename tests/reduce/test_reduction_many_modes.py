@@ -33,6 +33,7 @@ def designed(rng, pairs, channels):
     return plant, uq.design.MixedSensitivity().design(plant).controller
 
 
+@pytest.mark.slow
 def test_states_leave_in_steps_where_a_projection_loses_the_loop(rng):
     """Counted over laws cut to 60 % of their states: loops kept by some projection, and by steps."""
     at_once = in_steps = laws = 0

@@ -145,7 +145,7 @@ def converted(folder, word):
     assert word == "killed" or not list(folder.glob(".*.part"))
 
 
-@pytest.mark.parametrize("every", [20, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [40, pytest.param(1, marks=pytest.mark.slow)])
 def test_every_call_of_a_recording_fails(forked, tmp_path, every):
     place = tmp_path / "records"
     calls, fates = struck(forked, "record", place, lambda folder, _: goes_on(folder), KINDS, every)
@@ -153,7 +153,7 @@ def test_every_call_of_a_recording_fails(forked, tmp_path, every):
 
 
 @pytest.mark.parametrize("stopped_at", [0.3, 0.8])
-@pytest.mark.parametrize("every", [20, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("every", [40, pytest.param(1, marks=pytest.mark.slow)])
 def test_every_call_of_a_resumed_recording_fails(forked, tmp_path, every, stopped_at):
     """Going on after a kill is struck like the recording itself: in its recovery, its journal, what it measures."""
     before, place = tmp_path / "before", tmp_path / "records"

@@ -120,6 +120,7 @@ def test_prbs_has_two_levels_whole_bits_and_its_bandwidth(seed):
     assert -4.5 < 10 * np.log10(at_edge / low) < -1.5
 
 
+@pytest.mark.gate(*(str(stages) for stages in TAPS if stages < 18))
 @pytest.mark.parametrize("stages", TAPS)
 def test_registers_are_of_maximal_length(stages):
     n = 2**stages - 1

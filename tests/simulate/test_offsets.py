@@ -13,7 +13,7 @@ def gap_bench(offset, noise):
     return one_mode(of="µm", offset=offset, noise=noise)
 
 
-@pytest.mark.gate("10.0")
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0.0, 1e-3, 10.0, -60.0])
 def test_a_loop_behind_an_offset_is_known_as_well_as_without(offset):
     check = uq.simulate.check_stability(gap_bench(offset, 1e-3), difference(0.5), 8.0)

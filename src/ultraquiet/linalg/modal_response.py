@@ -110,7 +110,7 @@ def _inverse(T: Array, z: Array) -> Array:
         for i in range(j - 1, -1, -1):
             known = sum(T[:, i, k, None] * found[k, j] for k in range(i + 1, j + 1))
             found[i, j] = found[i, i] * known
-    return found[np.triu_indices(q)]
+    return found[0] if q == 1 else found[np.triu_indices(q)]  # nearly all are poles by themselves
 
 
 def _weighed(terms: Array, functions: Array) -> Array:

@@ -78,10 +78,9 @@ def _solve_triangular(T: ComplexArray, b: ComplexArray, z: ComplexArray) -> Comp
 
 def simulate(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, u: FloatArray, x0: FloatArray) -> FloatArray:
     """Return y of x+ = A x + B u, y = C x + D u for u `(nu, n)`."""
-    states = np.empty((A.shape[0], u.shape[1]))
-    driven = B @ u
-    x = x0
-    for k in range(u.shape[1]):
-        states[:, k] = x
-        x = A @ x + driven[:, k]
-    return C @ states + D @ u
+    states, driven = np.empty((u.shape[1] + 1, A.shape[0])), np.ascontiguousarray((B @ u).T)
+    states[0] = x0
+    # rows of whole arrays, written in place: nothing is made anew in a loop over the samples
+    for now, following, push in zip(states, states[1:], driven, strict=False):
+        np.add(np.dot(A, now, out=following), push, out=following)
+    return C @ np.ascontiguousarray(states[:-1].T) + D @ u
