@@ -84,7 +84,7 @@ def test_other_methods_and_bad_input(ground):
     assert result.status.ok, result.status
     with pytest.raises(InputError, match="six struts"):
         Decoupled(transform="threefold").design(
-            append(*[BandAttenuation(band_hz=(9.0, 108.0)).weights(ground)["performance"]] * 2)
+            append(*[BandAttenuation(band_hz=(9.0, 108.0), height=12.0).weights(ground)["performance"]] * 2)
         )
     with pytest.raises(InputError, match="orthonormal"):
         Decoupled(transform=((1.0, 1.0), (0.0, 1.0))).design(ground)

@@ -5,6 +5,7 @@ import pytest
 from ordinary_plants import ordinary
 
 import ultraquiet as uq
+from ultraquiet._base.errors import InputError
 from ultraquiet.design.decoupling.modal import Modal
 from ultraquiet.design.h2.usual_numbers import UsualVariances
 from ultraquiet.design.hinf.usual_numbers import UsualNumbers
@@ -115,3 +116,11 @@ def test_decoupled_loops_share_the_numbers_of_the_whole(rng):
     for loop in result.details["loops"]:
         low = abs(loop.details["weights"]["control"].frequency_response([0.0])[0, 0, 0])
         assert 1 / low == pytest.approx(usual.control_limit, rel=1e-6)
+
+
+@pytest.mark.parametrize("design", [uq.design.MixedSensitivity, uq.design.BandAttenuation])
+def test_weights_that_the_plant_measures_are_not_there_beforehand(design):
+    plant = uq.StateSpace([[0.9]], [[1.0]], [[1.0]], [[0.0]], 100.0)
+    with pytest.raises(InputError, match="the plant is the measure"):
+        design().weights(plant)
+    assert set(design(height=3.0).weights(plant)) >= {"performance", "control"}

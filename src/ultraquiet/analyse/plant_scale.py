@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import FloatArray, frozen, rising_band
 from ultraquiet._base.provenance import ByContents
@@ -18,6 +19,7 @@ WITHIN = 0.1  # of the largest gain, 20 dB: where a plant counts as answering
 ROUNDS = 4  # the band depends on the scales and they on it; it stands still after two
 LINES = 200  # over a given band, besides those of the poles
 FEW = 16  # lines on which a channel that answers is heard
+COUPLING = 0.1  # of the largest gain of its row and of its column: what is less joins no channels
 SWEEPS = 60  # of rows and columns in turn; what is not zero in a matrix converges geometrically
 
 
@@ -157,11 +159,60 @@ def _peaks(power: FloatArray) -> tuple[FloatArray, FloatArray]:
     return rows, columns
 
 
+def _groups(mean: FloatArray) -> NDArray[np.intp]:
+    """Return to which group each row, then each column, belongs: they fall apart where weak powers are left out.
+
+    Weak is what is far below the largest of its row and of its column. That is looked at where the logarithms of rows
+    and columns have mean zero, which weighs all of them alike and hangs on no unit that the plant is given in.
+    """
+    from scipy.sparse import bmat, csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    known = mean > 0
+    log = np.log(np.where(known, mean, 1.0))
+    counts = [np.maximum(known.sum(axis=axis, keepdims=True), 1) for axis in (1, 0)]
+    for _ in range(SWEEPS):
+        for axis, count in zip((1, 0), counts, strict=True):
+            log -= known * (np.sum(log * known, axis=axis, keepdims=True) / count)
+    strong = csr_array(known & ~_is_weak(np.where(known, np.exp(log - log.max(initial=0.0)), 0.0)))
+    found: NDArray[np.intp] = connected_components(bmat([[None, strong], [strong.T, None]]), directed=False)[1]
+    return found
+
+
+def _is_weak(power: FloatArray) -> NDArray[np.bool_]:
+    """Return which powers are far below the largest of their row and of their column."""
+    largest = np.minimum(power.max(axis=1, initial=0.0)[:, None], power.max(axis=0, initial=0.0))
+    return power < COUPLING**2 * largest
+
+
 def _sinkhorn(mean: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return scales at which the mean of the powers that are not zero is one in every row and column.
 
-    Zeros counted, there need be no such scales: the rows of a plant with a dead sensor, or with two sensors on one axis
-    and one on another, ask for another sum than its columns, and every sweep would carry the scales further away.
+    Two sensors on one axis and one on another ask for another sum of rows than of columns. Couplings of 1e-4 between
+    these axes give both what they ask for, at scales 1e4 apart, as large as the axes and there for a law to rely on.
+    Where that happens, couplings are left out like zeros, and the units of either group are those in which what couples
+    them is alike in both directions.
+    """
+    rows, columns = _swept(mean)
+    row_of, column_of = np.split(_groups(mean), [len(mean)])
+    couples = (mean > 0) & (row_of[:, None] != column_of)
+    if not (couples & ~_is_weak(mean * (rows**2)[:, None] * columns**2)).any():
+        return rows, columns
+    rows, columns = _swept(np.where(couples, 0.0, mean))
+    i, j = np.nonzero(couples)
+    log = np.log(mean[i, j]) / 2 + np.log(rows[i]) + np.log(columns[j])
+    moves = np.zeros((i.size, 1 + max(row_of.max(), column_of.max())))
+    np.add.at(moves, (np.arange(i.size), row_of[i]), 1.0)
+    np.add.at(moves, (np.arange(i.size), column_of[j]), -1.0)
+    by = np.linalg.lstsq(np.hstack([moves, -np.ones((i.size, 1))]), -log)[0]
+    return rows * np.exp(by[row_of]), columns * np.exp(-by[column_of])
+
+
+def _swept(mean: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the scales that rows and columns in turn lead to.
+
+    Zeros counted, there need be none: the rows of a plant with a dead sensor ask for another sum than its columns, and
+    every sweep would carry the scales further away.
     """
     rows, columns = np.ones(mean.shape[0]), np.ones(mean.shape[1])
     across, along = (np.maximum(np.count_nonzero(mean, axis=axis), 1) for axis in (1, 0))

@@ -32,6 +32,14 @@ LITTLE_DB = 1.0  # a law that lowers the RMS by less leaves the plant as it is
 SPARE = 1.02  # of the margin, so that the last digits of another coordinate system do not decide
 
 
+def without_weights(who: str) -> InputError:
+    """Return the refusal of a design that is asked for weights before its plant, which is their measure, gave them."""
+    return InputError(
+        f"{who}.weights: without an absolute number the plant is the measure and the gain is sought; "
+        "design(plant).details['weights'] holds what came of it. Or give a height, a limit or a corner."
+    )
+
+
 def from_plant(
     plant: StateSpace,
     settings: StatedRobustness,

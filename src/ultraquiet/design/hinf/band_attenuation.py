@@ -11,7 +11,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
-from ultraquiet.design.gain_search import from_plant
+from ultraquiet.design.gain_search import from_plant, without_weights
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
@@ -228,7 +228,12 @@ class BandAttenuation(StatedRobustness):
         """Return the weights of one channel: `performance` W1, `control` W2, `complementary` W3.
 
         An uncertainty stands beside W3, one more output a channel; given in full size, it stays so.
+
+        Raises:
+            InputError: without an absolute number the plant is the measure, and a search weighs.
         """
+        if self._measured_by_the_plant():
+            raise without_weights("BandAttenuation")
         rate, settled = plant.rate_hz, self.settled(plant)
         limit, control_hz, roll_off_hz = settled.control_limit, settled.control_hz, settled.roll_off_hz
         assert limit is not None

@@ -12,7 +12,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist
-from ultraquiet.design.gain_search import from_plant
+from ultraquiet.design.gain_search import from_plant, without_weights
 from ultraquiet.design.hinf.normalised import absolute_shape, band_shape, normalised_four_block, normalised_sketch
 from ultraquiet.design.hinf.synthesis import synthesize_hinf
 from ultraquiet.design.hinf.usual_numbers import FLOOR, HEIGHT, UsualNumbers
@@ -159,7 +159,13 @@ class MixedSensitivity(StatedRobustness):
         return band_shape(self.band_hz, self.tones_hz, self.tone_height, self.tone_zeta, rate, self.order)
 
     def weights(self, plant: StateSpace) -> dict[str, StateSpace]:
-        """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate."""
+        """Return the weights `performance`, `control` and `complementary` in full size, at the plant's rate.
+
+        Raises:
+            InputError: without an absolute number the plant is the measure, and a search weighs.
+        """
+        if self._measured_by_the_plant():
+            raise without_weights(WHO)
         ny, nu = plant.D.shape
         settled = self.settled(plant)
         settings: Mapping[str, tuple[Weight, int]] = {
