@@ -98,7 +98,7 @@ def walk(
         StorageError: another run is at work in the folder, it holds records of another list or bench, the disk is full.
     """
     other = None if compare is None else finished(compare, folder)
-    with prepared(settings, folder, beside, say, record_again) as stages:
+    with prepared(settings, folder, beside, say, record_again, identified=True) as stages:
         result = stages.run()
         summary = summarise(result)
         write_bytes(folder / "summary.json", to_json(summary))
@@ -147,9 +147,17 @@ def _require_bench(settings: study.Study) -> None:
 
 @contextmanager
 def prepared(
-    settings: study.Study, folder: Path, beside: Path | None, say: Say, record_again: bool = False
+    settings: study.Study,
+    folder: Path,
+    beside: Path | None,
+    say: Say,
+    record_again: bool = False,
+    identified: bool = False,
 ) -> Generator[Stages]:
-    """Take a study's records, and hold its folder while the stages after them are at work; see `walk`."""
+    """Take a study's records, and hold its folder while the stages after them are at work; see `walk`.
+
+    `identified`: whether all structures will be compared, for which a process makes itself ready meanwhile.
+    """
     own = bench_of(settings, beside)
     read = {} if settings.records is None else _read(settings.records, beside)
     bench, blending = own, None
@@ -179,7 +187,7 @@ def prepared(
             for sentence in listed.said:
                 say(sentence)
             calculated = getattr(bench, "side_by_side", False) and blending is None
-            wanted = calculated and store.missing_samples >= LONG_SAMPLES
+            wanted = identified and calculated and store.missing_samples >= LONG_SAMPLES
             ahead = processes.enter_context(working_beside(cache, "identify", wanted))
             records, bench_key = store.take(), store.bench_key
             say(f"recorded: {counted(len(records), 'record')}, {listed.duration_s:.0f} s on the bench")

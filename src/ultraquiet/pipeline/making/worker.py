@@ -1,9 +1,8 @@
 """Stages of a study folder, made beside the process that walks the study; each is left in the folder.
 
 `python -m ultraquiet.pipeline.making.worker identify FOLDER` identifies the records: it makes itself ready, and begins
-when it is told so. `design FOLDER PLAN UNIT ...`
-designs the controllers, each said by its name when it is there, and then finds the limits; PLAN is a `LoopPlan` in
-JSON, units are those whose models the designs are given besides.
+when it is told so. `design FOLDER PLAN UNIT ...` designs the controllers, each said by its name when it is there, and
+then finds the limits; PLAN is a `LoopPlan` in JSON, units are those whose models the designs are given besides.
 """
 
 import json
@@ -27,12 +26,14 @@ from ultraquiet.pipeline.store.recorded import finished_names
 from ultraquiet.pipeline.study import reload_study
 from ultraquiet.values import Record, StateSpace
 
+AT_ONCE_S = 0.1  # within which it is told to begin where the records are there already
+
 
 def identify(folder: Path, begun: Event) -> None:
     """Leave the stage `identify` in the folder, once its records are there."""
-    if not begun.is_set():
+    if not begun.wait(AT_ONCE_S):
         identification.prepare(reload_study(folder).identify)
-    begun.wait()
+        begun.wait()
     names = finished_names(folder)
     records: dict[str, Record] = {name: files.load(folder / "records" / f"{name}.h5") for name in names}
     with listening(Ticks()):
