@@ -283,7 +283,7 @@ def test_a_wait_in_real_time_is_waited_for_and_can_be_ended(laboratory, tmp_path
     out, err = child.communicate(timeout=30)
     print(out, err)
     assert child.returncode == 0
-    assert "2 records are there already and are kept; 1 to go" in err
+    assert "2 records are there already and kept; 1 to go" in err
     assert "3 records" in out
 
 
