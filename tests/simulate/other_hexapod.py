@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from ultraquiet.bench import Hexapod
-from ultraquiet.bench.columns import spanned
+from ultraquiet.bench.columns import spanned, turned
 from ultraquiet.bench.hexapod.model import Model
 from ultraquiet.bench.hexapod.physics.geometry import joints
 from ultraquiet.bench.hexapod.physics.hysteresis import typical
@@ -33,7 +33,7 @@ class OtherHexapod(Hexapod):
         weights = plays.weights.copy()
         weights[1:] *= rng.uniform(0.5, 1.3)
         weights[0] += plays.weights.sum() - weights.sum()
-        return spanned(A), spanned(B), spanned(C), plays.thresholds_v * rng.uniform(0.7, 1.4), weights
+        return spanned(A), spanned(B), turned(C), plays.thresholds_v * rng.uniform(0.7, 1.4), weights
 
     def _noise(self, index):
         draws = super()._noise(index)
