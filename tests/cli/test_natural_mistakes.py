@@ -477,6 +477,7 @@ def test_what_a_bench_prints_does_not_join_the_json(run, tmp_path, monkeypatch):
     assert json.loads(out)
     assert code == 0
     assert "card found" in err
+    assert run(*words, "--quiet")[1] == ""
     assert "card found" in run(*words)[1]
 
 

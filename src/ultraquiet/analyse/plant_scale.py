@@ -165,16 +165,19 @@ def _groups(mean: FloatArray) -> NDArray[np.intp]:
     Weak is what is far below the largest of its row and of its column. That is looked at where the logarithms of rows
     and columns have mean zero, which weighs all of them alike and hangs on no unit that the plant is given in.
     """
-    from scipy.sparse import bmat, csr_array
-    from scipy.sparse.csgraph import connected_components
-
     known = mean > 0
     log = np.log(np.where(known, mean, 1.0))
     counts = [np.maximum(known.sum(axis=axis, keepdims=True), 1) for axis in (1, 0)]
     for _ in range(SWEEPS):
         for axis, count in zip((1, 0), counts, strict=True):
             log -= known * (np.sum(log * known, axis=axis, keepdims=True) / count)
-    strong = csr_array(known & ~_is_weak(np.where(known, np.exp(log - log.max(initial=0.0)), 0.0)))
+    weak = known & _is_weak(np.where(known, np.exp(log - log.max(initial=0.0)), 0.0))
+    if not weak.any():  # as on most plants: nothing falls apart, and nothing is loaded to find that out
+        return np.zeros(sum(mean.shape), dtype=np.intp)
+    from scipy.sparse import bmat, csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    strong = csr_array(known & ~weak)
     found: NDArray[np.intp] = connected_components(bmat([[None, strong], [strong.T, None]]), directed=False)[1]
     return found
 
@@ -204,6 +207,7 @@ def _sinkhorn(mean: FloatArray) -> tuple[FloatArray, FloatArray]:
     moves = np.zeros((i.size, 1 + max(row_of.max(), column_of.max())))
     np.add.at(moves, (np.arange(i.size), row_of[i]), 1.0)
     np.add.at(moves, (np.arange(i.size), column_of[j]), -1.0)
+    # scales of whole groups, and one level for all couplings, that leave least between them
     by = np.linalg.lstsq(np.hstack([moves, -np.ones((i.size, 1))]), -log)[0]
     return rows * np.exp(by[row_of]), columns * np.exp(-by[column_of])
 

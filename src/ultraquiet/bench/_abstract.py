@@ -1,6 +1,5 @@
 """The one protocol of every bench, and the checks of what is sent to it."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
@@ -8,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ultraquiet._base.constraints import FloatArray, real_array, same_rate, whole
+from ultraquiet._base.constraints import FloatArray, few_finite, real_array, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet.values import Channel, Controller, Record, StateSpace, SteppedController
@@ -197,16 +196,11 @@ def checked_controller(who: str, controller: Any, rate_hz: float, sensors: int, 
 def commands(who: str, output: Any, actuators: int, sample: int) -> FloatArray:
     """Return one sample of a controller's output as `(nu,)`, or say what is wrong with it."""
     u = np.asarray(output, dtype=np.float64).reshape(-1)
-    if u.size != actuators or not all_finite(u):
+    if u.size != actuators or not few_finite(u):
         raise InputError(
             f"{who}: at sample {sample} the controller must return {actuators} finite commands, got {output!r}."
         )
     return u
-
-
-def all_finite(sample: FloatArray) -> bool:
-    """Return whether all numbers of one sample are finite: of a few, NumPy's own way takes ten times as long."""
-    return all(map(math.isfinite, sample.tolist()))
 
 
 def limits(channels: tuple[Channel, ...]) -> tuple[FloatArray, FloatArray]:

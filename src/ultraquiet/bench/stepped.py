@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, whole
+from ultraquiet._base.constraints import FloatArray, few_finite, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench._abstract import (
     Block,
-    all_finite,
     block_of,
     checked_controller,
     checked_signals,
@@ -180,9 +179,7 @@ class Loop:
         d = np.ascontiguousarray((self.gain[now] * self.d[:, now]).T)
         for j, k in enumerate(range(now.start, now.stop)):
             y[:, j] = step(self.held_command, d[j], k)
-            wish = u[j] + commands(who, answer(y[:, j].copy()), nu, k)
-            if gain[j] != 1.0:
-                wish *= gain[j]
+            wish = gain[j] * (u[j] + commands(who, answer(y[:, j].copy()), nu, k))
             requested[:, j] = wish
             self.held_command = np.minimum(np.maximum(wish, low), high)
             yield
@@ -232,7 +229,7 @@ def checked_readings(who: str, answer: Any, sensors: int, k: int) -> FloatArray:
         y = np.asarray(answer, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError):
         y = np.empty(0)
-    if y.size != sensors or not all_finite(y):
+    if y.size != sensors or not few_finite(y):
         raise InputError(
             f"{who}: at sample {k} the plant must return {counted(sensors, 'finite reading')}, got {answer!r}."
         )

@@ -1,13 +1,12 @@
 """The generated code's twin in NumPy: the same operations in the same order and precision, so the same bits."""
 
-import math
 import zlib
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, few_finite
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown import Shown
 from ultraquiet.deploy.law.biquad import BankArithmetic
@@ -194,7 +193,7 @@ class Twin(Shown):
         if self.stalled:
             self.stalled = False
             self._latch(FAULT_OVERRUN)
-        if not _all_finite(y):
+        if not few_finite(y):
             self._latch(FAULT_INPUT)
         elif self.mode in (ON, STOPPING):
             self.y = y
@@ -223,7 +222,7 @@ class Twin(Shown):
 
     def _law(self) -> None:
         raw = self._linear() if self._bank is None else self._bank.output(self.y, self.x)
-        if not _all_finite(raw):
+        if not few_finite(raw):
             self._latch(FAULT_OUTPUT)
             return
         self.raw, self.live = raw, True
@@ -270,22 +269,16 @@ class _Group:
 
     def __init__(self, rows: NDArray[np.intp], blocks: Rounded, drive: Rounded) -> None:
         count, size = rows.shape
-        self.rows, self._drive = rows.ravel(), drive
-        self._states, self._blocks = rows, blocks
-        self._products = np.empty((count * size, size + drive.shape[1]), blocks.dtype)
-        self._own = self._products[:, :size].reshape(count, size, size)
-        assert np.shares_memory(self._own, self._products) or not self._own.size
+        self.rows, self._states, self._blocks = rows.ravel(), rows, blocks
+        self._drive = drive.reshape(count, size, -1)
+        self._products = np.empty((count, size, size + drive.shape[1]), blocks.dtype)
 
     def following(self, x: NDArray[Any], drive: NDArray[Any]) -> NDArray[Any]:
         """Return A x + [B L] drive of these states, summed from left to right."""
-        np.multiply(self._blocks, x[self._states][:, None, :], out=self._own)
-        np.multiply(self._drive, drive, out=self._products[:, self._own.shape[2] :])
-        return self._products.cumsum(axis=1)[:, -1]
-
-
-def _all_finite(values: NDArray[Any]) -> bool:
-    """Return whether a few numbers are finite: as numbers of Python, which takes a third of the time."""
-    return all(map(math.isfinite, values.tolist()))
+        size = self._blocks.shape[2]
+        np.multiply(self._blocks, x[self._states][:, None, :], out=self._products[:, :, :size])
+        np.multiply(self._drive, drive, out=self._products[:, :, size:])
+        return self._products.cumsum(axis=2)[:, :, -1].ravel()
 
 
 def _groups(law: Law) -> list[tuple[NDArray[np.intp], Rounded]]:
