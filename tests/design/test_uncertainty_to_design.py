@@ -32,14 +32,26 @@ def truth():
 
 
 def relative_error(model, truth, f_hz):
-    """Return the largest singular value of (G_true - G) G^-1, written without the package's own bound."""
+    """Return (G_true - G) G^-1 at every frequency, written without the package's own bound."""
     G, T = (np.moveaxis(s.frequency_response(f_hz), 2, 0) for s in (model, truth))
-    return np.linalg.norm((T - G) @ np.linalg.inv(G), 2, axis=(1, 2))
+    return (T - G) @ np.linalg.inv(G)
+
+
+def largest(matrices):
+    return np.linalg.norm(matrices, 2, axis=(1, 2))
 
 
 def test_promise_of_robust_stability_holds_on_the_true_bench(identified, truth):
     model, W, bound = identified
-    result = BandAttenuation(band_hz=(9.0, 108.0), structure="repeated", uncertainty=W).design(model)
+    asked = BandAttenuation(
+        band_hz=(9.0, 108.0),
+        structure="repeated",
+        uncertainty=W,
+        control_limit=1000.0,
+        control_hz=400.0,
+        roll_off_hz=500.0,
+    )
+    result = asked.design(model)
     print(result.status)
     assert result.status.ok
     size = result.details["robust_stability"]
@@ -49,12 +61,12 @@ def test_promise_of_robust_stability_holds_on_the_true_bench(identified, truth):
     assert result.details["height"] <= 12.0
     # the bound was drawn from records alone: does it cover the truth, and does the loop keep its promise?
     gains = np.abs(W.frequency_response(bound.f_hz)[0, 0])
-    covered = np.mean(relative_error(model, truth, bound.f_hz) <= gains)
+    covered = np.mean(largest(relative_error(model, truth, bound.f_hz)) <= gains)
     S = sensitivity(model, result.controller)
     T = parallel(S, StateSpace(np.zeros((0, 0)), np.zeros((0, 6)), np.zeros((6, 0)), -np.eye(6), 3500.0))
     f = np.concatenate([np.geomspace(0.3, LOWEST_HZ, 50), bound.f_hz])
-    Tf = np.linalg.norm(np.moveaxis(T.frequency_response(f), 2, 0), 2, axis=(1, 2))
-    seen = float(np.max(relative_error(model, truth, f) * Tf))
+    # of the product: at a zero of the model, in directions that T does not have, E alone has no bound
+    seen = float(np.max(largest(relative_error(model, truth, f) @ np.moveaxis(T.frequency_response(f), 2, 0))))
     print(f"bound covers the true error at {covered:.1%} of the lines; promised {size:.3f}, true ||E T|| {seen:.3f}")
     assert covered > 0.98
     assert seen < 1
