@@ -6,7 +6,9 @@ from ultraquiet.design.hinf.riccati import NormalisedPlant, direct_terms
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
-RANK = 1e-9  # relative; a pencil with a singular value below it has lost rank
+RANK = 1e-9  # relative; a pencil with a singular value below it has lost rank, in even units of its columns too
+CERTAIN = 1e-13  # below this, whatever the units: what even units would make of it is round-off
+SWEEPS = 10  # rows and columns made alike in size
 # Poles and zeros this near the stability boundary are on it: in 1 - |z|, or relative to the fastest pole. A pole at
 # 1e-6 Hz sampled at 10 kHz is a hundred times farther away.
 ON_CIRCLE = 1e-12
@@ -56,10 +58,29 @@ def zeros_on_boundary(plant: NormalisedPlant, rate_hz: float | None) -> str:
 
 
 def _loses_rank(A: Array, B: Array, z: complex, rank: float = RANK) -> bool:
-    """Return whether [A - z I, B] lacks row rank."""
-    shifted = np.hstack([A - z * np.eye(A.shape[0]), B])
-    s = np.linalg.svd(shifted / np.maximum(np.linalg.norm(shifted, axis=1, keepdims=True), 1e-300), compute_uv=False)
-    return bool(s[-1] <= rank * s[0])
+    """Return whether [A - z I, B] lacks row rank.
+
+    Units of states and signals change no rank: a slow pole beside fast ones may look lost for its units alone.
+    """
+    pencil = np.hstack([A - z * np.eye(A.shape[0]), B])
+    pencil = pencil / _sizes(pencil, 1)
+    left = _least_share(pencil)
+    if left > rank or left <= CERTAIN:
+        return left <= rank
+    for _ in range(SWEEPS):
+        pencil = pencil / np.sqrt(_sizes(pencil, 0))
+        pencil = pencil / np.sqrt(_sizes(pencil, 1))
+    return _least_share(pencil) <= rank
+
+
+def _sizes(M: Array, axis: int) -> Array:
+    return np.maximum(np.linalg.norm(M, axis=axis, keepdims=True), 1e-300)
+
+
+def _least_share(M: Array) -> float:
+    """Return the smallest singular value over the largest."""
+    s = np.linalg.svd(M, compute_uv=False)
+    return float(s[-1] / s[0]) if s[0] else 0.0
 
 
 def _hertz(w: float, rate_hz: float | None) -> float:
