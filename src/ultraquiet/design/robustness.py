@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf, log10
+from math import inf, isfinite, log10
 from typing import Any
 
 from ultraquiet._base.constraints import between
@@ -52,10 +52,11 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
     found = margins[side]
     wires, kind = _wires(plant, side)
     _, high, degrees = disk_ranges(found.disk_all)
+    near = f", near {_hz(found.disk_all_hz)}" if isfinite(found.disk_all_hz) else ""
     said = (
         f"The loop is stable yet fragile at the plant's {side}: changes of {_db(float(high)):.2g} dB or "
-        f"{float(degrees):.2g} degrees in all {kind}s at once may upset it, near {_hz(found.disk_all_hz)} (a disk "
-        f"margin of {found.disk_all:.2g} where {asked:g} is asked)"
+        f"{float(degrees):.2g} degrees in all {kind}s at once may upset it{near} (a disk margin of "
+        f"{found.disk_all:.2g} where {asked:g} is asked)"
     )
     change = found.least_change
     return f"{said}." if change is None else f"{said}; {_told(change, kind, wires)}."
