@@ -8,6 +8,7 @@ from ultraquiet._base.constraints import FloatArray, rising_band, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
@@ -124,6 +125,5 @@ def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:
 def _worst_db(plant: StateSpace, controller: StateSpace, band: tuple[float, float], V: FloatArray) -> float:
     """Return the attenuation of the worst direction over the band, dB, among those in the columns of V."""
     f = np.geomspace(*band, BAND_POINTS)
-    G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
-    S = V.T @ np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K) @ V
+    S = V.T @ loop_response(plant, controller, f)[0] @ V
     return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))

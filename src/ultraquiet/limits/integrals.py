@@ -6,6 +6,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.limits import half_plane
 from ultraquiet.limits.quadrature import nodes
 from ultraquiet.values.interconnect import feedback, sensitivity
@@ -64,7 +65,7 @@ def bode_integral(plant: StateSpace, controller: StateSpace) -> Integral:
     poles = np.concatenate([plant.poles(), controller.poles()])
     rate_hz = plant.rate_hz
     f, width = nodes(np.concatenate([closed, half_plane.half_plane(poles, rate_hz)]), rate_hz, FAR)
-    S = _loop(plant, controller, f)
+    S = loop_response(plant, controller, f)[0]
     paid = float(np.sum(width * np.log(np.abs(np.linalg.det(S)))))
     direct = plant.D @ controller.D
     if rate_hz is not None:
@@ -113,7 +114,7 @@ def poisson_integral(plant: StateSpace, controller: StateSpace) -> tuple[Integra
     dips = half_plane.half_plane(_dips(plant, controller, zeros), rate_hz)
     every = np.concatenate([closed, half_plane.half_plane(poles, rate_hz), [z.s for z in zeros], dips, dips.conj()])
     f, width = nodes(every, rate_hz, FAR)
-    S = _loop(plant, controller, f)
+    S = loop_response(plant, controller, f)[0]
     w = half_plane.speeds(f, rate_hz)
     stretch = 2 * np.pi * (1.0 if rate_hz is None else 1 + (w / (2 * rate_hz)) ** 2)  # dw / df
     integrals = []
@@ -160,9 +161,3 @@ def _closed(who: str, plant: StateSpace, controller: StateSpace) -> ComplexArray
     if plant.rate_hz is None and np.any(plant.D @ controller.D):
         raise InputError(f"{who}: a direct path in continuous time makes the integral infinite; roll the loop off.")
     return half_plane.half_plane(loop.poles(), plant.rate_hz)
-
-
-def _loop(plant: StateSpace, controller: StateSpace, f_hz: FloatArray) -> ComplexArray:
-    """Return S `(nf, ny, ny)`."""
-    G, K = (np.moveaxis(s.frequency_response(f_hz), 2, 0) for s in (plant, controller))
-    return np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K).astype(np.complex128)

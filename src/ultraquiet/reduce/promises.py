@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.disk import ENDS, disk_margin
+from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.analyse.margins import default_grid, peak_sensitivity, reached_directions
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import even_plant
@@ -144,11 +145,11 @@ def _quiet(f: FloatArray, size: FloatArray) -> np.ndarray:
 
 def _responses(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return S = (I - G K)^-1, in what G reaches, and K S at each line, frequency first."""
-    response = response_at(plant)(f)
-    G, K = np.moveaxis(response, 2, 0), np.moveaxis(response_at(law)(f), 2, 0)
-    S = np.linalg.inv(np.eye(G.shape[1]) - G @ K)
-    in_reach = S @ reached_directions(response) if G.shape[1] > G.shape[2] else S
-    return np.asarray(in_reach, dtype=np.complex128), np.asarray(K @ S, dtype=np.complex128)
+    S, KS = loop_response(plant, law, f)
+    ny, nu = plant.D.shape
+    if ny > nu:
+        S = np.asarray(S @ reached_directions(response_at(plant)(f)), dtype=np.complex128)
+    return S, KS
 
 
 def _sizes(response: ComplexArray) -> FloatArray:

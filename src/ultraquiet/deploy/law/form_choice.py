@@ -7,6 +7,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, same_rate
 from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.deploy.law.law import Law
 from ultraquiet.deploy.law.realisation import FORMS
 from ultraquiet.values.state_space import StateSpace
@@ -115,9 +116,7 @@ def sensitivities(controller: StateSpace, rounded: StateSpace, plant: StateSpace
     """Return S = (I - G K)^-1 `(nf, ny, ny)` with either law, on a grid that misses no pole of the loop or the law."""
     poles = np.concatenate([controller.poles(), _loop_poles(plant, controller)])
     f_hz = _grid(poles, controller.rate_hz or 0.0)
-    G = _points_first(plant.frequency_response(f_hz))
-    laws = (_points_first(k.frequency_response(f_hz)) for k in (controller, rounded))
-    before, after = (np.asarray(np.linalg.inv(np.eye(G.shape[1]) - G @ K), dtype=np.complex128) for K in laws)
+    before, after = (loop_response(plant, law, f_hz)[0] for law in (controller, rounded))
     return before, after
 
 

@@ -9,6 +9,7 @@ from ultraquiet._base.constraints import positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
+from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.design.gain_search import from_plant, without_weights
@@ -322,8 +323,7 @@ def worst_attenuation_db(plant: StateSpace, controller: StateSpace, band_hz: tup
     if low != high:
         rising_band("worst_attenuation_db", band_hz, plant.rate_hz)
     f = np.unique(np.geomspace(positive("worst_attenuation_db", "band_hz", low, "Hz"), high, 400))
-    G, K = (np.moveaxis(s.frequency_response(f), 2, 0) for s in (plant, controller))
-    S = np.linalg.inv(np.eye(plant.D.shape[0]) - G @ K)
+    S = loop_response(plant, controller, f)[0]
     return -20 * float(np.log10(np.linalg.norm(S, 2, axis=(1, 2)).max()))
 
 
