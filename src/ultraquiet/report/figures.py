@@ -1,17 +1,15 @@
 """The figures of a page: drawn by its script from numbers that stand in it once, and beside that a still for print."""
 
-import base64
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
 from ultraquiet.chart import Packing, Scene
-from ultraquiet.plot import Figure, chart_of, draw_small_png, figure_of
+from ultraquiet.plot import Figure, chart_of, figure_of
 from ultraquiet.plot.page import still_of
 from ultraquiet.report.content import Picture, Report
-
-MOST_BYTES = 60_000  # of a still
+from ultraquiet.report.stills import stills
 
 
 @dataclass(frozen=True)
@@ -27,22 +25,24 @@ class PageFigure:
 
 def on_page(pictures: Iterable[Picture], packing: Packing) -> dict[str, PageFigure]:
     """Return each picture by its name, which must differ."""
-    return {picture.name: _prepared(picture, packing) for picture in pictures}
+    pictures = list(pictures)
+    drawn = stills([_on_paper(picture) for picture in pictures])
+    return {
+        p.name: PageFigure(p.name, p.title, p.caption, _spec(p, packing), s)
+        for p, s in zip(pictures, drawn, strict=True)
+    }
 
 
-def _prepared(picture: Picture, packing: Packing) -> PageFigure:
-    chart = chart_of(picture) if isinstance(picture, Figure) else picture
-    figure = (
-        picture
-        if isinstance(picture, Figure)
-        else still_of(picture)
-        if isinstance(picture, Scene)
-        else figure_of(picture)
-    )
-    still = base64.b64encode(draw_small_png(figure, MOST_BYTES)).decode()
-    spec = packing.spec(chart)
+def _on_paper(picture: Picture) -> Figure:
+    if isinstance(picture, Figure):
+        return picture
+    return still_of(picture) if isinstance(picture, Scene) else figure_of(picture)
+
+
+def _spec(picture: Picture, packing: Packing) -> dict[str, Any]:
+    spec = packing.spec(chart_of(picture) if isinstance(picture, Figure) else picture)
     spec.pop("caption", None)  # stands below the figure already
-    return PageFigure(picture.name, picture.title, picture.caption, spec, still)
+    return spec
 
 
 def pictures_of(report: Report) -> list[Picture]:
