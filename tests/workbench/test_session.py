@@ -173,6 +173,10 @@ def test_a_run_goes_on_from_what_was_done_by_hand_and_the_other_way_round(tmp_pa
         assert (made.folder / "stages" / f"{name}.json").stat().st_mtime_ns == before, f"{name} was computed again"
     law = files.load(made.folder / "controllers" / "quiet.h5")
     assert law.hash == made.item("laws", "quiet").value().hash
+    at = time.time() + 1
+    assert since(made, at) == ""
+    made.do({"op": "table", "table": "requirements", "values": {"disk_margin": 0.9}})
+    assert since(made, at) == "[requirements] was changed"
     shutil.rmtree(made.folder / "workbench")
     adopted = Session(made.folder)
     assert list(adopted.state["laws"]) == ["quiet"]

@@ -4,10 +4,14 @@ import json
 from typing import Any
 
 from nicegui import ui
+from pydantic import ValidationError
 
+from ultraquiet._base.errors import UltraquietError
+from ultraquiet.pipeline import Study, reload_study
 from ultraquiet.workbench.engine.items import FACTS, Item
 from ultraquiet.workbench.engine.session import Session
 from ultraquiet.workbench.engine.steps import BOARDS
+from ultraquiet.workbench.engine.written.study_text import content
 from ultraquiet.workbench.jobs.lane import WorkItem
 from ultraquiet.workbench.web.controls import Doubted, button, chip, heading, loop_status, say, table, words
 from ultraquiet.workbench.web.shell import TITLES, Columns
@@ -15,6 +19,7 @@ from ultraquiet.workbench.web.view import View
 
 AGAIN = "Run the whole study again to judge it."
 NAMED = 3  # of the items that changed
+JUDGING = ("requirements", "closed_loop", "payload", "limits", "deploy")  # tables that a summary was judged by
 
 
 def build(view: View, columns: Columns) -> None:
@@ -114,7 +119,17 @@ def since(session: Session, at: float) -> str:
                 said.append(f"{item.name} is stale")
             elif item.ready and (item.folder / FACTS).stat().st_mtime > at:
                 said.append(f"{item.name} was made since")
+    said += [f"[{name}] was changed" for name in _changed(session)]
     return ", ".join([*said[:NAMED], *([f"{len(said) - NAMED} more"] if len(said) > NAMED else [])])
+
+
+def _changed(session: Session) -> list[str]:
+    """Return the tables that ask for something else than the study that ran here did."""
+    try:
+        ran, now = reload_study(session.folder), Study.model_validate(content(session.state))
+    except (UltraquietError, ValidationError):  # none ran here, or the boards are no whole study
+        return []
+    return [name for name in JUDGING if getattr(ran, name) != getattr(now, name)]
 
 
 def _state(item: Item) -> str | Doubted:
