@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+import ultraquiet as uq
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 MADE = ("_build", "reference/api", "gallery")
@@ -39,6 +41,7 @@ def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
 
     mpl.use("Agg")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(uq.bench, "Process", uq.bench.Process)  # given back: a page puts one of this machine in its place
     for name in ("docs", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     held = {"__name__": "__main__"}
