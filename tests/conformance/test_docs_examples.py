@@ -41,15 +41,21 @@ def test_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
 
     mpl.use("Agg")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(uq.bench, "Process", uq.bench.Process)  # given back: a page puts one of this machine in its place
+    # given back: a page puts one of this machine in its place
+    monkeypatch.setattr(uq.bench, "Process", uq.bench.Process)
     for name in ("docs", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     held = {"__name__": "__main__"}
-    for kind, body, line in blocks(page):
-        if kind == "sh":
-            in_the_shell(body, tmp_path)
-        elif kind != "toml":
-            exec(compile("\n" * (line + 1) + body, str(page), "exec"), held)
+    try:
+        for kind, body, line in blocks(page):
+            if kind == "sh":
+                in_the_shell(body, tmp_path)
+            elif kind != "toml":
+                exec(compile("\n" * (line + 1) + body, str(page), "exec"), held)
+    finally:
+        for served in (one for one in held.values() if isinstance(one, subprocess.Popen)):
+            with served:
+                served.kill()
 
 
 def in_the_shell(lines, folder):
