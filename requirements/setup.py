@@ -70,9 +70,8 @@ def pip(python: str, *verb: str) -> list[str]:
     return [*who, *(verb or ("install", "--quiet", "--disable-pip-version-check", "--no-compile"))]
 
 
-def as_pip(python: str) -> dict[str, str]:
-    """Return an environment in which uv looks for packages where pip does."""
-    listed = subprocess.run(pip(python, "config", "list"), capture_output=True, text=True, check=False).stdout
+def as_pip(listed: str) -> dict[str, str]:
+    """Return an environment in which uv looks for packages where pip does, by what `pip config list` says."""
     found = dict(os.environ)
     for line in listed.splitlines():
         key, _, value = line.partition("=")
@@ -93,13 +92,16 @@ def main(venv: Path, lock: Path) -> None:
         run(uv, "venv", "--quiet", "--seed", "--python", sys.executable, str(venv))
     else:
         create(venv)
+    # asked while uv is on its way
+    listed = subprocess.Popen(
+        pip(python, "config", "list"), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+    )
     uv = uv or fetched_uv(python)
+    settings = as_pip(listed.communicate()[0])
     own = [] if has_pip(python) else [f"pip=={bundled_pip()}"]
     if uv:
         with_uv = [uv, "pip", "install", "--quiet", "--python", python]
-        done = subprocess.run(
-            [*with_uv, "-r", str(lock), *own], env=as_pip(python), stderr=subprocess.DEVNULL, check=False
-        )
+        done = subprocess.run([*with_uv, "-r", str(lock), *own], env=settings, stderr=subprocess.DEVNULL, check=False)
         if not done.returncode:
             run(*with_uv, *PROJECT)
             return
