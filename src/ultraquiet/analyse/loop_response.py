@@ -40,13 +40,13 @@ def loop_response(plant: StateSpace, controller: StateSpace, f_hz: FloatArray) -
     with np.errstate(invalid="ignore"):
         KS = K @ S
     if lost.any():
-        closed = np.moveaxis(_closed(plant, controller).frequency_response(f_hz[lost]), 2, 0)
+        closed = np.moveaxis(closed_system(plant, controller).frequency_response(f_hz[lost]), 2, 0)
         S[lost], KS[lost] = np.split(closed, [L.shape[1]], axis=1)
     return S, np.asarray(KS, dtype=np.complex128)
 
 
-def _closed(plant: StateSpace, controller: StateSpace) -> StateSpace:
-    """Return [S; K S], from a disturbance at the plant's output."""
+def closed_system(plant: StateSpace, controller: StateSpace) -> StateSpace:
+    """Return [S; K S], from a disturbance at the plant's output: `ny + nu` outputs, `ny` inputs."""
     ny, nu = plant.D.shape
     B = np.hstack([np.zeros((plant.states, ny)), plant.B])
     C = np.vstack([plant.C, np.zeros((nu, plant.states)), plant.C])

@@ -240,27 +240,28 @@ def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[f
         return -np.inf, np.nan
     f = np.concatenate([default_grid(S), default_grid(plant), np.geomspace(low, high, BAND_LINES)])
     f = np.unique(f[(f >= low) & (f <= high)])
-    of_loop, of_plant = response_at(S), response_at(pulled_in(G))
+    of_loop, reached_at = response_at(S), reached_directions(G)
 
     def sizes(lines: FloatArray) -> FloatArray:
-        reached = reached_directions(of_plant(lines))
-        return np.linalg.norm(np.moveaxis(of_loop(lines), 2, 0) @ reached, 2, axis=(1, 2))
+        return np.linalg.norm(np.moveaxis(of_loop(lines), 2, 0) @ reached_at(lines), 2, axis=(1, 2))
 
     largest, at = refined(sizes, f, sizes(f))
     return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
 
 
-def reached_directions(response: ComplexArray) -> ComplexArray:
-    """Return an orthonormal basis of the range of G(f), columns of zeros where its rank is less.
-
-    Args:
-        response: G, `(ny, nu, lines)`.
+def reached_directions(plant: StateSpace) -> Callable[[FloatArray], ComplexArray]:
+    """Return what gives the directions that a plant's inputs reach at frequencies in Hz, also at those of its poles.
 
     Returns:
-        `(lines, ny, min(ny, nu))`.
+        An orthonormal basis of the range of G(f), `(lines, ny, min(ny, nu))`, columns of zeros where its rank is less.
     """
-    directions, gains, _ = np.linalg.svd(np.moveaxis(response, 2, 0), full_matrices=False)
-    return directions * (gains > REACHED * gains[:, :1])[:, None, :]
+    of_plant = response_at(pulled_in(plant))
+
+    def at(f: FloatArray) -> ComplexArray:
+        directions, gains, _ = np.linalg.svd(np.moveaxis(of_plant(f), 2, 0), full_matrices=False)
+        return directions * (gains > REACHED * gains[:, :1])[:, None, :]
+
+    return at
 
 
 def pulled_in(plant: StateSpace) -> StateSpace:

@@ -8,8 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.shown.line import loudness
-from ultraquiet.analyse.margins import band_attenuation, pulled_in, reached_directions
-from ultraquiet.analyse.peaks import response_at
+from ultraquiet.analyse.margins import band_attenuation, reached_directions
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
@@ -149,7 +148,7 @@ def design_band(settings: Any, details: Mapping[str, Any]) -> tuple[float, float
 
 def _reach(plant: StateSpace, band_hz: tuple[float, float], sensors: tuple[Channel, ...]) -> tuple[int, str]:
     """Return how many directions the inputs reach, and the sensor with the largest share of the others."""
-    U = reached_directions(response_at(pulled_in(plant))(np.geomspace(*band_hz, LINES)))
+    U = reached_directions(plant)(np.geomspace(*band_hz, LINES))
     power = np.abs(U) ** 2
     reached = int(np.median(power.sum(axis=(1, 2)).round()))
     if reached == len(sensors):

@@ -8,13 +8,12 @@ from ultraquiet._base.constraints import FloatArray, rising_band, same_rate
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.shown.line import loudness, rounded
 from ultraquiet._base.threads import single_threaded
-from ultraquiet.analyse.loop_response import loop_response
+from ultraquiet.analyse.loop_response import closed_system, loop_response
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.limits._limit import Limit
 from ultraquiet.limits.by_direction import one_direction
 from ultraquiet.limits.directions import moved
-from ultraquiet.values.interconnect import lft
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -115,11 +114,8 @@ def _verdict(own: float, peak_db: float, gain: float, limit: Limit, tall: bool) 
 
 def _control(plant: StateSpace, controller: StateSpace) -> StateSpace:
     """Return K S, from a disturbance at the plant's output to the control."""
-    ny, nu = plant.D.shape
-    B = np.hstack([np.zeros((plant.states, ny)), plant.B])
-    C = np.vstack([np.zeros((nu, plant.states)), plant.C])
-    D = np.block([[np.zeros((nu, ny)), np.eye(nu)], [np.eye(ny), plant.D]])
-    return lft(StateSpace(plant.A, B, C, D, plant.rate_hz), controller)
+    closed, ny = closed_system(plant, controller), plant.D.shape[0]
+    return StateSpace(closed.A, closed.B, closed.C[ny:], closed.D[ny:], plant.rate_hz)
 
 
 def _worst_db(plant: StateSpace, controller: StateSpace, band: tuple[float, float], V: FloatArray) -> float:

@@ -9,7 +9,6 @@ from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.analyse.margins import default_grid, peak_sensitivity, reached_directions
-from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
@@ -148,7 +147,7 @@ def _responses(plant: StateSpace, law: StateSpace, f: FloatArray) -> tuple[Compl
     S, KS = loop_response(plant, law, f)
     ny, nu = plant.D.shape
     if ny > nu:
-        S = np.asarray(S @ reached_directions(response_at(plant)(f)), dtype=np.complex128)
+        S = np.asarray(S @ reached_directions(plant)(f), dtype=np.complex128)
     return S, KS
 
 

@@ -112,12 +112,11 @@ def own_frequencies(plant: StateSpace) -> FloatArray:
 
 def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
     from ultraquiet.analyse import loop_margins, peak_sensitivity
-    from ultraquiet.analyse.margins import pulled_in, reached_directions
+    from ultraquiet.analyse.margins import reached_directions
 
     radius = loop_radius(plant, law)
     S = sensitivity(plant, law)
-    reached = reached_directions(pulled_in(plant).frequency_response(f))
-    size = np.linalg.norm(np.moveaxis(S.frequency_response(f), 2, 0) @ reached, 2, axis=(1, 2))
+    size = np.linalg.norm(np.moveaxis(S.frequency_response(f), 2, 0) @ reached_directions(plant)(f), 2, axis=(1, 2))
     margins = loop_margins(plant, law)
     return LoopFigures(
         pole_radius=radius,

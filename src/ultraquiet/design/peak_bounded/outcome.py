@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.shown.line import rounded
-from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity
+from ultraquiet.analyse.loop_response import loop_response
+from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity, reached_directions
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.peak_bounded.demands import Demands
@@ -72,13 +73,9 @@ def figures(plant: StateSpace, law: StateSpace, demands: Demands, control: float
 
 
 def _tones(plant: StateSpace, law: StateSpace, demands: Demands) -> dict[str, float]:
-    out: dict[str, float] = {}
-    for tone in demands.tones_hz:
-        G, K = (s.frequency_response([tone])[:, :, 0] for s in (plant, law))
-        S = np.linalg.inv(np.eye(G.shape[0]) - G @ K)
-        U = np.linalg.svd(G, full_matrices=False)[0]
-        out[f"{tone:g}"] = -20 * float(np.log10(np.linalg.norm(S @ U, 2)))
-    return out
+    f = np.array(demands.tones_hz, dtype=float)
+    left = np.linalg.norm(loop_response(plant, law, f)[0] @ reached_directions(plant)(f), 2, axis=(1, 2))
+    return {f"{tone:g}": -20 * float(np.log10(size)) for tone, size in zip(demands.tones_hz, left, strict=True)}
 
 
 def among(
