@@ -20,6 +20,7 @@ from ultraquiet.analyse.peaks import (
     response_at,
 )
 from ultraquiet.linalg.even import evened
+from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
@@ -243,7 +244,7 @@ def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[f
     of_loop, reached_at = response_at(S), reached_directions(G)
 
     def sizes(lines: FloatArray) -> FloatArray:
-        return np.linalg.norm(np.moveaxis(of_loop(lines), 2, 0) @ reached_at(lines), 2, axis=(1, 2))
+        return largest_gains(np.moveaxis(of_loop(lines), 2, 0) @ reached_at(lines))
 
     largest, at = refined(sizes, f, sizes(f))
     return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at

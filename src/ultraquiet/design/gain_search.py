@@ -13,12 +13,12 @@ from ultraquiet.analyse.disk import ENDS, disk_margin
 from ultraquiet.analyse.margins import default_grid, even_sensitivity
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import EvenPlant, even_plant
-from ultraquiet.analyse.scalings.upper import balanced_norm, upper_bound
+from ultraquiet.analyse.scalings.upper import upper_bound
 from ultraquiet.analyse.structure import structure
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
-from ultraquiet.values.interconnect import feedback
+from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
@@ -165,19 +165,17 @@ def _idle(result: DesignResult) -> DesignResult:
 def margin_kept(plant: StateSpace, law: StateSpace, enough: float) -> bool:
     """Return whether the disk margins at both ends are at least `enough`, which they need not be known for.
 
-    Lines of a grid decide where mu is clearly on one side of the limit on all of them, or beyond it on one. Only where
-    it is about the limit is its peak sought.
+    A few lines of a grid mostly show mu beyond its limit, and the norm on all of them that it is clearly below. Only
+    where neither does is its peak sought.
     """
     ends = _sensitivities(plant, law)
     if ends is None or enough <= 0:
         return ends is not None
-    unclear = []
-    for side, S in zip(ENDS, ends, strict=True):
-        largest = _on_the_lines(S, 1 / (CLEARLY * enough), 1 / enough)
-        if largest > 1 / enough:
-            return False
-        unclear += [side] if largest > 1 / (CLEARLY * enough) else []
-    return all(disk_margin(plant, law, side) >= enough for side in unclear)
+    looked = [_looked(S, 1 / (CLEARLY * enough), 1 / enough) for S in ends]
+    if any(lines.largest > 1 / enough for lines in looked):
+        return False
+    open_ends = [side for side, lines in zip(ENDS, looked, strict=True) if lines.norm > 1 / (CLEARLY * enough)]
+    return all(disk_margin(plant, law, side) >= enough for side in open_ends)
 
 
 def surely_less(plant: StateSpace, law: StateSpace, enough: float) -> bool:
@@ -199,19 +197,16 @@ def surely_less(plant: StateSpace, law: StateSpace, enough: float) -> bool:
 def _sensitivities(plant: StateSpace, law: StateSpace) -> list[StateSpace] | None:
     """Return S at both ends of a stable loop, None for others."""
     try:
-        if not feedback(plant, law).is_stable() or not feedback(law, plant).is_stable():
-            return None
+        ends = [even_sensitivity(plant, law, side) for side in ENDS]
     except InputError:  # not well posed
         return None
-    ends = [even_sensitivity(plant, law, side) for side in ENDS]
     return ends if all(S.is_stable() for S in ends) else None
 
 
 class _Lines(NamedTuple):
-    """S - 1/2 on lines of a grid `(lines, n, n)`, its norms there, and mu of the lines where they are highest."""
+    """The largest norm of S - 1/2 on lines of a grid, and mu of the lines where norms are highest."""
 
-    X: ComplexArray
-    norms: FloatArray
+    norm: float
     largest: float
 
 
@@ -225,37 +220,17 @@ def _looked(S: StateSpace, clearly: float, most: float) -> _Lines:
 
     def on(lines: FloatArray, limit: float) -> _Lines:
         X = np.moveaxis(at(lines), 2, 0) - np.eye(S.D.shape[0]) / 2
-        norms = np.linalg.norm(X, 2, axis=(1, 2))
-        largest = _closely(X[np.argsort(-norms)[:FEW]]) if norms.max() > limit else 0.0
-        return _Lines(X, norms, max(largest, clearly))
+        norms = largest_gains(X)
+        largest = _closely(X[np.argsort(-norms)[:FEW]], clearly) if norms.max() > limit else 0.0
+        return _Lines(float(norms.max()), max(largest, clearly))
 
     sparse = on(f[::SPARSE], most)
     return sparse if sparse.largest > most else on(f, clearly)
 
 
-def _on_the_lines(S: StateSpace, clearly: float, most: float) -> float:
-    """Return mu of S - 1/2 on the lines of a grid, as closely as tells whether it is below `clearly` or above `most`.
-
-    Lines that norms leave open are bounded closely, the highest first, until one of them decides: above `most` it is
-    the mu of some line, not the largest.
-    """
-    X, norms, largest = _looked(S, clearly, most)
-    X = X[norms > largest]
-    if largest > most or not X.size:
-        return largest
-    bound = balanced_norm(X, structure("margin_kept", None, S.D.shape))
-    order = np.argsort(-bound)
-    for start in range(0, order.size, FEW):
-        few = order[start : start + FEW]
-        if bound[few[0]] <= largest or largest > most:
-            break
-        largest = max(largest, _closely(X[few]))
-    return largest
-
-
-def _closely(X: ComplexArray) -> float:
-    """Return the largest bound of mu over some lines, for one complex number a channel."""
-    return float(upper_bound(X, structure("margin_kept", None, X.shape[1:])).value.max())
+def _closely(X: ComplexArray, least: float) -> float:
+    """Return the largest bound of mu over some lines, for one complex number a channel; below `least` not closely."""
+    return float(upper_bound(X, structure("margin_kept", None, X.shape[1:]), least).value.max())
 
 
 def about_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:

@@ -35,8 +35,7 @@ def modal(A: Array, B: Array, C: Array) -> Coordinates:
     A complex pair becomes [[re, im], [-im, re]], a real eigenvalue a single entry. Modes too close to be told apart
     (delays, repeated poles) are kept together in one real Schur block, so that T stays well conditioned.
     """
-    T, sizes = _separated(A)
-    inverse = np.linalg.inv(T) if A.shape[0] else T
+    T, inverse, sizes = _separated(A)
     return _even(inverse @ A @ T, inverse @ B, C @ T, T, inverse, sizes)
 
 
@@ -151,11 +150,18 @@ def stable_first(A: Array, discrete: bool) -> tuple[Array, Array, int]:
     return T, np.linalg.inv(T), int(count)
 
 
-def _separated(A: Array) -> tuple[Array, tuple[int, ...]]:
-    """Return a well-conditioned T that block-diagonalises A, and the block sizes."""
+def well_conditioned(T: Array, inverse: Array, limit: float) -> bool:
+    """Return whether the condition of T is below a limit, which mostly shows without its singular values."""
+    if np.linalg.norm(T) * np.linalg.norm(inverse) < limit:
+        return True
+    return bool(np.linalg.cond(T) < limit)
+
+
+def _separated(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return a well-conditioned T that block-diagonalises A, its inverse, and the block sizes."""
     n = A.shape[0]
     if n == 0:
-        return np.eye(0), ()
+        return np.eye(0), np.eye(0), ()
     values, vectors = np.linalg.eig(A)
     groups = _clusters(values, vectors)
     try:
@@ -169,11 +175,21 @@ def _separated(A: Array) -> tuple[Array, tuple[int, ...]]:
         ]
     except np.linalg.LinAlgError:
         # The reordering moved eigenvalues of a tight cluster across the border between it and its neighbours.
-        return real_schur(A)[1], (n,)
+        return _whole(A)
     T = np.hstack(bases)
-    if T.shape == (n, n) and np.linalg.cond(T) < MODAL_CONDITION:
-        return T, tuple(len(g) for g in groups)
-    return real_schur(A)[1], (n,)
+    if T.shape != (n, n):
+        return _whole(A)
+    try:
+        inverse = np.linalg.inv(T)
+    except np.linalg.LinAlgError:
+        return _whole(A)
+    return (T, inverse, tuple(len(g) for g in groups)) if well_conditioned(T, inverse, MODAL_CONDITION) else _whole(A)
+
+
+def _whole(A: Array) -> tuple[Array, Array, tuple[int, ...]]:
+    """Return what `_separated` does where A cannot be separated: its Schur form is one block."""
+    T = real_schur(A)[1]
+    return T, T.T.copy(), (len(A),)
 
 
 def _clusters(values: Array, vectors: Array) -> list[list[int]]:

@@ -73,7 +73,8 @@ def residues(A: Array, B: Array, C: Array, D: Array) -> Residues:
 
 def split(form: balance.Coordinates, D: Array) -> Residues:
     """Split a system that is in modal coordinates already."""
-    lost = form.T.size > 0 and np.linalg.cond(form.T / np.linalg.norm(form.T, axis=0)) > CONDITION
+    size = np.linalg.norm(form.T, axis=0)
+    lost = form.T.size > 0 and not balance.well_conditioned(form.T / size, form.inverse * size[:, None], CONDITION)
     left, clusters = list[int](), dict[tuple[int, bool], list[tuple[Array, Array, Array, Array]]]()
     blocks = [np.arange(low, high) for low, high in pairwise([0, *np.cumsum(form.blocks)])]
     if lost:

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from ultraquiet.analyse.scalings.upper import Upper, balanced_norm, norms, upper_bound
+from ultraquiet.analyse.scalings.upper import Upper, balanced_norm, upper_bound
 from ultraquiet.analyse.structure import BlockStructure
+from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.linalg.ordered import Array
 
 SAME = 2e-8  # relative: as near as close bounds are to the least ones, a line is not above another
@@ -71,7 +72,7 @@ class Scalings:
 
         out, into = between(self._out), between(self._into)
         if self._diagonal:
-            return norms(np.sqrt(out)[:, :, None] * M / np.sqrt(into)[:, None, :])
+            return largest_gains(np.sqrt(out)[:, :, None] * M / np.sqrt(into)[:, None, :])
         left = np.linalg.cholesky(out).conj().swapaxes(1, 2)
         back = np.linalg.inv(np.linalg.cholesky(into)).conj().swapaxes(1, 2)
         moved = M @ back

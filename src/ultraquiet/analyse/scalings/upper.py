@@ -13,6 +13,7 @@ import numpy as np
 
 from ultraquiet.analyse.scalings.levels import balanced_levels
 from ultraquiet.analyse.structure import BlockStructure
+from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.linalg.ordered import Array
 
 LARGEST_STACK = 4e6  # complex numbers held at once for one set of directions: 64 MB
@@ -116,15 +117,8 @@ def _balance(M: Array, blocks: BlockStructure) -> tuple[Array, Array, Array]:
         power = np.einsum("zb,fzw,wc->fbc", out, power, into, optimize=True)
     levels = balanced_levels(power)
     N = M / scale * np.exp(levels @ out.T)[:, :, None] * np.exp(-levels @ into.T)[:, None, :]
-    size = norms(N)
+    size = largest_gains(N)
     return N / np.where(size > 0, size, 1.0)[:, None, None], levels, size * largest
-
-
-def norms(N: Array) -> Array:
-    """Return the largest singular values `(nf,)`, by eigenvalues of products: to rounding, in a third of the time."""
-    largest = np.abs(N).max(axis=(1, 2), initial=0.0)
-    unit = N / np.where(largest > 0, largest, 1.0)[:, None, None]
-    return largest * np.sqrt(np.maximum(np.linalg.eigvalsh(unit.conj().swapaxes(1, 2) @ unit)[:, -1], 0.0))
 
 
 @lru_cache(maxsize=64)
