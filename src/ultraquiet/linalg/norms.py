@@ -23,6 +23,8 @@ SHARP = 0.05
 # A fan of points around a peak, narrowed in four steps, finds its place to 1e-7.
 FAN = np.linspace(-1, 1, 30)
 FANS = (2e-2, 1e-3, 5e-5, 2.5e-6)
+INNER = 9  # points between the neighbours of a peak
+NARROWINGS = 8  # by a factor of four each
 RIVALS = 3  # resonances beside a peak that are looked at
 RIVAL = 0.9  # of the peak, from which on they are
 DISAGREE = 1e-7  # the relative accuracy of a norm
@@ -34,6 +36,8 @@ EXACT = 1e-15
 # frequencies and whose states are decades apart, that many of the highest places are looked at with refinement.
 HIGHEST = 40
 EXACTLY = 150  # states, up to which that is done
+A_DECADE = 16  # frequencies that a flat response is looked at
+DECADES = 12  # at most
 EARLIEST = 1e-300  # stands for a pole at z = 0, which has decayed before the first sample
 
 
@@ -104,10 +108,10 @@ def _refined(
         return gain, w
     if abs(best / gain - 1) > DISAGREE:
         last = np.pi if discrete else np.inf
-        looks = np.concatenate([[w], _guesses(places)])
+        looks = np.concatenate([[w], _guesses(places), _between(places) if len(A) <= EXACTLY else []])
         best, where = _sought(at, looks[looks <= last], last)
         if abs(best / exact(where) - 1) > DISAGREE and len(A) <= EXACTLY:
-            looks = np.concatenate([[w, where], _guesses(places), np.abs(places), np.abs(places.imag)])
+            looks = np.concatenate([[where], looks, np.abs(places), np.abs(places.imag)])
             return _sought(exact, _highest(at, looks[looks <= last]), last)
     if where == 0:
         return best, where
@@ -151,20 +155,34 @@ def _highest(at: Callable[[float], float], places: Array) -> Array:
 
 
 def _sought(at: Callable[[float], float], places: Array, last: float) -> tuple[float, float]:
-    """Return the largest gain at some places, narrowed in on by fans around the first few."""
+    """Return the largest gain at some places, narrowed in on between the neighbours of the first few peaks."""
     w = np.unique(places)
     gains = np.array([at(float(x)) for x in w])
     gains[~np.isfinite(gains)] = 0.0
     best, where = float(gains.max()), float(w[np.argmax(gains)])
-    for start in w[np.argsort(-gains)[:RIVALS]]:
-        x, top = float(start), 0.0
-        for spread in FANS if x > 0 else ():
-            around = np.minimum(x * (1 + spread * FAN), last)
-            tops = [at(float(y)) for y in around]
-            top, x = max(tops), float(around[int(np.argmax(tops))])
-        if np.isfinite(top) and top > best:
+    padded = np.concatenate([[0.0], gains, [0.0]])
+    tops = np.flatnonzero((padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]))
+    for k in tops[np.argsort(-gains[tops], kind="stable")[:RIVALS]]:
+        low, high = float(w[max(k - 1, 0)]), min(float(w[min(k + 1, w.size - 1)]), last)
+        # close to the peak as well, however far its neighbours are
+        around = w[k] * (1 + FANS[0] * FAN)
+        inner = np.concatenate([around[(around > low) & (around < high)], np.linspace(low, high, INNER)])
+        top, x = _narrowed(at, inner)
+        if top > best:
             best, where = top, x
     return best, where
+
+
+def _narrowed(at: Callable[[float], float], places: Array) -> tuple[float, float]:
+    """Return the largest gain inside some places, between the neighbours of the best one again and again."""
+    top, x = 0.0, float(places[0])
+    for _ in range(NARROWINGS):
+        w = np.unique(places)
+        gains = np.array([at(float(y)) for y in w])
+        k = int(np.argmax(np.where(np.isfinite(gains), gains, 0.0)))
+        top, x = (float(gains[k]), float(w[k])) if gains[k] > top else (top, x)
+        places = np.linspace(w[max(k - 1, 0)], w[min(k + 1, w.size - 1)], INNER)
+    return top, x
 
 
 def _rates(poles: Array) -> Array:
@@ -264,6 +282,13 @@ def _guesses(poles: Array) -> Array:
     apart = np.exp(np.unique(np.round(np.log(w) / DISTINCT)) * DISTINCT)
     resonances = np.abs(poles.imag[np.abs(poles.real) < SHARP * np.abs(poles)])
     return np.concatenate([[0.0], apart, np.unique(resonances), [10 * w.max()]])
+
+
+def _between(poles: Array) -> Array:
+    """Return frequencies from the slowest pole to the fastest: a response that is nearly flat peaks anywhere."""
+    w = np.abs(poles[poles != 0])
+    decades = float(np.log10(w.max() / w.min())) if w.size else 0.0
+    return np.geomspace(w.min(), w.max(), 2 + int(A_DECADE * min(decades, DECADES))) if w.size else w
 
 
 class _Gain:

@@ -17,7 +17,7 @@ GROWTH = (1.25, 1.6, 2.5, 10.0)  # factors from one level that fails to the next
 NEAREST = 4  # levels around the optimum whose measures are looked at
 REGULAR = 1e-7  # of the trace, added to the X that others are measured by
 PATIENCE = 3  # probes in which the bracket must halve, or bisection takes over
-BLURRED = 1e-4  # tolerance once an equation cannot be solved though its bound allows it: round-off is near
+BLURRED = 1e-4  # tolerance once an equation cannot be solved, or not to a sign, where the bound allows it
 OVERSHOOT = 0.4  # of the tolerance, to the far side of the root, so that the bracket closes from both ends
 OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds it at one frequency"
 
@@ -74,7 +74,7 @@ def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | N
         tried.append(level)
         if level.reason:
             low, reason = level.gamma, level.reason
-            tolerance = max(tolerance, BLURRED) if not (level.X.size or level.Y.size) else tolerance
+            tolerance = max(tolerance, BLURRED) if np.isinf(level.coupling) and not level.proof else tolerance
         else:
             best = level
         widths.append(best.gamma / max(low, nought))

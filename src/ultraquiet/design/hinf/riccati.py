@@ -25,6 +25,9 @@ INDEFINITE = 1e-7  # X and Y may be this share of their largest eigenvalue below
 # beyond this many times the error that one more Newton step shows.
 FAINT = 1e-12
 BEYOND = 10.0
+# Below it no error of a semidefinite X is to blame: X has come through infinity, or so near that its sign is open.
+GROSS = -0.1
+CERTAIN = 100.0  # the same number of times for such an X, whose error a Newton step shows no more than roughly
 SPREAD = 2.0  # the same for the spectral radius of XY, of which the step gives a second value
 
 
@@ -119,9 +122,10 @@ def attempt(plant: NormalisedPlant, gamma: float, filter_first: bool = False) ->
             reason = f"{EQUATIONS[name]} equation {name}: {error}"
             break
         solutions[name], residuals[name] = solution.X, solution.residual
-        least = _negative(A, G, Q, solution.X)
+        least, proof = _negative(A, G, Q, solution.X)
         if least < 0:
-            reason, proof = f"{EQUATIONS[name]} equation: {name} is indefinite, smallest eigenvalue {least:.2e}", True
+            how = "" if proof else " within its error"
+            reason = f"{EQUATIONS[name]} equation: {name} is indefinite{how}, smallest eigenvalue {least:.2e}"
             break
     X, Y = solutions["X"], solutions["Y"]
     coupling = np.inf
@@ -142,17 +146,20 @@ def is_proof(plant: NormalisedPlant, level: Level) -> bool:
     return min(coupling, level.coupling) - SPREAD * abs(coupling - level.coupling) > 1
 
 
-def _negative(A: Array, G: Array, Q: Array, X: Array) -> float:
-    """Return the least eigenvalue of X at unit diagonal where it is negative beyond the error of X, else zero."""
+def _negative(A: Array, G: Array, Q: Array, X: Array) -> tuple[float, bool]:
+    """Return the least eigenvalue of X at unit diagonal, zero where it is not negative, and whether it surely is."""
     if not X.size:
-        return 0.0
+        return 0.0, False
     tiny = np.finfo(float).tiny
     natural = ROUND_OFF * float(np.linalg.norm(A)) / max(float(np.linalg.norm(G)), tiny)  # size of X where Q is zero
     unit = _unit_diagonal(X, natural)
     least = float(np.linalg.eigvalsh(X / unit)[0])
     if least > -FAINT:
-        return 0.0
-    return least if least < -BEYOND * np.linalg.norm(_error(A, G, Q, X) / unit) else 0.0
+        return 0.0, False
+    times = -least / max(float(np.linalg.norm(_error(A, G, Q, X) / unit)), tiny)
+    if least < GROSS:
+        return least, times > CERTAIN
+    return (least, True) if times > BEYOND else (0.0, False)
 
 
 def _error(A: Array, G: Array, Q: Array, X: Array) -> Array:

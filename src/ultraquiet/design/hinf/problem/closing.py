@@ -15,7 +15,7 @@ STEPS = 16
 CLIMBS = 12
 SPREAD = 1e6  # width of the search, where nothing is known to be out of reach
 # Factors over the asked level that are tried in turn until the verified loop is stable and keeps its level.
-BACK_OFF = (1.0, 1.0005, 1.002, 1.005, 1.02, 1.05, 1.1)
+BACK_OFF = (1.0, 1.00008, 1.0005, 1.002, 1.005, 1.02, 1.05, 1.1)
 
 
 class Closed(NamedTuple):
