@@ -77,9 +77,10 @@ def judged(what: str, both: list[tuple[StateSpace, DesignResult, float]]) -> Ite
 
 def beside_slicot(found: dict[str, tuple[StateSpace, DesignResult, float]]) -> Iterator[tuple[str, str, str, bool]]:
     """SB10AD, job 1 (bisection), on the continuous problem in normalised modal coordinates."""
-    given: dict[str, Any] = {"names": " ".join(found), "controls": 6, "measurements": 6}
+    given: dict[str, Any] = {"names": " ".join(found), "repeats": 1}
     for form, (P, ours, _) in found.items():
         given |= {f"{form}_{k}": m for k, m in zip("ABCD", best_coordinates(P), strict=True)}
+        given |= {f"{form}_controls": 6, f"{form}_measurements": 6}
         given |= {f"{form}_start": START * ours.gamma, f"{form}_tolerance": PEER_TOLERANCE * ours.gamma}
     target = f"{TIMES_SLICOT:g} x"
     try:
