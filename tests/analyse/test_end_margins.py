@@ -30,8 +30,10 @@ def test_each_change_of_one_channel_is_where_a_pole_passes_the_unit_circle(seed,
     found = loop_margins(plant, law, side)
     count = found.disk.size
     assert np.isfinite(found.gain_up_db).any()
-    assert np.isfinite(found.phase_deg).any()
     for channel in range(count):
+        if not np.isfinite(found.phase_deg[channel]):  # of a channel that hardly acts, no phase upsets the loop
+            turns = np.exp(1j * np.radians(np.arange(15, 360, 15)))
+            assert max(radius(plant, law, side, alone(count, channel, turn)) for turn in turns) < 1
         for factor in factors_of(found, channel):
             assert radius(plant, law, side, alone(count, channel, factor ** (1 - SHARE))) < 1
             assert radius(plant, law, side, alone(count, channel, factor ** (1 + SHARE))) > 1

@@ -3,6 +3,8 @@
 import numpy as np
 from scipy.linalg import block_diag, qr
 
+from ultraquiet._base.errors import InputError
+from ultraquiet.deploy import fixed_law
 from ultraquiet.values import StateSpace
 
 RATE_HZ = 3500.0
@@ -11,6 +13,19 @@ RANGES = {"input_v": 10.0, "output_v": 25.0}  # of whole numbers, where no chann
 
 def block(pole):
     return np.array([[pole.real, pole.imag], [-pole.imag, pole.real]])
+
+
+def law_in_words(rng, word, states, inputs=6, outputs=6, quiet=1.0, **settings):
+    """The first law drawn that whole numbers of a word's length hold, also `quiet` times as loud."""
+    while True:
+        law = random_law(rng, states, inputs, outputs)
+        soft = StateSpace(law.A, law.B, quiet * law.C, quiet * law.D, rate_hz=RATE_HZ)
+        try:
+            for each in (law, soft):
+                fixed_law(each, word, **RANGES, **settings)
+        except InputError:  # a row that sums to too much, a pole too near the circle for its coefficients
+            continue
+        return law
 
 
 def random_law(rng, states, inputs=6, outputs=6, mixed=True):

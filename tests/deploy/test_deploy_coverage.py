@@ -12,7 +12,7 @@ import subprocess
 import numpy as np
 import pytest
 from compilers_here import versions
-from deploy_laws import RANGES, RATE_HZ, block, random_law
+from deploy_laws import RANGES, RATE_HZ, block, law_in_words, random_law
 
 from ultraquiet.deploy import generate, generate_fixed
 from ultraquiet.values import StateSpace
@@ -134,7 +134,7 @@ def test_mcdc_of_the_code_under_its_self_test(rng, tmp_path, case):
 @pytest.mark.parametrize("case", WHOLE)
 def test_mcdc_of_whole_number_code_under_its_self_test(rng, tmp_path, case):
     word, settings = WHOLE[case]
-    law = random_law(rng, 6, 2, 2)
+    law = law_in_words(rng, word, 6, 2, 2, quiet=1e-3, **settings)
     quiet = StateSpace(law.A, law.B, 1e-3 * law.C, 1e-3 * law.D, rate_hz=RATE_HZ)
     for loudness, controller in (("as it is", law), ("a thousandth", quiet), ("one state", one_state())):
         folder = tmp_path / loudness.replace(" ", "_")

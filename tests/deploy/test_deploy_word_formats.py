@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from deploy_laws import RANGES, random_law
+from deploy_laws import RANGES, law_in_words, random_law
 
 from ultraquiet import deploy
 from ultraquiet.deploy.fixed_point.twin import FixedTwin
@@ -21,7 +21,7 @@ def test_floats_are_of_one_format(tmp_path, rng, precision, bits, significant):
 @pytest.mark.parametrize("word", ["q15", "q31"])
 @pytest.mark.parametrize("form", ["modal", "delta"])
 def test_whole_numbers_have_their_point_where_it_is_said(rng, word, form):
-    fixed = deploy.fixed_law(random_law(rng, 6), word, form, **RANGES)
+    fixed = deploy.fixed_law(law_in_words(rng, word, 6, form=form), word, form, **RANGES)
     fewest, most = next(each.fractional for each in fixed_formats(fixed) if each.quantity == "coefficients")
     A, B, C, D = fixed.fractions()
     own = (A - np.eye(fixed.states) * fixed.delta).reshape(fixed.states // 2, 2, -1, 2)

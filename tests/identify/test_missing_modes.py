@@ -21,8 +21,9 @@ def modal(rng, f_hz, zeta, ny, nu, size=1.0):
     for k, f in enumerate(f_hz):
         p = np.exp(2 * np.pi * f / RATE_HZ * (-zeta + 1j * np.sqrt(1 - zeta**2)))
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
-        B[2 * k + 1] = rng.standard_normal(nu) * np.sqrt(1 - abs(p) ** 2)
-        C[:, 2 * k] = size * rng.standard_normal(ny)
+        b, c = rng.standard_normal(nu), rng.standard_normal(ny)
+        B[2 * k + 1] = np.sqrt(nu * (1 - abs(p) ** 2)) * b / np.linalg.norm(b)
+        C[:, 2 * k] = size * np.sqrt(ny) * c / np.linalg.norm(c)
     return uq.StateSpace(A, B, C, np.zeros((ny, nu)), RATE_HZ)
 
 
