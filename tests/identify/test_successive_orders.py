@@ -19,8 +19,9 @@ def plant(ny, nu, rng):
         w = 2 * np.pi * f / RATE
         pole = np.exp(w * (-zeta + 1j * np.sqrt(1 - zeta**2)))
         blocks.append(np.array([[pole.real, pole.imag], [-pole.imag, pole.real]]))
-        B.append(np.vstack([rng.standard_normal(nu), np.zeros(nu)]))
-        C.append(np.column_stack([np.zeros(ny), rng.standard_normal(ny)]))
+        b, c = (x * np.sqrt(x.size) / np.linalg.norm(x) for x in (rng.standard_normal(nu), rng.standard_normal(ny)))
+        B.append(np.vstack([b, np.zeros(nu)]))
+        C.append(np.column_stack([np.zeros(ny), c]))
     A = np.zeros((6, 6))
     for k, block in enumerate(blocks):
         A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block

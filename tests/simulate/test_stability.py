@@ -199,6 +199,9 @@ def test_drawn_loops_are_never_judged_wrongly(rng):
     assert false_ok == false_unstable == wrongly_unknown == 0
 
 
+LEAST = 0.02  # V of a command, which every draw meets
+
+
 def test_the_compiled_bench_is_the_stepped_one(rng):
     """Commands at their limits, noise on: both draw the same."""
     A, B, C = modal(rng, 3, 5)
@@ -207,12 +210,12 @@ def test_the_compiled_bench_is_the_stepped_one(rng):
     )
     d, seed = rng.standard_normal((5, 500)), rng.integers(2**32)
     slow, fast = (
-        bench(A, B, C, 0.1, np.random.default_rng(seed), (0.1, 10.0)).run(
+        bench(A, B, C, 0.1, np.random.default_rng(seed), (LEAST, 10.0)).run(
             np.zeros_like(d), disturbance=d, controller=law
         )
         for bench in (wrapped, LinearBench)
     )
-    assert np.abs(fast.inputs).max() == 0.1
+    assert np.abs(fast.inputs).max() == LEAST
     assert fast.inputs == pytest.approx(slow.inputs, abs=1e-12)
     assert fast.outputs == pytest.approx(slow.outputs, abs=1e-12)
 

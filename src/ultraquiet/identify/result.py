@@ -14,6 +14,24 @@ from ultraquiet.values.confidence.response_spread import ResponseSpread
 
 # A verdict errs once in a thousand good models.
 SIGNIFICANCE = 1e-3
+# Share of an output's power below which an error is none of a measurement: 100 dB down, less than 16 bits tell apart.
+NO_NOISE = 1e-10
+
+
+def noiseless(share: float) -> Status | None:
+    """Return `ok` where an error is so small a share of its output's power that there is no noise to test, else None.
+
+    What is left of a simulated record is rounding, and what a search does within it: neither white nor a minimum.
+    """
+    if not share <= NO_NOISE:
+        return None
+    said = f"The residual is {np.sqrt(share):.1e} of the output: the record holds no noise to test."
+    return Status(StatusWord.OK, said)
+
+
+def shares_of(errors: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the share `(ny,)` of each output's power that an error has, both `(ny, n)`."""
+    return np.mean(errors**2, axis=1) / np.maximum(np.var(y, axis=1), np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -17,7 +17,8 @@ GROWTH = (1.25, 1.6, 2.5, 10.0)  # factors from one level that fails to the next
 NEAREST = 4  # levels around the optimum whose measures are looked at
 REGULAR = 1e-7  # of the trace, added to the X that others are measured by
 PATIENCE = 3  # probes in which the bracket must halve, or bisection takes over
-BLURRED = 1e-4  # tolerance once an equation cannot be solved, or not to a sign, where the bound allows it
+BLURRED = 1e-4  # tolerance once an equation cannot be solved though its bound allows it: round-off is near
+UNDECIDED = 2e-5  # the same once one is solved, but not to the sign of its solution
 OVERSHOOT = 0.4  # of the tolerance, to the far side of the root, so that the bracket closes from both ends
 OUT_OF_REACH = "what controls do not reach, or measurements do not see, exceeds it at one frequency"
 
@@ -74,12 +75,19 @@ def search(plant: riccati.NormalisedPlant, tolerance: float, expected: float | N
         tried.append(level)
         if level.reason:
             low, reason = level.gamma, level.reason
-            tolerance = max(tolerance, BLURRED) if np.isinf(level.coupling) and not level.proof else tolerance
+            tolerance = max(tolerance, _blur(level))
         else:
             best = level
         widths.append(best.gamma / max(low, nought))
     proofs = [t.gamma for t in tried if t.reason and t.gamma > certain and riccati.is_proof(plant, t)]
     return Bracket(best, low, reason, len(tried), certain, nought, max(proofs, default=certain))
+
+
+def _blur(level: riccati.Level) -> float:
+    """Return the tolerance below which a level that fails leaves nothing to be known."""
+    if level.proof or np.isfinite(level.coupling):
+        return 0.0
+    return UNDECIDED if level.X.size or level.Y.size else BLURRED
 
 
 def at_level(plant: riccati.NormalisedPlant, gamma: float) -> Bracket:

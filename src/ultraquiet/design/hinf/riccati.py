@@ -27,7 +27,6 @@ FAINT = 1e-12
 BEYOND = 10.0
 # Below it no error of a semidefinite X is to blame: X has come through infinity, or so near that its sign is open.
 GROSS = -0.1
-CERTAIN = 100.0  # the same number of times for such an X, whose error a Newton step shows no more than roughly
 SPREAD = 2.0  # the same for the spectral radius of XY, of which the step gives a second value
 
 
@@ -156,10 +155,8 @@ def _negative(A: Array, G: Array, Q: Array, X: Array) -> tuple[float, bool]:
     least = float(np.linalg.eigvalsh(X / unit)[0])
     if least > -FAINT:
         return 0.0, False
-    times = -least / max(float(np.linalg.norm(_error(A, G, Q, X) / unit)), tiny)
-    if least < GROSS:
-        return least, times > CERTAIN
-    return (least, True) if times > BEYOND else (0.0, False)
+    certain = -least > BEYOND * float(np.linalg.norm(_error(A, G, Q, X) / unit))
+    return (least, certain) if certain or least < GROSS else (0.0, False)
 
 
 def _error(A: Array, G: Array, Q: Array, X: Array) -> Array:

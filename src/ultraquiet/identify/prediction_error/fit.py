@@ -22,7 +22,7 @@ from ultraquiet.identify.prediction_error.structure import (
     f_rows,
     free_rows,
 )
-from ultraquiet.identify.result import SIGNIFICANCE
+from ultraquiet.identify.result import SIGNIFICANCE, noiseless
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.linalg.balance import square_root
 from ultraquiet.values import PolynomialModel, Status, StatusWord
@@ -109,7 +109,8 @@ def finished(
     fit_percent = prediction.fit_percent(data.recorded, output)
     nu = data.u.shape[0]
     free = structure.parameters(nu) + nu * max(structure.f, structure.a, structure.b) + 1  # its past and a constant too
-    status = verdict(best.state, best.iterations, evidence)
+    share = best.loss / max(float(np.var(data.y)), np.finfo(float).tiny)
+    status = noiseless(share) or verdict(best.state, best.iterations, evidence)
     silent = status.ok and by_chance(fit_percent, data.recorded.size, free)
     if silent:
         status = _silence(fit_percent)

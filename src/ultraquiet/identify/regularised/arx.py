@@ -19,7 +19,7 @@ from ultraquiet.identify.regularised.posterior import (
     ResponseResult,
     unsettled,
 )
-from ultraquiet.identify.result import SIGNIFICANCE, worst
+from ultraquiet.identify.result import SIGNIFICANCE, noiseless, shares_of, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status, StatusWord
 
@@ -122,7 +122,7 @@ class RegularisedArx(RegularisedFit):
             ]
         )
         statuses = [
-            _arx_verdict(m, f[2].converged, float(w), float(c), _share(e, y))
+            _arx_verdict(m, f[2].converged, float(w), float(c), float(shares_of(e[None], y[None])[0]))
             for m, f, w, c, e, y in zip(models, fits, white, free, residuals, record.outputs, strict=True)
         ]
         provenance = Provenance(self.name, asdict(self), parents=(record.hash,), versions=versions())
@@ -141,19 +141,14 @@ class RegularisedArx(RegularisedFit):
         )
 
 
-def _share(residual: FloatArray, y: FloatArray) -> float:
-    return float(np.mean(residual**2) / np.maximum(y.var(), np.finfo(float).tiny))
-
-
 def _arx_verdict(model: PolynomialModel, converged: bool, white: float, free: float, share: float) -> Status:
     if not model.is_stable():
         return Status(
             StatusWord.NOT_CONVERGED, "A has a root outside the unit circle, the model cannot simulate: lower 'lags'."
         )
-    if share <= marginal_likelihood.LEAST_ERROR:
-        return Status(
-            StatusWord.OK, f"The residual is {np.sqrt(share):.1e} of the output: the record holds no noise to test."
-        )
+    exact = noiseless(share)
+    if exact is not None:
+        return exact
     if not converged:
         return unsettled()
     if min(white, free) < SIGNIFICANCE:

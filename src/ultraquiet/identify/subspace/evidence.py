@@ -10,7 +10,7 @@ from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import p_in_words
-from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
+from ultraquiet.identify.result import SIGNIFICANCE, Result, noiseless, shares_of, worst
 from ultraquiet.identify.subspace.fit import Scaled, System
 from ultraquiet.linalg import balance, portmanteau, prediction, response
 from ultraquiet.values import InnovationForm, Record, Status, StatusWord
@@ -82,9 +82,10 @@ def judged(
     white = [portmanteau.ljung_box(x, lags).p_value for x in e]
     spare = spare_modes(system, data, search.predicts)
     growing_outputs = growing(record)
+    shares = shares_of(tested, data.y)
     statuses = [
-        _verdict(search, p, q if search.predicts else 1.0, spare, len(system.A), i in growing_outputs)
-        for i, (p, q) in enumerate(zip(free, white, strict=True))
+        _verdict(search, p, q if search.predicts else 1.0, spare, len(system.A), i in growing_outputs, noiseless(share))
+        for i, (p, q, share) in enumerate(zip(free, white, shares, strict=True))
     ]
     loss = np.mean(e**2, axis=1) * data.y_size[:, 0] ** 2
     model = modelled(system, e, record, data, provenance)
@@ -195,14 +196,16 @@ def free_of_inputs(e: FloatArray, u: FloatArray, memory: int, span: int) -> floa
     return portmanteau.free_of_inputs(e, u, lags, min(memory, e.size // 10), span)
 
 
-def _verdict(search: SearchSummary, free: float, white: float, spare: int, order: int, grows: bool) -> Status:
+def _verdict(
+    search: SearchSummary, free: float, white: float, spare: int, order: int, grows: bool, exact: Status | None
+) -> Status:
     if grows:
         return Status(
             StatusWord.NOT_CONVERGED,
             "The output grows through the record while the inputs do not: the plant is unstable, and a stable model "
             "says nothing of it; record it in a loop that holds it, and use 'predictor-subspace'.",
         )
-    if not search.converged:
+    if exact is None and not search.converged:
         return Status(StatusWord.NOT_CONVERGED, f"The search ended away from a minimum after {search.steps} steps.")
     if spare > SPARE_SHARE * order / 2:
         return Status(
@@ -210,6 +213,8 @@ def _verdict(search: SearchSummary, free: float, white: float, spare: int, order
             f"Order {order} is more than the record carries: {spare} of its modes cannot be told from noise; lower the "
             f"order (None chooses it), or record longer.",
         )
+    if exact is not None:
+        return exact
     if min(free, white) < SIGNIFICANCE:
         what = "still holds something of the inputs" if free <= white else "is not white"
         whose = "one-step" if search.predicts else "simulated"
@@ -218,9 +223,10 @@ def _verdict(search: SearchSummary, free: float, white: float, spare: int, order
             f"The {whose} error {what} ({p_in_words(min(free, white))}): the order or the horizon leaves part of the "
             f"record unexplained.",
         )
-    if search.predicts:
-        return Status(
-            StatusWord.OK,
-            f"The one-step error is white ({p_in_words(white)}) and free of the inputs ({p_in_words(free)}).",
-        )
-    return Status(StatusWord.OK, f"The simulated error is free of the inputs ({p_in_words(free)}).")
+    told = f"free of the inputs ({p_in_words(free)})"
+    return Status(
+        StatusWord.OK,
+        f"The one-step error is white ({p_in_words(white)}) and {told}."
+        if search.predicts
+        else f"The simulated error is {told}.",
+    )

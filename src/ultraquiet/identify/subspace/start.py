@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.identify.result import NO_NOISE
 from ultraquiet.identify.subspace import fit, hankel, modal_least_squares
 
 ROUNDS = 60  # of alternating least squares
 TRIAL_ROUNDS = 6  # of it by which horizons are compared
-ROUNDING = 1e-20  # of an output's power: an error below is the arithmetic's
 GAIN = 1e-5  # share of the error by which a round must lower it for another to follow
 
 
@@ -74,7 +74,7 @@ class SubspaceStart:
         bank = self.bank.without_feedthrough()
         modes = modal_least_squares.alternate(bank, self.modes.c, TRIAL_ROUNDS, GAIN)
         other = replace(self, loss=modal_least_squares.cost(bank, modes), bank=bank, modes=modes)
-        floor = ROUNDING * bank.power / bank.n
+        floor = NO_NOISE * bank.power / bank.n
         misses = [np.log(np.maximum(b.loss(m), floor)) for b, m in ((bank, modes), (self.bank, self.modes))]
         worth = bank.n * float(np.sum(misses[0] - misses[1]))
         return self if worth > bank.ny * bank.nu * np.log(bank.n) else other

@@ -1,0 +1,50 @@
+"""Records of a simulation without noise: what a model leaves of them is rounding, and no test of noise applies."""
+
+import numpy as np
+import pytest
+
+import ultraquiet as uq
+
+METHODS = {
+    "subspace": uq.identify.Subspace(order=4),
+    "subspace refined": uq.identify.Subspace(order=4, refine=True),
+    "predictor": uq.identify.PredictorSubspace(order=4),
+    "output error": uq.identify.OutputError(order=4),
+    "box-jenkins": uq.identify.BoxJenkins(order=4),
+}
+
+
+def simulated(rng, ny, nu):
+    """Two modes of about the same size, without noise."""
+    A, B, C = np.zeros((4, 4)), np.zeros((4, nu)), np.zeros((ny, 4))
+    for k, (turn, radius) in enumerate(((0.3, 0.98), (0.6, 0.97))):
+        c, s = radius * np.cos(turn), radius * np.sin(turn)
+        pair = slice(2 * k, 2 * k + 2)
+        A[pair, pair] = [[c, s], [-s, c]]
+        B[2 * k], C[:, 2 * k] = 1 + 0.3 * rng.standard_normal(nu), 1e-3 * (1 + 0.3 * rng.standard_normal(ny))
+    plant = uq.StateSpace(A, B, C, np.zeros((ny, nu)), 800.0)
+    u = 20 * rng.standard_normal((nu, 3000))
+    return plant, uq.Record(u, plant.simulate(u), 800.0)
+
+
+@pytest.mark.three_draws
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("shape", [(1, 1), (2, 3)])
+def test_a_record_without_noise_is_explained_and_said_to_be(rng, method, shape):
+    plant, record = simulated(rng, *shape)
+    found = METHODS[method].identify(record)
+    print(f"{method}: {found.status}")
+    assert found.status.ok
+    assert "no noise to test" in found.status.sentence
+    f = np.geomspace(1, 390, 100)
+    H, G = (each.frequency_response(f) for each in (found.state_space(), plant))
+    assert np.abs(H - G).max() < 1e-3 * np.abs(G).max()
+
+
+@pytest.mark.parametrize("method", ["subspace", "output error"])
+def test_what_an_order_too_low_leaves_is_no_rounding(rng, method):
+    _, record = simulated(rng, 1, 1)
+    low = {"subspace": uq.identify.Subspace(order=2), "output error": uq.identify.OutputError(order=2)}
+    found = low[method].identify(record)
+    print(f"{method}: {found.status}")
+    assert not found.status.ok
