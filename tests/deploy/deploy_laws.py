@@ -8,6 +8,7 @@ from ultraquiet.deploy import fixed_law
 from ultraquiet.values import StateSpace
 
 RATE_HZ = 3500.0
+TRIES = 10  # laws drawn for whole numbers: far more than one in ten is held
 RANGES = {"input_v": 10.0, "output_v": 25.0}  # of whole numbers, where no channel states one
 
 
@@ -17,7 +18,7 @@ def block(pole):
 
 def law_in_words(rng, word, states, inputs=6, outputs=6, quiet=1.0, **settings):
     """The first law drawn that whole numbers of a word's length hold, also `quiet` times as loud."""
-    while True:
+    for _ in range(TRIES):
         law = random_law(rng, states, inputs, outputs)
         soft = StateSpace(law.A, law.B, quiet * law.C, quiet * law.D, rate_hz=RATE_HZ)
         try:
@@ -26,6 +27,7 @@ def law_in_words(rng, word, states, inputs=6, outputs=6, quiet=1.0, **settings):
         except InputError:  # a row that sums to too much, a pole too near the circle for its coefficients
             continue
         return law
+    raise AssertionError(f"{word} holds none of {TRIES} drawn laws")
 
 
 def random_law(rng, states, inputs=6, outputs=6, mixed=True):

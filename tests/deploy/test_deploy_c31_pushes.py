@@ -41,7 +41,7 @@ def test_every_command_meets_both_limits_and_every_correction_is_seen(rng, case)
 
 
 @pytest.mark.parametrize("case", LAWS)
-def test_every_command_comes_back_half_of_them_at_least_by_one_count_beyond_its_limit_and_one_within(rng, case):
+def test_every_command_comes_back_most_of_them_by_one_count_beyond_its_limit_and_one_within(rng, case):
     law = LAWS[case](rng)
     twin, met, made = twin_of(law), 0, pushes(law)
     for push in made:
@@ -55,8 +55,7 @@ def test_every_command_comes_back_half_of_them_at_least_by_one_count_beyond_its_
         near = [b for b in beyond[len(push.counts) :] if abs(b) <= count]
         met += bool(near) and min(near) < 0 < max(near)
     print(f"{case}: {met} of {len(made)} limits met by a count on both sides")
-    # of two commands one is often moved more by the law's own states than measurements can stop
-    assert met >= (0.5 if law.outputs == 2 else 0.6) * len(made)
+    assert met >= 0.6 * len(made)
 
 
 def test_a_wrong_sign_of_any_correction_is_noticed(rng):

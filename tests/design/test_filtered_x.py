@@ -88,7 +88,7 @@ def test_steps_below_the_bound_converge_in_weak_directions_too(step, rng):
     truth, model = two_by_two(rng)
     bench = wrapped(truth, 2)
     f = rng.uniform(30, 80)
-    t = np.arange(20000) / 1000
+    t = np.arange(12000) / 1000
     d = np.stack([np.sin(2 * np.pi * f * t), np.cos(2 * np.pi * f * t)])
     law = FilteredXLms(reference=(2, 3), taps=8, step=step, leak=0.0, limit=100.0).design(model).law
     opened, closed = run(bench, d), run(bench, d, law)
