@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ultraquiet.analyse.loop_response import loop_response
+from ultraquiet.analyse.loop_response import both_sensitivities, loop_response
 from ultraquiet.design import Lqg
 from ultraquiet.linalg import discretize
 from ultraquiet.reduce import ClosedLoopWeighted
@@ -40,6 +40,10 @@ def test_a_line_on_a_pole_has_the_closed_loops_own_response(mode_hz):
     driven = np.moveaxis(control(plant, law).frequency_response(f), 2, 0)
     assert np.abs(S - expected).max() < 1e-6
     assert np.abs(KS - driven).max() < 1e-6 * np.abs(driven).max()
+    at_input, at_output = both_sensitivities(plant, law)(f)
+    assert np.array_equal(at_output, S)
+    other = np.moveaxis(sensitivity(law, plant).frequency_response(f), 2, 0)
+    assert np.abs(at_input - other).max() < 1e-6 * np.abs(other).max()
     # where both readings move alike without bound, nothing of their mean is left, and their difference is free
     assert np.abs(S[0].sum(axis=0)).max() < 1e-9
 
@@ -49,10 +53,12 @@ def test_an_ordinary_line_is_plain_arithmetic(rng):
     law = StateSpace([[0.3]], 0.01 * rng.normal(size=(1, 4)), rng.normal(size=(2, 1)), np.zeros((2, 4)), RATE_HZ)
     f = np.geomspace(1.0, 499.0, 20)
     S, KS = loop_response(plant, law, f)
+    at_input, _ = both_sensitivities(plant, law)(f)
     for k, at in enumerate(f):
         G, K = (system.frequency_response([at])[:, :, 0] for system in (plant, law))
         assert S[k] @ (np.eye(4) - G @ K) == pytest.approx(np.eye(4), abs=1e-12)
         assert KS[k] == pytest.approx(K @ S[k], abs=1e-12)
+        assert at_input[k] @ (np.eye(2) - K @ G) == pytest.approx(np.eye(2), abs=1e-12)
 
 
 def test_a_law_of_integrators_is_reduced_by_what_it_promised():

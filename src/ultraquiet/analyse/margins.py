@@ -108,13 +108,21 @@ def even_sensitivity(plant: StateSpace, controller: StateSpace, side: str) -> St
 
     S_ii and what a change of each channel does are those of S; channels in units decades apart cost no digits.
     """
+    G, K = even_loop(plant, controller)
+    return sensitivity(G, K) if side == "output" else sensitivity(K, G)
+
+
+def even_loop(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, StateSpace]:
+    """Return plant and controller with states and channels evened out by powers of two: the same loop, the same poles.
+
+    S at either end is D S D^-1 with a diagonal D.
+    """
     G, K = _even_inputs(plant, controller)
     if K.D.shape != G.D.shape[::-1]:
-        return sensitivity(G, K)
+        return G, K  # to be refused by who joins them
     y = _between(np.hstack([G.C, G.D]), np.vstack([K.B, K.D]).T)
     G = StateSpace(G.A, G.B, G.C / y[:, None], G.D / y[:, None], G.rate_hz)
-    K = StateSpace(K.A, K.B * y, K.C, K.D * y, K.rate_hz)
-    return sensitivity(G, K) if side == "output" else sensitivity(K, G)
+    return G, StateSpace(K.A, K.B * y, K.C, K.D * y, K.rate_hz)
 
 
 def _even_inputs(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, StateSpace]:

@@ -5,30 +5,19 @@ from dataclasses import replace
 from itertools import count, takewhile
 from typing import NamedTuple
 
-import numpy as np
-
-from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet._base.errors import InputError
-from ultraquiet.analyse.disk import ENDS, disk_margin
-from ultraquiet.analyse.margins import default_grid, even_sensitivity
-from ultraquiet.analyse.peaks import response_at
 from ultraquiet.analyse.plant_scale import EvenPlant, even_plant
-from ultraquiet.analyse.scalings.upper import upper_bound
-from ultraquiet.analyse.structure import structure
+from ultraquiet.design.margin_screen import about_kept, margin_kept, surely_less
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
 from ultraquiet.design.verification import judged
-from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 FIRST = 32.0  # 30 dB of loop gain in the mean over the band: more is noise in the actuators
 LAST = 2.0**-6  # below it nothing worth calling control is left
-CLEARLY = 1.1  # times the margin, on the lines of a grid: peaks between them are lower than that
 # Of the margin: a law that only resembles the one judged keeps less than it, by a fifth on the worst of 40 plants.
 CLEARLY_LESS = 0.7
-SPARSE = 10  # of the lines of a grid, one of so many is looked at before the others
-FEW = 16  # lines at a time that are bounded closely
 LITTLE_DB = 1.0  # a law that lowers the RMS by less leaves the plant as it is
 SPARE = 1.02  # of the margin, so that the last digits of another coordinate system do not decide
 
@@ -161,90 +150,3 @@ def _idle(result: DesignResult) -> DesignResult:
         f"{result.status.sentence}"
     )
     return replace(result, status=Status(StatusWord.SHORT, said))
-
-
-def margin_kept(plant: StateSpace, law: StateSpace, enough: float) -> bool:
-    """Return whether the disk margins at both ends are at least `enough`, which they need not be known for.
-
-    A few lines of a grid mostly show mu beyond its limit, and the norm on all of them that it is clearly below. Only
-    where neither does is its peak sought.
-    """
-    ends = _sensitivities(plant, law)
-    if ends is None or enough <= 0:
-        return ends is not None
-    looked = [_looked(S, 1 / (CLEARLY * enough), 1 / enough) for S in ends]
-    if any(lines.largest > 1 / enough for lines in looked):
-        return False
-    open_ends = [side for side, lines in zip(ENDS, looked, strict=True) if lines.norm > 1 / (CLEARLY * enough)]
-    return all(disk_margin(plant, law, side) >= enough for side in open_ends)
-
-
-def surely_less(plant: StateSpace, law: StateSpace, enough: float) -> bool:
-    """Return whether a loop is stable and its disk margin at an end below `enough`, as far as a few lines show it."""
-    if enough <= 0:
-        return False
-    for side in ENDS:
-        try:
-            S = even_sensitivity(plant, law, side)
-        except InputError:  # not well posed
-            return False
-        if not S.is_stable():
-            return False
-        if _looked(S, 1 / enough, 1 / enough).largest > 1 / enough:
-            return True
-    return False
-
-
-def _sensitivities(plant: StateSpace, law: StateSpace) -> list[StateSpace] | None:
-    """Return S at both ends of a stable loop, None for others."""
-    try:
-        ends = [even_sensitivity(plant, law, side) for side in ENDS]
-    except InputError:  # not well posed
-        return None
-    return ends if all(S.is_stable() for S in ends) else None
-
-
-class _Lines(NamedTuple):
-    """The largest norm of S - 1/2 on lines of a grid, and mu of the lines where norms are highest."""
-
-    norm: float
-    largest: float
-
-
-def _looked(S: StateSpace, clearly: float, most: float) -> _Lines:
-    """Return the lines of the default grid, or one in a few where those hold a mu above `most`.
-
-    The norm is a bound of mu that costs little, and the lines where it is highest mostly decide alone. They are bounded
-    closely where it leaves open whether mu is above `clearly`, which stands for all below it.
-    """
-    at, f = response_at(S), default_grid(S)
-
-    def on(lines: FloatArray, limit: float) -> _Lines:
-        X = np.moveaxis(at(lines), 2, 0) - np.eye(S.D.shape[0]) / 2
-        norms = largest_gains(X)
-        largest = _closely(X[np.argsort(-norms)[:FEW]], clearly) if norms.max() > limit else 0.0
-        return _Lines(float(norms.max()), max(largest, clearly))
-
-    sparse = on(f[::SPARSE], most)
-    return sparse if sparse.largest > most else on(f, clearly)
-
-
-def _closely(X: ComplexArray, least: float) -> float:
-    """Return the largest bound of mu over some lines, for one complex number a channel; below `least` not closely."""
-    return float(upper_bound(X, structure("margin_kept", None, X.shape[1:]), least).value.max())
-
-
-def about_kept(plant: StateSpace, law: StateSpace, asked: float) -> float:
-    """Return the smaller of the disk margins at both ends; where that is below `asked`, a number not below it.
-
-    Lines at which one channel, or all alike, already need less are found first: eigenvalues cost less than mu.
-    """
-    ends = _sensitivities(plant, law)
-    if ends is None:
-        return 0.0
-    most = np.inf
-    for S in ends:
-        X = np.moveaxis(response_at(S)(default_grid(S)), 2, 0) - np.eye(S.D.shape[0]) / 2
-        largest = max(np.abs(np.linalg.eigvals(X)).max(initial=0.0), np.abs(np.einsum("fii->fi", X)).max(initial=0.0))
-        most = min(most, 1 / float(largest))
-    return most if most < asked else min(disk_margin(plant, law, side) for side in ENDS)
