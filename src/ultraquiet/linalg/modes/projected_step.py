@@ -12,6 +12,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 
+HEADS = 8  # a few rows of a matrix at a time
+
 Step = tuple[ComplexArray, ComplexArray, ComplexArray]
 
 
@@ -84,6 +86,7 @@ class ProjectedEquations(NamedTuple):
     def step(self, damping: float) -> Step | None:
         """Return the changes of p `(heads,)`, c `(ny, heads)`, b `(heads, nu)`; None where no digits are left."""
         from scipy.linalg import LinAlgError, cholesky, solve_triangular
+        from scipy.linalg.lapack import dpotrf, dpotrs  # pyright: ignore[reportAttributeAccessIssue]
 
         m, heads, size = self.P.shape
         root_c = np.sqrt(np.maximum(np.diag(self.W), np.finfo(float).tiny))
@@ -95,13 +98,14 @@ class ProjectedEquations(NamedTuple):
             both = solve_triangular(R, both / root_c[:, None], trans=1, check_finite=False)
             k = heads * size
             Z, y = np.ascontiguousarray(both[:, : 2 * k]), both[:, 2 * k :]
-            N, g = self._reduced(Z, y)
-            diagonal = self._diagonal()
-            root = np.sqrt(np.maximum(diagonal, np.finfo(float).tiny))
-            N /= np.outer(root, root)
+            root = np.sqrt(np.maximum(self._diagonal(), np.finfo(float).tiny))
+            N, g = self._reduced(Z, y, root)
             N[np.diag_indices_from(N)] += damping
-            U = cholesky(N, overwrite_a=True, check_finite=False)
-            x = solve_triangular(U, solve_triangular(U, g / root, trans=1, check_finite=False), check_finite=False)
+            # of N' in Fortran's order, which is not copied, the upper triangle is the lower one of N
+            U, failed = dpotrf(N.T, clean=0, overwrite_a=1)
+            if failed:
+                return None
+            x, _ = dpotrs(U, g / root)
         except LinAlgError:
             return None
         v = self._complex(x / root)
@@ -116,32 +120,36 @@ class ProjectedEquations(NamedTuple):
         """Return 1 for heads with a conjugate, 1/2 for real ones, which are their own."""
         return np.where(np.arange(self.P.shape[1]) < self.upper, 1.0, 0.5)
 
-    def _reduced(self, Z: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the equations of real unknowns of b and p once c is taken out.
+    def _reduced(self, Z: FloatArray, y: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the equations of real unknowns of b and p once c is taken out: the lower triangle, and right sides.
 
-        `Z`, real parts beside imaginary ones, and y are P and g_c divided by W's root.
+        `Z`, real parts beside imaginary ones, and y are P and g_c divided by W's root. With A and B what K and L
+        become, hermitian and symmetric, the matrix is of real parts 2 (A + B), of imaginary ones 2 (A - B), both real,
+        and the imaginary part of 2 (A + B) between them; it is divided by the roots of its diagonal on both sides.
         """
         shape, k = self.K.shape, Z.shape[1] // 2
+        u = self.upper * shape[1]
         products = Z.T @ Z
-        rr, ri, ii = products[:k, :k], products[:k, k:], products[k:, k:]
-        A = (self.K - (rr + ii + 1j * (ri - ri.T)).reshape(shape)) * self.cc[:, None, :, None]
-        B = (self.L - (rr - ii - 1j * (ri + ri.T)).reshape(shape)) * self.dd[:, None, :, None]
+        K, L = self.K.reshape(k, k), self.L.reshape(k, k)
+        row, low = np.sqrt(2.0) * np.repeat(self._share(), shape[1]) / root[:k], np.sqrt(2.0) / root[k:]
+        factors = np.array([self.cc.real, self.cc.imag, self.dd.real, self.dd.imag])[:, :, None]
+        N = np.empty((k + u, k + u))
+        for first in range(0, shape[0], HEADS):  # rows that stay near the processor
+            at = slice(first * shape[1], min(first + HEADS, shape[0]) * shape[1])
+            both = slice(at.start, max(min(at.stop, u), at.start))
+            many = both.stop - both.start
+            rr, ri, ir, ii = products[at, :k], products[at, k:], products[k:][at, :k], products[k:][at, k:]
+            p, p_, q, q_ = K.real[at] - rr - ii, K.imag[at] - ri + ir, L.real[at] - rr + ii, L.imag[at] + ri + ir
+            by = np.repeat(factors[:, first : first + HEADS], shape[1], axis=3) * row
+            c, c_, d, d_ = np.repeat(by, shape[1], axis=2).reshape(4, -1, k)
+            A, B = p * c - p_ * c_, q * d - q_ * d_
+            N[at, :k] = (A + B) * row[at, None]
+            N[k:][both, :k] = (p * c_ + p_ * c + q * d_ + q_ * d)[:many] * low[both, None]
+            N[k:][both, k:] = (A - B)[:many, :u] * low[both, None] * (low / row[:u])
         parts = Z.T @ y
         taken = (parts[:k] - 1j * parts[k:]).reshape(*shape[:2], -1)
         g = self.g - np.einsum("lqi,il->lq", taken, self.c.conj())
-        return self._real(A, B), self._real_rows(g)
-
-    def _real(self, A: ComplexArray, B: ComplexArray) -> FloatArray:
-        """Return the matrix of real and imaginary parts, imaginary ones of pairs only."""
-        share, k, u = self._share(), A.shape[0] * A.shape[1], self.upper * A.shape[1]
-        both = 2 * np.repeat(share, A.shape[1])
-        A, B = A.reshape(k, k), B.reshape(k, k)
-        N = np.empty((k + u, k + u))
-        N[:k, :k] = (A.real + B.real) * np.outer(both, both) / 2
-        N[k:, :k] = (A.imag + B.imag)[:u] * both
-        N[:k, k:] = N[k:, :k].T
-        N[k:, k:] = 2 * (A.real - B.real)[:u, :u]
-        return N
+        return N, self._real_rows(g)
 
     def _diagonal(self) -> FloatArray:
         """Return the diagonal for b and p before c is taken out: what the damping is measured in."""
