@@ -19,7 +19,9 @@ from ultraquiet.design import AdaptiveFeedforward, Resonators
 TONES_HZ, VOLTS, SECONDS = (5.0, 25.0, 100.0), 10.0, 20.0
 EACH_DB, TOGETHER_DB, QUIET_DB, PEAK_DB = 40.0, 38.0, 20.0, 6.5
 JUMP_HZ, JUMP_DB, BEFORE_S, FOLLOWED_S, HEARD_S = 2.0, 30.0, 6.0, 0.5, 1.0
-SPANS, BESIDE_HZ = {5.0: 0.45, 25.0: 0.1, 100.0: 0.025}, 3.0  # wide enough for the jump; of a spectrum, to each side
+SPANS, BESIDE_HZ = {5.0: 0.45, 25.0: 0.1, 100.0: 0.05}, 3.0  # wide enough for the jump; of a spectrum, to each side
+# A tone is followed as fast as its frequency is, which noise allows for one so loud; at 5 Hz amplitudes are slow.
+TRACK_HZ, FIND_S = {5.0: 1.0, 25.0: 5.0, 100.0: 8.0}, 0.25
 
 # at 5 Hz geophones hear next to nothing: what follows must not be as loud above
 BANK = {"tones_hz": TONES_HZ, "settling_s": (4.0, 2.0, 5.0), "loop_peak_db": 6.0, "roll_off": 2.0}
@@ -73,7 +75,8 @@ def _jumps(unit: str, bench, model: uq.StateSpace, quiet: uq.StateSpace) -> Iter
     t = np.arange(round((BEFORE_S + FOLLOWED_S + HEARD_S) * rate)) / rate
     heard = slice(round((BEFORE_S + FOLLOWED_S) * rate), None)
     for tone in TONES_HZ:
-        method = AdaptiveFeedforward((tone,), SPANS[tone], peak_db=10.0, loop_peak_db=PEAK_DB, around=quiet)
+        how = {"track_hz": TRACK_HZ[tone], "find_s": FIND_S, "peak_db": 10.0, "loop_peak_db": PEAK_DB}
+        method = AdaptiveFeedforward((tone,), SPANS[tone], around=quiet, **how)
         law = method.design(model).law
         worst = np.inf
         for jump in (-JUMP_HZ, JUMP_HZ):
