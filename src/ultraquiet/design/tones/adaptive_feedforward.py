@@ -52,8 +52,8 @@ class AdaptiveFeedforward(StatedRobustness):
         tones_hz: nominal frequencies, Hz; at least one.
         span: how far each may be from its nominal frequency, as a share of that.
         settling_s: time of the amplitudes to within two per cent, one number or one a tone.
-        track_hz: bandwidth of the loop that follows the frequency, Hz. As given it follows a drift in much noise; a loud
-            tone that jumps is met sooner with several Hz, a twentieth to a fifth of its frequency.
+        track_hz: bandwidth of the loop that follows the frequency, Hz. As given it follows a drift in much noise; of
+            a loud tone that jumps a twentieth to a fifth of its frequency meets it sooner.
         find_s: how long the bank listens.
         limit: largest command of the law per actuator, in its unit; its own when absent. Amplitudes that would exceed
             it are shrunk together.
