@@ -35,6 +35,10 @@ class NumericalError(UltraquietError, ArithmeticError):
     """An equation has no acceptable solution; the message says which and why."""
 
 
+class UnheardError(InputError, NumericalError):
+    """Noise hides all that was to be measured; it says nothing of whether a loop is stable."""
+
+
 class BenchError(UltraquietError, RuntimeError):
     """A bench from outside fell silent, died, answered nonsense or was stopped by an interlock while it ran."""
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ultraquiet import analyse, reduce, simulate
 from ultraquiet._base.constraints import FloatArray
-from ultraquiet._base.errors import InputError, InterlockError, UltraquietError
+from ultraquiet._base.errors import InputError, InterlockError, UltraquietError, UnheardError
 from ultraquiet._base.progress import task
 from ultraquiet._base.registry import lookup, older_names
 from ultraquiet._base.tables import Method
@@ -250,12 +250,15 @@ def _closed_on(
         if settings.tones_hz:
             tones = simulate.attenuation(loop.bench, law, settings.tones_hz, settings.amplitude, settings.duration_s)
         matrix = simulate.measure_sensitivity(loop.bench, law, opened=loop)
+        measured = _measured(check, tones, matrix, settings, required_hz)
+    except UnheardError as error:
+        return UnstableLoop(status=f"not measured: The loop settles. {error}"), (None, None)
     except UltraquietError as error:
         if isinstance(error, InterlockError) and error.of_time:
             raise
         # A law that runs away under a stronger disturbance is a finding about the law.
         return UnstableLoop(status=f"unstable: Under disturbances the loop ran away: {error}"), (None, None)
-    return _measured(check, tones, matrix, settings, required_hz), (tones, matrix)
+    return measured, (tones, matrix)
 
 
 def _measured(

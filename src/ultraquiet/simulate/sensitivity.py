@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
-from ultraquiet._base.errors import InputError, NumericalError
+from ultraquiet._base.errors import InputError, UnheardError
 from ultraquiet._base.progress import task
 from ultraquiet._base.shown.line import counted
 from ultraquiet.bench import Bench
@@ -144,7 +144,7 @@ class MeasuredSensitivity:
     def _band(self, low_hz: float, high_hz: float) -> np.ndarray:
         band = (self.f_hz >= low_hz) & (self.f_hz <= high_hz)
         if not band.any():
-            raise InputError(f"MeasuredSensitivity: no line lies between {low_hz:g} and {high_hz:g} Hz.")
+            raise UnheardError(f"MeasuredSensitivity: no line lies between {low_hz:g} and {high_hz:g} Hz.")
         return band
 
 
@@ -358,7 +358,7 @@ def _largest(S: ComplexArray) -> FloatArray:
 def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
     f, S = _all_lines(parts)
     if not f.size:
-        raise NumericalError(
+        raise UnheardError(
             "measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise."
         )
     bench = opened.bench

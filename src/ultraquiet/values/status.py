@@ -34,6 +34,8 @@ class StatusWord(StrEnum):
         "or a hum at the mode's own frequency hides it.",
     )
 
+    NOT_MEASURED = "not measured", "The loop settles; how quiet it is could not be told, and the sentence says why."
+
     DEAD = "dead", "The channel carries nothing that has to do with the others; mend it or leave it out."
     SATURATED = "saturated", "The channel's samples pile up at its limits; what lies beyond is lost."
 

@@ -153,7 +153,10 @@ def of_the_bench(unit: str) -> str:
 
 @fact
 class UnstableLoop:
-    """A loop that ran away, at once or under a disturbance, or of which it is not known; `status` begins with which."""
+    """A loop of which nothing is known but `status`, which begins with why.
+
+    It ran away, at once or under a disturbance; or it is not known whether it is stable; or noise hid all of it.
+    """
 
     stable: Literal[False] = False
     status: str
@@ -165,6 +168,8 @@ class UnstableLoop:
         where = of_the_bench(unit)
         if self.word == StatusWord.NOT_KNOWN.value:
             return f"whether {name} is stable on {where} is not known"
+        if self.word == StatusWord.NOT_MEASURED.value:
+            return f"{name} settles on {where}, where noise hides how quiet it is"
         return f"{name} is {self.word} on {where}"
 
     @property

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, one_of, rising_band, whole
-from ultraquiet._base.errors import InputError, UltraquietError
+from ultraquiet._base.errors import InputError, UltraquietError, UnheardError
 from ultraquiet._base.provenance import content_hash, versions
 from ultraquiet._base.threads import one_blas_thread
 from ultraquiet.bench import Bench
@@ -86,7 +86,7 @@ class Campaign:
     def evaluate(self, case: int) -> Row:
         """Return the row of a case: its number, seed and unit, whether it is stable, figures, status and parameters.
 
-        An unstable loop attenuates by minus infinity and peaks at infinity.
+        An unstable loop attenuates by minus infinity and peaks at infinity; so does one of which noise hides all.
         """
         with one_blas_thread():
             unit, bench = self.bench_of(case)
@@ -122,12 +122,15 @@ class Campaign:
             return _lost(str(check.status))
         try:
             found = measure_sensitivity(bench, law)
+            attenuation = found.worst_in_band_db(*self.band_hz)
+        except UnheardError as error:
+            return {**_lost(f"not measured: The loop settles. {error}"), "stable": True}
         except UltraquietError as error:
             # A law that runs away under a stronger disturbance is a finding about the law.
             return _lost(f"unstable: Under disturbances the loop ran away: {error}")
         return {
             "stable": True,
-            "attenuation_db": found.worst_in_band_db(*self.band_hz),
+            "attenuation_db": attenuation,
             "peak_db": found.peak_amplification_db(),
             "lines_missing": found.lines_missing,
             "status": str(check.status),
