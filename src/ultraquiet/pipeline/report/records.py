@@ -54,9 +54,13 @@ def excitation(result: StudyResult) -> Section:
 
 
 def _signals(result: StudyResult) -> dict[str, tuple[Record, int]]:
-    """Return the test signals that are drawn, each with a record of it and the actuator that sent it."""
+    """Return the test signals that are drawn, each with a record of it and the actuator that sent it.
+
+    A record during which no command moved, of the noise alone, is none.
+    """
     paper = result.study.paper
     groups = {name: result.records[members[0]] for name, members in grouped(result.records).items()}
+    groups = {name: record for name, record in groups.items() if np.any(np.ptp(record.inputs, axis=1))}
     asked = [name for name in paper.records if name in groups] if paper else list(groups)[:MOST_SIGNALS]
     return {name: (groups[name], int(np.argmax(np.ptp(groups[name].inputs, axis=1)))) for name in asked}
 
