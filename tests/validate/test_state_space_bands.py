@@ -72,3 +72,25 @@ def test_refusals():
     wild = uq.StateSpace([[1.5]], [[1.0, 1.0]], [[1.0], [1.0]], np.zeros((2, 2)), RATE_HZ)
     with pytest.raises(InputError, match="unstable"):
         uq.validate.state_space_band(wild, record, F_HZ)
+
+
+def test_a_mode_that_rings_as_long_as_the_record_has_the_band_of_an_output_error(seed):
+    """A record is no period: as one, the lines beside the mode told 6 times more or less of it, by the draw.
+
+    Both methods find the same least error, so that their bands are one but for how each knows its noise.
+    """
+    poles = np.exp(2j * np.pi * np.array([4.0, 18.0]) / RATE_HZ * (1 + 0.01j))
+    A = np.zeros((4, 4))
+    for k, p in enumerate(poles):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+    plant = uq.StateSpace(A, [[0.0], [1.0], [0.0], [2.0]], [[1.0, 0.0, -0.7, 0.0]], [[0.0]], RATE_HZ)
+    ratios = []
+    for k in range(3):
+        rng = np.random.default_rng(100 * seed + k)
+        u = rng.standard_normal((1, SAMPLES))
+        y = plant.simulate(u)
+        record = uq.Record(u, y + 0.1 * y.std() * rng.standard_normal(y.shape), RATE_HZ)
+        methods = uq.identify.Subspace(order=4, refine=True), uq.identify.OutputError(order=4)
+        bands = [uq.validate.response_band(method.identify(record), [4.0]) for method in methods]
+        ratios.append(float(np.divide(*((b.gain_high_db - b.gain_db)[0, 0, 0] for b in bands))))
+    assert ratios == pytest.approx([1.0] * 3, abs=0.25)

@@ -358,9 +358,7 @@ def _largest(S: ComplexArray) -> FloatArray:
 def _joined(opened: OpenLoop, parts: list[_Part]) -> MeasuredSensitivity:
     f, S = _all_lines(parts)
     if not f.size:
-        raise UnheardError(
-            "measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise."
-        )
+        raise UnheardError("measure_sensitivity: noise hides every line; raise the sensors' gain or lower their noise.")
     bench = opened.bench
     ny, nu = len(bench.sensors), len(bench.actuators)
     reach = f"{counted(nu, 'actuator reaches', 'actuators reach')} {nu} of {ny} directions of the sensors; "

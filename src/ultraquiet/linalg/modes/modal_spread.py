@@ -1,6 +1,7 @@
 """How far a state-space response may lie from the truth, from the spectra of the record that it was fitted to."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,47 @@ LINES_AT_ONCE = 128
 # may be scaled and turned), or that the record says nothing of.
 CUTOFF = 1e-10
 LEAST_DECAY = 1e-12
+SAMPLES_AT_ONCE = 4096
+
+
+class Ended(NamedTuple):
+    """Where a record from rest ends: per block of modes, what its states have become of what drove them.
+
+    A record is no period: of x+ = A x + B u, the transform over n samples is (z - A)^-1 (B U + z (x_0 - x_n)), and
+    x_n is as large as what drives it where a mode rings for as long as the record.
+
+    Attributes:
+        x: `(n,)` the states.
+        w: `(n,)` of w+ = A w + x, which their derivatives by a pole are.
+        h: `(n, n, nu)` states that input j alone leaves, let in at the place of the second index.
+        turned: `(n, n)` A^n.
+    """
+
+    x: FloatArray
+    w: FloatArray
+    h: FloatArray
+    turned: FloatArray
+
+    @classmethod
+    def of(cls, A: FloatArray, B: FloatArray, blocks: Sequence[int], u: FloatArray) -> "Ended":
+        """Return it for real modal blocks [[re, im], [-im, re]], of which x1 - j x2 is the complex state."""
+        (n, nu), samples = B.shape, u.shape[1]
+        starts = np.concatenate([[0], np.cumsum(blocks)[:-1]]).astype(int)
+        pairs = np.array(blocks) == 2
+        p = A[starts, starts] + 1j * np.where(pairs, A[starts, np.minimum(starts + 1, n - 1)], 0.0)
+        first, second = np.zeros((2, p.size, nu), dtype=np.complex128)
+        for k in range(0, samples, SAMPLES_AT_ONCE):
+            some = u[:, k : k + SAMPLES_AT_ONCE]
+            left = samples - 1 - np.arange(k, k + some.shape[1])
+            first += p[:, None] ** left @ some.T
+            second += (left * p[:, None] ** np.maximum(left - 1, 0)) @ some.T
+        h, slopes, turned = np.zeros((n, n, nu)), np.zeros((n, n, nu)), np.zeros((n, n))
+        for a, pair, *sums in zip(starts, pairs, first, second, p**samples, strict=True):
+            for into, s in zip((h, slopes, turned), sums, strict=True):
+                into[a, a] = np.real(s)
+                if pair:
+                    into[a, a + 1], into[a + 1, a], into[a + 1, a + 1] = np.imag(s), -np.imag(s), np.real(s)
+        return cls(np.einsum("abj,bj->a", h, B), np.einsum("abj,bj->a", slopes, B), h, turned)
 
 
 class ModalSensitivities:
@@ -47,23 +89,35 @@ class ModalSensitivities:
                 dA[rows, rows] = part * decay
                 yield dA
 
-    def of(self, z: ComplexArray, u: ComplexArray) -> ComplexArray:
-        """Return d y / d theta `(nf, ny, p)` for input spectra `(nf, nu)`."""
+    def of(self, z: ComplexArray, u: ComplexArray, ended: Ended | None = None) -> ComplexArray:
+        """Return d y / d theta `(nf, ny, p)` for input spectra `(nf, nu)`: steady, or of a record that ended so.
+
+        Of a record n columns more are by the states that it began with.
+        """
         (ny, n), nu, nf = self.C.shape, self.B.shape[1], z.size
         inverse = np.linalg.inv(z[:, None, None] * np.eye(n) - self.A)
-        x = np.einsum("fab,bj,fj->fa", inverse, self.B, u, optimize=True)
-        out = self.C @ inverse
-        by_A = np.stack([np.einsum("fia,ab,fb->fi", out, dA, x, optimize=True) for dA in self.bends()], axis=2)
-        by_B = (out[..., None] * u[:, None, None]).reshape(nf, ny, n * nu)
+        out, drive = self.C @ inverse, u @ self.B.T
+        if ended is not None:
+            drive = drive - z[:, None] * ended.x
+        x = np.einsum("fab,fb->fa", inverse, drive, optimize=True)
+        bent = x if ended is None else x - z[:, None] * ended.w
+        by_A = np.stack([np.einsum("fia,ab,fb->fi", out, dA, bent, optimize=True) for dA in self.bends()], axis=2)
+        by_B = out[..., None] * u[:, None, None]
+        if ended is not None:
+            by_B = by_B - np.einsum("f,fia,abj->fibj", z, out, ended.h, optimize=True)
+        by_B = by_B.reshape(nf, ny, n * nu)
         by_C = np.einsum("ik,fa->fika", np.eye(ny), x).reshape(nf, ny, ny * n)
         by_D = np.einsum("ik,fj->fikj", np.eye(ny), u[:, : self.direct]).reshape(nf, ny, ny * self.direct)
-        return np.concatenate([by_A, by_B, by_C, by_D], axis=2)
+        began = [] if ended is None else [z[:, None, None] * (out - out @ ended.turned)]
+        return np.concatenate([by_A, by_B, by_C, by_D, *began], axis=2)
 
 
 def spread_root(
     at: ModalSensitivities, inputs: FloatArray, errors: FloatArray, weight: FloatArray | None, colored: bool
 ) -> FloatArray:
     """Return R `(p, k)` with R R' the covariance of the parameters that make a sum of squared errors least.
+
+    The states that the record began with are parameters beside them, of which nothing is known.
 
     With S(f) = d y / d theta at a line of the record, W the weight and Phi the spectrum of the errors,
 
@@ -86,19 +140,21 @@ def spread_root(
     lines = np.arange(1, (n + 1) // 2)
     z = np.exp(2j * np.pi * lines / n)
     U = np.fft.rfft(inputs, axis=1)[:, lines].T
+    ended = Ended.of(at.A, at.B, at.blocks, inputs)
     level = np.sqrt(spectra(v, z)) if colored else np.ones((lines.size, ny))
     root, weigh = np.linalg.cholesky(V), np.linalg.cholesky(W).T
     M, Q = np.zeros((2, 1, 1))
     for k in range(0, lines.size, LINES_AT_ONCE):
         some = slice(k, k + LINES_AT_ONCE)
-        S = at.of(z[some], U[some])
+        S = at.of(z[some], U[some], ended)
         M = M + 2 * _products(weigh @ S)
         Q = Q + 2 * _products(root.T @ (level[some][:, :, None] * (W @ S)))
     size = np.sqrt(np.maximum(np.diag(M), np.finfo(float).tiny))
     scale = np.outer(size, size)
     inverse = np.linalg.pinv(M / scale, rcond=CUTOFF, hermitian=True)
     values, vectors = np.linalg.eigh(Q / scale)
-    return (inverse @ (vectors * np.sqrt(np.maximum(values, 0.0)))) * (np.sqrt(n) / size)[:, None]
+    root = (inverse @ (vectors * np.sqrt(np.maximum(values, 0.0)))) * (np.sqrt(n) / size)[:, None]
+    return root[: len(root) - states]
 
 
 def _products(S: Array) -> FloatArray:
