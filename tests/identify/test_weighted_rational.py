@@ -182,3 +182,51 @@ def test_refusals(rng):
         uq.identify.WeightedRational(order=6).identify_response(few, RATE_HZ)
     with pytest.raises(uq.errors.InputError, match="no coherence"):
         uq.spectra.with_coherence_variance(uq.FrequencyResponse(F_HZ, G), 5)
+
+
+def ringing(rng, share, samples):
+    """A plant whose lower mode rings for seconds, driven by `samples`, and a record of it with so much noise."""
+    plant = uq.StateSpace(
+        *discrete_modes(np.array([20.0, 90.0]), np.array([0.01, 0.02]), np.array([1.0, -0.7])), rate_hz=1000.0
+    )
+    y = plant.simulate(samples)
+    return plant, uq.Record(samples, y + share * y.std() * rng.standard_normal(y.shape), 1000.0)
+
+
+def discrete_modes(f_hz, zeta, weights):
+    s = 2 * np.pi * f_hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
+    A, B, C = np.zeros((4, 4)), np.zeros((4, 1)), np.zeros((1, 4))
+    for k, p in enumerate(np.exp(s / 1000.0)):
+        A[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[p.real, p.imag], [-p.imag, p.real]]
+        B[2 * k + 1], C[0, 2 * k] = np.sqrt(1 - abs(p) ** 2), weights[k]
+    return A, B, C, [[0.0]]
+
+
+def multisine(periods, seed):
+    signal = uq.signals.Multisine(start_hz=1, stop_hz=450, period_samples=2000, peak=3)
+    return signal.generate(2000 * periods, 1000.0, seed=seed)[None]
+
+
+def test_periods_of_one_record_weigh_as_their_mean_response_does(rng, seed):
+    """The curvature of a resonance is no distortion: taken for it, the lines that know a mode best weighed least."""
+    plant, record = ringing(rng, 0.01, multisine(10, seed))
+    record = record.part(4 * 2000)
+    found = uq.identify.WeightedRational(order=4, period_samples=2000).identify(record)
+    assert found.status.ok, found.status
+    g = np.geomspace(2.0, 440.0, 200)
+    T = plant.frequency_response(g)
+    miss = np.linalg.norm(found.model.frequency_response(g) - T) / np.linalg.norm(T)
+    print(f"{miss:.1e} off")
+    assert miss < 2e-3
+
+
+def test_a_model_that_misses_more_than_the_noise_is_not_ok(rng, seed):
+    """White over the lines is what many a wrong model leaves: of a late input, of periods that are not said, of a gain."""
+    method = uq.identify.WeightedRational(order=4)
+    _, record = ringing(rng, 0.01, rng.standard_normal((1, 5000)))
+    assert method.identify(record).status.ok
+    late = uq.Record(record.inputs[:, 1:], record.outputs[:, :-1], 1000.0)
+    plain = uq.Record(record.inputs, record.inputs, 1000.0)
+    unsaid = ringing(rng, 0.01, multisine(20, seed))[1].part(4000)
+    for wrong in (late, plain, unsaid):
+        assert method.identify(wrong).status.word in {"poor fit", "not white", "not converged"}

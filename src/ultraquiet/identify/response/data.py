@@ -98,7 +98,10 @@ def from_record(record: Record, floor: float) -> Data:
 def from_periods(record: Record, period: int, floor: float, weigh: str) -> Data:
     """Return the spectra of the mean period at the lines its inputs excite."""
     estimate = best_linear(record, period, settle_periods=1)
-    f, G, variance = estimate.response.f_hz, estimate.response.values, _known(estimate.response)
+    f, G, told = estimate.response.f_hz, estimate.response.values, estimate.detection
+    # Without lines that show distortion it is what gains scatter about a smooth response: at a resonance its own
+    # curvature, which would weigh least the lines that know it best.
+    variance = estimate.noise if told is None or not told.odd_hz.size else _known(estimate.response)
     lines = np.rint(f * period / record.rate_hz).astype(int)
     whole = record.samples // period * period
     U, Y = (

@@ -41,7 +41,7 @@ class WeightedFit:
 
     Attributes:
         model: stable, without the delay in continuous time, with it in discrete time.
-        status: `ok`, `not white` (the model misses more than noise), or `not converged`, with a sentence.
+        status: `ok`, `not white` or `poor fit` (the model misses more than noise), or `not converged`.
         order: number of poles shared by all channels.
         delay_s: dead time beside the model's one sample, seconds.
         cost: sum of squares over its degrees of freedom: one when noise alone is left.

@@ -39,6 +39,11 @@ DELAYS = (0, 1, 2, 3, 4, 6, 8, 11, 15)
 # Poles and a fraction of a sample stand in for each other: whole delays are tried so far around the free one.
 DELAY_REACH = 3
 TEST_LAGS = 10
+# Times the noise, at half of the lines: what a true model misses, of a noise known from two periods, is 1.2 there.
+MISSED = 1.5
+# Times the noise in the mean, which single lines rule whose noise from two periods looks small by chance: of a thousand
+# fits of a thousand lines one reaches it.
+MISSED_BY_FAR = 30.0
 
 
 class _OrderFit(NamedTuple):
@@ -256,7 +261,7 @@ def _finished(method: WeightedRational, data: Data, fit: _OrderFit, scores: dict
     at_limit = method.given_order is None and fit.shape.order >= max(scores) and len(scores) > 1
     return WeightedFit(
         model=_model(method, data, fit),
-        status=_verdict(fit, cost, p, at_limit),
+        status=_verdict(fit, cost, p, _missed(fit.point), at_limit),
         order=fit.shape.order,
         delay_s=delay,
         cost=cost,
@@ -294,7 +299,19 @@ def _whiteness(point: sections.SectionFit, share: float) -> float:
     return float(chdtrc(max(freedom * (1.0 - share), 1.0), statistic))
 
 
-def _verdict(fit: _OrderFit, cost: float, p: float, at_limit: bool) -> Status:
+def _missed(point: sections.SectionFit) -> float:
+    """Return what the fit misses at half of the lines, in deviations of the noise.
+
+    The median of the squares, ln 2 of their mean where noise alone is left: a mean is ruled by the lines whose noise
+    chances to look small.
+    """
+    nf = point.residual.shape[1] // 2
+    squares = (point.residual[:, :nf] ** 2 + point.residual[:, nf:] ** 2) / 2
+    heard = squares[squares > 0]
+    return float(np.sqrt(np.median(heard) / np.log(2))) if heard.size else 0.0
+
+
+def _verdict(fit: _OrderFit, cost: float, p: float, missed: float, at_limit: bool) -> Status:
     if not fit.converged:
         return Status(
             StatusWord.NOT_CONVERGED, f"{fit.steps} steps did not reach a minimum; give another order or more steps."
@@ -305,6 +322,13 @@ def _verdict(fit: _OrderFit, cost: float, p: float, at_limit: bool) -> Status:
             StatusWord.NOT_WHITE,
             f"The fit misses {np.sqrt(cost):.3g} times the noise, alike at neighbouring lines ({p_in_words(p)}){more}: "
             f"raise the order, free the delay, or set 'floor' to the relative error you can live with.",
+        )
+    if missed > MISSED or np.sqrt(cost) > MISSED_BY_FAR:
+        return Status(
+            StatusWord.POOR_FIT,
+            f"The fit misses {np.sqrt(cost):.3g} times the noise, {missed:.3g} times at half of the lines{more}: raise "
+            f"the order, free the delay, give 'period_samples' where the excitation repeats, or set 'floor' to the "
+            f"relative error you can live with.",
         )
     return Status(
         StatusWord.OK,
