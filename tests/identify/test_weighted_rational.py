@@ -221,7 +221,7 @@ def test_periods_of_one_record_weigh_as_their_mean_response_does(rng, seed):
 
 
 def test_a_model_that_misses_more_than_the_noise_is_not_ok(rng, seed):
-    """White over the lines is what many a wrong model leaves: of a late input, of periods that are not said, of a gain."""
+    """White over the lines is what wrong models leave: of a late input, of periods that are not said, of a gain."""
     method = uq.identify.WeightedRational(order=4)
     _, record = ringing(rng, 0.01, rng.standard_normal((1, 5000)))
     assert method.identify(record).status.ok
