@@ -208,3 +208,16 @@ def _of_even(even, law):
     """Return a plant's law in the units of its even plant."""
     u, y = even.inputs[:, None], even.outputs
     return StateSpace(law.A, law.B / y, law.C / u, law.D / u / y, law.rate_hz)
+
+
+@pytest.mark.parametrize("ratio", [1e3, 1e6, 1e12])
+def test_units_that_nobody_stated_change_no_word_of_the_worst_direction(ratio):
+    """A sensor a million times as faint as another is not out of reach: no law of its own units would say so."""
+    plant = even_plant(ordinary(np.random.default_rng(5), (2, 2), modes=3)).plant
+    said = []
+    for outputs in ([1.0, ratio], [1.0, 100.0 * ratio]):
+        other = with_units(plant, outputs=outputs)
+        result = Lqg().design(other)
+        assert "no law makes anything quieter" not in result.status.sentence
+        said.append(result.status.sentence.rpartition("worst direction")[2])
+    assert said[0] == said[1]

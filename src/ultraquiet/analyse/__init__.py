@@ -11,7 +11,8 @@ from ultraquiet.analyse.disk import (
     end_margins,
 )
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_four, gang_of_six, peak_gain
-from ultraquiet.analyse.margins import Margins, band_attenuation, loop_margins, peak_sensitivity
+from ultraquiet.analyse.loop_response import band_attenuation
+from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
 from ultraquiet.analyse.monte_carlo import MonteCarlo, monte_carlo, wilson_interval
 from ultraquiet.analyse.mu import MuBounds, mu_bounds, mu_peak, mu_upper_bound
 from ultraquiet.analyse.norms import h2_norm, hinf_norm, l2_norm

@@ -1,17 +1,23 @@
-"""A closed loop's response at single frequencies, also at those where the plant or the controller has a pole."""
+"""A closed loop's response at single lines, also at poles of plant or controller, and its worst over a band."""
 
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.analyse.peaks import response_at
+from ultraquiet._base.constraints import ComplexArray, FloatArray, rising_band
+from ultraquiet.analyse.margins import default_grid, even_inputs, pulled_in
+from ultraquiet.analyse.peaks import refined, response_at
+from ultraquiet.analyse.plant_scale import unit_peaks
+from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.values.interconnect import lft, sensitivity
 from ultraquiet.values.state_space import StateSpace
 
 # Size of an entry of G K above which I - G K has lost half of its digits: of rank one, it would be singular at twice.
 LOST = 1e8
+REACHED = 1e-6  # of the strongest direction's gain: a weaker one is rounding
+SPARSE = 20  # of the lines of a grid, one of so many tells how large a channel's gains are
+BAND_LINES = 400  # over a band that is asked for, besides those of the poles
 
 
 def loop_response(plant: StateSpace, controller: StateSpace, f_hz: FloatArray) -> tuple[ComplexArray, ComplexArray]:
@@ -96,3 +102,69 @@ def closed_system(plant: StateSpace, controller: StateSpace) -> StateSpace:
     C = np.vstack([plant.C, np.zeros((nu, plant.states)), plant.C])
     D = np.block([[np.eye(ny), plant.D], [np.zeros((nu, ny)), np.eye(nu)], [np.eye(ny), plant.D]])
     return lft(StateSpace(plant.A, B, C, D, plant.rate_hz), controller, measurements=ny, controls=nu)
+
+
+def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> tuple[float, float]:
+    """Return by how much a loop attenuates its worst direction over a band, and where that is least.
+
+    -20 log10 max over f in the band of the largest singular value of S = (I - G K)^-1, u = K y. S is taken over the
+    directions that the inputs reach, the range of G(f): others no law can attenuate, as some
+    of any plant with more outputs than inputs.
+
+    Args:
+        plant: G.
+        controller: K, its sign inside.
+        band_hz: (low, high) in Hz, below the Nyquist frequency.
+
+    Returns:
+        `(attenuation_db, f_hz)`: decibels, negative where the worst direction is amplified, and its frequency in Hz;
+        minus infinity and NaN for an unstable loop.
+
+    Raises:
+        InputError: a band that does not rise or lies beyond the Nyquist frequency; shapes that do not fit.
+
+    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
+    >>> K = StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0)
+    >>> [round(v, 2) for v in band_attenuation(G, K, (1.0, 5.0))]
+    [5.24, 5.0]
+
+    Reference: Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., section 3.3.
+    """
+    low, high = rising_band("band_attenuation", band_hz, plant.rate_hz)
+    G, K = even_inputs(plant, controller)
+    S = sensitivity(G, K)
+    if not S.is_stable():
+        return -np.inf, np.nan
+    f = np.concatenate([default_grid(S), default_grid(plant), np.geomspace(low, high, BAND_LINES)])
+    f = np.unique(f[(f >= low) & (f <= high)])
+    of_loop, reached_at = response_at(S), reached_directions(G)
+
+    def sizes(lines: FloatArray) -> FloatArray:
+        return largest_gains(np.moveaxis(of_loop(lines), 2, 0) @ reached_at(lines))
+
+    largest, at = refined(sizes, f, sizes(f))
+    return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
+
+
+def reached_directions(plant: StateSpace) -> Callable[[FloatArray], ComplexArray]:
+    """Return what gives the directions that a plant's inputs reach at frequencies in Hz, also at those of its poles.
+
+    How many there are is asked in units in which every channel has the same largest gain: a sensor in units a million
+    times as large is not out of reach. The range of G(f) itself is that of the units given.
+
+    Returns:
+        An orthonormal basis of the range of G(f), `(lines, ny, min(ny, nu))`, columns of zeros where its rank is less.
+    """
+    seen = pulled_in(plant)
+    of_plant = response_at(seen)
+    y, u = unit_peaks(np.moveaxis(np.abs(of_plant(default_grid(seen)[::SPARSE])) ** 2, 2, 0))
+    y = y[:, None]
+
+    def at(f: FloatArray) -> ComplexArray:
+        directions, gains, _ = np.linalg.svd(np.moveaxis(of_plant(f), 2, 0) * y * u, full_matrices=False)
+        reached = (gains > REACHED * gains[:, :1])[:, None, :]
+        # largest first: what is not reached comes last and spans nothing
+        basis, _ = np.linalg.qr(directions * reached / y)
+        return basis * reached
+
+    return at

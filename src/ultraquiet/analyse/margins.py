@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array, rising_band
+from ultraquiet._base.constraints import ComplexArray, FloatArray, frequency_array
 from ultraquiet._base.errors import InputError
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.peaks import (
@@ -17,20 +17,16 @@ from ultraquiet.analyse.peaks import (
     diagonal_at,
     ends,
     refined,
-    response_at,
 )
 from ultraquiet.linalg.even import evened
-from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace
 
 POINTS = 3000  # of the default grid; crossings are interpolated between its points
 DECADES = 5.0  # the default grid's span below its upper end
 RINGING = 0.01  # relative damping below which a pole gets lines of its own: the grid's step is 0.4 %
-REACHED = 1e-6  # of the strongest direction's gain: a weaker one is rounding
 BOUNDARY = 1e-9  # poles this near the stability boundary are on it, relative to their modulus
 PULLED = 5e-3  # of the slowest frequency of the poles: as far inside they are moved, a damping ratio for a resonance
-BAND_LINES = 400  # over a band that is asked for, besides those of the poles
 _NEAR = np.array([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
 BESIDE = np.concatenate([-_NEAR, _NEAR])  # of those lines, in widths of the pole
 
@@ -73,7 +69,7 @@ def peak_sensitivity(plant: StateSpace, controller: StateSpace) -> tuple[float, 
     >>> [round(v, 3) for v in peak_sensitivity(G, K)]
     [3.522, 50.0]
     """
-    gain, f_hz = hinf_norm(sensitivity(*_even_inputs(plant, controller)))
+    gain, f_hz = hinf_norm(sensitivity(*even_inputs(plant, controller)))
     return (20 * float(np.log10(gain)) if np.isfinite(gain) else np.inf), f_hz
 
 
@@ -117,7 +113,7 @@ def even_loop(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, St
 
     S at either end is D S D^-1 with a diagonal D.
     """
-    G, K = _even_inputs(plant, controller)
+    G, K = even_inputs(plant, controller)
     if K.D.shape != G.D.shape[::-1]:
         return G, K  # to be refused by who joins them
     y = _between(np.hstack([G.C, G.D]), np.vstack([K.B, K.D]).T)
@@ -125,7 +121,7 @@ def even_loop(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, St
     return G, StateSpace(K.A, K.B * y, K.C, K.D * y, K.rate_hz)
 
 
-def _even_inputs(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, StateSpace]:
+def even_inputs(plant: StateSpace, controller: StateSpace) -> tuple[StateSpace, StateSpace]:
     """Return plant and controller with their states and the plant's inputs evened out, of which S does not depend."""
     if controller.D.shape != plant.D.shape[::-1]:
         return plant, controller  # to be refused by who joins them
@@ -214,63 +210,6 @@ def default_grid(S: StateSpace) -> FloatArray:
     beside = (size[narrow, None] + width[narrow, None] * BESIDE).reshape(-1)
     lines = np.concatenate([np.geomspace(bottom, top, POINTS), size[size < top], beside[(beside > 0) & (beside < top)]])
     return np.unique(lines)
-
-
-def band_attenuation(plant: StateSpace, controller: StateSpace, band_hz: tuple[float, float]) -> tuple[float, float]:
-    """Return by how much a loop attenuates its worst direction over a band, and where that is least.
-
-    -20 log10 max over f in the band of the largest singular value of S = (I - G K)^-1, u = K y. S is taken over the
-    directions that the inputs reach, the range of G(f): others no law can attenuate, as some
-    of any plant with more outputs than inputs.
-
-    Args:
-        plant: G.
-        controller: K, its sign inside.
-        band_hz: (low, high) in Hz, below the Nyquist frequency.
-
-    Returns:
-        `(attenuation_db, f_hz)`: decibels, negative where the worst direction is amplified, and its frequency in Hz;
-        minus infinity and NaN for an unstable loop.
-
-    Raises:
-        InputError: a band that does not rise or lies beyond the Nyquist frequency; shapes that do not fit.
-
-    >>> G = StateSpace([[0.5]], [[1.0]], [[1.0]], [[0.0]], rate_hz=100.0)
-    >>> K = StateSpace([[0.0]], [[0.0]], [[0.0]], [[-0.5]], rate_hz=100.0)
-    >>> [round(v, 2) for v in band_attenuation(G, K, (1.0, 5.0))]
-    [5.24, 5.0]
-
-    Reference: Skogestad and Postlethwaite, Multivariable Feedback Control, 2nd ed., section 3.3.
-    """
-    low, high = rising_band("band_attenuation", band_hz, plant.rate_hz)
-    G, K = _even_inputs(plant, controller)
-    S = sensitivity(G, K)
-    if not S.is_stable():
-        return -np.inf, np.nan
-    f = np.concatenate([default_grid(S), default_grid(plant), np.geomspace(low, high, BAND_LINES)])
-    f = np.unique(f[(f >= low) & (f <= high)])
-    of_loop, reached_at = response_at(S), reached_directions(G)
-
-    def sizes(lines: FloatArray) -> FloatArray:
-        return largest_gains(np.moveaxis(of_loop(lines), 2, 0) @ reached_at(lines))
-
-    largest, at = refined(sizes, f, sizes(f))
-    return -20 * float(np.log10(max(largest, np.finfo(float).tiny))), at
-
-
-def reached_directions(plant: StateSpace) -> Callable[[FloatArray], ComplexArray]:
-    """Return what gives the directions that a plant's inputs reach at frequencies in Hz, also at those of its poles.
-
-    Returns:
-        An orthonormal basis of the range of G(f), `(lines, ny, min(ny, nu))`, columns of zeros where its rank is less.
-    """
-    of_plant = response_at(pulled_in(plant))
-
-    def at(f: FloatArray) -> ComplexArray:
-        directions, gains, _ = np.linalg.svd(np.moveaxis(of_plant(f), 2, 0), full_matrices=False)
-        return directions * (gains > REACHED * gains[:, :1])[:, None, :]
-
-    return at
 
 
 def pulled_in(plant: StateSpace) -> StateSpace:

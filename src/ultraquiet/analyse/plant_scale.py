@@ -125,7 +125,7 @@ def _even(asked: ByContents[StateSpace], band_hz: tuple[float, float] | None) ->
     G = np.moveaxis(response_at(seen)(f), 2, 0)
     power, widths = np.abs(G) ** 2, _widths(f)
     # powers of squares of units many decades apart: the largest of each row and column first
-    y, u = _peaks(power)
+    y, u = unit_peaks(power)
     inside = np.ones(f.size, dtype=bool)
     for _ in range(ROUNDS):
         share = inside * widths / np.sum(inside * widths)
@@ -152,7 +152,7 @@ def _widths(f: FloatArray) -> FloatArray:
     return np.asarray(np.gradient(f), dtype=np.float64) if f.size > 1 else np.ones(f.size)
 
 
-def _peaks(power: FloatArray) -> tuple[FloatArray, FloatArray]:
+def unit_peaks(power: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return scales of rows, then of columns, that bring the largest entry of each to one."""
     rows = _inverse_root(power.max(axis=(0, 2), initial=0.0))
     columns = _inverse_root((power * (rows**2)[:, None]).max(axis=(0, 1), initial=0.0))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.shown.line import loudness
-from ultraquiet.analyse.margins import band_attenuation, reached_directions
+from ultraquiet.analyse.loop_response import band_attenuation, reached_directions
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
@@ -16,6 +16,7 @@ from ultraquiet.values.state_space import StateSpace
 WHO = "analyse"
 ALIKE = 1e-6  # share of the largest: directions and growths that differ by less are told as the first of them
 LINES = 60  # of the band, over which the directions out of reach are averaged
+APART = 100.0  # between their own scales: channels of which no unit is known are not of one
 LITTLE_DB = 0.05  # what a reader sees as none
 
 
@@ -90,15 +91,23 @@ class WorstDirection:
 
 
 def scales_of(plant: StateSpace, inputs: FloatArray, outputs: FloatArray) -> Scales:
-    """Return one scale for all channels of an end where they share a unit, else the plant's own."""
+    """Return one scale for all channels of an end where they share a unit, else the plant's own.
+
+    Channels without a word on their unit share one unless they answer as no two of one unit would.
+    """
     ends = (plant.actuators, inputs), (plant.sensors, outputs)
-    mixed = [len({c.unit for c in wires}) > 1 for wires, _ in ends]
+    mixed = [_of_several_units(wires, own) for wires, own in ends]
     # powers of two cost no digit, and units decades away from one would
     u, y = (
         own if several else np.full(own.shape, np.exp2(np.round(np.median(np.log2(own)))))
         for several, (_, own) in zip(mixed, ends, strict=True)
     )
     return Scales(u, y, any(mixed))
+
+
+def _of_several_units(wires: tuple[Channel, ...], own: FloatArray) -> bool:
+    units = {c.unit for c in wires}
+    return len(units) > 1 or (units == {""} and bool(own.max() > APART * own.min()))
 
 
 def worst_direction(

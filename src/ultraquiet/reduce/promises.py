@@ -7,8 +7,8 @@ import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
 from ultraquiet.analyse.disk import ENDS, disk_margin
-from ultraquiet.analyse.loop_response import loop_response
-from ultraquiet.analyse.margins import default_grid, peak_sensitivity, reached_directions
+from ultraquiet.analyse.loop_response import loop_response, reached_directions
+from ultraquiet.analyse.margins import default_grid, peak_sensitivity
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.values.interconnect import sensitivity
 from ultraquiet.values.state_space import StateSpace

@@ -112,7 +112,7 @@ def own_frequencies(plant: StateSpace) -> FloatArray:
 
 def _figures(law: StateSpace, plant: StateSpace, f: FloatArray) -> LoopFigures:
     from ultraquiet.analyse import loop_margins, peak_sensitivity
-    from ultraquiet.analyse.margins import reached_directions
+    from ultraquiet.analyse.loop_response import reached_directions
 
     radius = loop_radius(plant, law)
     S = sensitivity(plant, law)

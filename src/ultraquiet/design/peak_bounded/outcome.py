@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ultraquiet._base.shown.line import rounded
-from ultraquiet.analyse.loop_response import loop_response
-from ultraquiet.analyse.margins import band_attenuation, peak_sensitivity, reached_directions
+from ultraquiet.analyse.loop_response import band_attenuation, loop_response, reached_directions
+from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
 from ultraquiet.analyse.plant_scale import even_plant
 from ultraquiet.design.peak_bounded.demands import Demands

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
-from ultraquiet.analyse.margins import REACHED
+from ultraquiet.analyse.loop_response import REACHED
 from ultraquiet.analyse.peaks import response_at
 from ultraquiet.design.law_structure.plane import Plane
 from ultraquiet.linalg.ordered import Matrices
