@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet.analyse.loop_response import both_sensitivities
+from ultraquiet.analyse.peaks import refined
 from ultraquiet.chart import Chart, law_colours
 from ultraquiet.design.weights.loop_weights import LoopFunction
+from ultraquiet.linalg.norms import largest_gains
 from ultraquiet.pipeline.facts.loops import StableLoop
 from ultraquiet.pipeline.result import StudyResult
 from ultraquiet.plot.pages.loops import (
@@ -23,8 +26,12 @@ from ultraquiet.plot.pages.loops import (
 )
 from ultraquiet.plot.pages.weights import WeightedFunction, weighted_loops
 from ultraquiet.values.channel import ratio
+from ultraquiet.values.interconnect import sensitivity
+from ultraquiet.values.state_space import StateSpace
 
 FUNCTIONS: tuple[LoopFunction, ...] = ("S", "T", "KS")
+SHARP = 0.05  # damping below which a pole of a loop has lines of its own,
+WIDTHS = np.array([-4.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 4.0])  # so many widths off
 LOCUS = 1500  # points of an eigenvalue locus, which turns quickly near a resonance
 
 TALL = "S is of all directions of the sensors; what no actuator reaches, no law makes quieter."
@@ -78,10 +85,27 @@ def measured_chart(result: StudyResult, names: Sequence[str], stem: str = "sensi
 
 
 def _responses(result: StudyResult) -> tuple[FloatArray, ComplexArray, Mapping[str, ComplexArray]]:
-    """Return the plant and every law over frequency, `(nf, outputs, inputs)`."""
+    """Return the plant and every law over frequency, `(nf, outputs, inputs)`, with lines where a loop rings."""
     f = result.analysis.facts.f_hz
+    f = np.unique(np.concatenate([f, *(_seen_at(result.design_plant, law, f) for law in result.laws.values())]))
     plant = np.moveaxis(result.design_plant.frequency_response(f), 2, 0)
     return f, plant, {name: np.moveaxis(law.frequency_response(f), 2, 0) for name, law in result.laws.items()}
+
+
+def _seen_at(plant: StateSpace, law: StateSpace, f_hz: FloatArray) -> FloatArray:
+    """Return lines about the sharp poles of a loop and where S is largest, in Hz: none of them is a line of a grid."""
+    poles = sensitivity(plant, law).poles()
+    s = poles if plant.rate_hz is None else plant.rate_hz * np.log(poles[poles != 0])
+    hz, width = np.abs(s) / (2 * np.pi), np.abs(s.real) / (2 * np.pi)
+    sharp = (s.imag > 0) & (width < SHARP * hz)
+    lines = (hz[sharp] + np.outer(WIDTHS, width[sharp])).ravel()
+    lines = np.unique(np.concatenate([f_hz, lines[(lines > f_hz[0]) & (lines < f_hz[-1])]]))
+    sensitivities = both_sensitivities(plant, law)
+
+    def sizes(at_hz: FloatArray) -> FloatArray:
+        return largest_gains(sensitivities(at_hz)[1])
+
+    return np.append(lines, refined(sizes, lines, sizes(lines))[1])
 
 
 def shaped_charts(result: StudyResult, shown: Sequence[LoopFunction] = FUNCTIONS, stem: str = "loops") -> list[Chart]:
