@@ -143,6 +143,21 @@ def test_refusals(rng):
         uq.spectra.periodic_response([short], 3500)
 
 
+def test_a_delay_that_lines_cannot_tell_is_refused_at_once(rng):
+    u = rng.standard_normal((1, 2000))
+    record = uq.Record(u, u + 0.1 * rng.standard_normal((1, 2000)), 1000.0)
+    lines = uq.spectra.frf(record)
+    late, dead = uq.identify.Rational(delay=5000), uq.identify.WeightedRational(delay_s=100.0)
+    for refused in (
+        lambda: late.identify(record),
+        lambda: late.identify_response(lines, 1000.0),
+        lambda: dead.identify(record),
+        lambda: dead.identify_response(lines),
+    ):
+        with pytest.raises(uq.errors.InputError, match=r"'delay(_s)?' is .* Hz apart tell delays below .*lower it"):
+            refused()
+
+
 def test_more_zeros_than_poles_are_refused():
     with pytest.raises(uq.errors.InputError, match="zeros_at_dc"):
         uq.identify.Rational(order=2, zeros_at_dc=3)

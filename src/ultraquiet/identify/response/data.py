@@ -16,6 +16,16 @@ WHO = "WeightedRational"
 FAINTEST = 1e-12
 
 
+def told_by_lines(who: str, name: str, delay_s: float, f_hz: FloatArray) -> None:
+    """Refuse a delay by which the phase turns once or more from each line to the next: such lines say nothing of it."""
+    spacing = float(np.diff(np.unique(f_hz)).min(initial=np.inf))
+    if delay_s * spacing >= 1.0:
+        raise InputError(
+            f"{who}: '{name}' is {delay_s:g} s, lines {spacing:g} Hz apart tell delays below {1.0 / spacing:g} s; "
+            f"lower it, or take longer records, segments or periods."
+        )
+
+
 class Data(NamedTuple):
     """Samples to fit, and the responses with weights that starts are drawn from, `(ny, nu, nf)` each."""
 

@@ -11,6 +11,7 @@ from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.response.data import told_by_lines
 from ultraquiet.identify.response.fewest_modes import Thinning, fewest, settled
 from ultraquiet.identify.result import SIGNIFICANCE, Result, worst
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
@@ -159,10 +160,11 @@ class Rational(SearchedOrder):
             rate_hz: sampling rate of the system wanted.
 
         Raises:
-            InputError: lines beyond half the rate, too few lines for the order, a response that is zero, or one of
-                which no residue reaches `rank_tolerance`.
+            InputError: lines beyond half the rate, too few lines for the order or too far apart for the delay, a
+                response that is zero, or one of which no residue reaches `rank_tolerance`.
         """
         f, G, weight = _checked(self, response, rate_hz)
+        told_by_lines("Rational", "delay", (self.delay - 1) / rate_hz, response.f_hz)
         z = points(f, rate_hz)
         H = G * z ** (self.delay - 1)
         used = np.arange(f.size) % 2 == 0

@@ -13,7 +13,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.shown.line import p_in_words
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.identify.record_checks import exciting, usable
-from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response
+from ultraquiet.identify.response.data import WHO, Data, from_periods, from_record, from_response, told_by_lines
 from ultraquiet.identify.response.model import WeightedFit
 from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
@@ -139,7 +139,7 @@ class WeightedRational(SearchedOrder):
             rate_hz: sampling rate of the system wanted; None asks for continuous time.
 
         Raises:
-            InputError: no variance, lines beyond half the rate, too few lines for the order.
+            InputError: no variance, lines beyond half the rate, too few for the order or too far apart for the delay.
         """
         return self._fit(from_response(response, rate_hz, self.floor))
 
@@ -152,6 +152,7 @@ class WeightedRational(SearchedOrder):
                 f"{WHO}: order {highest} takes {LINES_PER_POLE * highest} lines, there are "
                 f"{data.samples.f_rad.size}; measure more lines or lower the order."
             )
+        told_by_lines(WHO, "delay_s", self.delay_s or 0.0, data.samples.f_rad / (2 * np.pi))
         fits: dict[int, _OrderFit] = {}
         scores: dict[int, float] = {}
 
