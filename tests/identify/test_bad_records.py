@@ -95,3 +95,19 @@ def test_records_are_left_as_they_are(rng):
     for method in METHODS:
         method.identify(record)
     assert record.hash == before
+
+
+@pytest.mark.parametrize(
+    "weighing",
+    [uq.identify.Subspace(order=2, horizon=5, refine=True), uq.identify.PredictorSubspace(order=2)],
+    ids=lambda m: m.name,
+)
+def test_outputs_that_follow_from_each_other_are_refused_where_their_errors_are_weighed(weighing, rng):
+    u, noise = rng.standard_normal((2, 2000))
+    y = np.convolve(u, [0.0, 1.0, 0.5])[:2000] + 0.1 * noise
+    other = y + rng.standard_normal(2000)
+    for outputs, named in (([y, 2 * y, other], "'a', 'b'"), ([y, other, y - other], "'a', 'b', 'c'")):
+        record = uq.Record(u, np.vstack(outputs), 100.0, sensors=["a", "b", "c"])
+        with pytest.raises(InputError, match=f"outputs {named} follow from each other.*record.pick"):
+            weighing.identify(record)
+        assert uq.identify.Subspace(order=2, horizon=5).identify(record).fit_percent[0] > 80

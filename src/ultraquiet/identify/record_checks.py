@@ -5,12 +5,14 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.health.channels import stuck
-from ultraquiet.values import Record
+from ultraquiet.values import Channel, Record
 
 # Fewer samples a parameter than this leave standard errors of a third and more of the estimate's size.
 SAMPLES_PER_PARAMETER = 10
 # Of an input's power, what the other inputs leave unexplained at the same sample; less is rounding.
 OWN_SHARE = 1e-10
+# Of an output's, likewise; a second sensor's own noise at 120 dB below the first still tells the two apart.
+OWN_READING = 1e-13
 # Readings at their largest or least value, beyond which most of the record is the limit and not the plant. Declared
 # limits are repaired; a two-valued output of a noise-free gain is refused as well, it carries a sign and no more.
 AT_EXTREMES = 0.2
@@ -58,17 +60,38 @@ def usable(who: str, record: Record, parameters: int, memory: int) -> None:
     _refuse_broken_sensors(who, record)
 
 
+def outputs_apart(who: str, record: Record) -> None:
+    """Refuse outputs that follow from each other, of which no inverse covariance of the errors can be had.
+
+    For searches that weigh by it, and for regressions on the outputs' own past.
+    """
+    names = _copies(record.outputs, record.sensors, OWN_READING)
+    if names:
+        raise InputError(
+            f"{who}: the outputs {names} follow from each other, so their errors cannot be weighed against each other; "
+            f"leave one out with record.pick (--outputs), or fit the simulated error unweighted: 'subspace' with "
+            f"weighted=False."
+        )
+
+
 def _refuse_copies(who: str, record: Record) -> None:
-    centred = record.inputs - record.inputs.mean(axis=1, keepdims=True)
-    correlation = np.corrcoef(centred) if len(centred) > 1 else np.eye(1)
-    values, vectors = np.linalg.eigh(correlation)
-    if values[0] < OWN_SHARE:
-        copies = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3 * np.abs(vectors[:, 0]).max())
-        names = ", ".join(f"'{record.actuators[k].name}'" for k in copies)
+    names = _copies(record.inputs, record.actuators, OWN_SHARE)
+    if names:
         raise InputError(
             f"{who}: the inputs {names} follow from each other, so their effects cannot be told apart; excite them by "
             f"independent signals, or leave one out with record.pick (--inputs)."
         )
+
+
+def _copies(signals: FloatArray, wires: tuple[Channel, ...], own: float) -> str:
+    """Return the names of signals of which one leaves less than `own` of its power unexplained by the others."""
+    if len(signals) == 1:
+        return ""
+    values, vectors = np.linalg.eigh(np.corrcoef(signals - signals.mean(axis=1, keepdims=True)))
+    if values[0] >= own:
+        return ""
+    copies = np.flatnonzero(np.abs(vectors[:, 0]) > 1e-3 * np.abs(vectors[:, 0]).max())
+    return ", ".join(f"'{wires[k].name}'" for k in copies.tolist())
 
 
 def _refuse_broken_sensors(who: str, record: Record) -> None:

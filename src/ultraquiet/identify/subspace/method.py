@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import ComplexArray
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
 from ultraquiet.files import LongRecord
-from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.record_checks import outputs_apart, usable
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.subspace import (
     evidence,
@@ -82,7 +82,7 @@ class Subspace(SubspaceSettings):
 
         Raises:
             InputError: too few samples for the order, a constant input or output, inputs that are copies of each
-                other, a horizon too short for the order.
+                other, outputs too where their errors are weighed, a horizon too short for the order.
         """
         if isinstance(record, LongRecord):
             return identify_long_subspace(self, record)
@@ -95,6 +95,8 @@ class Subspace(SubspaceSettings):
         self.horizons(record, self.given_order or 1)
         usable("Subspace", record, self.given_order or 1, 0)
         evidence.independent("Subspace", record)
+        if self.refine and self.weighted:
+            outputs_apart("Subspace", record)
         data = fit.Scaled.of(record)
         heard = unexcited.topped_up(data, unexcited.silent_bands(data.u))
         order = order_selection.chosen(self, record) if self.given_order is None else self.given_order

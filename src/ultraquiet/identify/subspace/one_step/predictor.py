@@ -9,7 +9,7 @@ from ultraquiet._base.constraints import whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
-from ultraquiet.identify.record_checks import usable
+from ultraquiet.identify.record_checks import outputs_apart, usable
 from ultraquiet.identify.result import Result
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
 from ultraquiet.identify.subspace import evidence, fit, missing_modes
@@ -88,14 +88,15 @@ class PredictorSubspace(SearchedOrder):
         """Return the model of all channels of the record.
 
         Raises:
-            InputError: too few samples for order and horizon, a constant input or output, inputs that are copies of
-                each other.
+            InputError: too few samples for order and horizon, a constant input or output, inputs or outputs that
+                are copies of each other.
         """
         longest = self._longest(record)
         # Every state brings a column of B and a row of C at least.
         wires = len(record.actuators) + len(record.sensors)
         usable("PredictorSubspace", record, (self.given_order or 2) * wires // len(record.sensors), longest)
         evidence.independent("PredictorSubspace", record)
+        outputs_apart("PredictorSubspace", record)
         data = fit.Scaled.of(record)
         regression = PastRegression.of(data, longest, self.feedthrough)
         past = self.horizon or regression.memory(1 + (self.given_order or 1) // len(record.sensors))
