@@ -48,3 +48,19 @@ def test_what_an_order_too_low_leaves_is_no_rounding(rng, method):
     found = low[method].identify(record)
     print(f"{method}: {found.status}")
     assert not found.status.ok
+
+
+@pytest.mark.parametrize("start", [0, 500])
+def test_what_rounding_alone_tells_apart_moves_no_recursion(start, rng):
+    u = rng.standard_normal((1, 2000))
+    method = uq.identify.RecursiveArx(order=4, start_samples=start)
+    result = method.identify(uq.Record(u, 5.0 * u, 1000.0))  # y(t - k) is 5 u(t - k): which of both, nothing says
+    assert result.model.rows[0][0].is_stable()
+    assert -10.0 < result.fit_percent[0] < 10.0
+
+
+def test_poles_at_the_origin_take_no_logarithm_of_zero(rng):
+    u = rng.standard_normal((1, 2000))
+    with np.errstate(all="raise"):
+        result = uq.identify.Rational(order=4).identify(uq.Record(u, u, 1000.0))
+    assert np.isfinite(result.fit_percent[0])

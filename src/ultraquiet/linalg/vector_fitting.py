@@ -191,7 +191,7 @@ def _inside(poles: ComplexArray) -> ComplexArray:
 
 def _quickened(poles: ComplexArray, slowest: float) -> ComplexArray:
     """Return poles with |ln p| no less than `slowest`, their damping kept."""
-    s = np.log(poles)
+    s = np.log(np.where(poles == 0, np.finfo(float).tiny, poles))
     size = np.abs(s)
     slow = size < slowest
     s = np.where(slow, s * slowest / np.where(slow, np.maximum(size, np.finfo(float).tiny), 1.0), s)

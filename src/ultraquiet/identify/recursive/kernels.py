@@ -16,6 +16,8 @@ HALVINGS = 6  # of a step that would leave the stable region, before it is dropp
 # Forgetting alone leaves no less than this share of the most information there ever was: the standard deviations of a
 # plant at rest grow tenfold and no further, however long it rests.
 FLOOR = 1e-2
+# Of a column of R, what the columns before it leave; less is rounding, and a step along it would be as well.
+TOLD = 1e-14
 LOOK = 64  # samples between looks at how much information there is
 
 
@@ -125,10 +127,19 @@ def rotate_in(R, z, row, target, first):
 
 
 @compiled
+def untold(R, i):
+    """Return whether coefficient i has done nothing yet that others before it could not have done."""
+    size = 0.0
+    for k in range(i + 1):
+        size += R[k, i] * R[k, i]
+    return R[i, i] * R[i, i] <= TOLD * TOLD * size
+
+
+@compiled
 def solve(R, z, theta):
     """Write theta of R theta = z; what no sample has told yet keeps its value."""
     for i in range(z.size - 1, -1, -1):
-        if R[i, i] == 0.0:
+        if untold(R, i):
             continue
         s = z[i]
         for j in range(i + 1, z.size):
@@ -312,7 +323,7 @@ def deviations(R, T):
         column = np.zeros(p)
         column[k] = 1.0
         for i in range(k, -1, -1):
-            if R[i, i] == 0.0:
+            if untold(R, i):
                 inverse[i, k] = np.inf
                 continue
             s = column[i]
