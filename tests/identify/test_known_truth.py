@@ -123,3 +123,16 @@ def test_a_delay_and_two_inputs(rng):
     assert model.b[0] == pytest.approx([0, 0, 0, 1.0], abs=0.02)
     assert model.f[1] == pytest.approx([1, 0.5], abs=0.05)
     assert result.fit_percent.shape == (2,)
+
+
+@pytest.mark.parametrize("focus", ["auto", "prediction", "simulation"])
+@pytest.mark.parametrize(
+    "without", [{"c_order": 0, "d_order": 0}, {"f_order": 0}, {"c_order": 0, "d_order": 0, "f_order": 0}]
+)
+def test_box_jenkins_does_without_any_of_its_polynomials(without, focus, rng):
+    u, noise = rng.standard_normal((2, 2000))
+    y = np.convolve(u, [0.0, 1.0, 0.5])[:2000] + 0.1 * noise
+    result = uq.identify.BoxJenkins(order=2, focus=focus, **without).identify(uq.Record(u, y, 100.0))
+    model = result.model.rows[0][0]
+    assert model.b[0] == pytest.approx([0.0, 1.0, 0.5], abs=0.1)
+    assert result.covariance.shape[1] == model.b[0].size - 1 + sum(p.size - 1 for p in (model.f[0], model.c, model.d))

@@ -23,8 +23,10 @@ def monic_from_roots(roots: ComplexArray) -> FloatArray:
 
     >>> monic_from_roots(np.array([0.5j, -0.5j])).tolist()
     [1.0, 0.0, 0.25]
+    >>> monic_from_roots(np.zeros(0, dtype=complex)).tolist()
+    [1.0]
     """
-    return np.real(np.poly(roots)).astype(np.float64)
+    return np.atleast_1d(np.real(np.poly(roots))).astype(np.float64)
 
 
 def stabilised(polynomial: FloatArray, radius: float) -> FloatArray:

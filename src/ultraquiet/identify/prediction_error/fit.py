@@ -297,6 +297,8 @@ def covariance(
     Ljung, System Identification, 2nd ed., eqs. (9.17) and (9.42).
     """
     p = normal.shape[0] - 1
+    if p == 0:
+        return np.zeros((0, 0))
     to_shift = np.zeros((p, p))
     at = 0
     for count, scale in _blocks(structure, gain):

@@ -134,7 +134,8 @@ def _movable(p: FloatArray) -> FloatArray:
 def starting_tables(data: ChannelData, structure: Structure, horizons: tuple[int, ...]) -> Iterator[FloatArray]:
     """Yield tables to search from, the most promising first."""
     if structure.f == 0:
-        yield from _equation_error(data, structure, horizons)
+        alone = [_from_poles(data, structure, np.ones(1))]  # no poles at all: B is linear, C and D follow
+        yield from _equation_error(data, structure, horizons) if structure.a else alone
         return
     fallback = True
     for rows in horizons:
