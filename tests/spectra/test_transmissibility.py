@@ -155,6 +155,8 @@ def bad_cases():
         (lambda: transmissibility(still, ["base x"], PAYLOAD, 500), "'payload y' never moves"),
         (lambda: transmissibility(good, ["floor"], PAYLOAD), "names sensor 'floor'; known are base x"),
         (lambda: transmissibility(good, [7], PAYLOAD), "names sensor 7"),
+        (lambda: transmissibility(good, [0.5], [1]), r"names sensor 0.5"),
+        (lambda: transmissibility(good, 7, PAYLOAD), "names sensor 7"),
         (lambda: transmissibility(good, [], PAYLOAD), "at least one sensor"),
         (lambda: transmissibility([], BASE, PAYLOAD), "at least one record"),
         (lambda: transmissibility(good, BASE, PAYLOAD, estimator="H4"), "'reference', got 'H4'"),

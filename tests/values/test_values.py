@@ -190,3 +190,13 @@ def test_descriptor_systems(rng):
         uq.StateSpace.from_descriptor([[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0], [1]], [[0, 1]], [[0]])
     with pytest.raises(InputError, match="shape"):
         uq.StateSpace.from_descriptor([[1]], [[0, 1], [1, 0]], [[0], [1]], [[0, 1]], [[0]])
+
+
+def test_channels_of_a_record_are_picked_by_name_or_index():
+    record = uq.Record(np.zeros((2, 4)), np.arange(4.0), 10.0, actuators=["left", "right"])
+    assert record.pick(["right"]).actuators == record.pick(1).actuators == record.pick([-1]).actuators
+    for wrong in (["x"], "x", [0.5], [True]):
+        with pytest.raises(uq.errors.InputError, match=r"Record.pick: there is no (channel|index) .*; there are left"):
+            record.pick(wrong)
+    with pytest.raises(uq.errors.InputError, match=r"Record.part: 'start' must be a whole number, got 0.5"):
+        record.part(0.5, 3)

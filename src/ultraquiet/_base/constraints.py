@@ -48,6 +48,14 @@ def frequency_array(who: str, f_hz: ArrayLike) -> FloatArray:
     return array
 
 
+def some_lines(who: str, f_hz: ArrayLike) -> FloatArray:
+    """Return frequencies as `frequency_array` does, at least one."""
+    array = frequency_array(who, f_hz)
+    if not array.size:
+        raise InputError(f"{who}: 'f_hz' holds no frequencies; give at least one in Hz.")
+    return array
+
+
 def rising_band(who: str, band_hz: ArrayLike, rate_hz: float | None = None) -> tuple[float, float]:
     """Return two rising frequencies in Hz above zero, below Nyquist where a rate is given."""
     band = real_array(who, "band_hz", band_hz, 1)
@@ -85,6 +93,12 @@ def whole(who: str, name: str, value: Any, low: int, high: int | None = None) ->
         span = f"at least {low}" if high is None else f"between {low} and {high}"
         raise InputError(f"{who}: '{name}' must be {span}, got {number}.")
     return number
+
+
+def yes_or_no(who: str, name: str, value: Any) -> None:
+    """Refuse a switch that is neither True nor False, though it may count as one of them."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{who}: '{name}' must be True or False, got {value!r}.")
 
 
 def one_of(who: str, name: str, value: str, choices: Sequence[str]) -> str:

@@ -18,7 +18,7 @@ from ultraquiet.values import FrequencyResponse, Record
 
 WHO = "transmissibility"
 ESTIMATORS = ("H1", "H2", "Hv", "reference")
-Choice = Sequence[int | str] | str
+Choice = Sequence[int | str] | int | str
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,13 +169,14 @@ def _rows(cross: CrossSpectra, side: str, chosen: Choice) -> list[int]:
     """Return the rows of sensors given by name or index."""
     names = [c.name for c in cross.sensors]
     rows: list[int] = []
-    for one in [chosen] if isinstance(chosen, str) else chosen:
+    listed = [chosen] if isinstance(chosen, str | int) else list(chosen)
+    for one in listed:
         k = names.index(one) if isinstance(one, str) and one in names else one
-        if isinstance(k, str) or not 0 <= k < len(names):
+        if not isinstance(k, int | np.integer) or not 0 <= k < len(names):
             raise InputError(f"{WHO}: '{side}' names sensor {one!r}; known are {', '.join(names)}.")
-        rows.append(len(cross.actuators) + k)
+        rows.append(len(cross.actuators) + int(k))
     if not rows or len(set(rows)) < len(rows):
-        raise InputError(f"{WHO}: '{side}' must name at least one sensor, each once, got {list(chosen)}.")
+        raise InputError(f"{WHO}: '{side}' must name at least one sensor, each once, got {listed}.")
     return rows
 
 

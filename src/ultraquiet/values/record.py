@@ -1,16 +1,18 @@
 """A record: what went in and what came out, sampled together."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, frozen, positive, signal_array
+from ultraquiet._base.constraints import FloatArray, frozen, positive, signal_array, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, content_hash
 from ultraquiet._base.shown import Shown, counted
 from ultraquiet.values.channel import Channel, at_limits, channels
+from ultraquiet.values.joined.wires import places
 from ultraquiet.values.neighbours.records import RecordNeighbours
 
 
@@ -95,19 +97,20 @@ class Record(Shown, RecordNeighbours):
 
     def part(self, start: int = 0, stop: int | None = None) -> "Record":
         """Return samples `start` to `stop` (excluded) as a record."""
+        for name, value in (("start", start), ("stop", stop)):
+            whole("Record.part", name, value or 0, -sys.maxsize)
         rows = slice(start, stop)
         return Record(
             self.inputs[:, rows], self.outputs[:, rows], self.rate_hz, self.actuators, self.sensors, self.provenance
         )
 
-    def pick(self, inputs: Sequence[int] | None = None, outputs: Sequence[int] | None = None) -> "Record":
-        """Return the named input and output channels (by index) as a record."""
-        i = list(range(len(self.actuators))) if inputs is None else list(inputs)
-        o = list(range(len(self.sensors))) if outputs is None else list(outputs)
-        for name, chosen, count in (("inputs", i, len(self.actuators)), ("outputs", o, len(self.sensors))):
-            beyond = [k for k in chosen if not -count <= k < count]
-            if beyond:
-                raise InputError(f"Record.pick: '{name}' has no index {beyond[0]}; the record has {count} (from 0).")
+    def pick(self, inputs: Sequence[int | str] | None = None, outputs: Sequence[int | str] | None = None) -> "Record":
+        """Return some input and output channels, by index from 0 or by name, as a record; all of a side when absent.
+
+        Raises:
+            InputError: no such channel.
+        """
+        i, o = places("Record.pick", inputs, self.actuators), places("Record.pick", outputs, self.sensors)
         return Record(
             self.inputs[i],
             self.outputs[o],

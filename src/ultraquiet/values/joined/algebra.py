@@ -129,7 +129,8 @@ class Algebra:
         >>> both.pick(inputs=["heat"]).B
         array([[2.]])
         """
-        j, i = (places("pick", side, wires) for side, wires in ((inputs, self.actuators), (outputs, self.sensors)))
+        sides = (inputs, self.actuators), (outputs, self.sensors)
+        j, i = (places("StateSpace.pick", side, wires) for side, wires in sides)
         wires = tuple(self.actuators[k] for k in j), tuple(self.sensors[k] for k in i)
         return self._joined((self.A, self.B[:, j], self.C[i], self.D[np.ix_(i, j)]), wires)
 

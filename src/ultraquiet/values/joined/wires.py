@@ -1,7 +1,9 @@
 """Which channels of two systems may meet, and what the joined one is called."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+
+import numpy as np
 
 from ultraquiet._base.errors import InputError
 from ultraquiet.values.channel import Channel
@@ -44,15 +46,17 @@ def apart(one: Sequence[Channel], other: Sequence[Channel], word: str) -> tuple[
     return tuple(Channel(f"{word} {k + 1}") if is_numbered(c) else c for k, c in enumerate(both))
 
 
-def places(who: str, chosen: Sequence[int | str] | None, wires: Sequence[Channel]) -> list[int]:
-    """Return the indices of channels that are named or counted from 0."""
+def places(who: str, chosen: Sequence[int | str] | int | str | None, wires: Sequence[Channel]) -> list[int]:
+    """Return the indices of channels that are named or counted from 0; one alone stands for a list of one."""
     names = [c.name for c in wires]
     if chosen is None:
         return list(range(len(names)))
     out: list[int] = []
-    for each in chosen:
+    for each in [chosen] if isinstance(chosen, str) or not isinstance(chosen, Iterable) else chosen:
         known = names.index(each) if isinstance(each, str) and each in names else each
-        if isinstance(known, str) or not -len(names) <= known < len(names):
-            raise InputError(f"StateSpace.{who}: there is no channel {each!r}; there are {', '.join(names)}.")
+        whole = isinstance(known, int | np.integer) and not isinstance(known, bool)
+        if not whole or not -len(names) <= int(known) < len(names):
+            kind = "channel" if isinstance(each, str) else "index"
+            raise InputError(f"{who}: there is no {kind} {each!r}; there are {', '.join(names)}, counted from 0.")
         out.append(int(known))
     return out
