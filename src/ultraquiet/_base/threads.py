@@ -11,6 +11,7 @@ from importlib import import_module
 from threading import Lock
 from typing import Any, ParamSpec, TypeVar
 
+from ultraquiet._base.constraints import whole
 from ultraquiet._base.progress import task
 
 P = ParamSpec("P")
@@ -38,6 +39,8 @@ def in_threads(
     >>> sorted(in_threads("squares", lambda x: x * x, [1, 2, 3]).items())
     [(1, 1), (2, 4), (3, 9)]
     """
+    if workers is not None:
+        whole(title, "workers", workers, 0)
     results: dict[Item, R] = {}
     with (
         one_blas_thread(),

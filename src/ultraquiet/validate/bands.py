@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of, some_lines, whole
 from ultraquiet._base.errors import InputError, NumericalError
 from ultraquiet.validate.gradient import coefficients, matching, response_gradient, with_coefficients
 from ultraquiet.values import FrequencyResponse, PolynomialMatrix, PolynomialModel
@@ -132,7 +132,8 @@ def response_band(
     one_of(who, "method", method, METHODS)
     between(who, "level", level, *LEVELS)
     whole(who, "draws", draws, 10)
-    f = frequency_array(who, f_hz)
+    whole(who, "seed", seed, 0)
+    f = some_lines(who, f_hz)
     if (spread := spread_of(who, result)) is not None:
         if method == "sampled":
             raise InputError(f"{who}: a state space has no coefficients to be sampled; take method='linearised'.")
@@ -149,13 +150,23 @@ def spread_of(who: str, result: Identified) -> ResponseSpread | None:
     """Return how far a result's response may lie off; None where coefficients with their covariance say it.
 
     Raises:
-        InputError: the result says that it knows no band.
+        InputError: it is no result, or says that it knows no band.
     """
+    _known(who, result)
     reason = getattr(result, "no_band", "")
     if reason:
         raise InputError(f"{who}: {reason}")
     spread: ResponseSpread | None = getattr(result, "spread", None)
     return spread
+
+
+def _known(who: str, result: Any) -> None:
+    """Refuse what is no result of an identification, a model alone above all."""
+    if not (hasattr(result, "model") and hasattr(result, "covariance")):
+        raise InputError(
+            f"{who}: 'result' must be what an identification returned, with its covariance, got "
+            f"{type(result).__name__}."
+        )
 
 
 def moved_by(who: str, spread: ResponseSpread, f: FloatArray) -> ComplexArray:
@@ -197,6 +208,7 @@ def _sides(G: ComplexArray, X: ComplexArray, level: float) -> tuple[FloatArray, 
 
 def channels(who: str, result: Identified) -> Iterator[tuple[PolynomialModel, FloatArray]]:
     """Yield every model of the result's matrix, row by row, with its covariance."""
+    _known(who, result)
     if not isinstance(result.model, PolynomialMatrix):
         raise InputError(
             f"{who}: this asks for the covariance of coefficients, which a {type(result.model).__name__} does not "

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import FloatArray, frequency_array, frozen
+from ultraquiet._base.constraints import FloatArray, frozen, real_array, some_lines
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg.prediction import fit_percent, repaired
 from ultraquiet.validate.predict import Model, predicted, simulated
 from ultraquiet.values import FrequencyResponse, InnovationForm, PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.values.handed_over.kinds import answering, takes_values
 
 REPAIRS = 3  # rounds in which clipped samples take the model's output before its state and constant are fitted
 
@@ -31,6 +32,7 @@ class Comparison:
     clipped: tuple[int, ...]
 
 
+@takes_values
 def compare(
     model: Model,
     record: Record,
@@ -138,7 +140,8 @@ def bode_agreement(
     Reference: section 3.6 and figure 11 of the paper.
     """
     who = "bode_agreement"
-    f = _lines(who, (first, second), band_hz) if f_hz is None else frequency_array(who, f_hz)
+    first, second = answering(who, "first", first), answering(who, "second", second)
+    f = _lines(who, (first, second), band_hz) if f_hz is None else some_lines(who, f_hz)
     g, h = (_response(who, x, f) for x in (first, second))
     if g.shape != h.shape:
         raise InputError(f"{who}: the responses have shapes {g.shape} and {h.shape}.")
@@ -154,7 +157,10 @@ def _lines(who: str, compared: tuple[Any, Any], band_hz: Sequence[float] | None)
     measured = [x for x in compared if isinstance(x, FrequencyResponse)]
     if band_hz is None and not measured:
         raise InputError(f"{who}: two models have no lines of their own; give 'band_hz' or 'f_hz' to compare them on.")
-    low, high = (0.0, np.inf) if band_hz is None else (float(x) for x in band_hz)
+    band = np.array([0.0, np.inf]) if band_hz is None else real_array(who, "band_hz", np.asarray(band_hz), 1)
+    if band.size != 2:
+        raise InputError(f"{who}: 'band_hz' must be the lowest and the highest frequency, got {band.size} numbers.")
+    low, high = band.tolist()
     if band_hz is not None and not 0 < low < high:
         raise InputError(f"{who}: the band must run upwards from above zero, got {low:g} to {high:g} Hz.")
     if not measured:

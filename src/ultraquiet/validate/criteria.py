@@ -12,6 +12,7 @@ from ultraquiet.linalg import information
 from ultraquiet.linalg.information import NAMES, Criteria
 from ultraquiet.validate.gradient import coefficients
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 
 class Fitted(Protocol):
@@ -33,6 +34,7 @@ class Fitted(Protocol):
         ...
 
 
+@takes_values
 def information_criteria(result: Fitted, record: Record) -> Criteria:
     """Return FPE, AIC, AICc, BIC and MDL of a result on the record it was made from, one value an output.
 
@@ -55,6 +57,11 @@ def information_criteria(result: Fitted, record: Record) -> Criteria:
     >>> bool(first.bic[0] < fifth.bic[0])
     True
     """
+    if not (hasattr(result, "loss") and hasattr(result, "model")):
+        raise InputError(
+            f"information_criteria: it needs what an identification returned, with its loss, got "
+            f"{type(result).__name__}."
+        )
     loss = np.asarray(result.loss)
     if loss.shape != (len(record.sensors),):
         raise InputError(
@@ -92,6 +99,7 @@ class Selection:
         return str(self.rows[0]["name"])
 
 
+@takes_values
 def select(results: Mapping[str, Fitted], record: Record, criterion: str = "bic") -> Selection:
     """Rank models identified from one record by an information criterion.
 
@@ -107,6 +115,8 @@ def select(results: Mapping[str, Fitted], record: Record, criterion: str = "bic"
         InputError: no results, an unknown criterion, results of another record's outputs.
     """
     one_of("select", "criterion", criterion, NAMES)
+    if not isinstance(results, Mapping):
+        raise InputError(f"select: 'results' must be results by name, {{'a': ...}}, got {type(results).__name__}.")
     if not results:
         raise InputError("select: no results were given.")
     rows = [_row(name, result, record) for name, result in results.items()]

@@ -37,6 +37,7 @@ def drawn_plants(result: Identified, draws: int, seed: int = 0, stable: bool = T
     True
     """
     whole("drawn_plants", "draws", draws, 1)
+    whole("drawn_plants", "seed", seed, 0)
     parts = [(model, coefficients(model), root(P)) for model, P in channels("drawn_plants", result)]
     return _plants(result.model, parts, draws, np.random.default_rng(seed), stable)
 

@@ -6,11 +6,13 @@ from ultraquiet._base.constraints import FloatArray, same_rate, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import innovation, prediction
 from ultraquiet.values import InnovationForm, PolynomialMatrix, PolynomialModel, Record, StateSpace
+from ultraquiet.values.handed_over.kinds import takes_values
 
 Model = PolynomialMatrix | PolynomialModel | StateSpace
 Noisy = PolynomialMatrix | PolynomialModel | InnovationForm  # models that say what their outputs carry besides
 
 
+@takes_values
 def simulated(model: Model, record: Record, initial: str = "estimate", offset: bool = True) -> FloatArray:
     """Return the outputs `(ny, n)` that the model gives to the record's inputs alone.
 
@@ -32,6 +34,7 @@ def simulated(model: Model, record: Record, initial: str = "estimate", offset: b
     return np.stack(out)
 
 
+@takes_values
 def innovations(model: Noisy, record: Record) -> FloatArray:
     """Return the one-step prediction errors `(ny, n)`, the past before the first sample and a constant fitted.
 
@@ -47,6 +50,7 @@ def innovations(model: Noisy, record: Record) -> FloatArray:
     return np.stack(out)
 
 
+@takes_values
 def predicted(model: Noisy, record: Record, steps: int = 1) -> FloatArray:
     """Return the outputs `(ny, n)` predicted `steps` samples ahead: y(t | t - steps).
 

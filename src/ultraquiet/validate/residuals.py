@@ -11,6 +11,7 @@ from ultraquiet.validate.bands import root
 from ultraquiet.validate.gradient import delay, matching
 from ultraquiet.validate.predict import innovations, single_rows
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 DEFAULT_LAGS = 40
 ORIGINS = ("auto", "this record", "another record", "exact")
@@ -44,6 +45,7 @@ class ResidualTest:
         return 1.96 / float(np.sqrt(self.residuals.shape[1]))
 
 
+@takes_values
 def residual_test(
     model: PolynomialMatrix | PolynomialModel,
     record: Record,

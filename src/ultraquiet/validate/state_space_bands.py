@@ -2,13 +2,17 @@
 
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import between, frequency_array
+from ultraquiet._base.constraints import between, some_lines
 from ultraquiet._base.errors import InputError
 from ultraquiet.validate.bands import LEVELS, ResponseBand, drawn_band
 from ultraquiet.values import Record, StateSpace
 from ultraquiet.values.confidence.response_spread import SimulatedSpread
+from ultraquiet.values.door import takes_systems
+from ultraquiet.values.handed_over.kinds import takes_values
 
 
+@takes_values
+@takes_systems
 def state_space_band(model: StateSpace, record: Record, f_hz: ArrayLike, level: float = 0.95) -> ResponseBand:
     """Return the response of a model of least simulated error and the band in which the truth lies with `level`.
 
@@ -43,7 +47,7 @@ def state_space_band(model: StateSpace, record: Record, f_hz: ArrayLike, level: 
     """
     who = "state_space_band"
     between(who, "level", level, *LEVELS)
-    f = frequency_array(who, f_hz)
+    f = some_lines(who, f_hz)
     _checked(who, model, record)
     return drawn_band(who, model.frequency_response(f), SimulatedSpread(model, record), f, level)
 

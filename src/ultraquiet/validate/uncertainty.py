@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frequency_array, frozen, one_of, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, frozen, one_of, some_lines, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet.linalg import realize
 from ultraquiet.validate.bands import Identified, channels, moved_by, root, spread_of
@@ -20,6 +20,7 @@ from ultraquiet.validate.gradient import noise_gradient, response_gradient
 from ultraquiet.validate.weight_fit import HIGHEST_ORDER, fitted_weight
 from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
 from ultraquiet.values.confidence.response_spread import ResponseSpread
+from ultraquiet.values.handed_over.kinds import answering
 from ultraquiet.values.interconnect import append
 
 KINDS = ("output", "input", "additive", "entry", "additive-entry")
@@ -153,10 +154,11 @@ def from_covariance(
     one_of(who, "kind", kind, KINDS)
     between(who, "confidence", confidence, 0.5, 0.999)
     whole(who, "draws", draws, 100)
-    f = frequency_array(who, f_hz)
+    whole(who, "seed", seed, 0)
+    f = some_lines(who, f_hz)
+    spread = spread_of(who, result)
     nominal = result.model.frequency_response(f)
     rng = np.random.default_rng(seed)
-    spread = spread_of(who, result)
     errors = _drawn(who, result, f, draws, rng) if spread is None else _spread(who, spread, f, draws, rng)
     errors = errors.reshape(draws, *nominal.shape)
     sizes = _sizes(who, errors, nominal, kind)
@@ -206,12 +208,16 @@ def from_spread(
     """
     who = "from_spread"
     one_of(who, "kind", kind, KINDS)
+    nominal = answering(who, "nominal", nominal)
+    if not isinstance(others, Sequence):
+        raise InputError(f"{who}: 'others' must be a list of models or responses, got {type(others).__name__}.")
+    others = [answering(who, "others", other) for other in others]
     if not others:
         raise InputError(f"{who}: the spread needs at least one other model beside the nominal one.")
     measured = [x for x in (nominal, *others) if isinstance(x, FrequencyResponse)]
     if f_hz is None and not measured:
         raise InputError(f"{who}: give 'f_hz', the lines in Hz; no measured response brings its own.")
-    f = measured[0].f_hz if f_hz is None else frequency_array(who, f_hz)
+    f = measured[0].f_hz if f_hz is None else some_lines(who, f_hz)
     G = _at(who, nominal, f)
     responses = [_at(who, x, f) for x in others]
     for k, x in enumerate(responses):

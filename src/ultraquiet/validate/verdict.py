@@ -6,11 +6,13 @@ from ultraquiet.validate.compare import Comparison
 from ultraquiet.validate.predict import Model
 from ultraquiet.validate.residuals import ResidualTest
 from ultraquiet.values import Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 # As of identification: a verdict errs once in a thousand good models.
 SIGNIFICANCE = 1e-3
 
 
+@takes_values
 def verdict(model: Model, comparison: Comparison, residuals: ResidualTest | None = None) -> Status:
     """Return whether a model may be used for what the record shows.
 

@@ -21,6 +21,7 @@ from ultraquiet.identify.grey_box.record import fitted_to_record
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 WHO = "StructuredModal"
 # Where the search begins: the paper's geophone and filter (sections 2.1 and 3.1), the real pole of its eq. (12).
@@ -132,6 +133,7 @@ class StructuredModal:
         whole(WHO, "iterations", self.iterations, 1)
         whole(WHO, "noise_rounds", self.noise_rounds, 0)
 
+    @takes_values
     def identify(self, record: Record) -> Result:
         """Return the model of a record in which one input moves; `details["fit"]` holds the `ModalFit`.
 
@@ -147,6 +149,7 @@ class StructuredModal:
         return fitted_to_record(self, record, fit)
 
     @single_threaded
+    @takes_values
     def identify_response(self, response: FrequencyResponse, rate_hz: float) -> ModalFit:
         """Return the model of a measured response `(ny, nu, nf)`, weighted by its variance and the floor.
 

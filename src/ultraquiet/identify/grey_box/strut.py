@@ -27,6 +27,7 @@ from ultraquiet.identify.grey_box.strut_result import StructuredFit, physical, v
 from ultraquiet.identify.record_checks import usable
 from ultraquiet.identify.result import SIGNIFICANCE, Result
 from ultraquiet.values import FrequencyResponse, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 WHO = "Structured"
 BOUND_FACTOR = 1e3  # a free symbol is sought this factor below and above its guess when no bounds are given
@@ -120,6 +121,7 @@ class Structured:
         """The symbols that are sought."""
         return tuple(s for s in strut.SYMBOLS if s not in self.known)
 
+    @takes_values
     def identify(self, record: Record) -> Result:
         """Return the model of a record of one strut: one actuator, one sensor.
 
@@ -138,6 +140,7 @@ class Structured:
         return fitted_to_record(self, record, self._fit_record)
 
     @single_threaded
+    @takes_values
     def identify_response(self, response: FrequencyResponse, rate_hz: float) -> StructuredFit:
         """Return the model of a measured response `(1, 1, nf)`, weighted by its variance.
 

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray
+from ultraquiet._base.constraints import ComplexArray, FloatArray, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance
 from ultraquiet._base.shown.line import p_in_words
@@ -14,6 +14,7 @@ from ultraquiet.identify.grey_box.data import smoothed
 from ultraquiet.identify.grey_box.modal import StructuredModal
 from ultraquiet.identify.result import SIGNIFICANCE, worst
 from ultraquiet.values import FrequencyResponse, StateSpace, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 WHO = "Threefold"
 STRUTS = 6
@@ -77,6 +78,7 @@ def contrasts() -> tuple[FloatArray, FloatArray]:
     return np.array(wanted), np.array(forbidden)
 
 
+@takes_values
 def fold(responses: FrequencyResponse | Sequence[FrequencyResponse], seed: int = 0) -> Folded:
     """Take a 6 x 6 response apart into the functions of a threefold symmetric hexapod, and test that it is one.
 
@@ -99,6 +101,9 @@ def fold(responses: FrequencyResponse | Sequence[FrequencyResponse], seed: int =
     Reference: doi:10.1109/9.793723 for systems with symmetric structure; Fisher 1935 for random signs.
     """
     realisations = [responses] if isinstance(responses, FrequencyResponse) else list(responses)
+    if not realisations:
+        raise InputError(f"{WHO}: no responses were given; at least one is needed.")
+    whole(WHO, "seed", seed, 0)
     G = np.array([_checked(r, realisations[0]) for r in realisations])
     mean = G.mean(axis=0)
     wanted, forbidden = contrasts()

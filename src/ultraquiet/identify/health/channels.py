@@ -10,6 +10,7 @@ from ultraquiet._base.errors import InputError
 from ultraquiet.identify.health.answers import answers, tells
 from ultraquiet.identify.health.waveforms import piled_up, standstill
 from ultraquiet.values import Channel, Record, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 # A channel that carries nothing but noise passes for a live one so often; one that answers at all reaches far less.
 SIGNIFICANCE = 1e-3
@@ -52,6 +53,7 @@ class Health:
         return sensors, actuators
 
 
+@takes_values
 def channel_health(records: Sequence[Record]) -> Health:
     """Return what records tell of each channel: dead, saturated or ok.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray
+from ultraquiet._base.constraints import FloatArray, whole
 from ultraquiet.identify.joint.initial_models import starts
 from ultraquiet.identify.joint.search import JointMinimum, Part, Problem, covariance_root, posed, search
 from ultraquiet.identify.prediction_error.fit import (
@@ -39,6 +39,8 @@ SAME = 1.0  # in the criterion, twice the logarithm of the likelihood: minima ne
 def fit_parts(parts: Sequence[Part], how: Search, rate_hz: float, workers: int | None) -> dict[int, Fit]:
     """Return one fit per group of sets; sets that share nothing are searched apart, in threads."""
     clusters = _clusters(parts)
+    if workers is not None:
+        whole("identify", "workers", workers, 0)
     count = workers or os.cpu_count() or 1
     inner = count if len(clusters) == 1 and len(parts) > 1 else 1
     with ThreadPoolExecutor(min(count, len(clusters))) as pool:

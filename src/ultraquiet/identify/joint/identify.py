@@ -20,10 +20,12 @@ from ultraquiet.identify.prediction_error.result import MatrixResult, assemble, 
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.identify.result import Result
 from ultraquiet.values import Channel, PolynomialMatrix, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 Tying = str | Sequence[str] | ArrayLike | None
 
 
+@takes_values
 def identify_joint(
     method: PolynomialSettings,
     records: Sequence[Record],
@@ -70,6 +72,7 @@ def identify_joint(
 
     Reference: Ljung, System Identification, 2nd ed., section 14.3 (merging data sets).
     """
+    polynomial("identify_joint", method)
     ties = same("identify_joint", ties, share)
     _alike(method if method.given_order else method.at_order(1), records)
     method, words = with_order(method, records)
@@ -91,6 +94,15 @@ def identify_joint(
     wires = records[0].actuators, records[0].sensors
     model = PolynomialMatrix([[fits[i].model] for i in range(ny)], *wires, provenance)
     return told(gather(model, [fits[i] for i in range(ny)], provenance), method, words)
+
+
+def polynomial(who: str, method: object) -> None:
+    """Refuse a method that is not of a polynomial structure: only those are fitted channel by channel."""
+    if not isinstance(method, PolynomialSettings):
+        raise InputError(
+            f"{who}: 'method' must be the settings of a polynomial structure, BoxJenkins(order=5) for instance, got "
+            f"{type(method).__name__}."
+        )
 
 
 def identify_tied_matrix(

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.threads import in_threads
-from ultraquiet.identify.joint.identify import identify_tied_matrix
+from ultraquiet.identify.joint.identify import identify_tied_matrix, polynomial
 from ultraquiet.identify.joint.ties import same
 from ultraquiet.identify.prediction_error.fit import Fit
 from ultraquiet.identify.prediction_error.initial_models import ChannelData, starting_models
@@ -14,8 +14,10 @@ from ultraquiet.identify.prediction_error.order_choice import told, with_order
 from ultraquiet.identify.prediction_error.result import MatrixResult, columns, whole
 from ultraquiet.identify.prediction_error.settings import PolynomialSettings
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+from ultraquiet.values.handed_over.kinds import takes_values
 
 
+@takes_values
 def identify_matrix(
     method: PolynomialSettings,
     records: Sequence[Record | Sequence[Record]],
@@ -52,6 +54,7 @@ def identify_matrix(
     >>> result.model.frequency_response([0.0]).real.round(1)
     array([[[1.5]]])
     """
+    polynomial("identify_matrix", method)
     ties = same("identify_matrix", ties, share)
     single = [record for record in records if isinstance(record, Record)]
     if ties is not None or method.informed or len(single) < len(records):

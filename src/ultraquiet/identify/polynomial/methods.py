@@ -21,12 +21,14 @@ from ultraquiet.identify.prediction_error.simulation_focus import FOCUSES, fit_f
 from ultraquiet.identify.prediction_error.structure import Structure
 from ultraquiet.identify.result import Result
 from ultraquiet.values import PolynomialMatrix, Record, StateSpace
+from ultraquiet.values.handed_over.kinds import takes_values
 
 
 @dataclass(frozen=True)
 class PolynomialMethod(PolynomialSettings):
     """A polynomial structure that is identified by its one-step prediction error."""
 
+    @takes_values
     def identify(
         self, record: Record | LongRecord | Sequence[Record], start: PolynomialMatrix | StateSpace | None = None
     ) -> Result:

@@ -18,6 +18,7 @@ from ultraquiet.identify.prediction_error.order_choice import FITTED_SHARE, WORT
 from ultraquiet.identify.prediction_error.result import MatrixResult, columns, whole
 from ultraquiet.linalg import information, prediction
 from ultraquiet.values import PolynomialMatrix, Record, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 STRUCTURES = ("arx", "armax", "output-error", "box-jenkins")
 ORDERS = range(2, 8)
@@ -116,6 +117,7 @@ class Sweep:
         ]
 
 
+@takes_values
 def sweep(
     records: Sequence[Record],
     held_out: Sequence[Record] | None = None,
@@ -148,7 +150,11 @@ def sweep(
     2
     """
     one_of("sweep", "rank_by", rank_by, ("loss", "fit"))
-    methods = [_at_order(s, n) for s in structures for n in orders]
+    if not isinstance(orders, Iterable):
+        raise InputError(f"sweep: 'orders' must be a list of whole numbers, got {orders!r}.")
+    listed = [structures] if isinstance(structures, str | PolynomialMethod) else list(structures)
+    tried = list(orders)
+    methods = [_at_order(s, n) for s in listed for n in tried]
     if not methods:
         raise InputError("sweep: no structures or no orders were given.")
     if held_out is None:
@@ -176,9 +182,9 @@ def sweep(
 def _at_order(structure: str | PolynomialMethod, order: int) -> PolynomialMethod:
     if isinstance(structure, PolynomialMethod):
         return replace(structure, order=order)
-    method = lookup("identify", structure)
+    method = lookup("identify", structure) if isinstance(structure, str) else type(structure)
     if not issubclass(method, PolynomialMethod):
-        raise InputError(f"sweep: '{structure}' is no polynomial structure; known are {', '.join(STRUCTURES)}.")
+        raise InputError(f"sweep: '{method.__name__}' is no polynomial structure; known are {', '.join(STRUCTURES)}.")
     return method(order=order)
 
 

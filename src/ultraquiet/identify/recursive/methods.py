@@ -27,6 +27,7 @@ from ultraquiet.identify.result import Result, worst
 from ultraquiet.linalg import prediction
 from ultraquiet.linalg.lagged import Lagged
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class RecursiveMethod:
         """Return the method that fits the same structure to a whole record."""
         return self.batch_type(order=self.order, delay=self.delay, offset=self.offset)
 
+    @takes_values
     def identify(self, record: Record | LongRecord) -> Result:
         """Return the last model of a record, one per output, and the way there.
 

@@ -22,6 +22,7 @@ from ultraquiet.identify.regularised.posterior import (
 from ultraquiet.identify.result import SIGNIFICANCE, noiseless, shares_of, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 ARX_LAGS = 30
 
@@ -68,6 +69,7 @@ class RegularisedArx(RegularisedFit):
         whole("RegularisedArx", "delay", self.delay, 0, 1000)
         one_of("RegularisedArx", "kernel", self.kernel, KERNELS)
 
+    @takes_values
     def identify(self, record: Record) -> ResponseResult:
         """Return one model per output, driven by all inputs.
 

@@ -22,6 +22,7 @@ from ultraquiet.identify.regularised.posterior import (
 from ultraquiet.identify.result import SIGNIFICANCE, worst
 from ultraquiet.linalg import portmanteau, prediction
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 MOST_TAPS = 200  # of one path when none are asked for
 MOST_UNKNOWNS = 600  # of one output: each step of the search costs their cube
@@ -79,6 +80,7 @@ class ImpulseResponse(RegularisedFit):
         one_of("ImpulseResponse", "kernel", self.kernel, KERNELS)
         one_of("ImpulseResponse", "initial", self.initial, ("estimate", "rest"))
 
+    @takes_values
     def identify(self, record: Record) -> ResponseResult:
         """Return one response per input and output.
 

@@ -4,7 +4,7 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from ultraquiet._base.constraints import ComplexArray, FloatArray, between, whole
+from ultraquiet._base.constraints import ComplexArray, FloatArray, between, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
@@ -23,6 +23,7 @@ from ultraquiet.linalg.prediction import fit_percent
 from ultraquiet.linalg.response import points
 from ultraquiet.spectra import frf
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 ORDERS = tuple(range(4, 33, 2))
 # Tried when the held-out error still falls at the last of those, until two in turn do not lower it.
@@ -123,6 +124,7 @@ class Rational(SearchedOrder):
         between("Rational", "floor", self.floor, 1e-6, 1.0)
         between("Rational", "rank_tolerance", self.rank_tolerance, 0.0, 0.5)
 
+    @takes_values
     def identify(self, record: Record) -> Result:
         """Estimate the H1 response of a record and fit it; fit periodic ones by `identify_response` instead."""
         usable("Rational", record, (self.given_order or max(ORDERS)) * (len(record.actuators) + 1), 64)
@@ -151,6 +153,7 @@ class Rational(SearchedOrder):
             no_band="no band: lines are weighed by the response, not by their noise; take 'weighted-rational'.",
         )
 
+    @takes_values
     @single_threaded
     def identify_response(self, response: FrequencyResponse, rate_hz: float) -> ResponseFit:
         """Fit a measured response, as `spectra.frf` or `spectra.periodic_response` give it.
@@ -223,6 +226,7 @@ def _checked(
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
     """Return lines, gains and weights `(nf,)`, thinned and cleared of the lines that say nothing."""
     f, G = response.f_hz, response.values
+    positive("Rational", "rate_hz", rate_hz, "Hz")
     if f.size and f[-1] > rate_hz / 2:
         raise InputError(
             f"Rational: lines up to {f[-1]:g} Hz contradict a rate of {rate_hz:g} Hz; half of it is the limit."

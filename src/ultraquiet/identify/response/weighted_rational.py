@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ultraquiet._base.constraints import FloatArray, between, one_of, whole
+from ultraquiet._base.constraints import FloatArray, between, one_of, whole, yes_or_no
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
 from ultraquiet._base.provenance import Provenance, versions
@@ -24,6 +24,7 @@ from ultraquiet.linalg.sections import search as sections
 from ultraquiet.linalg.sections import start
 from ultraquiet.linalg.sections.realisation import realised
 from ultraquiet.values import FrequencyResponse, Record, StateSpace, Status, StatusWord
+from ultraquiet.values.handed_over.kinds import takes_values
 
 HIGHEST_ORDER = 60
 # Lines per pole below which a fit would interpolate.
@@ -109,6 +110,7 @@ class WeightedRational(SearchedOrder):
         whole(WHO, "highest_order", self.highest_order, 1, HIGHEST_ORDER)
         if self.delay_s is not None:
             between(WHO, "delay_s", self.delay_s, 0.0, 1e6, "s")
+        yes_or_no(WHO, "feedthrough", self.feedthrough)
         one_of(WHO, "criterion", self.criterion, ("mdl", "aic"))
         one_of(WHO, "weigh", self.weigh, ("noise", "output"))
         between(WHO, "floor", self.floor, 0.0, 1.0)
@@ -116,6 +118,7 @@ class WeightedRational(SearchedOrder):
         if self.period_samples is not None:
             whole(WHO, "period_samples", self.period_samples, 2)
 
+    @takes_values
     def identify(self, record: Record) -> Result:
         """Fit a record: its spectra with their leakage as one more input, or the mean of its periods.
 
@@ -131,6 +134,7 @@ class WeightedRational(SearchedOrder):
         fitted = self._fit(data)
         return _result(self, fitted, record)
 
+    @takes_values
     def identify_response(self, response: FrequencyResponse, rate_hz: float | None = None) -> WeightedFit:
         """Fit a measured response with a variance, as `spectra` gives it; `with_coherence_variance` makes one.
 

@@ -25,6 +25,7 @@ from ultraquiet.identify.subspace.modal_least_squares import FilterBank
 from ultraquiet.identify.subspace.settings import SubspaceSettings
 from ultraquiet.identify.subspace.start import Horizon, SubspaceStart
 from ultraquiet.values import Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 RETURNS = 4  # to the search with modes that its end had missed
 
@@ -75,6 +76,7 @@ class Subspace(SubspaceSettings):
 
     name: ClassVar[str] = "subspace"
 
+    @takes_values
     def identify(self, record: Record | LongRecord) -> Result:
         """Return the state-space model of all channels of the record.
 

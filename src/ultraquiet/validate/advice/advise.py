@@ -17,6 +17,7 @@ from ultraquiet.validate.gradient import delay, matching
 from ultraquiet.validate.predict import innovations, single_rows
 from ultraquiet.validate.residuals import DEFAULT_LAGS, fitted_directions, origin_of
 from ultraquiet.values import PolynomialMatrix, PolynomialModel, Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 # Readings that repeat their extreme so often in a row, in two places at least, stand at a limit nobody declared.
 CLIPPED_RUN, CLIPPED_PLACES = 3, 2
@@ -45,6 +46,7 @@ class Advice:
         return f"{self.about} ({self.channel}): {self.sentence}"
 
 
+@takes_values
 def advise(
     record: Record,
     model: PolynomialMatrix | PolynomialModel | None = None,

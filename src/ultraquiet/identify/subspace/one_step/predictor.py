@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ultraquiet._base.constraints import whole
+from ultraquiet._base.constraints import whole, yes_or_no
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.provenance import Provenance, versions
 from ultraquiet._base.registry import register
@@ -23,6 +23,7 @@ from ultraquiet.identify.subspace.one_step.past_regression import (
     with_poles_inside,
 )
 from ultraquiet.values import Record
+from ultraquiet.values.handed_over.kinds import takes_values
 
 
 @register("identify", "predictor-subspace")
@@ -82,8 +83,11 @@ class PredictorSubspace(SearchedOrder):
         self.settle_order(500)
         if self.horizon is not None:
             whole("PredictorSubspace", "horizon", self.horizon, 1, 1000)
+        for name in ("feedthrough", "offset", "refine", "weighted", "stable"):
+            yes_or_no("PredictorSubspace", name, getattr(self, name))
         whole("PredictorSubspace", "max_iterations", self.max_iterations, 1)
 
+    @takes_values
     def identify(self, record: Record) -> Result:
         """Return the model of all channels of the record.
 

@@ -1,0 +1,1 @@
+"""What verbs are handed: records, responses and models, checked in one place."""
