@@ -187,7 +187,7 @@ def laid_out(method: Any, inputs: int) -> Parameterisation:
     b = (fixed["b"].size,) * inputs if "b" in fixed else per_input("b_order", structure.b)
     f = (0,) * inputs if structure.f == 0 else per_input("f_order", structure.f)
     f = (fixed["f"].size - 1,) * inputs if "f" in fixed else f
-    poles = complex_poles(method.known_poles)
+    poles = complex_poles(who, method.known_poles)
     known = np.real(np.poly(poles)) if poles.size else np.ones(1)
     out = Parameterisation(
         degree["a"],
@@ -210,10 +210,17 @@ def laid_out(method: Any, inputs: int) -> Parameterisation:
     return out
 
 
-def complex_poles(poles: Any) -> ComplexArray:
+def complex_poles(who: str, poles: Any) -> ComplexArray:
     """Return poles given as complex numbers, or as pairs of real and imaginary part as files hold them."""
-    array = np.asarray(poles)
-    return array[:, 0] + 1j * array[:, 1] if array.ndim == 2 else array.astype(np.complex128)
+    try:
+        array = np.asarray(poles).astype(np.complex128)
+    except (TypeError, ValueError):
+        array = np.zeros((), dtype=np.complex128)
+    if array.ndim not in (1, 2) or array.shape[1:] not in ((), (2,)):
+        raise InputError(
+            f"{who}: 'known_poles' must be a list of complex numbers or of pairs of real ones, got {poles!r}."
+        )
+    return array[:, 0] + 1j * array[:, 1] if array.ndim == 2 else array
 
 
 LETTERS = "abcdf"
@@ -223,13 +230,17 @@ def check_known(method: Any) -> None:
     """Refuse known zeros, poles or polynomials that no real, stable model has."""
     who = type(method).__name__
     whole(who, "zeros_at_dc", method.zeros_at_dc, 0)
-    poles = complex_poles(method.known_poles)
+    poles = complex_poles(who, method.known_poles)
     if np.any(np.abs(poles) >= 1.0):
         raise InputError(
             f"{who}: 'known_poles' must lie inside the unit circle of z, got {poles[np.abs(poles) >= 1][0]}."
         )
     if not np.allclose(np.sort_complex(poles), np.sort_complex(poles.conj()), rtol=0.0, atol=1e-12):
         raise InputError(f"{who}: 'known_poles' must come in conjugate pairs.")
+    if not isinstance(method.fixed or {}, Mapping):
+        raise InputError(
+            f"{who}: 'fixed' must be polynomials by their letters, {{'c': [1.0, ...]}}, got {method.fixed!r}."
+        )
     for letter, polynomial in (method.fixed or {}).items():
         one_of(who, "fixed", letter, tuple(LETTERS))
         p = real_array(who, f"fixed['{letter}']", polynomial, 1)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
-from ultraquiet._base.constraints import one_of, whole
+from ultraquiet._base.constraints import one_of, whole, yes_or_no
 from ultraquiet._base.errors import InputError
 from ultraquiet.identify.prediction_error.fit import Fit, Search
 from ultraquiet.identify.prediction_error.initial_models import ChannelData
@@ -66,13 +66,21 @@ class PolynomialSettings(SearchedOrder):
     def __post_init__(self) -> None:
         self.settle_order(HIGHEST_ORDER)
         who = type(self).__name__
+        for name in ("delay", "b_order", "f_order"):
+            value = getattr(self, name, None)
+            if (value is None and name == "delay") or (isinstance(value, Sequence) and not len(value)):
+                raise InputError(f"{who}: '{name}' must be a whole number, or one for each input, got {value!r}.")
         for delay in each(self.delay):
             whole(who, "delay", delay, 0, LONGEST_DELAY)
         for name in ("b_order", "c_order", "d_order", "f_order"):
             for value in each(getattr(self, name, None)):
                 whole(who, name, value, 1 if name == "b_order" else 0, HIGHEST_ORDER)
+        if not isinstance(self.horizons, Sequence) or not self.horizons:
+            raise InputError(f"{who}: 'horizons' must be a list of at least one whole number, got {self.horizons!r}.")
         for rows in self.horizons:
             whole(who, "horizons", rows, 2)
+        for name in ("offset", "repair"):
+            yes_or_no(who, name, getattr(self, name))
         one_of(who, "initial", self.initial, ("estimate", "rest"))
         whole(who, "max_iterations", self.max_iterations, 1)
         if self.given_order is None:

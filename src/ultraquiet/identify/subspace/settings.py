@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from ultraquiet._base.constraints import one_of, whole
+from ultraquiet._base.constraints import one_of, whole, yes_or_no
 from ultraquiet._base.errors import InputError
 from ultraquiet.files import LongRecord
 from ultraquiet.identify.searched_order import Auto, SearchedOrder
@@ -38,6 +38,10 @@ class SubspaceSettings(SearchedOrder):
         who = "Subspace"
         if self.horizon is not None:
             whole(who, "horizon", self.horizon, 2, 1000)
+        for name in ("offset", "refine", "weighted"):
+            yes_or_no(who, name, getattr(self, name))
+        if self.feedthrough is not None:
+            yes_or_no(who, "feedthrough", self.feedthrough)
         one_of(who, "weight", self.weight, hankel.WEIGHTS)
         one_of(who, "focus", self.focus, FOCUSES)
         whole(who, "max_iterations", self.max_iterations, 1)
