@@ -252,3 +252,26 @@ def test_a_law_that_adapts_asks_for_the_limits_that_nobody_states(method):
     assert older.limit_v == older.limit == 3.0
     law = older.design(free).law
     assert law.limit.tolist() == law.limit_v.tolist() == [3.0]
+
+
+def below_its_tones(zeta):
+    """Return a mode at 0.5 Hz, which answers tones at 15 and 40 Hz some thousand times less than itself."""
+    w, rate = 2 * np.pi * 0.5, 20000.0
+    A, B = np.array([[0.0, w], [-w, -2 * zeta * w]]), np.array([[0.0], [1.0]])
+    return StateSpace(*zero_order_hold(A, B, np.array([[0.0, 1.0]]), np.zeros((1, 1)), 1 / rate), rate)
+
+
+def test_whether_a_bank_is_found_does_not_hang_on_the_time_asked_for():
+    plant = below_its_tones(0.02)
+    found = [Resonators(tones_hz=(15, 40), settling_s=s).design(plant) for s in (0.05, 0.5, 1.0, 5.0, 100.0)]
+    settled = [result.details["settling_s"][15.0] for result in found]
+    print(f"settled in {np.round(settled)} s")
+    assert all(result.status.ok for result in found)
+    assert max(settled) < 1.5 * min(settled)
+
+
+def test_a_bank_that_stays_loud_is_refused_with_what_makes_it_so():
+    refusal = Resonators(tones_hz=(1500.0, 4000.0)).design(below_its_tones(5e-7)).status.sentence
+    print(refusal)
+    assert "loudest at 0.5 Hz, where the plant answers" in refusal
+    assert "too near" not in refusal

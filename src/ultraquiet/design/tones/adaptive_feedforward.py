@@ -153,7 +153,7 @@ class AdaptiveFeedforward(StatedRobustness):
         for share in np.linspace(1 - self.span, 1 + self.span, STATIONS if self.span else 1):
             moved = tones_hz * share
             inverses = [inverse("AdaptiveFeedforward", inner.seen, f, self.weakest) for f in moved]
-            bank, slowed = quiet_bank(inner, moved, inverses, times, shape, most, slowed)
+            bank, slowed, _ = quiet_bank(inner, moved, inverses, times, shape, most, slowed)
             if bank is None:
                 return None
         return slowed

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from ultraquiet.values.state_space import StateSpace
 
 SETTLED = 4.0  # time constants until an exponential is within two per cent
 SLOWER = 2**0.5  # steps in which a tone's resonator is made slower
-SLOWINGS = 20  # such steps per tone, a factor of a thousand, before a design is given up
+SLOWEST = 1e6  # periods in which a tone settles before a design is given up: of 15 Hz most of a day
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,17 @@ class BankShape:
         """Return which of a bank's states belong to each tone; those of its directions come first."""
         ends = np.cumsum([0] + [self.states(g) for g in inverses]).tolist()
         return [slice(*pair) for pair in pairwise(ends)]
+
+
+class QuietBank(NamedTuple):
+    """A bank that amplifies little enough, None where none does; how much slower than asked each tone is.
+
+    `loudest_hz` is where the last one tried amplified most, or its most unstable pole.
+    """
+
+    bank: StateSpace | None
+    slowed: FloatArray
+    loudest_hz: float
 
 
 @dataclass(frozen=True)
@@ -68,25 +79,59 @@ def quiet_bank(
     shape: BankShape,
     most: Amplification,
     slowed: FloatArray | None = None,
-) -> tuple[StateSpace | None, FloatArray]:
+) -> QuietBank:
     """Return a bank that is stable and amplifies by `most` at most, and how much slower than asked each tone is.
 
     Where a bank amplifies too much, the tone whose resonator is the loudest there is slowed, and so on: a tone where
-    the plant is weak has a strong inverse, and pays alone for it.
+    the plant is weak has a strong inverse, and pays alone for it. A slow enough bank always is quiet; how slow one may
+    become is counted in periods of its tones, so that what is found does not hang on the time asked for.
     """
     rate = inner.seen.rate_hz
     assert rate is not None
     slowed = np.ones(tones_hz.size) if slowed is None else slowed.copy()
-    for _ in range(SLOWINGS * tones_hz.size):
+    while True:
         bank = resonators(tones_hz, inverses, rate, SETTLED / (settling_s * slowed * rate), shape)
         excess, at_hz = _worst_spot(inner, bank, most)
         if excess <= 0:
-            return bank, slowed
+            return QuietBank(bank, slowed, at_hz)
         G = inner.seen.frequency_response([at_hz])[:, :, 0]
         parts = [_only(bank, np.arange(bank.states)[own]) for own in shape.owned(inverses)]
         loud = [float(np.linalg.norm(G @ K.frequency_response([at_hz])[:, :, 0], 2)) for K in parts]
-        slowed[int(np.argmax(loud))] *= SLOWER
-    return None, slowed
+        k = int(np.argmax(loud))
+        if settling_s[k] * slowed[k] * tones_hz[k] >= SLOWEST:
+            return QuietBank(None, slowed, at_hz)
+        slowed[k] *= SLOWER
+
+
+def still_loud(
+    who: str, inner: Inner, tones_hz: FloatArray, settled_s: FloatArray, most: Amplification, at_hz: float
+) -> str:
+    """Return why no bank is quiet: two tones that it cannot tell apart in its time, or a plant that is loud elsewhere.
+
+    Args:
+        who: opens the sentence.
+        inner: the plant that the bank meets.
+        tones_hz: rising or not, all different.
+        settled_s: what each tone settled in when the search ended.
+        most: what was asked.
+        at_hz: where the bank amplified most.
+    """
+    said = f"{who}: no bank for {_listed(tones_hz)} Hz keeps below {most} of amplification, when it settles in "
+    said += f"{settled_s.max():.4g} s; "
+    rising = np.sort(tones_hz)
+    k = int(np.argmin(np.diff(rising))) if rising.size > 1 else 0
+    if rising.size > 1 and (rising[k + 1] - rising[k]) * settled_s.max() < SETTLED:
+        return f"{said}{rising[k]:.10g} and {rising[k + 1]:.10g} Hz lie too near to each other."
+    sizes = np.linalg.norm(np.moveaxis(inner.seen.frequency_response([*tones_hz, at_hz]), 2, 0), 2, axis=(1, 2))
+    weakest = int(np.argmin(sizes[:-1]))
+    return (
+        f"{said}it is loudest at {at_hz:.4g} Hz, where the plant answers {sizes[-1] / sizes[weakest]:.3g} times as "
+        f"strongly as at {tones_hz[weakest]:.4g} Hz."
+    )
+
+
+def _listed(tones_hz: FloatArray) -> str:
+    return ", ".join(f"{f:g}" for f in tones_hz)
 
 
 def _worst_spot(inner: Inner, bank: StateSpace, most: Amplification) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from ultraquiet._base.registry import register
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.tones.bank import Amplification, BankShape, facts, quiet_bank, too_loud
+from ultraquiet.design.tones.bank import Amplification, BankShape, facts, quiet_bank, still_loud, too_loud
 from ultraquiet.design.tones.inner_loop import Around, Inverse, checked_tones, inner_loop, inverse, settlings
 from ultraquiet.design.verification import judged
 from ultraquiet.values.door import takes_systems
@@ -105,12 +105,9 @@ class Resonators(StatedRobustness):
             return refused(refusal)
         times = settlings("Resonators", self.settling_s, tones.size)
         shape = BankShape(self.depth_db, self.roll_off)
-        bank, slowed = quiet_bank(inner, tones, inverses, times, shape, most)
+        bank, slowed, at_hz = quiet_bank(inner, tones, inverses, times, shape, most)
         if bank is None:
-            return refused(
-                f"Resonators: no bank for {_listed(tones)} Hz keeps below {most} of amplification, when "
-                f"it settles in {(slowed * times).max():.0f} s; tones lie too near to each other."
-            )
+            return refused(still_loud("Resonators", inner, tones, slowed * times, most, at_hz))
         details = {
             **facts(inner, bank, tones, inverses, shape),
             "slowed": dict(zip(tones.tolist(), slowed.tolist(), strict=True)),
@@ -131,7 +128,3 @@ def _least_real(
             values = np.linalg.eigvals(g.U.conj().T @ G[:, :, i] @ (g.V / g.S))
             least[f] = min(least[f], float(values.real.min()))
     return least if drawn else {}
-
-
-def _listed(tones_hz: FloatArray) -> str:
-    return ", ".join(f"{f:g}" for f in tones_hz)
