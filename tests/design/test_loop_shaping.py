@@ -206,7 +206,28 @@ def test_what_cannot_be_stabilised_is_refused():
     print(result.status)
     assert not result.status.ok
     assert result.controller is None
-    assert "shaped plant" in result.status.sentence
+    assert "is out of reach of the inputs" in result.status.sentence
+
+
+def test_integrators_before_a_plant_that_does_not_answer_at_0_hz_are_refused_for_that():
+    w = 2 * np.pi * np.array([4.5, 15.0])
+    geophone = transfer([1.0, 0.0, 0.0], np.polymul([1, 1.4 * w[0], w[0] ** 2], [1, 0.04 * w[1], w[1] ** 2]), 1000.0)
+    w = 2 * np.pi * 12.0
+    velocity = transfer([w, 0.0], [1.0, 0.02 * w, w**2], 1000.0)
+    wide = StateSpace([[0.9]], [[0.1, 0.2]], [[1.0]], [[0.0, 0.0]], 1000.0)
+    for plant, why in ((geophone, "a zero at 0 Hz"), (velocity, "a zero at 0 Hz"), (wide, "2 inputs for 1 output")):
+        result = LoopShaping(integral_hz=1.0).design(plant)
+        print(result.status)
+        assert result.controller is None
+        assert f"(it has {why})" in result.status.sentence
+        assert LoopShaping().design(plant).controller is not None
+
+
+def test_an_integrator_that_no_output_shows_is_named():
+    hidden = StateSpace(np.diag([1.0, 0.9]), [[1.0], [1.0]], [[0.0, 1.0]], [[0.0]], 1000.0)
+    sentence = LoopShaping().design(hidden).status.sentence
+    print(sentence)
+    assert sentence.startswith("LoopShaping: an unstable mode of the plant, at 0 Hz with |z| = 1, does not show")
 
 
 def test_integrator_in_the_weight_reaches_the_controller():

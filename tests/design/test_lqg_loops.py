@@ -159,7 +159,7 @@ def test_more_outputs_than_inputs_cannot_all_be_integrated(rng):
     tall = StateSpace(plant.A, plant.B[:, :1], plant.C, plant.D[:, :1], RATE)
     result = Lqg(**FLAT, integral_hz=2.0).design(tall)
     assert result.status.word == "refused"
-    assert "1 inputs for 2 outputs" in str(result.status)
+    assert "1 input for 2 outputs" in str(result.status)
 
 
 def test_the_band_in_the_loop_shapes_the_controller(rng):

@@ -1,15 +1,19 @@
 """Why a plant cannot be stabilised: modes that its inputs do not reach or its outputs do not show."""
 
+from typing import Literal
+
 import numpy as np
 
 from ultraquiet._base.constraints import same_rate
 from ultraquiet._base.errors import InputError
+from ultraquiet._base.shown.line import counted
 from ultraquiet.linalg.even import even_scale
 from ultraquiet.linalg.ordered import Array
 from ultraquiet.values.state_space import StateSpace
 
 RANK = 1e-9  # relative; a pencil with a singular value below it has lost rank
 ROUNDS = 4  # of scaling channels and states in turn
+ELSEWHERE = 2.7  # of the largest entry of A: where a plant of full rank has no zero but by chance
 BORDER = 1e-11  # a pole nearer to the stability boundary than this counts as unstable: integrators in round-off
 
 
@@ -32,6 +36,38 @@ def lost_modes(who: str, plant: StateSpace, inputs: str = "B", outputs: str = "C
                 "controller can stabilise it; remove it from the model or act on it."
             )
     return ""
+
+
+def lost_integrators(who: str, plant: StateSpace, end: Literal["input", "output"], mend: str) -> str:
+    """Return one sentence when pure integrators at one end of the plant cannot be stabilised; empty when all is well.
+
+    They can be when [A - I, B; C, D], in continuous time with A, has full rank: behind the plant that of its rows,
+    which takes as many inputs as outputs at least, before it that of its columns, and no zero at 0 Hz.
+
+    Args:
+        who: opens the sentence.
+        plant: G.
+        end: where there is one on every channel.
+        mend: what to do about it, which closes the sentence.
+    """
+    ny, nu = plant.D.shape
+
+    def lost(z: float) -> bool:
+        pencil = np.block([[plant.A - z * np.eye(plant.states), plant.B], [plant.C, plant.D]])
+        return loses_rank(pencil if end == "output" else pencil.T)
+
+    if not lost(0.0 if plant.rate_hz is None else 1.0):
+        return ""
+    why = "it has a zero at 0 Hz"
+    if nu < ny if end == "output" else ny < nu:
+        why = f"it has {counted(nu, 'input')} for {counted(ny, 'output')}"
+    elif lost(ELSEWHERE * float(np.abs(plant.A).max(initial=1.0))):
+        why = "at no frequency does it answer in as many directions as it has channels"
+    where = "in every output" if end == "output" else "to every input"
+    return (
+        f"{who}: the plant does not answer at 0 Hz {where} ({why}), so the pure integrators of 'integral_hz' "
+        f"cannot be stabilised; {mend}."
+    )
 
 
 def _unit(plant: StateSpace) -> StateSpace:

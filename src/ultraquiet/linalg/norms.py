@@ -301,7 +301,9 @@ class _Gain:
         """Return the larger of the best gain so far and those at `w`, and its place."""
         if w.size == 0:
             return best, at
-        gains = np.linalg.norm(np.moveaxis(self._terms.at(1j * w), 2, 0), 2, axis=(1, 2))
+        with np.errstate(divide="ignore", invalid="ignore"):  # 0 Hz on a pole that rounding puts there
+            gains = np.linalg.norm(np.moveaxis(self._terms.at(1j * w), 2, 0), 2, axis=(1, 2))
+        gains = np.where(np.isnan(gains), 0.0, gains)  # its shoulders say as much
         k = int(np.argmax(gains))
         return (float(gains[k]), float(w[k])) if gains[k] > best else (best, at)
 

@@ -19,14 +19,13 @@ from ultraquiet.design.h2.lqg_problem import (
     integrator,
     regular_noise,
     shaped,
-    unreachable_integrator,
 )
 from ultraquiet.design.h2.riccati import H2Problem, Solution, solve
 from ultraquiet.design.h2.synthesis import AGREEMENT
 from ultraquiet.design.h2.usual_numbers import UsualVariances
 from ultraquiet.design.result import DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
-from ultraquiet.design.stabilisability import BORDER, lost_modes, stable_weight
+from ultraquiet.design.stabilisability import BORDER, lost_integrators, lost_modes, stable_weight
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights.filters import band_pass, high_pass
 from ultraquiet.linalg import balance
@@ -40,6 +39,7 @@ from ultraquiet.values.status import Status, StatusWord
 CHEAP = 1e-6  # weight on u against the gain from u to the cost, below which half of the digits are gone
 # Where one of these is given, the others are what is usual for the plant; with none, it is the measure.
 NUMBERS = ("control_weight", "disturbance", "sensor_noise")
+LEAK = "set 'integral_leak_hz' above 0 Hz"
 RISE = 10.0  # in gain, of the weight on u above `control_hz`
 
 
@@ -190,7 +190,8 @@ class Lqg(StatedRobustness):
     def _found(self, plant: StateSpace) -> DesignResult:
         """Return the controller and what the equations say of it, its loop not yet judged, or a refusal."""
         parts = self.parts(plant)
-        sentence = lost_modes("Lqg", plant) or unreachable_integrator("Lqg", plant, parts.loop)
+        integrating = parts.loop is not None and not parts.loop.is_stable()
+        sentence = lost_modes("Lqg", plant) or (lost_integrators("Lqg", plant, "output", LEAK) if integrating else "")
         if sentence:
             return refused(sentence)
         even, sentence = plant, ""

@@ -6,7 +6,6 @@ import numpy as np
 
 from ultraquiet._base.constraints import FloatArray, positive, real_array
 from ultraquiet._base.errors import InputError
-from ultraquiet.design.stabilisability import loses_rank
 from ultraquiet.linalg.realize import sections
 from ultraquiet.values.interconnect import append, gain, series
 from ultraquiet.values.state_space import StateSpace
@@ -108,24 +107,6 @@ def integrator(who: str, corner_hz: float, leak_hz: float, rate_hz: float) -> St
     pole = float(np.exp(-2 * np.pi * leak_hz / rate_hz))
     zero = float(np.exp(-2 * np.pi * (leak_hz + corner_hz) / rate_hz))
     return StateSpace(*sections(np.array([1.0, -zero]), np.array([1.0, -pole])), rate_hz=rate_hz)
-
-
-def unreachable_integrator(who: str, plant: StateSpace, loop: StateSpace | None) -> str:
-    """Return one sentence when a pure integrator behind the plant cannot be controlled; empty when all is well.
-
-    It can be when [A - I, B; C, D] has full row rank: as many inputs as outputs at least, and no zero at 0 Hz.
-    """
-    if loop is None or loop.is_stable():
-        return ""
-    ny, nu = plant.D.shape
-    one = np.eye(plant.states)
-    if not loses_rank(np.block([[plant.A - one, plant.B], [plant.C, plant.D]])):
-        return ""
-    why = f"it has {nu} inputs for {ny} outputs" if nu < ny else "it has a zero at 0 Hz"
-    return (
-        f"{who}: the plant does not answer at 0 Hz in every output ({why}), so the pure integrators of 'integral_hz' "
-        "cannot be stabilised; set 'integral_leak_hz' above 0 Hz."
-    )
 
 
 def _wired(plant: StateSpace, at_input: bool) -> StateSpace:

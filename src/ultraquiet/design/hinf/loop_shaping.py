@@ -17,8 +17,9 @@ from ultraquiet.analyse.plant_scale import EvenPlant, below_nyquist, even_plant
 from ultraquiet.analyse.singular import singular_values
 from ultraquiet.design.gain_search import from_plant
 from ultraquiet.design.hinf import coprime_stabilisation as coprime
-from ultraquiet.design.result import DesignResult, refused
+from ultraquiet.design.result import STABLE_WORDS, DesignResult, refused
 from ultraquiet.design.robustness import StatedRobustness
+from ultraquiet.design.stabilisability import lost_integrators, lost_modes
 from ultraquiet.design.verification import judged
 from ultraquiet.design.weights import shaped_loop
 from ultraquiet.design.weights.filters import band_pass, high_pass, peak, rational
@@ -118,6 +119,16 @@ class LoopShaping(StatedRobustness):
         `shaped`, Gs; `factor`, M^-1; `stabiliser`, Ks; `observer`, its gains F and H. By default it says besides which
         band, units and height the plant gave (`from_plant`).
         """
+        sentence = lost_modes(WHO, plant)
+        if sentence:
+            return refused(sentence)
+        found = self._designed(plant)
+        if found.status.word in (*STABLE_WORDS, StatusWord.SHORT) or self.integral_hz is None or self.pre is not None:
+            return found
+        sentence = lost_integrators(WHO, plant, "input", "leave 'integral_hz' away")
+        return refused(sentence) if sentence else found
+
+    def _designed(self, plant: StateSpace) -> DesignResult:
         if self._measured_by_the_plant():
             aligned = from_plant(plant, self, self._attempt, self.band_hz)
             if aligned.status.ok or not self.align or plant.D.shape[0] != plant.D.shape[1]:
@@ -167,6 +178,9 @@ class LoopShaping(StatedRobustness):
         if not achieved <= level * (1 + AGREEMENT):
             return refused(
                 f"{WHO}: the loop reaches {achieved:.6g} where {level:.6g} was designed for; scale the plant."
+                if np.isfinite(achieved)
+                else f"{WHO}: the shaped plant W2 G W1 ({counted(shaped.states, 'state')}) is not stabilised by what "
+                "its equations give; some of its slow or undamped modes hardly answer or hardly show."
             )
         details = {
             "gamma_min": stabiliser.gamma_min,
