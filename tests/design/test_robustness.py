@@ -139,3 +139,14 @@ def test_the_peak_of_s_is_one_number_whatever_units_the_actuators_have():
     assert found.even
     assert np.isclose(found.peaks["S"].gain_db, peak_db, atol=1e-3)
     assert np.isclose(found.peaks["S"].f_hz, f_hz, rtol=1e-2)
+
+
+@pytest.mark.parametrize("rate_hz", [3500.0, 1e-3])
+def test_where_a_loop_is_loudest_is_said_in_its_own_digits(rate_hz):
+    plant = StateSpace([[0.9995]], [[0.0005]], [[1.0]], [[0.0]], rate_hz)
+    for verdict in (Lqg().design(plant), analyse_loop(plant, StateSpace([[0.5]], [[0.1]], [[-1.0]], [[0.0]], rate_hz))):
+        said = re.search(r"at most ([\d.]+) dB, at (\S+) Hz;", verdict.status.sentence)
+        print(verdict.status)
+        peaks = getattr(verdict, "details", None) or {"peak_sensitivity_hz": verdict.peaks["S"].f_hz}
+        assert said
+        assert float(said[2]) == pytest.approx(peaks["peak_sensitivity_hz"], rel=1e-3)

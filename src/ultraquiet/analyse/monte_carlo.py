@@ -10,6 +10,7 @@ import numpy as np
 from ultraquiet._base.constraints import FloatArray, between, frozen, positive, whole
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.progress import task
+from ultraquiet._base.shown.line import rounded
 from ultraquiet.analyse.disk import disk_margin
 from ultraquiet.analyse.margins import Margins, loop_margins, peak_sensitivity
 from ultraquiet.analyse.peaks import refined, response_at
@@ -79,7 +80,7 @@ class MonteCarlo:
         return Status(
             StatusWord.OK,
             f"The loop is stable on all {n} cases ({CONFIDENCE:.0%} sure of {low:.1%} of such plants); the highest "
-            f"peak is {peak:.1f} dB, in case {self.worst}.",
+            f"peak is {rounded(peak)} dB, in case {self.worst}.",
         )
 
 

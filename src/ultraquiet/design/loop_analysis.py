@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ultraquiet._base.constraints import between
+from ultraquiet._base.shown.line import hertz, rounded
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.gang import Gang, Peak, gang_of_six
 from ultraquiet.analyse.margins import even_sensitivity
@@ -141,7 +142,8 @@ def _verdict(
 ) -> Status:
     if not stable:
         return Status(StatusWord.UNSTABLE, "The loop is unstable; the law must not run on this plant.")
-    return kept(plant, margins, asked, f"it amplifies by at most {peak.gain_db:.1f} dB, at {peak.f_hz:.4g} Hz; ")
+    loudest = f"it amplifies by at most {rounded(peak.gain_db)} dB, at {hertz(peak.f_hz)}; "
+    return kept(plant, margins, asked, loudest)
 
 
 def _peak(found: Peak, plant: StateSpace, s: Scales, name: str) -> MemberPeak:

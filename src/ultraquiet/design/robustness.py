@@ -6,13 +6,13 @@ from math import inf, isfinite, log10
 from typing import Any
 
 from ultraquiet._base.constraints import between
+from ultraquiet._base.shown.line import hertz
 from ultraquiet.analyse.disk import ENDS, ChannelChange, EndMargins, disk_ranges, end_margins
 from ultraquiet.values.channel import Channel
 from ultraquiet.values.state_space import StateSpace
 from ultraquiet.values.status import Status, StatusWord
 
 DISK_MARGIN = 0.2  # 1.7 dB or 11 degrees in every channel at once; several times what calibrated channels drift
-LEAST_DIGIT = 6  # of a frequency in Hz, below which it is 0 Hz for a reader
 WIDEST = 2.0  # a disk of this size holds every gain from zero to infinity
 
 
@@ -52,7 +52,7 @@ def fragility(plant: StateSpace, margins: Mapping[str, EndMargins], asked: float
     found = margins[side]
     wires, kind = _wires(plant, side)
     _, high, degrees = disk_ranges(found.disk_all)
-    near = f", near {_hz(found.disk_all_hz)}" if isfinite(found.disk_all_hz) else ""
+    near = f", near {hertz(found.disk_all_hz)}" if isfinite(found.disk_all_hz) else ""
     said = (
         f"The loop is stable yet fragile at the plant's {side}: changes of {_db(float(high)):.2g} dB or "
         f"{float(degrees):.2g} degrees in all {kind}s at once may upset it{near} (a disk margin of "
@@ -112,11 +112,7 @@ def _told(change: ChannelChange, kind: str, wires: tuple[Channel, ...]) -> str:
         what = f"{change.amount:.2g} degrees of phase"
     else:
         what = f"{abs(change.amount):.2g} dB {'more' if change.amount > 0 else 'less'} gain"
-    return f"alone, {what} of {channel} upsets it, at {_hz(change.f_hz)}"
-
-
-def _hz(f_hz: float) -> str:
-    return f"{round(f_hz, LEAST_DIGIT):.4g} Hz"
+    return f"alone, {what} of {channel} upsets it, at {hertz(change.f_hz)}"
 
 
 def _db(factor: float) -> float:

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 from ultraquiet._base.provenance import Provenance, plain, versions
-from ultraquiet._base.shown.line import counted
+from ultraquiet._base.shown.line import counted, fall, hertz, rounded
 from ultraquiet.analyse.disk import EndMargins
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.design.result import DesignResult, is_stable
@@ -38,7 +38,7 @@ def judged(
     peak_db, peak_hz = peak_sensitivity(plant, controller)
     stable = is_stable(poles, plant.rate_hz)
     margins = both_ends(plant, controller)
-    peak = f"it amplifies by at most {peak_db:.1f} dB, at {peak_hz:.0f} Hz"
+    peak = f"it amplifies by at most {rounded(peak_db)} dB, at {hertz(peak_hz)}"
     verdict = _unstable()
     if stable:
         verdict = _verdict(plant, controller, settings.disk_margin, margins, peak)
@@ -77,8 +77,7 @@ def _fallen(details: Mapping[str, Any]) -> list[str]:
     if "attenuation_rms_db" not in details:
         return []
     (low, high), quieter = details["band_hz"], details["attenuation_rms_db"]
-    turned = f"falls by {quieter:.1f} dB" if quieter >= 0 else f"rises by {-quieter:.1f} dB"
-    return [f"The RMS of S G over {low:.4g}-{high:.4g} Hz {turned}."]
+    return [f"The RMS of S G over {low:.4g}-{high:.4g} Hz {fall(quieter)}."]
 
 
 def _stamped(controller: StateSpace, plant: StateSpace, settings: Any) -> StateSpace:

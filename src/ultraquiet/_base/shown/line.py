@@ -110,6 +110,18 @@ def loudness(reduction_db: float, digits: int = 1) -> str:
     return f"{'quieter' if reduction_db > 0 else 'louder'} by {size} dB"
 
 
+def fall(reduction_db: float, digits: int = 1) -> str:
+    """Return where a level went: a sentence knows no fall below zero.
+
+    >>> fall(3.54), fall(-3.54), fall(-0.04)
+    ('falls by 3.5 dB', 'rises by 3.5 dB', 'stays what it is')
+    """
+    size = rounded(abs(reduction_db), digits)
+    if not float(size):
+        return "stays what it is"
+    return f"{'falls' if reduction_db > 0 else 'rises'} by {size} dB"
+
+
 def opening(said: str) -> str:
     """Return words as they begin a sentence; a name that begins one is never passed here: it is written as it is.
 

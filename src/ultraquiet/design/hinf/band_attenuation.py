@@ -8,6 +8,7 @@ import numpy as np
 from ultraquiet._base.constraints import positive, rising_band
 from ultraquiet._base.errors import InputError
 from ultraquiet._base.registry import register
+from ultraquiet._base.shown.line import rounded
 from ultraquiet._base.threads import single_threaded
 from ultraquiet.analyse.loop_response import loop_response
 from ultraquiet.analyse.margins import peak_sensitivity
@@ -273,9 +274,9 @@ def _compared(result: DesignResult, promised: float) -> DesignResult:
     if result.status.word not in STABLE_WORDS or left >= promised - LOST_DB:
         return replace(result, details=details)
     sentence = (
-        f"One scalar law for all channels promises {promised:.1f} dB over the band on what the channels share; in the "
-        f"worst direction of the whole plant {left:.1f} dB are left of it, for its directions differ: take the "
-        f"structure 'full'. {result.status.sentence}"
+        f"One scalar law for all channels promises {rounded(promised)} dB over the band on what the channels share; in "
+        f"the worst direction of the whole plant {rounded(left)} dB are left of it, for its directions differ: take "
+        f"the structure 'full'. {result.status.sentence}"
     )
     word = StatusWord.SHORT if result.status.ok else result.status.word
     return replace(result, status=Status(word, sentence), details=details)

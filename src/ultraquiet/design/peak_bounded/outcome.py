@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ultraquiet._base.shown.line import rounded
+from ultraquiet._base.shown.line import fall
 from ultraquiet.analyse.loop_response import band_attenuation, loop_response, reached_directions
 from ultraquiet.analyse.margins import peak_sensitivity
 from ultraquiet.analyse.norms import hinf_norm
@@ -121,8 +121,8 @@ def _unless_idle(
         return result
     low, high = band_hz
     said = (
-        f"Within these bounds nothing gets quiet: over {low:.4g}-{high:.4g} Hz the worst direction of S falls by "
-        f"{rounded(attenuation_db, 2)} dB and the RMS of S G by {rounded(quieter, 2)} dB. Name the "
+        f"Within these bounds nothing gets quiet: over {low:.4g}-{high:.4g} Hz the worst direction of S "
+        f"{fall(attenuation_db, 2)} and the RMS of S G {fall(quieter, 2)}. Name the "
         f"band that is to be quiet, or allow more amplification. {result.status.sentence}"
     )
     return replace(result, status=Status(StatusWord.SHORT, said))
