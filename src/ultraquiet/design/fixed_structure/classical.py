@@ -1,7 +1,7 @@
 """Classical sections on each channel: lead-lag, notch, corners and a gain, in numbers or tuned."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -117,10 +117,17 @@ class ClassicalMethod(StatedRobustness):
                 positive(who, f"a value of a {kind} section", v, "Hz" if is_hz else "")
                 if is_hz and plane.rate_hz is not None and v >= plane.rate_hz / 2:
                     raise InputError(
-                        f"{who}: a {kind} corner of {v:g} Hz lies at or above Nyquist, {plane.rate_hz / 2:g} Hz."
+                        f"{who}: a {kind} corner of {v:g} Hz{self._set_as(v)} lies at or above Nyquist, "
+                        f"{plane.rate_hz / 2:g} Hz; set it lower."
                     )
                 values.append(float(plane.of_hz(v)) if is_hz else float(v))
         return SectionCascade(tuple(kinds), gain, tuple(values))
+
+    def _set_as(self, value: float) -> str:
+        """Return which setting a value comes from, in words; that may be a default, which nobody set."""
+        names = [f.name for f in fields(self) if f.name.endswith("_hz")]
+        found = [name for name in names if value in np.atleast_1d(np.asarray(getattr(self, name), dtype=object))]
+        return f" ('{found[0]}')" if found else ""
 
     def _all(self) -> list[tuple[str, tuple[float, ...], tuple[bool, ...]]]:
         out = self.sections()

@@ -19,7 +19,7 @@ from ultraquiet.design.tones.adaptive_law import (
     limits_of,
     without_faint_states,
 )
-from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop
+from ultraquiet.design.tones.inner_loop import COARSE, Around, Inner, checked_tones, inner_loop, inverse
 from ultraquiet.design.verification import judged
 from ultraquiet.linalg.equations import discrete_riccati
 from ultraquiet.values.door import takes_systems
@@ -87,6 +87,8 @@ def central_law(plant: StateSpace, control_weight: float, sensor_noise: float) -
     with np.errstate(divide="ignore", invalid="ignore"):  # a pole on a line of the grid
         grid = np.abs(plant.frequency_response(np.linspace(0, plant.rate_hz / 2, COARSE)))
     size = grid[np.isfinite(grid)].max(initial=0.0) ** 2
+    if not size:
+        raise NumericalError("the plant has no gain, so no command does anything.")
     R, V = control_weight * size * np.eye(nu), sensor_noise * size * np.eye(ny)
     X = discrete_riccati(A, B, C.T @ C, R + plant.D.T @ plant.D, C.T @ plant.D).X
     Y = discrete_riccati(A.T, C.T, B @ B.T, V + plant.D @ plant.D.T, B @ plant.D.T).X
@@ -168,8 +170,8 @@ class YoulaKucera(StatedRobustness):
 
         Raises:
             InputError: no tone for the basis `tones`, no corner and no tone for `laguerre`, one outside
-                (0, rate / 2), an unstable plant without a law around it, one that does not fit, an actuator without a
-                limit.
+                (0, rate / 2) or at which the plant has no gain, an unstable plant without a law around it, one that
+                does not fit, an actuator without a limit.
         """
         who = "YoulaKucera"
         lqg = self.central == "lqg"
@@ -177,6 +179,9 @@ class YoulaKucera(StatedRobustness):
         rate = inner.seen.rate_hz
         assert rate is not None
         filters = self.filters(rate)
+        if self.basis == "tones":
+            for tone in checked_tones(who, self.tones_hz, rate):
+                inverse(who, inner.seen, tone, 1.0)
         limit = limits_of(who, self.limit, plant.actuators)
         ny, nu = plant.D.shape
         try:
